@@ -1,0 +1,91 @@
+"""Argument checks and the package's exceptions.
+
+A shape is written the same way in a docstring, in a check and in the message: ``"(n, n)"``. Letters that repeat within one
+check must agree; numbers are literal; ``...`` stands for any leading axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+class AmbroseError(Exception):
+    """Anything this package refuses or fails to do; the message names quantity, value and remedy."""
+
+
+class InvalidInput(AmbroseError, ValueError):
+    """The caller's data violates a stated requirement."""
+
+
+class NumericalFailure(AmbroseError, ArithmeticError):
+    """A computation did not reach its stated accuracy; nothing unverified is returned."""
+
+
+class UnstableSystem(AmbroseError, ValueError):
+    """A quantity was asked for that exists only for a stable system."""
+
+
+def invalid(name: str, value: object, requirement: str, remedy: str) -> InvalidInput:
+    """The one form of a complaint: what it is, what it was, what it must be, what to do."""
+    return InvalidInput(f"{name} is {value}, but must be {requirement}; {remedy}")
+
+
+def check_finite(x: ArrayLike, name: str) -> np.ndarray:
+    """``x`` as an array of floats (or complex), after refusing NaN and infinity.
+
+    Raises InvalidInput with the first offending index.
+    """
+    try:
+        array = np.asarray(x)
+        if array.dtype.kind not in "fc":
+            array = array.astype(float)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"{name} is not numeric ({error}); give a rectangular array of numbers") from error
+    bad = ~np.isfinite(array)
+    if bad.any():
+        index = tuple(int(i) for i in np.argwhere(bad)[0])
+        where = f"{name}{list(index)}" if index else name
+        raise invalid(
+            where, array[index], "finite", "look for a missing value or a division by zero upstream"
+        )
+    return array
+
+
+def check_shape(x: ArrayLike, name: str, shape: str, **sizes: int) -> np.ndarray:
+    """``x`` as a finite array, after checking its shape against a string such as ``"(n, m)"``.
+
+    ``sizes`` fixes letters, e.g. ``check_shape(B, "B", "(n, m)", n=4)``. Raises InvalidInput.
+    """
+    array = check_finite(x, name)
+    if not match_shape(array.shape, shape, dict(sizes)):
+        known = "".join(f", {letter} = {size}" for letter, size in sizes.items())
+        raise invalid(
+            f"the shape of {name}", array.shape, f"{shape}{known}", "check the order and number of its axes"
+        )
+    return array
+
+
+def match_shape(actual: tuple[int, ...], shape: str, sizes: dict[str, int]) -> bool:
+    """Whether ``actual`` fits ``shape``; letters seen for the first time are entered into ``sizes``."""
+    wanted = [part.strip() for part in shape.strip("() ").split(",") if part.strip()]
+    if wanted and wanted[0] == "...":
+        wanted = wanted[1:]
+        actual = actual[max(0, len(actual) - len(wanted)) :]
+    if len(wanted) != len(actual):
+        return False
+    for letter, size in zip(wanted, actual, strict=True):
+        if letter.isdigit():
+            if int(letter) != size:
+                return False
+        elif letter.isidentifier() and sizes.setdefault(letter, size) != size:
+            return False
+    return True
+
+
+def check_positive(x: float, name: str, remedy: str, *, zero_allowed: bool = False) -> float:
+    """``x`` as a float, after refusing NaN, infinity and numbers below (or at) zero. Raises InvalidInput."""
+    value = float(check_finite(x, name))
+    if value < 0 or (value == 0 and not zero_allowed):
+        raise invalid(name, value, "zero or positive" if zero_allowed else "positive", remedy)
+    return value

@@ -1,0 +1,214 @@
+"""Uncertainty blocks, generalized plants and linear fractional transformations; the loop diagram.
+
+THE loop diagram. Quote it wherever a sign matters::
+
+                          e  excitation [A]              f  force on the rotor [N]
+                          |                              |
+      r  +     e_y  +---+ u  v  + +-----------+  i       v  +-------+ q
+     --->o--------->| K |------>o-| amplifier |--------->o->| rotor |---+--->  compliance: f -> q
+        -^          +---+         +-----------+    k_i      +-------+   |
+         |                                                              v
+         |   y                         + d  output disturbance [m]  +--------+
+         +--------------------------------------o<------------------| sensor |
+                                                                    +--------+
+
+    e_y = r - y          the control error [m]          u = K e_y      the controller's output [A]
+    v   = u + e          what the amplifier receives    y = G v + d    the measured displacement [m]
+
+    S_o = (I + G K)^-1   output sensitivity, d -> y      T_o = I - S_o
+    S_i = (I + K G)^-1   input sensitivity,  e -> v      K S_o  control sensitivity, r -> u
+
+A generalized plant is the same loop pulled apart: z = P11 w + P12 u, y = P21 w + P22 u, closed by u = K y; since its
+measured output is the error e_y, the minus sign sits inside P. The uncertainty closes the leading w and z: w = Delta z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
+from ambrose.core.statespace import StateSpace, as_statespace, close, rename, select
+
+
+@dataclass(frozen=True, slots=True)
+class RealBlock:
+    """delta I_repeat with -1 <= delta <= 1, real: one physical parameter."""
+
+    name: str
+    repeat: int = 1
+
+    def __post_init__(self) -> None:
+        _check_count(self.repeat, f"repeat of block {self.name!r}")
+
+    @property
+    def n_w(self) -> int:
+        return self.repeat
+
+    @property
+    def n_z(self) -> int:
+        return self.repeat
+
+
+@dataclass(frozen=True, slots=True)
+class ComplexBlock:
+    """delta I_repeat with |delta| <= 1, complex: unmodelled dynamics in one channel, possibly repeated."""
+
+    name: str
+    repeat: int = 1
+
+    def __post_init__(self) -> None:
+        _check_count(self.repeat, f"repeat of block {self.name!r}")
+
+    @property
+    def n_w(self) -> int:
+        return self.repeat
+
+    @property
+    def n_z(self) -> int:
+        return self.repeat
+
+
+@dataclass(frozen=True, slots=True)
+class FullBlock:
+    """A full complex matrix Delta (n_w, n_z) with largest singular value at most 1, w = Delta z: performance, or dynamics."""
+
+    name: str
+    n_w: int
+    n_z: int
+
+    def __post_init__(self) -> None:
+        _check_count(self.n_w, f"n_w of block {self.name!r}")
+        _check_count(self.n_z, f"n_z of block {self.name!r}")
+
+
+Block = RealBlock | ComplexBlock | FullBlock
+
+
+def _check_count(value: int, name: str) -> None:
+    if not isinstance(value, int | np.integer) or value < 1:
+        raise invalid(name, repr(value), "a whole number, at least 1", "leave the block out if it is empty")
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False)
+class GeneralizedPlant:
+    """A StateSpace with its signals parted: disturbances w, controls u, performance outputs z, measurements y.
+
+    ``blocks`` is the uncertainty; its inputs are the leading ``w`` and its outputs the leading ``z``. The system is stored with
+    inputs in the order (w, u) and outputs (z, y). Raises InvalidInput for unknown, repeated or missing signals.
+    """
+
+    system: StateSpace
+    w: tuple[str, ...]
+    u: tuple[str, ...]
+    z: tuple[str, ...]
+    y: tuple[str, ...]
+    blocks: tuple[Block, ...]
+
+    def __init__(
+        self,
+        system: Any,
+        w: Sequence[str],
+        u: Sequence[str],
+        z: Sequence[str],
+        y: Sequence[str],
+        blocks: Sequence[Block] = (),
+    ) -> None:
+        groups = {"w": tuple(w), "u": tuple(u), "z": tuple(z), "y": tuple(y)}
+        blocks = tuple(blocks)
+        for count, side in ((sum(b.n_w for b in blocks), "w"), (sum(b.n_z for b in blocks), "z")):
+            if count > len(groups[side]):
+                raise invalid(
+                    f"the blocks' {side} count",
+                    count,
+                    f"at most {len(groups[side])}",
+                    f"list their signals first in {side}",
+                )
+        names = [b.name for b in blocks]
+        if len(set(names)) != len(names):
+            raise invalid(
+                "the block names", names, "unique", "one block per parameter; use repeat for repeated ones"
+            )
+        object.__setattr__(
+            self, "system", select(system, groups["w"] + groups["u"], groups["z"] + groups["y"])
+        )
+        for side, signals in groups.items():
+            object.__setattr__(self, side, signals)
+        object.__setattr__(self, "blocks", blocks)
+
+    @property
+    def n_w_blocks(self) -> int:
+        return sum(block.n_w for block in self.blocks)
+
+    @property
+    def n_z_blocks(self) -> int:
+        return sum(block.n_z for block in self.blocks)
+
+
+def lft(plant: GeneralizedPlant, controller: Any) -> StateSpace:
+    """The lower LFT F_l(P, K): from w to z with u = K y closed. The controller's signals are matched by place (y in, u out)."""
+    controller = as_statespace(controller)
+    if controller.D.shape != (len(plant.u), len(plant.y)):
+        raise invalid(
+            "the controller's size (outputs, inputs)",
+            controller.D.shape,
+            str((len(plant.u), len(plant.y))),
+            "match u and y",
+        )
+    return _star(plant.system, controller, list(plant.w), list(plant.z), list(plant.u), list(plant.y))
+
+
+def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.ndarray]) -> StateSpace:
+    """The upper LFT F_u(P, Delta): each block closed with a number (or a matrix for a full block); absent blocks are zero.
+
+    Returns the system from the remaining w and u to the remaining z and y.
+    """
+    unknown = set(delta) - {block.name for block in plant.blocks}
+    if unknown:
+        raise InvalidInput(
+            f"block {sorted(unknown)[0]!r} is unknown; the plant has {', '.join(b.name for b in plant.blocks)}"
+        )
+    gain = np.zeros((plant.n_w_blocks, plant.n_z_blocks))
+    i = j = 0
+    for block in plant.blocks:
+        value = check_finite(delta.get(block.name, 0.0), f"delta of {block.name}")
+        if isinstance(block, FullBlock):
+            value = (
+                check_shape(value, f"delta of {block.name}", "(w, z)", w=block.n_w, z=block.n_z)
+                if value.ndim
+                else value * np.eye(block.n_w, block.n_z)
+            )
+        else:
+            value = float(value) * np.eye(block.repeat)
+        gain[i : i + block.n_w, j : j + block.n_z] = value
+        i, j = i + block.n_w, j + block.n_z
+    w, z = plant.w[: plant.n_w_blocks], plant.z[: plant.n_z_blocks]
+    keep_in = [*plant.w[plant.n_w_blocks :], *plant.u]
+    keep_out = [*plant.z[plant.n_z_blocks :], *plant.y]
+    return _star(
+        plant.system,
+        StateSpace([], np.zeros((0, len(z))), np.zeros((len(w), 0)), gain),
+        keep_in,
+        keep_out,
+        list(w),
+        list(z),
+    )
+
+
+def _star(
+    system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: list[str], y: list[str]
+) -> StateSpace:
+    """Close u = gain y on ``system`` and keep w -> z."""
+    from ambrose.core.statespace import append
+
+    inner = rename(gain, [f"from {name}" for name in y], [f"to {name}" for name in u])
+    joined = append(system, inner)
+    loop = np.zeros((len(joined.inputs), len(joined.outputs)))
+    for name in u:
+        loop[joined.inputs.index(name), joined.outputs.index(f"to {name}")] = 1.0
+    for name in y:
+        loop[joined.inputs.index(f"from {name}"), joined.outputs.index(name)] = 1.0
+    return select(close(joined, loop), w, z)

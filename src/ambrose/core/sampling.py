@@ -1,0 +1,116 @@
+"""Sampling: zero-order hold and Tustin, with delay."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.statespace import StateSpace, as_statespace, series
+
+Method = Literal["zoh", "tustin"]
+
+
+def c2d(
+    system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prewarp: float | None = None
+) -> StateSpace:
+    """The sampled equivalent of a continuous system.
+
+    dt [s]; ``zoh`` is exact for an input held between samples (plants), ``tustin`` the bilinear map (controllers), exact at
+    the frequency ``prewarp`` [rad/s] if given. ``delay`` [s] acts on the input: any value for ``zoh`` (the fractional part
+    exactly, Franklin, Powell & Workman 1998, sec. 4.3.4), whole samples for ``tustin``. Raises InvalidInput.
+    """
+    system = as_statespace(system)
+    if system.dt is not None:
+        raise invalid("the system's dt", system.dt, "None (continuous)", "it is sampled already")
+    check_positive(dt, "dt", "give the sample time in seconds")
+    check_positive(delay, "delay", "give it in seconds", zero_allowed=True)
+    whole = int(np.floor(delay / dt + 1e-9))
+    fraction = max(delay - whole * dt, 0.0)
+    if fraction < 1e-9 * dt:
+        fraction = 0.0
+    if method == "zoh":
+        if prewarp is not None:
+            raise invalid("prewarp", prewarp, "None with method 'zoh'", "use method='tustin'")
+        sampled = _zoh(system, dt, fraction)
+    elif method == "tustin":
+        if fraction:
+            raise invalid(
+                "delay",
+                f"{delay:g} s",
+                f"a whole number of samples of {dt:g} s",
+                "use method='zoh' for fractions",
+            )
+        sampled = _tustin(system, dt, prewarp)
+    else:
+        raise invalid("method", repr(method), "'zoh' or 'tustin'", "choose one of them")
+    for _ in range(whole):
+        sampled = series(_unit_delay(sampled), sampled)
+    return sampled
+
+
+def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
+    A, B, C, D = system.A, system.B, system.C, system.D
+    early, gain_early = _held(A, B, dt - fraction)  # the part of the interval in which the newest input acts
+    if fraction == 0.0:
+        return StateSpace(early, gain_early, C, D, system.inputs, system.outputs, dt)
+    n, m = B.shape
+    late, gain_late = _held(A, B, fraction)
+    return StateSpace(
+        np.block([[early @ late, early @ gain_late], [np.zeros((m, n + m))]]),
+        np.vstack([gain_early, np.eye(m)]),
+        np.hstack([C, D]),
+        np.zeros_like(D),
+        system.inputs, system.outputs, dt,
+    )  # fmt: skip
+
+
+def _held(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """exp(A t) and the integral of exp(A s) B over 0..t, from one exponential (Van Loan 1978)."""
+    n, m = B.shape
+    E = sla.expm(np.block([[A, B], [np.zeros((m, n + m))]]) * time)
+    return E[:n, :n], E[:n, n:]
+
+
+def _tustin(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace:
+    half = dt / 2
+    if prewarp is not None:
+        check_positive(prewarp, "prewarp", "give a frequency in rad/s")
+        if prewarp * dt >= np.pi:
+            raise invalid(
+                "prewarp", f"{prewarp:g} rad/s", f"below Nyquist {np.pi / dt:g} rad/s", "sample faster"
+            )
+        half = np.tan(prewarp * dt / 2) / prewarp
+    n = system.n_states
+    E = np.eye(n) - half * system.A
+    if n and np.linalg.cond(E) > 1 / np.finfo(float).eps:
+        raise InvalidInput(
+            f"a pole at 2/dt = {1 / half:g} rad/s has no Tustin equivalent; change the sample time"
+        )
+    Ad = np.linalg.solve(E, np.eye(n) + half * system.A)
+    Bd = np.linalg.solve(E, system.B) * 2 * half
+    CE = np.linalg.solve(E.T, system.C.T).T
+    return StateSpace(Ad, Bd, CE, system.D + half * CE @ system.B, system.inputs, system.outputs, dt)
+
+
+def _unit_delay(system: StateSpace) -> StateSpace:
+    m = len(system.inputs)
+    names = system.inputs
+    return StateSpace(np.zeros((m, m)), np.eye(m), np.eye(m), np.zeros((m, m)), names, names, system.dt)
+
+
+def pade(delay: float, order: int, input: str = "u1", output: str = "y1") -> StateSpace:
+    """All-pass approximation of a pure delay [s] (diagonal Pade), for continuous loop models."""
+    from ambrose.core.statespace import transfer_function
+
+    check_positive(delay, "delay", "leave the delay out if there is none")
+    if order < 1:
+        raise invalid("order", order, "at least 1", "2 suits a delay of one sample")
+    c = np.ones(order + 1)
+    for k in range(1, order + 1):
+        c[k] = c[k - 1] * (order - k + 1) / (k * (2 * order - k + 1))
+    powers = np.arange(order + 1)
+    denominator = (c * delay**powers)[::-1]
+    return transfer_function(denominator * (-1.0) ** powers[::-1], denominator, input, output)

@@ -1,0 +1,411 @@
+"""Linear time-invariant systems with named signals, and their algebra.
+
+Signals are picked by name; integers never select a channel outside ``core``. All functions return new systems.
+Any argument documented as a *system* may also be a python-control system (anything with A, B, C, D and dt).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import (
+    InvalidInput,
+    NumericalFailure,
+    check_finite,
+    check_positive,
+    check_shape,
+    invalid,
+)
+
+Names = str | Sequence[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
+class StateSpace:
+    """x' = A x + B u, y = C x + D u; with ``dt`` [s] given, x[k+1] = A x[k] + B u[k].
+
+    A (n, n), B (n, m), C (p, n), D (p, m): real arrays, kept read-only. ``inputs`` (m names) and ``outputs`` (p names)
+    default to u1.. and y1... Raises InvalidInput on shapes that do not fit, non-finite entries or repeated names.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float | None
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+        dt: float | None = None,
+    ) -> None:
+        D = np.atleast_2d(check_finite(D, "D"))
+        p, m = D.shape
+        A = np.asarray(check_finite(A, "A"))
+        n = A.shape[0] if A.size else 0
+        A = check_shape(A.reshape(n, n) if A.size == n * n else A, "A", "(n, n)")
+        B = check_shape(np.asarray(B).reshape(0, m) if n == 0 else B, "B", "(n, m)", n=n, m=m)
+        C = check_shape(np.asarray(C).reshape(p, 0) if n == 0 else C, "C", "(p, n)", p=p, n=n)
+        for letter, matrix in zip("ABCD", (A, B, C, D), strict=True):
+            if np.iscomplexobj(matrix):
+                raise invalid(f"matrix {letter}", "complex", "real", "transform to a real state basis first")
+            frozen = np.array(matrix, dtype=float)
+            frozen.flags.writeable = False
+            object.__setattr__(self, letter, frozen)
+        object.__setattr__(self, "inputs", _names(inputs, "u", m, "inputs"))
+        object.__setattr__(self, "outputs", _names(outputs, "y", p, "outputs"))
+        if dt is not None:
+            dt = check_positive(dt, "dt", "give the sample time in seconds, or None for continuous time")
+        object.__setattr__(self, "dt", dt)
+
+    @property
+    def n_states(self) -> int:
+        return self.A.shape[0]
+
+    def __repr__(self) -> str:
+        time = "continuous" if self.dt is None else f"dt = {self.dt:g} s"
+        return f"StateSpace({self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs, {time})"
+
+    def to_control(self) -> Any:
+        """The same system as a ``control.StateSpace`` with signal labels (python-control must be installed)."""
+        import control
+
+        return control.ss(
+            self.A, self.B, self.C, self.D, 0 if self.dt is None else self.dt,
+            inputs=list(self.inputs), outputs=list(self.outputs),
+        )  # fmt: skip
+
+
+def _names(names: Sequence[str] | None, letter: str, count: int, what: str) -> tuple[str, ...]:
+    if names is None:
+        return tuple(f"{letter}{i + 1}" for i in range(count))
+    result = (names,) if isinstance(names, str) else tuple(names)
+    if len(result) != count:
+        raise invalid(
+            f"the number of {what} names",
+            len(result),
+            f"{count}",
+            "give one name for each column or row of D",
+        )
+    repeated = sorted({name for name in result if result.count(name) > 1})
+    if repeated:
+        raise invalid(
+            f"the {what} names",
+            f"repeating {', '.join(repeated)}",
+            "unique",
+            "rename() one of the systems first",
+        )
+    return result
+
+
+def as_statespace(system: Any) -> StateSpace:
+    """``system`` as a StateSpace: itself, a python-control system, or an array taken as a static gain."""
+    if isinstance(system, StateSpace):
+        return system
+    if all(hasattr(system, letter) for letter in "ABCD"):
+        dt = getattr(system, "dt", None)
+        if dt is True:
+            raise InvalidInput(
+                "the system's dt is True (discrete, unspecified); give the sample time in seconds"
+            )
+        return StateSpace(
+            system.A, system.B, system.C, system.D,
+            getattr(system, "input_labels", None), getattr(system, "output_labels", None), dt or None,
+        )  # fmt: skip
+    if hasattr(system, "num") and hasattr(system, "den"):
+        raise InvalidInput("a transfer function was given; convert it with control.ss(...) first")
+    return static_gain(system)
+
+
+def static_gain(
+    D: ArrayLike,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    dt: float | None = None,
+) -> StateSpace:
+    """The system y = D u without states; D (p, m)."""
+    D = np.atleast_2d(check_finite(D, "D"))
+    p, m = D.shape
+    return StateSpace(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), D, inputs, outputs, dt)
+
+
+def transfer_function(
+    numerator: ArrayLike,
+    denominator: ArrayLike,
+    input: str = "u1",
+    output: str = "y1",
+    dt: float | None = None,
+) -> StateSpace:
+    """One-input one-output system from polynomial coefficients, highest power first (controllable canonical form).
+
+    The states are scaled so that A and B are balanced. Raises InvalidInput when improper or the leading coefficient is 0.
+    """
+    num = np.trim_zeros(np.atleast_1d(check_finite(numerator, "numerator")).astype(float), "f")
+    den = np.atleast_1d(check_finite(denominator, "denominator")).astype(float)
+    if den[0] == 0:
+        raise invalid("the leading denominator coefficient", 0, "non-zero", "drop the leading zeros")
+    if len(num) > len(den):
+        raise invalid("the numerator's order", len(num) - 1, f"at most {len(den) - 1}", "add a roll-off pole")
+    n = len(den) - 1
+    b = np.concatenate([np.zeros(len(den) - len(num)), num]) / den[0]
+    a = den / den[0]
+    if n == 0:
+        return static_gain(b[:1, None], [input], [output], dt)
+    A = np.vstack([-a[1:], np.eye(n)[:-1]])
+    B = np.eye(n)[:, :1]
+    C = (b[1:] - b[0] * a[1:])[None, :]
+    A, t = balance(A)
+    return StateSpace(A, B / t[:, None], C * t, [[b[0]]], [input], [output], dt)
+
+
+def balance(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Diagonal similarity that evens out row and column norms: T^-1 A T with T = diag(t), and t (n,). Exact (powers of 2)."""
+    if A.shape[0] == 0:
+        return A, np.ones(0)
+    balanced, (scale, _) = sla.matrix_balance(A, permute=False, separate=True)
+    return balanced, scale
+
+
+def poles(system: Any) -> np.ndarray:
+    """Eigenvalues of A, (n,) complex [rad/s, or z-plane when sampled], sorted by modulus."""
+    system = as_statespace(system)
+    values = np.linalg.eigvals(system.A) if system.n_states else np.zeros(0, complex)
+    return values[np.lexsort((values.imag, values.real, np.abs(values)))]
+
+
+def spectral_abscissa(system: Any) -> float:
+    """Largest real part of the poles [rad/s]; for a sampled system ln|z|/dt of the outermost pole. -inf without states."""
+    system = as_statespace(system)
+    values = poles(system)
+    if values.size == 0:
+        return -np.inf
+    if system.dt is None:
+        return float(values.real.max())
+    return float(np.log(np.maximum(np.abs(values).max(), np.finfo(float).tiny)) / system.dt)
+
+
+def is_stable(system: Any) -> bool:
+    """Whether every pole lies strictly inside the stability region."""
+    return spectral_abscissa(system) < 0
+
+
+def index_of(names: Names, available: Sequence[str], what: str) -> list[int]:
+    """Positions of ``names`` in ``available``; raises InvalidInput naming the unknown one and the known ones."""
+    wanted = [names] if isinstance(names, str) else list(names)
+    position = {name: i for i, name in enumerate(available)}
+    for name in wanted:
+        if name not in position:
+            raise InvalidInput(
+                f"{what} {name!r} is not a signal of this system; it has {', '.join(available) or 'none'}"
+            )
+    return [position[name] for name in wanted]
+
+
+def select(system: Any, inputs: Names | None = None, outputs: Names | None = None) -> StateSpace:
+    """The subsystem between the named inputs and outputs, in the order given; None keeps all. States are kept."""
+    system = as_statespace(system)
+    j = index_of(system.inputs if inputs is None else inputs, system.inputs, "input")
+    i = index_of(system.outputs if outputs is None else outputs, system.outputs, "output")
+    return StateSpace(
+        system.A, system.B[:, j], system.C[i], system.D[np.ix_(i, j)],
+        [system.inputs[k] for k in j], [system.outputs[k] for k in i], system.dt,
+    )  # fmt: skip
+
+
+def rename(
+    system: Any,
+    inputs: Mapping[str, str] | Sequence[str] | None = None,
+    outputs: Mapping[str, str] | Sequence[str] | None = None,
+) -> StateSpace:
+    """The same system with other signal names: a full list, or a mapping from old to new."""
+    system = as_statespace(system)
+
+    def new(
+        names: tuple[str, ...], change: Mapping[str, str] | Sequence[str] | None, what: str
+    ) -> Sequence[str]:
+        if isinstance(change, Mapping):
+            index_of(list(change), names, what)
+            return [change.get(name, name) for name in names]
+        return names if change is None else change
+
+    return StateSpace(
+        system.A, system.B, system.C, system.D,
+        new(system.inputs, inputs, "input"), new(system.outputs, outputs, "output"), system.dt,
+    )  # fmt: skip
+
+
+def append(*systems: Any) -> StateSpace:
+    """Block-diagonal combination: all inputs and all outputs side by side (names must not repeat)."""
+    parts = [as_statespace(s) for s in systems]
+    return StateSpace(
+        sla.block_diag(*[s.A for s in parts]), _block_diag([s.B for s in parts]), _block_diag([s.C for s in parts]),
+        _block_diag([s.D for s in parts]),
+        [name for s in parts for name in s.inputs], [name for s in parts for name in s.outputs], _common_dt(parts),
+    )  # fmt: skip
+
+
+def _block_diag(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    rows, columns = sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)
+    result = np.zeros((rows, columns))
+    i = j = 0
+    for b in blocks:
+        result[i : i + b.shape[0], j : j + b.shape[1]] = b
+        i, j = i + b.shape[0], j + b.shape[1]
+    return result
+
+
+def _common_dt(systems: Iterable[StateSpace]) -> float | None:
+    """The sample time shared by all systems that have one; static gains go with any."""
+    times = {s.dt for s in systems if s.n_states or s.dt is not None}
+    if len(times) > 1:
+        raise invalid(
+            "the sample times", sorted(map(str, times)), "equal", "resample with sampling.c2d first"
+        )
+    return times.pop() if times else None
+
+
+def series(first: Any, second: Any) -> StateSpace:
+    """``second`` after ``first``: every output of the first feeds the input of the second in the same place."""
+    first, second = as_statespace(first), as_statespace(second)
+    if len(first.outputs) != len(second.inputs):
+        raise invalid(
+            "the first system's output count", len(first.outputs), str(len(second.inputs)), "select() signals"
+        )
+    A = np.block([[first.A, np.zeros((first.n_states, second.n_states))], [second.B @ first.C, second.A]])
+    return StateSpace(
+        A, np.vstack([first.B, second.B @ first.D]), np.hstack([second.D @ first.C, second.C]), second.D @ first.D,
+        first.inputs, second.outputs, _common_dt([first, second]),
+    )  # fmt: skip
+
+
+def parallel(first: Any, second: Any) -> StateSpace:
+    """The sum of two systems with equally many inputs and outputs; the names of the first are kept."""
+    first, second = as_statespace(first), as_statespace(second)
+    if first.D.shape != second.D.shape:
+        raise invalid("the second system's size", second.D.shape, str(first.D.shape), "select() signals")
+    return StateSpace(
+        sla.block_diag(first.A, second.A), np.vstack([first.B, second.B]), np.hstack([first.C, second.C]),
+        first.D + second.D, first.inputs, first.outputs, _common_dt([first, second]),
+    )  # fmt: skip
+
+
+def feedback(forward: Any, backward: Any, sign: int = -1) -> StateSpace:
+    """The loop y = forward (r + sign * backward y), from r to y with the names of ``forward``.
+
+    Raises NumericalFailure for an algebraic loop that has no solution.
+    """
+    forward, backward = as_statespace(forward), as_statespace(backward)
+    if forward.D.shape != backward.D.shape[::-1]:
+        raise invalid("the feedback's size", backward.D.shape, str(forward.D.shape[::-1]), "select() signals")
+    joined = append(
+        rename(
+            forward,
+            [f"r{i}" for i in range(len(forward.inputs))],
+            [f"y{i}" for i in range(len(forward.outputs))],
+        ),
+        rename(
+            backward,
+            [f"b{i}" for i in range(len(backward.inputs))],
+            [f"v{i}" for i in range(len(backward.outputs))],
+        ),
+    )
+    m, p = len(forward.inputs), len(forward.outputs)
+    loop = np.zeros((m + p, p + m))
+    loop[:m, p:] = sign * np.eye(m)
+    loop[m:, :p] = np.eye(p)
+    closed = close(joined, loop)
+    return StateSpace(
+        closed.A, closed.B[:, :m], closed.C[:p], closed.D[:p, :m], forward.inputs, forward.outputs, closed.dt
+    )
+
+
+def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
+    """``system`` with its own outputs fed back, u = loop y + r; loop (m, p). From r to y, names kept.
+
+    Raises NumericalFailure when I - D loop is singular (an algebraic loop).
+    """
+    loop = check_shape(loop, "loop", "(m, p)", m=len(system.inputs), p=len(system.outputs))
+    E = np.eye(len(system.outputs)) - system.D @ loop
+    if E.size and np.linalg.cond(E) > 1 / np.finfo(float).eps:
+        raise NumericalFailure(
+            "the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole"
+        )
+    # y = E^-1 (C x + D r)
+    C, D = np.linalg.solve(E, system.C), np.linalg.solve(E, system.D)
+    BL = system.B @ loop
+    return StateSpace(system.A + BL @ C, system.B + BL @ D, C, D, system.inputs, system.outputs, system.dt)
+
+
+def connect(
+    systems: Sequence[Any],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    sums: Mapping[str, Sequence[str]] | None = None,
+) -> StateSpace:
+    """Interconnection by name.
+
+    An input of a system is fed by the output (of any system) or the external input of the same name, unless ``sums`` says
+    what it is: ``sums={"e_A": ["r_A", "-y_A"]}`` makes the input e_A equal r_A - y_A. ``outputs`` may name any system's output
+    or any entry of ``sums``. Raises InvalidInput for a name that leads nowhere.
+    """
+    joined = append(*systems)
+    sums = {} if sums is None else dict(sums)
+    sources = [*joined.outputs, *inputs]
+    repeated = sorted(set(joined.outputs) & set(inputs))
+    if repeated:
+        raise invalid(
+            "the external inputs", ", ".join(repeated), "different from the systems' outputs", "rename them"
+        )
+    position = {name: i for i, name in enumerate(sources)}
+
+    def row(name: str) -> np.ndarray:
+        coefficients = np.zeros(len(sources))
+        for term in sums.get(name, [name]):
+            sign, source = (-1.0, term[1:]) if term.startswith("-") else (1.0, term)
+            if source in position:
+                coefficients[position[source]] += sign
+            elif source in sums and source != name:
+                coefficients += sign * row(source)
+            else:
+                raise InvalidInput(
+                    f"signal {source!r} (wanted by {name!r}) is no system's output and no external input"
+                )
+        return coefficients
+
+    mixing = np.array([row(name) for name in joined.inputs]).reshape(len(joined.inputs), len(sources))
+    p = len(joined.outputs)
+    closed = close(joined, mixing[:, :p])
+    B, D = closed.B @ mixing[:, p:], closed.D @ mixing[:, p:]
+    pick = np.array([row(name) for name in outputs]).reshape(len(outputs), len(sources))
+    return StateSpace(
+        closed.A,
+        B,
+        pick[:, :p] @ closed.C,
+        pick[:, :p] @ D + pick[:, p:],
+        list(inputs),
+        list(outputs),
+        closed.dt,
+    )
+
+
+def similarity(system: Any, T: ArrayLike) -> StateSpace:
+    """The same system in the states z with x = T z; T (n, n)."""
+    system = as_statespace(system)
+    T = check_shape(T, "T", "(n, n)", n=system.n_states)
+    A = np.linalg.solve(T, system.A @ T)
+    return StateSpace(
+        A, np.linalg.solve(T, system.B), system.C @ T, system.D, system.inputs, system.outputs, system.dt
+    )

@@ -1,0 +1,296 @@
+"""What the user writes down about a machine. Data only: no matrices, no units but SI, no files.
+
+Positions are axial coordinates from the rotor's left end [m]. ``zeta``/``eta`` pairs are in the actuator axes, tilted by
+``angle`` from the global x, y. Everything is checked once, when the Machine is built (``machine/checks``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+Pair = tuple[float, float]  # (zeta, eta)
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """density [kg/m3], youngs_modulus [Pa], poisson_ratio [-]."""
+
+    density: float = 7850.0
+    youngs_modulus: float = 2.1e11
+    poisson_ratio: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftSection:
+    """One cylindrical piece of shaft; sections follow each other from left to right without gap or overlap.
+
+    start, length [m]; outer_diameter and inner_diameter [m] carry the stiffness; mass_diameter [m] (default: the outer
+    diameter) carries the mass, so that shrunk-on laminations add inertia without stiffness. ``elements`` per section.
+    """
+
+    start: float
+    length: float
+    outer_diameter: float
+    inner_diameter: float = 0.0
+    mass_diameter: float | None = None
+    elements: int = 1
+    material: Material = field(default_factory=Material)
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """A rigid disc: position [m], mass [kg], polar_inertia and diametral_inertia [kg m2] about its centre."""
+
+    name: str
+    position: float
+    mass: float
+    polar_inertia: float = 0.0
+    diametral_inertia: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class MagnetGeometry:
+    """Heteropolar magnet: one opposing pair of horseshoes per axis, differential driving.
+
+    turns [-] per horseshoe pole; pole_area [m2]; gap [m] nominal radial; pole_half_angle [rad] between an axis and its poles
+    (22.5 degrees for eight poles).
+    """
+
+    turns: float
+    pole_area: float
+    gap: float
+    pole_half_angle: float = 0.39269908169872414
+
+
+@dataclass(frozen=True, slots=True)
+class BiasPoint:
+    """Coefficients measured at one bias current [A]: force_per_current k_i [N/A], negative_stiffness k_s [N/m] > 0."""
+
+    bias_current: float
+    force_per_current: Pair
+    negative_stiffness: Pair
+
+
+@dataclass(frozen=True, slots=True)
+class MagneticBearing:
+    """A radial AMB; f = k_i i + k_s x per axis, k_s > 0 destabilising.
+
+    position [m], angle [rad] of zeta from x, bias_current [A]. Either force_per_current [N/A] and negative_stiffness [N/m]
+    are given, or ``geometry``. ``measured`` holds coefficients at other bias currents. gap and touchdown_gap [m],
+    max_current [A] (control current amplitude) and max_force [N] are limits used in verification.
+    """
+
+    name: str
+    position: float
+    bias_current: float
+    angle: float = 0.0
+    force_per_current: Pair | None = None
+    negative_stiffness: Pair | None = None
+    geometry: MagnetGeometry | None = None
+    measured: tuple[BiasPoint, ...] = ()
+    gap: float | None = None
+    touchdown_gap: float | None = None
+    max_current: float | None = None
+    max_force: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """A radial displacement sensor pair that serves a bearing, in that bearing's axes.
+
+    position [m], gain [-] (1 = calibrated), bandwidth [rad/s] of a first-order lag (None: none).
+    """
+
+    bearing: str
+    position: float
+    gain: Pair = (1.0, 1.0)
+    bandwidth: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Amplifier:
+    """Current amplifier and coil of every axis, unit gain at DC.
+
+    order "first": bandwidth/(s + bandwidth); "twice-first": that times eddy_bandwidth/(s + eddy_bandwidth);
+    "second": natural_frequency^2/(s^2 + damping s + natural_frequency^2), damping [rad/s]; "none": ideal. All [rad/s].
+    """
+
+    order: str = "first"
+    bandwidth: float | None = None
+    eddy_bandwidth: float | None = None
+    natural_frequency: float | None = None
+    damping: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """A flexible coupling to ground: position [m], stiffness [N/m] and damping [N s/m] (zeta, eta), angle [rad]."""
+
+    name: str
+    position: float
+    stiffness: Pair
+    damping: Pair = (0.0, 0.0)
+    angle: float = 0.0
+
+
+SEAL_COEFFICIENTS = ("K", "k", "C", "c", "M")
+
+
+@dataclass(frozen=True, slots=True)
+class SealTable:
+    """Seal coefficients on a grid: any of the axes pressure [Pa], speed [rad/s], frequency [rad/s], each ascending.
+
+    values: coefficient name -> array nested in the order of ``axes``.
+    """
+
+    axes: tuple[tuple[str, tuple[float, ...]], ...]
+    values: tuple[tuple[str, object], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Seal:
+    """An annular seal: f = -([[K, k], [-k, K]] x + [[C, c], [-c, C]] x' + M x''), k > 0 drives forward whirl.
+
+    position [m]; K, k [N/m], C, c [N s/m], M [kg] at ``reference_pressure`` [Pa]. ``scales_with_pressure`` names the
+    coefficients proportional to the pressure difference; the others stay. A ``table`` replaces the constants it lists.
+    """
+
+    name: str
+    position: float
+    K: float = 0.0
+    k: float = 0.0
+    C: float = 0.0
+    c: float = 0.0
+    M: float = 0.0
+    reference_pressure: float | None = None
+    scales_with_pressure: tuple[str, ...] = ()
+    table: SealTable | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Notch:
+    """A notch filter: frequency [rad/s], damping of its poles and of its zeros [-]."""
+
+    frequency: float
+    pole_damping: float
+    zero_damping: float
+
+
+@dataclass(frozen=True, slots=True)
+class PidSettings:
+    """The reference controller: K_p (1 + 1/(T_i s) + T_d s/(eps T_d s + 1)) per axis, and the usual additions.
+
+    gain K_p [A/m] per axis in the order of the machine's axes, or one for all; integral_time T_i and derivative_time T_d [s];
+    derivative_filter eps [-]; notches; lead (zero, pole) [rad/s]; low_pass [rad/s] second order with low_pass_damping;
+    coordinates "axes" (decentralised) or "tilt-translate", where tilt_gain [-] scales the tilting part;
+    sample_time [s] and delay [s] describe the deployed controller (None: continuous).
+    """
+
+    gain: tuple[float, ...]
+    integral_time: float | None = None
+    derivative_time: float | None = None
+    derivative_filter: float = 0.1
+    notches: tuple[Notch, ...] = ()
+    lead: Pair | None = None
+    low_pass: float | None = None
+    low_pass_damping: float = 0.7071067811865476
+    coordinates: str = "axes"
+    tilt_gain: float = 1.0
+    sample_time: float | None = None
+    delay: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingPoint:
+    """speed [rad/s]; seal_pressure [Pa], the differential pressure of every seal; bias_current [A] (None: the machine's);
+    whirl_frequency [rad/s] at which frequency-dependent seal tables are read (None: the speed)."""
+
+    speed: float = 0.0
+    seal_pressure: float = 0.0
+    bias_current: float | None = None
+    whirl_frequency: float | None = None
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """The points at which the machine is verified, and its speed range [rad/s]; the first point is the nominal one."""
+
+    points: tuple[OperatingPoint, ...] = (OperatingPoint(label="standstill"),)
+    speed_range: Pair = (0.0, 0.0)
+
+    @property
+    def nominal(self) -> OperatingPoint:
+        return self.points[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """One uncertain parameter, named by its path ("seal.center.k", "bearing.A.negative_stiffness.zeta").
+
+    relative: half-width as a fraction of the nominal value; or absolute: half-width in SI units. One of the two.
+    """
+
+    parameter: str
+    relative: float | None = None
+    absolute: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Requirements:
+    """What verification demands; None leaves a criterion to its standard's default, or unchecked where there is none.
+
+    sensitivity_peak [-]; compliance_peak [m/N]; balance_grade [m/s] (G2.5 = 2.5e-3); balance_speed [rad/s] at which the
+    residual unbalance is set; unbalance_orbit [m] zero-to-peak up to unbalance_to [rad/s]; settling_time [s];
+    gain_margin [-], phase_margin [rad]; log_decrement [-]; max_current [A].
+    """
+
+    sensitivity_peak: float | None = None
+    compliance_peak: float | None = None
+    balance_grade: float | None = None
+    balance_speed: float | None = None
+    unbalance_orbit: float | None = None
+    unbalance_to: float | None = None
+    settling_time: float | None = None
+    gain_margin: float | None = None
+    phase_margin: float | None = None
+    log_decrement: float | None = None
+    max_current: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """A rotor on magnetic bearings, as written down.
+
+    modal_damping [-] is the damping ratio given to every bending mode; beam_theory "bernoulli-euler", "rayleigh" or
+    "timoshenko"; ``assumed`` lists the parameters that were chosen, not measured or published, each with its reason.
+    """
+
+    name: str
+    shaft: tuple[ShaftSection, ...]
+    bearings: tuple[MagneticBearing, ...]
+    sensors: tuple[Sensor, ...]
+    amplifier: Amplifier = field(default_factory=Amplifier)
+    discs: tuple[Disc, ...] = ()
+    seals: tuple[Seal, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    controller: PidSettings | None = None
+    operation: Operation = field(default_factory=Operation)
+    tolerances: tuple[Tolerance, ...] = ()
+    requirements: Requirements = field(default_factory=Requirements)
+    description: str = ""
+    source: str = ""
+    modal_damping: float = 0.005
+    beam_theory: str = "bernoulli-euler"
+    assumed: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def length(self) -> float:
+        """Rotor length [m]."""
+        return self.shaft[-1].start + self.shaft[-1].length
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The control axes in their fixed order: A_zeta, A_eta, B_zeta, B_eta."""
+        return tuple(f"{bearing.name}_{axis}" for bearing in self.bearings for axis in ("zeta", "eta"))

@@ -1,0 +1,42 @@
+"""What every synthesis returns: a controller, and the certificate that was recomputed for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ambrose.core.statespace import StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certificate:
+    """Facts recomputed on the original plant after the synthesis.
+
+    closed_loop_norm [-]: H-infinity norm that the method minimises (for PID: the output sensitivity's); spectral_abscissa
+    [rad/s] of the closed loop, negative when stable; fastest_pole [rad/s]: largest modulus among the controller's poles;
+    margins: named numbers such as {"gain_margin": ..., "phase_margin_rad": ..., "sensitivity_peak": ...}; plant: what it was
+    verified on.
+    """
+
+    stable: bool
+    spectral_abscissa: float
+    closed_loop_norm: float
+    fastest_pole: float
+    margins: Mapping[str, float] = field(default_factory=dict)
+    plant: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Synthesis:
+    """controller: StateSpace from sensor error ("err_A_zeta" [m]) to current ("u_A_zeta" [A]).
+
+    gamma: the norm the method reached (NaN where it has none); status: "verified", or "unstable" (a reference controller
+    that does not hold this plant: a verdict, not a failure); history: one mapping per iteration.
+    """
+
+    controller: StateSpace
+    method: str
+    gamma: float
+    status: str
+    certificate: Certificate
+    history: tuple[Mapping[str, float], ...] = ()
