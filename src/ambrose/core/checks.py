@@ -46,9 +46,7 @@ def check_finite(x: ArrayLike, name: str) -> np.ndarray:
     if bad.any():
         index = tuple(int(i) for i in np.argwhere(bad)[0])
         where = f"{name}{list(index)}" if index else name
-        raise invalid(
-            where, array[index], "finite", "look for a missing value or a division by zero upstream"
-        )
+        raise invalid(where, array[index], "finite", "look for a missing value or a division by zero upstream")
     return array
 
 
@@ -60,9 +58,7 @@ def check_shape(x: ArrayLike, name: str, shape: str, **sizes: int) -> np.ndarray
     array = check_finite(x, name)
     if not match_shape(array.shape, shape, dict(sizes)):
         known = "".join(f", {letter} = {size}" for letter, size in sizes.items())
-        raise invalid(
-            f"the shape of {name}", array.shape, f"{shape}{known}", "check the order and number of its axes"
-        )
+        raise invalid(f"the shape of {name}", array.shape, f"{shape}{known}", "check the order and number of its axes")
     return array
 
 

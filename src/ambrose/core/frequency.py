@@ -88,9 +88,7 @@ def stacked_frequency_response(systems: Sequence[Any], omega: ArrayLike) -> Freq
                 "select() or rename() them",
             )
     first = parts[0]
-    return FrequencyResponse(
-        np.stack([part.values for part in parts]), first.omega, first.inputs, first.outputs
-    )
+    return FrequencyResponse(np.stack([part.values for part in parts]), first.omega, first.inputs, first.outputs)
 
 
 def transfer_matrix(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -118,9 +116,7 @@ def transfer_matrix(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, 
     bad = ~np.isfinite(values).all(axis=(1, 2))
     if bad.any():
         point = s[np.argmax(bad)]
-        raise InvalidInput(
-            f"s = {point:.6g} is a pole of the system; evaluate beside it or leave this frequency out"
-        )
+        raise InvalidInput(f"s = {point:.6g} is a pole of the system; evaluate beside it or leave this frequency out")
     return values
 
 

@@ -129,12 +129,8 @@ class GeneralizedPlant:
                 )
         names = [b.name for b in blocks]
         if len(set(names)) != len(names):
-            raise invalid(
-                "the block names", names, "unique", "one block per parameter; use repeat for repeated ones"
-            )
-        object.__setattr__(
-            self, "system", select(system, groups["w"] + groups["u"], groups["z"] + groups["y"])
-        )
+            raise invalid("the block names", names, "unique", "one block per parameter; use repeat for repeated ones")
+        object.__setattr__(self, "system", select(system, groups["w"] + groups["u"], groups["z"] + groups["y"]))
         for side, signals in groups.items():
             object.__setattr__(self, side, signals)
         object.__setattr__(self, "blocks", blocks)
@@ -198,9 +194,7 @@ def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.nd
     )
 
 
-def _star(
-    system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: list[str], y: list[str]
-) -> StateSpace:
+def _star(system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: list[str], y: list[str]) -> StateSpace:
     """Close u = gain y on ``system`` and keep w -> z."""
     from ambrose.core.statespace import append
 

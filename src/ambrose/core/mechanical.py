@@ -42,9 +42,7 @@ class SecondOrder:
         check_shape(self.Cv, "Cv", "(r, n)", r=len(self.velocity_outputs), n=n)
         scale = np.abs(self.gyroscopic).max(initial=0.0)
         if np.abs(self.gyroscopic + self.gyroscopic.T).max(initial=0.0) > 1e-9 * scale:
-            raise invalid(
-                "gyroscopic", "not skew-symmetric", "skew (G = -G^T)", "put its symmetric part into damping"
-            )
+            raise invalid("gyroscopic", "not skew-symmetric", "skew (G = -G^T)", "put its symmetric part into damping")
 
     @property
     def n(self) -> int:

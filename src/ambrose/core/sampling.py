@@ -13,9 +13,7 @@ from ambrose.core.statespace import StateSpace, as_statespace, series
 Method = Literal["zoh", "tustin"]
 
 
-def c2d(
-    system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prewarp: float | None = None
-) -> StateSpace:
+def c2d(system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prewarp: float | None = None) -> StateSpace:
     """The sampled equivalent of a continuous system.
 
     dt [s]; ``zoh`` is exact for an input held between samples (plants), ``tustin`` the bilinear map (controllers), exact at
@@ -79,16 +77,12 @@ def _tustin(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace:
     if prewarp is not None:
         check_positive(prewarp, "prewarp", "give a frequency in rad/s")
         if prewarp * dt >= np.pi:
-            raise invalid(
-                "prewarp", f"{prewarp:g} rad/s", f"below Nyquist {np.pi / dt:g} rad/s", "sample faster"
-            )
+            raise invalid("prewarp", f"{prewarp:g} rad/s", f"below Nyquist {np.pi / dt:g} rad/s", "sample faster")
         half = np.tan(prewarp * dt / 2) / prewarp
     n = system.n_states
     E = np.eye(n) - half * system.A
     if n and np.linalg.cond(E) > 1 / np.finfo(float).eps:
-        raise InvalidInput(
-            f"a pole at 2/dt = {1 / half:g} rad/s has no Tustin equivalent; change the sample time"
-        )
+        raise InvalidInput(f"a pole at 2/dt = {1 / half:g} rad/s has no Tustin equivalent; change the sample time")
     Ad = np.linalg.solve(E, np.eye(n) + half * system.A)
     Bd = np.linalg.solve(E, system.B) * 2 * half
     CE = np.linalg.solve(E.T, system.C.T).T

@@ -118,9 +118,7 @@ def as_statespace(system: Any) -> StateSpace:
     if all(hasattr(system, letter) for letter in "ABCD"):
         dt = getattr(system, "dt", None)
         if dt is True:
-            raise InvalidInput(
-                "the system's dt is True (discrete, unspecified); give the sample time in seconds"
-            )
+            raise InvalidInput("the system's dt is True (discrete, unspecified); give the sample time in seconds")
         return StateSpace(
             system.A, system.B, system.C, system.D,
             getattr(system, "input_labels", None), getattr(system, "output_labels", None), dt or None,
@@ -233,9 +231,7 @@ def rename(
     """The same system with other signal names: a full list, or a mapping from old to new."""
     system = as_statespace(system)
 
-    def new(
-        names: tuple[str, ...], change: Mapping[str, str] | Sequence[str] | None, what: str
-    ) -> Sequence[str]:
+    def new(names: tuple[str, ...], change: Mapping[str, str] | Sequence[str] | None, what: str) -> Sequence[str]:
         if isinstance(change, Mapping):
             index_of(list(change), names, what)
             return [change.get(name, name) for name in names]
@@ -271,9 +267,7 @@ def _common_dt(systems: Iterable[StateSpace]) -> float | None:
     """The sample time shared by all systems that have one; static gains go with any."""
     times = {s.dt for s in systems if s.n_states or s.dt is not None}
     if len(times) > 1:
-        raise invalid(
-            "the sample times", sorted(map(str, times)), "equal", "resample with sampling.c2d first"
-        )
+        raise invalid("the sample times", sorted(map(str, times)), "equal", "resample with sampling.c2d first")
     return times.pop() if times else None
 
 
@@ -340,9 +334,7 @@ def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
     loop = check_shape(loop, "loop", "(m, p)", m=len(system.inputs), p=len(system.outputs))
     E = np.eye(len(system.outputs)) - system.D @ loop
     if E.size and np.linalg.cond(E) > 1 / np.finfo(float).eps:
-        raise NumericalFailure(
-            "the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole"
-        )
+        raise NumericalFailure("the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole")
     # y = E^-1 (C x + D r)
     C, D = np.linalg.solve(E, system.C), np.linalg.solve(E, system.D)
     BL = system.B @ loop
@@ -366,9 +358,7 @@ def connect(
     sources = [*joined.outputs, *inputs]
     repeated = sorted(set(joined.outputs) & set(inputs))
     if repeated:
-        raise invalid(
-            "the external inputs", ", ".join(repeated), "different from the systems' outputs", "rename them"
-        )
+        raise invalid("the external inputs", ", ".join(repeated), "different from the systems' outputs", "rename them")
     position = {name: i for i, name in enumerate(sources)}
 
     def row(name: str) -> np.ndarray:
@@ -406,6 +396,4 @@ def similarity(system: Any, T: ArrayLike) -> StateSpace:
     system = as_statespace(system)
     T = check_shape(T, "T", "(n, n)", n=system.n_states)
     A = np.linalg.solve(T, system.A @ T)
-    return StateSpace(
-        A, np.linalg.solve(T, system.B), system.C @ T, system.D, system.inputs, system.outputs, system.dt
-    )
+    return StateSpace(A, np.linalg.solve(T, system.B), system.C @ T, system.D, system.inputs, system.outputs, system.dt)
