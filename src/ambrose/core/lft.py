@@ -164,9 +164,7 @@ def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.nd
     """
     unknown = set(delta) - {block.name for block in plant.blocks}
     if unknown:
-        raise InvalidInput(
-            f"block {sorted(unknown)[0]!r} is unknown; the plant has {', '.join(b.name for b in plant.blocks)}"
-        )
+        raise InvalidInput(f"block {sorted(unknown)[0]!r} is unknown; the plant has {', '.join(b.name for b in plant.blocks)}")
     gain = np.zeros((plant.n_w_blocks, plant.n_z_blocks))
     i = j = 0
     for block in plant.blocks:

@@ -63,7 +63,7 @@ def to_statespace(system: SecondOrder, speed: float = 0.0) -> StateSpace:
 
     K = congruent(system.stiffness)
     D = congruent(system.damping + speed * system.gyroscopic)
-    s = np.sqrt(max(np.linalg.norm(K, 2), 1.0))
+    s = float(np.sqrt(max(float(np.linalg.norm(K, 2)), 1.0)))
     n = system.n
     B = sla.solve_triangular(L, system.B, lower=True)
     C = sla.solve_triangular(L, system.C.T, lower=True).T
@@ -106,9 +106,7 @@ def undamped_modes(mass: np.ndarray, stiffness: np.ndarray, count: int) -> tuple
         values, shapes = _sparse_modes(mass, stiffness, count)
     values[np.abs(values) < 1e-9 * max(np.abs(values).max(), 1.0)] = 0.0
     if (values < 0).any():
-        raise InvalidInput(
-            f"the stiffness has a negative mode ({values.min():g} rad2/s2); give the free rotor's stiffness"
-        )
+        raise InvalidInput(f"the stiffness has a negative mode ({values.min():g} rad2/s2); give the free rotor's stiffness")
     return np.sqrt(values), shapes
 
 

@@ -206,9 +206,7 @@ def index_of(names: Names, available: Sequence[str], what: str) -> list[int]:
     position = {name: i for i, name in enumerate(available)}
     for name in wanted:
         if name not in position:
-            raise InvalidInput(
-                f"{what} {name!r} is not a signal of this system; it has {', '.join(available) or 'none'}"
-            )
+            raise InvalidInput(f"{what} {name!r} is not a signal of this system; it has {', '.join(available) or 'none'}")
     return [position[name] for name in wanted]
 
 
@@ -275,9 +273,7 @@ def series(first: Any, second: Any) -> StateSpace:
     """``second`` after ``first``: every output of the first feeds the input of the second in the same place."""
     first, second = as_statespace(first), as_statespace(second)
     if len(first.outputs) != len(second.inputs):
-        raise invalid(
-            "the first system's output count", len(first.outputs), str(len(second.inputs)), "select() signals"
-        )
+        raise invalid("the first system's output count", len(first.outputs), str(len(second.inputs)), "select() signals")
     A = np.block([[first.A, np.zeros((first.n_states, second.n_states))], [second.B @ first.C, second.A]])
     return StateSpace(
         A, np.vstack([first.B, second.B @ first.D]), np.hstack([second.D @ first.C, second.C]), second.D @ first.D,
@@ -321,9 +317,7 @@ def feedback(forward: Any, backward: Any, sign: int = -1) -> StateSpace:
     loop[:m, p:] = sign * np.eye(m)
     loop[m:, :p] = np.eye(p)
     closed = close(joined, loop)
-    return StateSpace(
-        closed.A, closed.B[:, :m], closed.C[:p], closed.D[:p, :m], forward.inputs, forward.outputs, closed.dt
-    )
+    return StateSpace(closed.A, closed.B[:, :m], closed.C[:p], closed.D[:p, :m], forward.inputs, forward.outputs, closed.dt)
 
 
 def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
@@ -370,9 +364,7 @@ def connect(
             elif source in sums and source != name:
                 coefficients += sign * row(source)
             else:
-                raise InvalidInput(
-                    f"signal {source!r} (wanted by {name!r}) is no system's output and no external input"
-                )
+                raise InvalidInput(f"signal {source!r} (wanted by {name!r}) is no system's output and no external input")
         return coefficients
 
     mixing = np.array([row(name) for name in joined.inputs]).reshape(len(joined.inputs), len(sources))
