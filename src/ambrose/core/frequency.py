@@ -91,33 +91,64 @@ def stacked_frequency_response(systems: Sequence[Any], omega: ArrayLike) -> Freq
     return FrequencyResponse(np.stack([part.values for part in parts]), first.omega, first.inputs, first.outputs)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SchurForm:
+    """A system made ready for evaluation at many points: C (s I - A)^-1 B + D = right (s I - triangle)^-1 left + D.
+
+    triangle (n, n) complex, upper triangular; left (n, m), right (p, n) complex; D (p, m). ``transposed`` tells that the form
+    belongs to the transposed system, which has fewer right-hand sides.
+    """
+
+    triangle: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    D: np.ndarray
+    transposed: bool = False
+
+
+def schur_form(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> SchurForm:
+    """The balanced complex Schur form, computed once for any number of calls of ``evaluate``.
+
+    A (n, n), B (n, m), C (p, n), D (p, m).
+    """
+    if C.shape[0] < B.shape[1]:  # fewer right-hand sides: work with the transposed system
+        form = schur_form(A.T, C.T, B.T, D.T)
+        return SchurForm(form.triangle, form.left, form.right, form.D, True)
+    A, t = balance(A)
+    if A.shape[0] == 0:
+        return SchurForm(A.astype(complex), B.astype(complex), C.astype(complex), D)
+    T, Q = sla.schur(A, output="complex")
+    return SchurForm(T, Q.conj().T @ (B / t[:, None]), (C * t) @ Q, D)
+
+
+def evaluate(form: SchurForm, s: np.ndarray) -> np.ndarray:
+    """The transfer matrix at the complex points s (w,), as (w, p, m). Raises InvalidInput where s is an eigenvalue of A."""
+    n, m = form.left.shape
+    p = form.right.shape[0]
+    values = np.broadcast_to(form.D, (len(s), p, m)).astype(complex)
+    if n and m and p:
+        step = max(1, _CHUNK // (n * m))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            for start in range(0, len(s), step):
+                part = s[start : start + step]
+                X = np.repeat(form.left[:, None, :], len(part), axis=1)
+                _solve_shifted(form.triangle, X, part)
+                values[start : start + step] += (form.right @ X.reshape(n, -1)).reshape(p, len(part), m).swapaxes(0, 1)
+        bad = ~np.isfinite(values).all(axis=(1, 2))
+        if bad.any():
+            point = s[np.argmax(bad)]
+            raise InvalidInput(f"s = {point:.6g} is a pole of the system; evaluate beside it or leave this frequency out")
+    return values.swapaxes(1, 2) if form.transposed else values
+
+
 def transfer_matrix(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: np.ndarray) -> np.ndarray:
     """C (s I - A)^-1 B + D at the complex points s (w,), as (w, p, m).
 
     A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput where s is an eigenvalue of A.
     """
-    n, m = B.shape
-    p = C.shape[0]
-    values = np.broadcast_to(D, (len(s), p, m)).astype(complex)
-    if n == 0 or len(s) == 0 or m == 0 or p == 0:
-        return values
-    if p < m:  # fewer right-hand sides: work with the transposed system
-        return transfer_matrix(A.T, C.T, B.T, D.T, s).swapaxes(1, 2)
-    A, t = balance(A)
-    T, Q = sla.schur(A, output="complex")
-    QB, CQ = Q.conj().T @ (B / t[:, None]), (C * t) @ Q
-    step = max(1, _CHUNK // (n * m))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        for start in range(0, len(s), step):
-            part = s[start : start + step]
-            X = np.repeat(QB[:, None, :], len(part), axis=1)
-            _solve_shifted(T, X, part)
-            values[start : start + step] += (CQ @ X.reshape(n, -1)).reshape(p, len(part), m).swapaxes(0, 1)
-    bad = ~np.isfinite(values).all(axis=(1, 2))
-    if bad.any():
-        point = s[np.argmax(bad)]
-        raise InvalidInput(f"s = {point:.6g} is a pole of the system; evaluate beside it or leave this frequency out")
-    return values
+    if A.shape[0] == 0 or len(s) == 0 or 0 in D.shape:
+        return np.broadcast_to(D, (len(s), *D.shape)).astype(complex)
+    return evaluate(schur_form(A, B, C, D), s)
 
 
 def _solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
