@@ -14,17 +14,20 @@ class Plant:
 
     ``system`` has the inputs
         u_<axis> [A]      current command into the amplifier, axis in machine.axes order (A_zeta, A_eta, B_zeta, B_eta)
-        f_<port>_<dir> [N]  external force on the rotor at a bearing (zeta, eta), coupling (zeta, eta), seal or disc (x, y)
+        f_<port> [N]      external force on the rotor at a bearing or coupling (zeta, eta), seal or disc (x, y)
     and the outputs
         y_<axis> [m]      measured displacement
         i_<axis> [A]      control current in the coil
-        q_<port>_<dir> [m], qdot_<port>_<dir> [m/s]   rotor displacement and velocity at the same ports as the forces.
-    ``bending_modes`` is None for the full finite-element model, else the number of bending modes kept.
+        q_<port> [m], qdot_<port> [m/s]   rotor displacement and velocity at the same ports as the forces.
+    ``rotor`` is its mechanical part alone (bearing stiffness, seals and couplings closed), from forces f_<port> to q_<port>,
+    qdot_<port> and the displacements s_<axis> [m] at the sensors. ``bending_modes`` is None for the full finite-element
+    model, else the number of bending modes kept (per plane).
     """
 
     machine: Machine
     point: OperatingPoint
     system: StateSpace
+    rotor: StateSpace
     ports: tuple[str, ...]
     bending_modes: int | None = None
 

@@ -1,0 +1,233 @@
+"""Tolerances -> (M, Delta): which physical parameter becomes which real block.
+
+A changed parameter is a feedback around the plant: displacement or velocity at a port, times the change, is a force at that
+port. The nominal plant already carries all ports (also through the reduction's T_L and T_R), so every block is a row of
+signals: w enters a force sum (or an amplifier state), z = half-width * signal leaves. delta = +1 is the upper end of the
+tolerance. A parameter that acts in several places (k and -k; one bandwidth for all amplifiers) is one repeated block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
+from ambrose.core.statespace import StateSpace, connect, rename, select, static_gain
+from ambrose.machine.description import Amplifier, Machine, Tolerance
+from ambrose.physics import coupling, magnet, sensor
+from ambrose.plant.assemble import force_sums, magnets, plant_inputs, plant_outputs, seal_coefficients
+from ambrose.plant.model import Plant
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One occurrence of a parameter: nominal value * (gradient . signals) acts on ``target``.
+
+    target: "F_<port>" (a force sum) or "x_<axis>_<state>" (an amplifier's state derivative). gradient: signal -> factor.
+    """
+
+    target: str
+    nominal: float
+    gradient: tuple[tuple[str, float], ...]
+
+
+def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> GeneralizedPlant:
+    """The plant with its uncertain parameters pulled out: one RealBlock per tolerance, named by the parameter's path.
+
+    w and z are the blocks' signals, u all inputs and y all outputs of ``plant.system``; the default is the machine's tolerances.
+    Raises InvalidInput for a path that leads nowhere, and for a relative tolerance of a parameter whose value is zero.
+    """
+    machine = plant.machine
+    tolerances = machine.tolerances if tolerances is None else tuple(tolerances)
+    if not tolerances:
+        raise InvalidInput(f"machine {machine.name!r} has no tolerance; add a [[tolerance]] with parameter and relative")
+    blocks, rows, sums = [], [], force_sums(machine.axes, plant.ports)
+    for tolerance in tolerances:
+        found = channels(plant, tolerance.parameter)
+        for j, (channel, width) in enumerate(zip(found, _half_widths(tolerance, found), strict=True)):
+            name = f"{tolerance.parameter}_{j + 1}"
+            rows.append((f"z_{name}", {signal: width * factor for signal, factor in channel.gradient}))
+            sums.setdefault(channel.target, []).append(f"w_{name}")
+        blocks.append(RealBlock(tolerance.parameter, len(found)))
+    w = [f"w_{name[2:]}" for name, _ in rows]
+    z = [name for name, _ in rows]
+    drive = open_amplifier(machine.amplifier, machine.axes)
+    unused = {name: [] for name in drive.inputs if name.startswith("x_") and name not in sums}
+    inner = [
+        rename(plant.rotor, [f"F_{name}" for name in plant.ports]),
+        drive,
+        magnets(machine, plant.point),
+        sensor.linearised(machine.sensors, machine.bearings),
+    ]
+    u, y = plant_inputs(machine.axes, plant.ports), plant_outputs(machine.axes, plant.ports)
+    system = connect([*inner, _rows_as_gain(rows)], inputs=[*w, *u], outputs=[*z, *y], sums={**sums, **unused})
+    return GeneralizedPlant(system, w, u, z, y, blocks)
+
+
+def perturbed(plant: Plant, delta: Mapping[str, float], tolerances: Sequence[Tolerance] | None = None) -> Plant:
+    """The plant with parameters moved within their tolerances: delta maps the path to -1..1 (absent: nominal).
+
+    The reduction's basis stays the nominal one. Raises InvalidInput for a path without tolerance.
+    """
+    system = close_uncertainty(uncertain(plant, tolerances), delta)
+    return replace(plant, system=select(system, plant.system.inputs, plant.system.outputs))
+
+
+def _half_widths(tolerance: Tolerance, found: Sequence[Channel]) -> list[float]:
+    if tolerance.absolute is not None:
+        # The same absolute change in every occurrence, with the sign that the occurrence gives the parameter.
+        return [tolerance.absolute for _ in found]
+    relative = tolerance.relative
+    if relative is None:
+        raise invalid(f"tolerance {tolerance.parameter}", "without width", "relative or absolute", "give one of the two")
+    if all(channel.nominal == 0 for channel in found):
+        raise invalid(
+            f"the nominal value of {tolerance.parameter}", 0, "non-zero for a relative tolerance", "give an absolute one"
+        )
+    return [relative * channel.nominal for channel in found]
+
+
+def channels(plant: Plant, path: str) -> list[Channel]:
+    """Every place where the parameter at ``path`` acts; raises InvalidInput naming the part of the path that is unknown."""
+    kind, *rest = path.split(".")
+    machine = plant.machine
+    if kind == "seal" and len(rest) == 2:
+        item = _named(machine.seals, rest[0], path)
+        return _seal_channels(item.name, seal_coefficients(item, plant.point), rest[1], path)
+    if kind == "bearing" and len(rest) in {2, 3}:
+        return _bearing_channels(plant, _named(machine.bearings, rest[0], path), rest[1], rest[2:], path)
+    if kind == "coupling" and len(rest) in {2, 3}:
+        item = _named(machine.couplings, rest[0], path)
+        k, d = coupling.matrices(item)
+        if rest[1] not in {"stiffness", "damping"}:
+            raise _unknown(path, rest[1], ("stiffness", "damping"))
+        values, signal = (np.diag(k), "q") if rest[1] == "stiffness" else (np.diag(d), "qdot")
+        return [
+            Channel(f"F_{item.name}_{axis}", float(values[i]), ((f"{signal}_{item.name}_{axis}", -1.0),))
+            for i, axis in _axes(rest[2:], path)
+        ]
+    if kind == "amplifier" and len(rest) == 1:
+        return _amplifier_channels(machine, rest[0], path)
+    raise _unknown(
+        path, kind, ("seal.<name>.<coefficient>", "bearing.<name>...", "coupling.<name>...", "amplifier.<parameter>")
+    )
+
+
+# Signs of the seal's force on the rotor, f = -([[K, k], [-k, K]] q + [[C, c], [-c, C]] q'): (row, column, factor).
+_SEAL_ENTRIES = {
+    "direct": (("x", "x", -1.0), ("y", "y", -1.0)),
+    "cross": (("x", "y", -1.0), ("y", "x", 1.0)),
+    "xx": (("x", "x", -1.0),),
+    "yy": (("y", "y", -1.0),),
+    "xy": (("x", "y", -1.0),),
+    "yx": (("y", "x", 1.0),),
+}
+
+
+def _seal_channels(name: str, values: object, coefficient: str, path: str) -> list[Channel]:
+    letter, _, entry = coefficient.partition("_")
+    cross = letter in {"k", "c"}
+    allowed = ("K", "k", "C", "c", "K_xx", "K_yy", "k_xy", "k_yx", "C_xx", "C_yy", "c_xy", "c_yx")
+    if coefficient not in allowed:
+        raise _unknown(path, coefficient, allowed)
+    pattern = _SEAL_ENTRIES[entry or ("cross" if cross else "direct")]
+    signal = "q" if letter in {"K", "k"} else "qdot"
+    return [
+        Channel(f"F_{name}_{row}", float(getattr(values, letter)), ((f"{signal}_{name}_{column}", sign),))
+        for row, column, sign in pattern
+    ]
+
+
+def _bearing_channels(plant: Plant, bearing: magnet.MagneticBearing, what: str, axis: list[str], path: str) -> list[Channel]:
+    values = magnet.linearised(bearing, plant.point.bias_current)
+    if what not in {"force_per_current", "negative_stiffness"}:
+        raise _unknown(path, what, ("force_per_current", "negative_stiffness"))
+    pair, signal = (values.force_per_current, "i") if what == "force_per_current" else (values.negative_stiffness, "q")
+    return [
+        Channel(f"F_{bearing.name}_{a}", float(pair[i]), ((f"{signal}_{bearing.name}_{a}", 1.0),)) for i, a in _axes(axis, path)
+    ]
+
+
+def _axes(axis: list[str], path: str) -> list[tuple[int, str]]:
+    both = [(0, "zeta"), (1, "eta")]
+    if not axis:
+        return both
+    if axis[0] not in {"zeta", "eta"}:
+        raise _unknown(path, axis[0], ("zeta", "eta"))
+    return [pair for pair in both if pair[1] == axis[0]]
+
+
+def _named(items: Iterable[object], name: str, path: str) -> object:
+    known = {item.name: item for item in items}
+    if name not in known:
+        raise _unknown(path, name, tuple(known))
+    return known[name]
+
+
+def _unknown(path: str, part: str, known: Sequence[str]) -> InvalidInput:
+    return InvalidInput(f"tolerance path {path!r}: {part!r} is unknown here; possible are {', '.join(known) or 'none'}")
+
+
+def _rows_as_gain(rows: Sequence[tuple[str, Mapping[str, float]]]) -> StateSpace:
+    """The z signals as a static gain on the plant's signals."""
+    signals = sorted({signal for _, row in rows for signal in row})
+    gain = np.array([[row.get(signal, 0.0) for signal in signals] for _, row in rows])
+    return static_gain(gain, signals, [name for name, _ in rows])
+
+
+# Each amplifier is a sum of terms: parameter * (a . x + b u) added to the derivative of one state; the last is the current.
+def _amplifier_terms(amplifier: Amplifier) -> tuple[int, list[tuple[str, float, int, tuple[float, ...], float]]]:
+    """Number of states and the terms (parameter, value, state, a, b) of one axis; the current is state 0."""
+    if amplifier.order == "first":
+        return 1, [("bandwidth", amplifier.bandwidth or 0.0, 0, (-1.0,), 1.0)]
+    if amplifier.order == "twice-first":
+        return 2, [
+            ("eddy_bandwidth", amplifier.eddy_bandwidth or 0.0, 0, (-1.0, 1.0), 0.0),
+            ("bandwidth", amplifier.bandwidth or 0.0, 1, (0.0, -1.0), 1.0),
+        ]
+    if amplifier.order == "second":
+        w = amplifier.natural_frequency or 0.0
+        return 2, [  # i' = w p, p' = w (u - i) - d p
+            ("natural_frequency", w, 0, (0.0, 1.0), 0.0),
+            ("natural_frequency", w, 1, (-1.0, 0.0), 1.0),
+            ("damping", amplifier.damping or 0.0, 1, (0.0, -1.0), 0.0),
+        ]
+    return 0, []
+
+
+def open_amplifier(amplifier: Amplifier, axes: Sequence[str]) -> StateSpace:
+    """All amplifiers with their state derivatives open: inputs u_<axis>, x_<axis>_<state>; outputs i_<axis> and the terms
+    t_<axis>_<term> that the parameters multiply."""
+    from ambrose.core.statespace import append
+
+    n, terms = _amplifier_terms(amplifier)
+    parts = []
+    for axis in axes:
+        if n == 0:
+            parts.append(static_gain([[1.0]], [f"u_{axis}"], [f"i_{axis}"]))
+            continue
+        A, B = np.zeros((n, n)), np.hstack([np.zeros((n, 1)), np.eye(n)])
+        for _, value, state, a, b in terms:
+            A[state] += value * np.array(a)
+            B[state, 0] += value * b
+        C = np.vstack([np.eye(n)[:1], *[np.array(a)[None] for *_, a, _ in terms]])
+        D = np.zeros((1 + len(terms), 1 + n))
+        D[1:, 0] = [b for *_, b in terms]
+        names = [f"u_{axis}", *(f"x_{axis}_{k}" for k in range(n))]
+        parts.append(StateSpace(A, B, C, D, names, [f"i_{axis}", *(f"t_{axis}_{k}" for k in range(len(terms)))]))
+    return append(*parts)
+
+
+def _amplifier_channels(machine: Machine, parameter: str, path: str) -> list[Channel]:
+    _, terms = _amplifier_terms(machine.amplifier)
+    if parameter not in {name for name, *_ in terms}:
+        raise _unknown(path, parameter, tuple(sorted({name for name, *_ in terms})))
+    return [
+        Channel(f"x_{axis}_{state}", value, ((f"t_{axis}_{k}", 1.0),))
+        for axis in machine.axes
+        for k, (name, value, state, *_) in enumerate(terms)
+        if name == parameter
+    ]
