@@ -1,0 +1,119 @@
+"""Names of single parameters of a machine, as tolerances use them: ``seal.center.k``, ``bearing.A.negative_stiffness.zeta``.
+
+seal.<name>.K | k | C | c | M                    one parameter for both axes (k also as -k), a repeated real block
+seal.<name>.K_xx | K_yy | k_xy | k_yx | C_xx | C_yy | c_xy | c_yx     one entry of the matrix alone
+bearing.<name>.force_per_current | negative_stiffness [.zeta | .eta]
+coupling.<name>.stiffness | damping [.zeta | .eta]
+amplifier.bandwidth | eddy_bandwidth | natural_frequency | damping    of all axes together
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import Machine
+from ambrose.machine.wording import suggestion
+
+_TILTED = ("zeta", "eta")
+_DIRECT, _CROSS = ("xx", "yy"), ("xy", "yx")
+
+# table -> quantity -> (its dimension, the components that can be named alone)
+QUANTITIES: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]] = {
+    "seal": {
+        "K": ("stiffness", _DIRECT),
+        "k": ("stiffness", _CROSS),
+        "C": ("damping", _DIRECT),
+        "c": ("damping", _CROSS),
+        "M": ("mass", ()),
+    },
+    "bearing": {"force_per_current": ("force per current", _TILTED), "negative_stiffness": ("stiffness", _TILTED)},
+    "coupling": {"stiffness": ("stiffness", _TILTED), "damping": ("damping", _TILTED)},
+    "amplifier": {name: ("angular rate", ()) for name in ("bandwidth", "eddy_bandwidth", "natural_frequency", "damping")},
+}
+
+AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
+    "none": (),
+    "first": ("bandwidth",),
+    "twice-first": ("bandwidth", "eddy_bandwidth"),
+    "second": ("natural_frequency", "damping"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parsed path: ``quantity`` of the entry ``name`` (amplifier: "") in ``table``; component "" means both axes.
+
+    dimension: the key of units.DIMENSIONS in which an absolute tolerance is given.
+    """
+
+    path: str
+    table: str
+    name: str
+    quantity: str
+    component: str
+    dimension: str
+
+    def overlaps(self, other: Parameter) -> bool:
+        """Whether both name the same number, one of them perhaps together with its fellow axis."""
+        same = (self.table, self.name, self.quantity) == (other.table, other.name, other.quantity)
+        return same and (self.component == other.component or not (self.component and other.component))
+
+
+def parse_parameter(path: str) -> Parameter:
+    """The parameter that ``path`` names, by the grammar above. Raises InvalidInput saying which part is wrong."""
+    table, *parts = path.split(".")
+    if table not in QUANTITIES:
+        raise _wrong(path, f'has the unknown first part "{table}"; {suggestion(table, QUANTITIES)}')
+    quantities = QUANTITIES[table]
+    name = parts.pop(0) if table != "amplifier" and parts else ""
+    if not parts or (table != "amplifier" and not name):
+        form = f"{table}.<{'|'.join(quantities)}>" if table == "amplifier" else f"{table}.<name>.<{'|'.join(quantities)}>"
+        raise _wrong(path, f"is incomplete; write {form}")
+    quantity, component, rest = parts[0], "", parts[1:]
+    if table == "seal":
+        quantity, _, component = quantity.partition("_")
+    elif rest:
+        component, *rest = rest
+    if quantity not in quantities:
+        raise _wrong(path, f'has the unknown quantity "{parts[0]}"; {_list(quantities)}')
+    dimension, components = quantities[quantity]
+    if rest or (component and component not in components) or path.endswith(("_", ".")):
+        raise _wrong(path, f'cannot go beyond "{quantity}" like that; {_forms(table, quantity, components)}')
+    return Parameter(path, table, name, quantity, component, dimension)
+
+
+def find_parameter(machine: Machine, path: str) -> Parameter:
+    """The parameter that ``path`` names, after checking that this machine has it. Raises InvalidInput."""
+    parameter = parse_parameter(path)
+    if parameter.table == "amplifier":
+        used = AMPLIFIER_PARAMETERS.get(machine.amplifier.order, ())
+        if parameter.quantity not in used:
+            has = f"has {_list(used)}" if used else "has no parameter"
+            raise _wrong(path, f'names nothing here; an amplifier of order "{machine.amplifier.order}" {has}')
+        return parameter
+    names = {
+        "seal": [seal.name for seal in machine.seals],
+        "bearing": [bearing.name for bearing in machine.bearings],
+        "coupling": [coupling.name for coupling in machine.couplings],
+    }[parameter.table]
+    if parameter.name not in names:
+        nothing = f"the machine has no [[{parameter.table}]]"
+        raise _wrong(
+            path, f'names the unknown {parameter.table} "{parameter.name}"; {suggestion(parameter.name, names, nothing)}'
+        )
+    return parameter
+
+
+def _wrong(path: str, problem: str) -> InvalidInput:
+    return InvalidInput(f'parameter "{path}" {problem}')
+
+
+def _list(names: Mapping[str, object] | tuple[str, ...]) -> str:
+    return f"known: {', '.join(names)}"
+
+
+def _forms(table: str, quantity: str, components: tuple[str, ...]) -> str:
+    mark = "_" if table == "seal" else "."
+    return f"possible: {', '.join([quantity, *(f'{quantity}{mark}{c}' for c in components)])}"

@@ -1,0 +1,166 @@
+"""Quantities as people write them: a plain SI number, or a string with a unit ("0.5 mm", "31500 rpm") -> a float in SI.
+
+The units of everyday use are a table with exact factors; any other unit is left to pint, which is imported only then.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any
+
+from ambrose.machine.wording import meant, shown
+
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
+_UNIT = re.compile(r"[A-Za-z%°][A-Za-z%°_]*-?\d?(?:[ /][A-Za-z%°(][A-Za-z%°_()]*-?\d?\)?)*")
+_LONGEST_UNIT = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Dimension:
+    """What a number measures: the SI unit it is stored in, an example as written in a file, and its everyday units.
+
+    ``units`` maps a unit to its factor to SI: a decimal number, followed by "pi" where pi is a factor. A closed dimension
+    takes these units only: ratio and angle are both "dimensionless" to pint, which would mix them up.
+    """
+
+    name: str
+    unit: str
+    example: str
+    units: dict[str, str]
+    closed: bool = False
+
+    @property
+    def phrase(self) -> str:
+        """ "a length [m]", for messages."""
+        return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name} [{self.unit}]"
+
+    @property
+    def remedy(self) -> str:
+        """How to write it, for messages."""
+        if self.unit == "-":
+            return f'write a plain number or a string such as "{self.example}"'
+        return f'write a plain number in {self.unit} or a string such as "{self.example}"'
+
+
+def _dimension(name: str, unit: str, example: str, units: str, *, closed: bool = False) -> tuple[str, Dimension]:
+    """``units`` lists "unit=factor" pairs, separated by commas."""
+    pairs = (entry.split("=") for entry in units.split(",") if entry)
+    return name, Dimension(name, unit, example, {key.strip(): factor for key, factor in pairs}, closed)
+
+
+DIMENSIONS: dict[str, Dimension] = dict(
+    (
+        _dimension("length", "m", "0.5 mm", "m=1,cm=1e-2,mm=1e-3,um=1e-6,in=0.0254"),
+        _dimension("mass", "kg", "1.2 kg", "kg=1,g=1e-3"),
+        _dimension("moment of inertia", "kg m^2", "0.0021 kg m^2", "kg m2=1,kg mm2=1e-6,kg cm2=1e-4,g mm2=1e-9"),
+        _dimension("density", "kg/m^3", "7850 kg/m^3", "kg/m3=1,g/cm3=1e3,kg/dm3=1e3"),
+        _dimension("area", "m^2", "480 mm^2", "m2=1,cm2=1e-4,mm2=1e-6"),
+        _dimension("angle", "rad", "45 deg", "rad=1,mrad=1e-3,deg=1/180 pi,°=1/180 pi", closed=True),
+        _dimension(
+            "angular rate", "rad/s", "31500 rpm", "rad/s=1,rpm=1/30 pi,Hz=2 pi,kHz=2000 pi,deg/s=1/180 pi,krpm=100/3 pi"
+        ),
+        _dimension("time", "s", "0.2 ms", "s=1,ms=1e-3,us=1e-6"),
+        _dimension("current", "A", "4.5 A", "A=1,mA=1e-3"),
+        _dimension("force", "N", "7.5 kN", "N=1,kN=1e3"),
+        _dimension("pressure", "Pa", "2.04 bar", "Pa=1,kPa=1e3,MPa=1e6,bar=1e5,mbar=1e2"),
+        _dimension("elastic modulus", "Pa", "210 GPa", "Pa=1,MPa=1e6,GPa=1e9,N/mm2=1e6"),
+        _dimension("force per current", "N/A", "180 N/A", "N/A=1"),
+        _dimension("stiffness", "N/m", "2.4 N/um", "N/m=1,N/mm=1e3,N/um=1e6,kN/m=1e3,kN/mm=1e6,MN/m=1e6"),
+        _dimension("damping", "N s/m", "300 N s/m", "N s/m=1,Ns/m=1,kN s/m=1e3,kNs/m=1e3,N s/mm=1e3,Ns/mm=1e3"),
+        _dimension("velocity", "m/s", "2.5 mm/s", "m/s=1,mm/s=1e-3"),
+        _dimension("compliance", "m/N", "0.1 um/N", "m/N=1,mm/N=1e-3,um/N=1e-6"),
+        _dimension("current per displacement", "A/m", "18 A/mm", "A/m=1,A/mm=1e3,A/um=1e6"),
+        _dimension("ratio", "-", "40 %", "%=1e-2", closed=True),
+    )
+)
+
+
+def read_quantity(value: object, dimension: Dimension) -> float:
+    """``value`` as written in a file (number or string with unit) in SI.
+
+    Raises ValueError whose text goes after the name of the key: 'is "5 kg", but must be a length [m]; write ...'.
+    """
+    if isinstance(value, str):
+        number = _read_text(value, dimension)
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        number = _as_float(value)
+    else:
+        raise _unreadable(value, dimension)
+    if not math.isfinite(number):
+        raise ValueError(f"is {shown(value)}, but must be finite; {dimension.remedy}")
+    return number
+
+
+def canonical_unit(text: str) -> str:
+    """One spelling for "kg*m**2", "kg·m^2", "kg m²" and "kg m2": the last; micro is "u"."""
+    for old, new in (("**", ""), ("^", ""), ("²", "2"), ("³", "3"), ("*", " "), ("·", " "), ("μ", "u"), ("µ", "u")):
+        text = text.replace(old, new)
+    return re.sub(r"\s*/\s*", "/", " ".join(text.split()))
+
+
+def _read_text(text: str, dimension: Dimension) -> float:
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None:
+        raise _unreadable(text, dimension)
+    digits, unit = match[1], canonical_unit(match[2])
+    if not unit:
+        raise ValueError(f"is {shown(text)}, a string without a unit; {dimension.remedy}")
+    factor = dimension.units.get(unit)
+    if factor is not None:
+        rational, _, pi = factor.partition(" ")
+        return _as_float(Fraction(digits) * Fraction(rational)) * (math.pi if pi else 1.0)
+    try:
+        return float(digits) * _factor_by_pint(unit, dimension.name)
+    except LookupError as error:
+        requirement = error.args[0] or f"must be {dimension.phrase}"
+        raise ValueError(f"is {shown(text)}, but {requirement}; {dimension.remedy}") from error
+
+
+def _as_float(number: float | Fraction) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf
+
+
+def _unreadable(value: object, dimension: Dimension) -> ValueError:
+    return ValueError(f"is {shown(value)}, but must be {dimension.phrase}; {dimension.remedy}")
+
+
+@lru_cache(maxsize=256)
+def _factor_by_pint(unit: str, dimension_name: str) -> float:
+    """The factor from a less common unit to SI; raises LookupError saying what is wrong (nothing: the wrong dimension)."""
+    dimension = DIMENSIONS[dimension_name]
+    if len(unit) > _LONGEST_UNIT or not _UNIT.fullmatch(unit):
+        raise LookupError("its unit cannot be read")
+    registry, errors = _registry()
+    try:
+        given = registry.Unit(re.sub(r"([A-Za-z])(-?\d)", r"\1**\2", unit))
+    except (errors.PintError, AttributeError, TypeError, ValueError, KeyError, AssertionError) as error:
+        close = meant(unit, dimension.units)
+        raise LookupError("its unit is unknown" + (f' (did you mean "{close}"?)' if close else "")) from error
+    if dimension.closed or not given.is_compatible_with(canonical_for_pint(dimension.unit)):
+        raise LookupError("")
+    quantity = registry.Quantity(1.0, given)
+    factor = float(quantity.to(canonical_for_pint(dimension.unit)).magnitude)
+    if dimension.name == "angular rate":  # pint's hertz is 1/s, here it means revolutions per second
+        factor *= (2 * math.pi) ** sum(power for name, power in quantity.unit_items() if name.endswith("hertz"))
+    return factor
+
+
+def canonical_for_pint(unit: str) -> str:
+    """The SI unit of a dimension in pint's notation."""
+    return unit.replace("^", "**")
+
+
+@lru_cache(maxsize=1)
+def _registry() -> tuple[Any, Any]:
+    """pint's unit registry, made when the first uncommon unit is met (it takes a few tenths of a second)."""
+    import pint
+    import pint.errors
+
+    return pint.UnitRegistry(), pint.errors
