@@ -1,0 +1,257 @@
+"""The free rotor: finite elements of a stepped shaft with rigid discs, and its modes.
+
+Coordinates per node: [x, y, alpha, beta], alpha and beta the rotations about x and y, so that x' = beta and y' = -alpha where
+there is no shear. M q'' + Omega G q' + K q = f, spin positive from x to y, G skew. Attachments need not lie on nodes: the
+elements' shape functions interpolate. The planes decouple at standstill; ``plane_*`` matrices act on [w, theta] per node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import check_finite, invalid
+from ambrose.core.mechanical import undamped_modes
+from ambrose.machine.description import Disc, Machine
+from ambrose.physics.beam import BeamElement, beam_element, shape
+
+# plane -> index of the deflection and of the rotation within a node, sign of the rotation (y' = -alpha)
+_PLANES = {"x": (0, 3, 1.0), "y": (1, 2, -1.0)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rotor:
+    """A rotor of N nodes without bearings.
+
+    positions (N,) [m]: the nodes. mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node. plane_mass,
+    plane_gyroscopic, plane_stiffness (2N, 2N), all symmetric, in [w, theta] per node: with z = w_x + j w_y they give
+    M z'' - j Omega G z' + K z = f. shear (N-1,) [-]: phi of the elements' shape functions (beam.shape).
+    """
+
+    positions: np.ndarray
+    mass: np.ndarray
+    gyroscopic: np.ndarray
+    stiffness: np.ndarray
+    plane_mass: np.ndarray
+    plane_gyroscopic: np.ndarray
+    plane_stiffness: np.ndarray
+    shear: np.ndarray
+
+    @property
+    def n_nodes(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True, slots=True)
+class MassProperties:
+    """mass [kg], centre [m] axial coordinate of the centre of mass, diametral_inertia about it and polar_inertia [kg m2].
+
+    As the rotor's matrices have them: "bernoulli-euler" leaves the rotary inertia of the shaft out of diametral_inertia.
+    """
+
+    mass: float
+    centre: float
+    diametral_inertia: float
+    polar_inertia: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeModes:
+    """Modes of the free rotor at standstill, real and mass-orthonormal.
+
+    shapes (4N, 4 + 2 n): translation along x and y, tilting of the x and y planes about the centre of mass (exact; the right
+    end moves in the positive direction), then the n bending shapes by ascending frequency, each in x and in y (the left end
+    moves in the positive direction).
+    frequencies (4 + 2 n,) [rad/s]: zeros for the rigid modes.
+    """
+
+    shapes: np.ndarray
+    frequencies: np.ndarray
+
+
+def finite_element_rotor(machine: Machine) -> Rotor:
+    """Assemble the shaft (``elements`` equal elements per section) and the discs of a machine; N = all elements + 1.
+
+    Discs may lie between nodes: their inertia is spread by the shape functions. Raises InvalidInput for impossible sections,
+    materials or disc positions.
+    """
+    positions, element = _mesh(machine)
+    mass, gyroscopic = _add_discs(element, positions, machine.discs)
+    return Rotor(
+        positions,
+        _assemble(_both_planes(mass)),
+        _assemble(_both_planes(gyroscopic, skew=True)),
+        _assemble(_both_planes(element.stiffness)),
+        _assemble(mass),
+        _assemble(gyroscopic),
+        _assemble(element.stiffness),
+        element.shear,
+    )
+
+
+def displacement_row(rotor: Rotor, position: float, direction_angle: float) -> np.ndarray:
+    """The row (4N,) that reads the displacement [m] at an axial position [m] along a direction; transposed, it applies a force.
+
+    direction_angle [rad] from x towards y. Raises InvalidInput off the shaft.
+    """
+    w = plane_rows(rotor, [position])[0][0]
+    return np.cos(direction_angle) * to_plane(w, "x") + np.sin(direction_angle) * to_plane(w, "y")
+
+
+def plane_rows(rotor: Rotor, positions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that read deflection w (p, 2N) and cross-section rotation theta (p, 2N) from [w, theta] per node, anywhere.
+
+    positions (p,) [m]. Raises InvalidInput off the shaft.
+    """
+    e, *local = _local_rows(rotor.positions, rotor.shear, positions)
+    w, theta = np.zeros((2, len(e), 2 * rotor.n_nodes))
+    for rows, values in zip((w, theta), local, strict=True):
+        np.put_along_axis(rows, 2 * e[:, None] + np.arange(4), values, axis=1)
+    return w, theta
+
+
+def _local_rows(nodes: np.ndarray, shear: np.ndarray, positions: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The element (p,) in which each axial position [m] lies, and its rows w (p, 4) and theta (p, 4) there."""
+    at = np.atleast_1d(check_finite(positions, "the axial position [m]")).astype(float)
+    start, end = nodes[0], nodes[-1]
+    slack = 1e-9 * (end - start)
+    off = (at < start - slack) | (at > end + slack)
+    if off.any():
+        found, span = f"{at[off][0]:g} m", f"on the shaft, from {start:g} to {end:g} m"
+        raise invalid("the axial position", found, span, "move the attachment or lengthen the shaft")
+    e = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
+    length = np.diff(nodes)[e]
+    return e, *shape(np.clip((at - nodes[e]) / length, 0.0, 1.0), length, shear[e])
+
+
+def to_plane(vector: np.ndarray, plane: str) -> np.ndarray:
+    """Coordinates (2N, ...) in [w, theta] per node of the "x" or "y" plane, as coordinates (4N, ...) of the whole rotor."""
+    whole = np.zeros((2 * vector.shape[0], *vector.shape[1:]))
+    deflection, rotation, sign = _PLANES[plane]
+    whole[deflection::4] = vector[0::2]
+    whole[rotation::4] = sign * vector[1::2]
+    return whole
+
+
+def mass_properties(rotor: Rotor) -> MassProperties:
+    """Mass, centre of mass and inertias that the rotor's own matrices imply."""
+    translation, tilt = _rigid_motions(rotor.positions, 0.0)
+    mass = translation @ rotor.plane_mass @ translation
+    centre = translation @ rotor.plane_mass @ tilt / mass
+    _, tilt = _rigid_motions(rotor.positions, centre)
+    return MassProperties(
+        float(mass),
+        float(centre),
+        float(tilt @ rotor.plane_mass @ tilt),
+        float(tilt @ rotor.plane_gyroscopic @ tilt),
+    )
+
+
+def free_bending_frequencies(rotor: Rotor, count: int) -> np.ndarray:
+    """The lowest ``count`` free-free bending frequencies at standstill (count,) [rad/s], each once though both planes have it.
+
+    Raises InvalidInput when ``count`` exceeds what the mesh has (2N - 2).
+    """
+    return _plane_bending(rotor, count)[0]
+
+
+def free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
+    """Rigid modes (exact) and the lowest ``n_bending`` bending modes of each plane of the free rotor at standstill.
+
+    Raises InvalidInput when ``n_bending`` exceeds what the mesh has (2N - 2).
+    """
+    rigid = _rigid_modes(rotor)
+    frequencies, bending = _plane_bending(rotor, n_bending) if n_bending else (np.zeros(0), np.zeros((len(rigid), 0)))
+    plane = np.hstack([rigid, bending])
+    shapes = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(2 * len(plane), -1)
+    return FreeModes(shapes, np.repeat(np.concatenate([np.zeros(2), frequencies]), 2))
+
+
+def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (count,) [rad/s] and mass-orthonormal shapes (2N, count) of the bending modes of one plane."""
+    M, K = rotor.plane_mass, rotor.plane_stiffness
+    available = len(M) - 2
+    if not 0 < count <= available:
+        raise invalid("the number of bending modes", count, f"between 1 and {available}", "refine the mesh or ask for fewer")
+    # Rounding of K moves the rigid modes off zero, to either side; a shift far below the bending modes keeps them positive.
+    shift = 1e-10 * np.max(np.diag(K) / np.diag(M))
+    _, shapes = undamped_modes(M, K + shift * M, count + 2)
+    rigid = _rigid_modes(rotor)
+    shapes = shapes[:, 2:] - rigid @ (rigid.T @ (M @ shapes[:, 2:]))
+    shapes /= np.sqrt(np.einsum("ik,ik->k", shapes, M @ shapes)) * np.where(shapes[0] < 0, -1.0, 1.0)
+    return np.sqrt(np.einsum("ik,ik->k", shapes, K @ shapes)), shapes
+
+
+def _rigid_modes(rotor: Rotor) -> np.ndarray:
+    """Mass-orthonormal translation and tilting (2N, 2) of one plane."""
+    properties = mass_properties(rotor)
+    translation, tilt = _rigid_motions(rotor.positions, properties.centre)
+    return np.stack([translation / np.sqrt(properties.mass), tilt / np.sqrt(properties.diametral_inertia)], axis=1)
+
+
+def _rigid_motions(positions: np.ndarray, about: float) -> tuple[np.ndarray, np.ndarray]:
+    """Unit translation and unit tilting about an axial position, (2N,) each."""
+    translation, tilt = np.zeros((2, 2 * len(positions)))
+    translation[0::2] = 1.0
+    tilt[0::2], tilt[1::2] = positions - about, 1.0
+    return translation, tilt
+
+
+def _mesh(machine: Machine) -> tuple[np.ndarray, BeamElement]:
+    """Node positions (N,) [m] and the matrices of all elements."""
+    sections = machine.shaft
+    if not sections:
+        raise invalid("the number of shaft sections", 0, "one or more", "add a shaft section")
+    for section in sections:
+        if section.elements < 1:
+            raise invalid(f"elements of shaft section {section.label!r}", section.elements, "one or more", "set elements = 1")
+    count = [section.elements for section in sections]
+    lengths = np.repeat([section.length / section.elements for section in sections], count)
+    element = beam_element(
+        lengths,
+        np.repeat([section.outer_diameter for section in sections], count),
+        np.repeat([section.inner_diameter for section in sections], count),
+        density=np.repeat([section.material.density for section in sections], count),
+        youngs_modulus=np.repeat([section.material.youngs_modulus for section in sections], count),
+        poisson_ratio=np.repeat([section.material.poisson_ratio for section in sections], count),
+        mass_diameter=np.repeat([s.outer_diameter if s.mass_diameter is None else s.mass_diameter for s in sections], count),
+        theory=machine.beam_theory,
+    )
+    return sections[0].start + np.concatenate([[0.0], np.cumsum(lengths)]), element
+
+
+def _add_discs(element: BeamElement, positions: np.ndarray, discs: tuple[Disc, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Mass and gyroscopic matrices (e, 4, 4) of the elements with the discs spread onto them."""
+    mass, gyroscopic = element.mass, element.gyroscopic.copy()
+    if discs:
+        at, w, theta = _local_rows(positions, element.shear, [disc.position for disc in discs])
+        kilograms, diametral, polar = np.array([[d.mass, d.diametral_inertia, d.polar_inertia] for d in discs]).T[
+            ..., None, None
+        ]
+        tilting = theta[:, :, None] * theta[:, None, :]
+        np.add.at(mass, at, kilograms * w[:, :, None] * w[:, None, :] + diametral * tilting)
+        np.add.at(gyroscopic, at, polar * tilting)
+    return mass, gyroscopic
+
+
+def _assemble(blocks: np.ndarray) -> np.ndarray:
+    """The chain of element matrices (e, 2k, 2k), k coordinates per node, as one matrix (k (e + 1), k (e + 1))."""
+    e, k = len(blocks), blocks.shape[1] // 2
+    whole = np.zeros((e + 1, k, e + 1, k))
+    left = np.arange(e)
+    right = left + 1
+    whole[left, :, left] += blocks[:, :k, :k]
+    whole[left, :, right] += blocks[:, :k, k:]
+    whole[right, :, left] += blocks[:, k:, :k]
+    whole[right, :, right] += blocks[:, k:, k:]
+    return whole.reshape(k * (e + 1), k * (e + 1))
+
+
+def _both_planes(blocks: np.ndarray, skew: bool = False) -> np.ndarray:
+    """Element matrices (e, 4, 4) of one plane in both planes, (e, 8, 8): in each, or (skew) from y to x and negative back."""
+    basis = np.stack([to_plane(np.eye(4), plane) for plane in ("x", "y")])
+    if skew:
+        return basis[0] @ blocks @ basis[1].T - basis[1] @ blocks @ basis[0].T
+    return basis[0] @ blocks @ basis[0].T + basis[1] @ blocks @ basis[1].T
