@@ -1,0 +1,173 @@
+"""The certificate: what is recomputed for a finished controller on the plant it was made for, before it is returned."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import (
+    StateSpace,
+    as_statespace,
+    close,
+    feedback,
+    poles,
+    select,
+    series,
+    spectral_abscissa,
+    static_gain,
+)
+from ambrose.plant.loop import named_controller
+from ambrose.plant.model import Plant
+from ambrose.synthesis.margins import loop_margins
+from ambrose.synthesis.result import Certificate
+
+
+def certify(plant: Plant | StateSpace, controller: Any, label: str = "") -> Certificate:
+    """Stability, output sensitivity and margins of the loop of core/lft.py, recomputed from plant and controller.
+
+    plant: a Plant, or a StateSpace from currents u [A] to displacements y [m] (its signals matched to the controller's by
+    place). A sampled controller closes the loop around the plant sampled with a zero-order hold; everything then holds at
+    the samples. ``closed_loop_norm`` is the H-infinity norm of S_o. The margins:
+
+    - ``sensitivity_peak``, ``complementary_peak`` [-]: H-infinity norms of S_o and T_o;
+    - ``disk_gain_margin``, ``disk_gain_reduction`` [-], ``disk_phase_margin_rad``: what every axis at once may change, each
+      by its own factor, the better of the bounds M_S/(M_S-1), M_S/(M_S+1), 2 asin(1/2M_S) and 1+1/M_T, 1-1/M_T,
+      2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981);
+    - ``gain_margin``, ``gain_reduction`` [-], ``phase_margin_rad``, and each with ``.<axis>``: one axis opened, the others
+      closed; the first three are the worst axis'. inf and 0 where no crossing exists.
+
+    An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises InvalidInput when sizes do not fit.
+    """
+    open_plant, controller, axes = _loop_parts(plant, controller)
+    loop = series(controller, open_plant)
+    identity = static_gain(np.eye(len(axes)), [f"d_{a}" for a in axes], [f"y_{a}" for a in axes], loop.dt)
+    sensitivity = feedback(identity, loop)
+    abscissa = spectral_abscissa(sensitivity)
+    fastest = fastest_pole(controller)
+    label = label or _label(plant)
+    if not abscissa < 0:
+        return Certificate(False, abscissa, float("inf"), fastest, {}, label)
+    from ambrose.core.matrix_equations import hinf_norm
+
+    loop = continuous_equivalent(loop)  # margins and norms do not change under the bilinear map
+    peak = float(hinf_norm(feedback(static_gain(np.eye(len(axes))), loop)).value)
+    complementary = float(hinf_norm(feedback(loop, static_gain(np.eye(len(axes))))).value)
+    margins = {
+        "sensitivity_peak": peak,
+        "complementary_peak": complementary,
+        **disk_margins(peak, complementary),
+        **_axis_margins(loop, axes),
+    }
+    return Certificate(True, abscissa, peak, fastest, margins, label)
+
+
+def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace, tuple[str, ...]]:
+    """The plant from u to y (sampled like the controller), the controller, and the names of the axes."""
+    if isinstance(plant, Plant):
+        system = select(plant.system, plant.named("u"), plant.named("y"))
+        controller = named_controller(plant, controller)
+        axes = plant.axes
+    else:
+        system, controller = as_statespace(plant), as_statespace(controller)
+        if controller.D.shape != system.D.shape[::-1] or system.D.shape[0] != system.D.shape[1]:
+            raise invalid(
+                "the controller's size (outputs, inputs)",
+                controller.D.shape,
+                f"{system.D.shape[::-1]} and square",
+                "select() the plant's currents and displacements",
+            )
+        axes = tuple(name.removeprefix("y_") for name in system.outputs)
+    if controller.dt is not None and system.dt is None:
+        system = c2d(system, controller.dt)
+    if controller.dt != system.dt and controller.n_states:
+        raise invalid("the controller's sample time", controller.dt, f"the plant's {system.dt}", "resample one of them")
+    return system, controller, axes
+
+
+def _label(plant: Plant | StateSpace) -> str:
+    if not isinstance(plant, Plant):
+        return f"{plant.n_states} states"
+    point = plant.point.label or f"{plant.point.speed:g} rad/s, {plant.point.seal_pressure:g} Pa"
+    return f"{plant.machine.name}, {point}, {plant.system.n_states} states"
+
+
+def _axis_margins(loop: StateSpace, axes: tuple[str, ...]) -> dict[str, float]:
+    rows = [loop_margins(opened(loop, i)) for i in range(len(axes))]
+    worst = {
+        "gain_margin": min(row.gain_margin for row in rows),
+        "gain_reduction": max(row.gain_reduction for row in rows),
+        "phase_margin_rad": min(row.phase_margin for row in rows),
+    }
+    for axis, row in zip(axes, rows, strict=True):
+        worst[f"gain_margin.{axis}"] = row.gain_margin
+        worst[f"gain_reduction.{axis}"] = row.gain_reduction
+        worst[f"phase_margin_rad.{axis}"] = row.phase_margin
+    return worst
+
+
+def opened(loop: StateSpace, axis: int) -> StateSpace:
+    """The scalar loop seen at one output of a square ``loop`` with negative feedback while all other outputs stay closed."""
+    gain = -np.eye(len(loop.outputs))
+    gain[axis, axis] = 0.0
+    return select(close(loop, gain), loop.inputs[axis], loop.outputs[axis])
+
+
+def disk_margins(sensitivity_peak: float, complementary_peak: float) -> dict[str, float]:
+    """Gain and phase changes that all axes tolerate at once, from the peaks M_S, M_T >= 0 [-] of S_o and T_o."""
+    s, t = sensitivity_peak, complementary_peak
+    increase = [s / (s - 1) if s > 1 else np.inf, 1 + 1 / t if t > 0 else np.inf]
+    reduction = [s / (s + 1), 1 - 1 / t if t > 1 else 0.0]
+    phase = [2 * np.arcsin(min(1.0, 1 / (2 * m))) if m > 0 else np.pi for m in (s, t)]
+    return {
+        "disk_gain_margin": float(max(increase)),
+        "disk_gain_reduction": float(min(reduction)),
+        "disk_phase_margin_rad": float(max(phase)),
+    }
+
+
+def fastest_pole(controller: Any) -> float:
+    """Largest modulus among the controller's poles [rad/s]; of a sampled one |ln z|/dt, pure delays (z = 0) left out."""
+    controller = as_statespace(controller)
+    values = poles(controller)
+    if controller.dt is not None:
+        values = np.log(values[np.abs(values) > 1e-9].astype(complex)) / controller.dt
+    return float(np.abs(values).max(initial=0.0))
+
+
+def continuous_equivalent(system: StateSpace) -> StateSpace:
+    """A sampled system carried to continuous time by z = (1 + s)/(1 - s); a continuous one unchanged.
+
+    Stability, norms, real gains and phases at which a loop closes on -1 are kept; frequencies are not. Raises InvalidInput
+    for a pole at z = -1.
+    """
+    if system.dt is None:
+        return system
+    n = system.n_states
+    E = system.A + np.eye(n)
+    if n and np.linalg.cond(E) > 1 / np.finfo(float).eps:
+        raise InvalidInput("the sampled loop has a pole at z = -1 (an alternating signal); change the sample time")
+    A, B = np.linalg.solve(E, system.A - np.eye(n)), np.linalg.solve(E, system.B)
+    C = np.linalg.solve(E.T, system.C.T).T
+    return StateSpace(
+        A, np.sqrt(2) * B, np.sqrt(2) * C, system.D - C @ system.B, system.inputs, system.outputs
+    )  # fmt: skip
+
+
+def match_controller(controller: Any, plant: Plant) -> StateSpace:
+    """``controller`` with its signals in the order of the plant's axes, after comparing them by name.
+
+    Raises InvalidInput that names sizes or signals when the controller was made for other axes.
+    """
+    controller = as_statespace(controller)
+    wanted = {"inputs": [f"err_{a}" for a in plant.axes], "outputs": [f"u_{a}" for a in plant.axes]}
+    for side, names in wanted.items():
+        have = getattr(controller, side)
+        remedy = f"this controller is for another machine: design one for {plant.machine.name!r}"
+        if len(have) != len(names):
+            raise invalid(f"the number of the controller's {side}", len(have), f"{len(names)} ({', '.join(names)})", remedy)
+        if set(have) != set(names):
+            raise invalid(f"the controller's {side}", ", ".join(have), ", ".join(names), f"rename() them, or {remedy}")
+    return select(controller, wanted["inputs"], wanted["outputs"])
