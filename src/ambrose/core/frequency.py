@@ -1,7 +1,7 @@
-"""Frequency responses: one complex Schur form, then a triangular solve for all frequencies at once.
+"""Frequency responses: one real Schur form, then a triangular solve for all frequencies at once.
 
-The triangular matrix is split recursively, so that almost all work is products of constant matrices with the
-stacked right-hand sides of every frequency (BLAS 3). Schur vectors are unitary: the accuracy is that of a
+The triangular matrix is split recursively, so that almost all work is products of constant real matrices with the
+stacked right-hand sides of every frequency (BLAS 3). Schur vectors are orthogonal: the accuracy is that of a
 direct solve with the balanced A, also for defective poles, where a diagonalisation would fail.
 """
 
@@ -19,6 +19,7 @@ from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.statespace import Names, as_statespace, balance, index_of
 
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
+_NEAR = 100.0  # points within so many rounding errors of a pole are evaluated one by one
 _CHUNK = 2_000_000  # complex numbers held for one batch of frequencies: 32 MB
 
 
@@ -95,8 +96,8 @@ def stacked_frequency_response(systems: Sequence[Any], omega: ArrayLike) -> Freq
 class SchurForm:
     """A system made ready for evaluation at many points: C (s I - A)^-1 B + D = right (s I - triangle)^-1 left + D.
 
-    triangle (n, n) complex, upper triangular; left (n, m), right (p, n) complex; D (p, m). ``transposed`` tells that the form
-    belongs to the transposed system, which has fewer right-hand sides.
+    triangle (n, n): the Schur form of the balanced A, quasi-triangular for a real A; left (n, m), right (p, n), D (p, m).
+    ``transposed`` tells that the form belongs to the transposed system, which has fewer right-hand sides.
     """
 
     triangle: np.ndarray
@@ -105,19 +106,36 @@ class SchurForm:
     D: np.ndarray
     transposed: bool = False
 
+    @property
+    def poles(self) -> np.ndarray:
+        """The eigenvalues of A, (n,) complex, in the order of the triangle's diagonal."""
+        T = self.triangle
+        values = np.diag(T).astype(complex)
+        i = np.flatnonzero(np.diag(T, -1))
+        half = 1j * np.sqrt(-np.diag(T, 1)[i] * np.diag(T, -1)[i])
+        values[i] += half
+        values[i + 1] -= half
+        return values
+
+    @property
+    def pole_errors(self) -> np.ndarray:
+        """What rounding can do to each (well-conditioned) pole, (n,): eps times the largest entry in its row and column."""
+        size = np.abs(self.triangle)
+        return np.finfo(float).eps * np.maximum(size.max(0, initial=0.0), size.max(1, initial=0.0))
+
 
 def schur_form(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> SchurForm:
-    """The balanced complex Schur form, computed once for any number of calls of ``evaluate``.
+    """The balanced Schur form, computed once for any number of calls of ``evaluate``.
 
-    A (n, n), B (n, m), C (p, n), D (p, m).
+    A (n, n), B (n, m), C (p, n), D (p, m): real or complex.
     """
     if C.shape[0] < B.shape[1]:  # fewer right-hand sides: work with the transposed system
         form = schur_form(A.T, C.T, B.T, D.T)
         return SchurForm(form.triangle, form.left, form.right, form.D, True)
     A, t = balance(A)
     if A.shape[0] == 0:
-        return SchurForm(A.astype(complex), B.astype(complex), C.astype(complex), D)
-    T, Q = sla.schur(A, output="complex")
+        return SchurForm(A, B, C, D)
+    T, Q = sla.schur(A, output="complex" if np.iscomplexobj(A) else "real")
     return SchurForm(T, Q.conj().T @ (B / t[:, None]), (C * t) @ Q, D)
 
 
@@ -125,20 +143,24 @@ def evaluate(form: SchurForm, s: np.ndarray) -> np.ndarray:
     """The transfer matrix at the complex points s (w,), as (w, p, m). Raises InvalidInput where s is an eigenvalue of A."""
     n, m = form.left.shape
     p = form.right.shape[0]
+    s = np.asarray(s, dtype=complex)
     values = np.broadcast_to(form.D, (len(s), p, m)).astype(complex)
     if n and m and p:
         step = max(1, _CHUNK // (n * m))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for start in range(0, len(s), step):
                 part = s[start : start + step]
-                X = np.repeat(form.left[:, None, :], len(part), axis=1)
+                X = np.repeat(form.left[:, None, :].astype(complex), len(part), axis=1)
                 _solve_shifted(form.triangle, X, part)
-                values[start : start + step] += (form.right @ X.reshape(n, -1)).reshape(p, len(part), m).swapaxes(0, 1)
+                values[start : start + step] += _times(form.right, X).swapaxes(0, 1)
         bad = ~np.isfinite(values).all(axis=(1, 2))
         if bad.any():
-            point = s[np.argmax(bad)]
-            raise InvalidInput(f"s = {point:.6g} is a pole of the system; evaluate beside it or leave this frequency out")
+            raise _at_pole(s[np.argmax(bad)])
     return values.swapaxes(1, 2) if form.transposed else values
+
+
+def _at_pole(s: complex) -> InvalidInput:
+    return InvalidInput(f"s = {s:.6g} is a pole of the system; evaluate beside it or leave this frequency out")
 
 
 def transfer_matrix(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -146,21 +168,90 @@ def transfer_matrix(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, 
 
     A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput where s is an eigenvalue of A.
     """
+    s = np.asarray(s, dtype=complex)
     if A.shape[0] == 0 or len(s) == 0 or 0 in D.shape:
         return np.broadcast_to(D, (len(s), *D.shape)).astype(complex)
-    return evaluate(schur_form(A, B, C, D), s)
+    form = schur_form(A, B, C, D)
+    near = _near_poles(form, s)
+    if not near.any():
+        return evaluate(form, s)
+    values = np.empty((len(s), *D.shape), dtype=complex)
+    values[~near] = evaluate(form, s[~near])
+    for i in np.flatnonzero(near):
+        values[i] = transfer_matrix_at(A, B, C, D, complex(s[i]))
+    return values
+
+
+def _near_poles(form: SchurForm, s: np.ndarray) -> np.ndarray:
+    """Which points (w,) lie so close to a pole, or to a defective pair, that the Schur form does not resolve the distance."""
+    eps = np.finfo(float).eps
+    distance = np.abs(s[:, None] - form.poles) / np.maximum(form.pole_errors, 1e-280)
+    near = distance.min(axis=1) <= np.sqrt(_NEAR / eps)
+    two = np.sort(distance[near], axis=1)[:, :2]
+    near[near] = (two[:, 0] <= _NEAR) | (two.prod(axis=1) <= _NEAR / eps) & (distance.shape[1] > 1)
+    return near
+
+
+def transfer_matrix_at(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: complex) -> np.ndarray:
+    """C (s I - A)^-1 B + D at one point, (p, m), as exactly as the data allow: LU and refinement in extended precision.
+
+    A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput where s is an eigenvalue of A to rounding.
+    """
+    n = A.shape[0]
+    if n == 0 or 0 in D.shape:
+        return D.astype(complex)
+    A, t = balance(A)
+    B, C = B / t[:, None], C * t
+    shifted = s * np.eye(n) - A
+    rows = 1 / np.maximum(np.abs(shifted).max(axis=1), np.finfo(float).tiny)
+    columns = 1 / np.maximum((np.abs(shifted) * rows[:, None]).max(axis=0), np.finfo(float).tiny)
+    scaled = shifted * rows[:, None] * columns
+    lu, pivots, singular = sla.lapack.zgetrf(scaled)
+    rcond = 0.0 if singular else sla.lapack.zgecon(lu, np.abs(scaled).sum(axis=0).max())[0]
+    if rcond < n * np.finfo(float).eps:
+        raise _at_pole(s)
+    X = columns[:, None] * sla.lu_solve((lu, pivots), rows[:, None] * B)
+    wide = s * np.eye(n, dtype=np.clongdouble) - A
+    for _ in range(2):
+        residual = (B - wide @ X).astype(complex)
+        X = X + columns[:, None] * sla.lu_solve((lu, pivots), rows[:, None] * residual)
+    return C @ X + D
+
+
+def _times(T: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """T (k, n) times every column of the contiguous complex X (n, w, m); a real T is not made complex."""
+    flat = X.reshape(X.shape[0], -1)
+    product = (T @ flat.view(float)).view(complex) if np.isrealobj(T) else T @ flat
+    return product.reshape(T.shape[0], *X.shape[1:])
 
 
 def _solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
-    """Replace X (n, w, m) by (s_w I - T)^-1 X for upper triangular T (n, n) and every s (w,), in place."""
+    """Replace X (n, w, m) by (s_w I - T)^-1 X for (quasi-)triangular T (n, n) and every s (w,), in place."""
     n = T.shape[0]
-    if n <= _LEAF:
-        for i in range(n - 1, -1, -1):
-            if i + 1 < n:
-                X[i] += np.tensordot(T[i, i + 1 :], X[i + 1 :], 1)
-            X[i] /= (s - T[i, i])[:, None]
+    if n > _LEAF:
+        h = n // 2 + int(T[n // 2, n // 2 - 1] != 0)  # never through a 2 x 2 block
+        _solve_shifted(T[h:, h:], X[h:], s)
+        X[:h] += _times(T[:h, h:], X[h:])
+        _solve_shifted(T[:h, :h], X[:h], s)
         return
-    h = n // 2
-    _solve_shifted(T[h:, h:], X[h:], s)
-    X[:h] += (T[:h, h:] @ X[h:].reshape(n - h, -1)).reshape(X[:h].shape)
-    _solve_shifted(T[:h, :h], X[:h], s)
+    i = n
+    while i > 0:
+        k = i - 2 if i > 1 and T[i - 1, i - 2] != 0 else i - 1
+        if i < n:
+            X[k:i] += _times(T[k:i, i:], X[i:])
+        if k == i - 1:
+            X[k] /= (s - T[k, k])[:, None]
+        else:
+            _solve_pair(T[k:i, k:i], X[k:i], s)
+        i = k
+
+
+def _solve_pair(block: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
+    """The same for a standardised 2 x 2 block [[a, b], [c, a]] with b c < 0; its determinant is kept in factors."""
+    (a, b), (c, _) = block
+    half = 1j * np.sqrt(-b * c)
+    d = s - a
+    scale = (1 / (d - half) / (d + half))[:, None]
+    first = (d[:, None] * X[0] + b * X[1]) * scale
+    X[1] = (c * X[0] + d[:, None] * X[1]) * scale
+    X[0] = first
