@@ -100,7 +100,7 @@ def wire(
             rename(rotor, [f"F_{name}" for name in names]),
             amplifier.linearised(machine.amplifier, machine.axes),
             magnets(machine, point),
-            sensor.linearised(machine.sensors, machine.bearings),
+            sensor.linearised(machine.sensors, machine.axes),
         ],
         inputs=plant_inputs(machine.axes, names),
         outputs=plant_outputs(machine.axes, names),

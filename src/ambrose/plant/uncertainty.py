@@ -60,7 +60,7 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
         rename(plant.rotor, [f"F_{name}" for name in plant.ports]),
         drive,
         magnets(machine, plant.point),
-        sensor.linearised(machine.sensors, machine.bearings),
+        sensor.linearised(machine.sensors, machine.axes),
     ]
     u, y = plant_inputs(machine.axes, plant.ports), plant_outputs(machine.axes, plant.ports)
     system = connect([*inner, _rows_as_gain(rows)], inputs=[*w, *u], outputs=[*z, *y], sums={**sums, **unused})
