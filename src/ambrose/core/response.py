@@ -6,7 +6,7 @@ caller's back. Long records are computed in blocks of L samples by the lifted sy
     x[k+L] = A^L x[k] + R u_block,    y_block = O x[k] + T u_block,
 
 so that nearly all work is matrix times matrix and the sequential part is one product with A^L per block. No eigenvectors
-are formed: defective and badly conditioned systems are as exact as any other, and states enter at p n instead of n^2 per sample.
+are formed: defective and badly conditioned systems are as exact as any other.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_finite, check_positive, check_shape, invalid
 from ambrose.core.statespace import StateSpace, as_statespace, balance
 
 _CHUNK = 2_000_000  # numbers held for one batch of blocks: 16 MB, whatever the record length
@@ -232,8 +232,9 @@ def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, final: Arra
     """
     time = check_shape(time, "time", "(k)")
     y = check_shape(np.atleast_2d(y), "y", "(p, k)", k=len(time))
-    final = np.zeros(len(y)) + final if np.ndim(final) == 0 else check_shape(final, "final", "(p)", p=len(y))
-    deviation = np.abs(y - final[:, None])
+    target = np.asarray(check_finite(final, "final"))
+    target = np.full(len(y), target) if target.ndim == 0 else check_shape(target, "final", "(p)", p=len(y))
+    deviation = np.abs(y - target[:, None])
     if not 0 < band < 1:
         raise invalid("band", band, "between 0 and 1", "give a fraction of the peak, such as 0.05")
     kept = time >= start
@@ -316,19 +317,19 @@ def _lift(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, L: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A^L (n, n), R (n, L m), O (L p, n) and T (L p, L m) for a power of two L, by doubling."""
-    (p, m), R, O = D.shape, B, C
+    (p, m), R, Ob = D.shape, B, C
     for _ in range(L.bit_length() - 1):
-        O, R, A = np.vstack([O, O @ A]), np.hstack([A @ R, R]), A @ A
-    markov = np.concatenate([np.zeros((1, p, m)), D[None], (O @ B).reshape(L, p, m)[:-1]])
+        Ob, R, A = np.vstack([Ob, Ob @ A]), np.hstack([A @ R, R]), A @ A
+    markov = np.concatenate([np.zeros((1, p, m)), D[None], (Ob @ B).reshape(L, p, m)[:-1]])
     lag = np.maximum(np.subtract.outer(np.arange(L), np.arange(L)) + 1, 0)  # 0 picks the zero block: the future
-    return A, R, O, markov[lag].transpose(0, 2, 1, 3).reshape(L * p, L * m)
+    return A, R, Ob, markov[lag].transpose(0, 2, 1, 3).reshape(L * p, L * m)
 
 
 def _blocks(
     lifted: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], L: int, u: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
     """Write the outputs into y (p, k), k a multiple of L, in batches of blocks; returns the state after the last block."""
-    A, R, O, T = lifted
+    A, R, Ob, T = lifted
     (p, k), m, n = y.shape, len(u), len(x)
     batch = max(1, _CHUNK // (L * (p + m) + n))
     for first in range(0, k // L, batch):
@@ -340,7 +341,7 @@ def _blocks(
         for b in range(count):
             starts[b] = x
             x = A @ x + w[b]
-        y[:, part] = (O @ starts.T + T @ block).reshape(L, p, count).transpose(1, 2, 0).reshape(p, count * L)
+        y[:, part] = (Ob @ starts.T + T @ block).reshape(L, p, count).transpose(1, 2, 0).reshape(p, count * L)
     return x
 
 
@@ -348,14 +349,14 @@ def _markov(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, k: int) 
     """D, C B, C A B, ... as (p, m, k): rows C A^j of one block times columns A^(L i) B of all blocks."""
     p, m = D.shape
     L = 1
-    while L * L < k:
+    while k > L * L:
         L *= 2
-    power, _, O, _ = _lift(A, np.zeros((len(A), 0)), C, np.zeros((p, 0)), L)
+    power, _, Ob, _ = _lift(A, np.zeros((len(A), 0)), C, np.zeros((p, 0)), L)
     columns = [B]
     with np.errstate(over="ignore", invalid="ignore"):
         while len(columns) * L < k:
             columns.append(power @ columns[-1])
-        values = (O @ np.hstack(columns)).reshape(L, p, len(columns), m).transpose(1, 3, 2, 0).reshape(p, m, -1)
+        values = (Ob @ np.hstack(columns)).reshape(L, p, len(columns), m).transpose(1, 3, 2, 0).reshape(p, m, -1)
     values = np.concatenate([D[:, :, None], values], axis=2)[:, :, :k]
     if not np.isfinite(values).all():
         raise NumericalFailure(f"the response overflows within {k} samples: {_FINITE}")
