@@ -1,0 +1,276 @@
+"""The controller file: JSON with matrices, signals, units, sample time, certificate and provenance, versioned and checked.
+
+Numbers are written with the digits that give back the same double; a file is complete or absent, never half written. The
+reader takes nothing on trust: unknown keys, other versions, sizes that do not fit, NaN and truncated text are refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ambrose import __version__
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.statespace import StateSpace, as_statespace
+from ambrose.export.parsing import (
+    parse_date,
+    parse_keys,
+    parse_matrix,
+    parse_number,
+    parse_signals,
+    parse_text,
+    read_json,
+)
+from ambrose.machine.description import Machine
+from ambrose.synthesis.certify import match_controller
+from ambrose.synthesis.result import Certificate, Synthesis
+
+__all__ = ["ControllerFile", "Provenance", "machine_hash", "match_controller", "read_controller", "write_controller"]
+
+FORMAT = "ambrose-controller"
+VERSION = 1
+INPUT_UNIT = ("err_", "m")
+OUTPUT_UNIT = ("u_", "A")
+STATUSES = ("verified", "unstable", "uncertified")  # as in Synthesis; uncertified: a controller written alone
+KEYS = (
+    "format", "version", "method", "status", "gamma", "inputs", "outputs", "sample_time", "A", "B", "C", "D",
+    "scheduling", "certificate", "provenance",
+)  # fmt: skip
+CERTIFICATE_KEYS = ("stable", "spectral_abscissa", "closed_loop_norm", "fastest_pole", "margins", "plant")
+PROVENANCE_KEYS = ("package", "package_version", "machine", "machine_hash", "date")
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a controller file comes from: versions, the machine's name and hash (None: not given), date in UTC (ISO 8601)."""
+
+    package_version: str
+    machine: str | None
+    machine_hash: str | None
+    date: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerFile:
+    """What a controller file says. controller: StateSpace from err_<axis> [m] to u_<axis> [A], continuous or sampled;
+    gamma is NaN where the method has none; certificate None where the controller was written without one."""
+
+    controller: StateSpace
+    method: str
+    status: str
+    gamma: float
+    certificate: Certificate | None
+    provenance: Provenance
+
+
+def machine_hash(machine: Machine) -> str:
+    """SHA-256 of everything that the description says, as 64 hexadecimal digits; the layout of its file does not matter."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, bool) or value is None or isinstance(value, str):
+            return value
+        if isinstance(value, int | float):
+            return float(value)
+        if isinstance(value, Mapping):
+            return {str(key): plain(item) for key, item in value.items()}
+        return [plain(item) for item in value]
+
+    text = json.dumps(plain(dataclasses.asdict(machine)), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_controller(
+    path: str | os.PathLike[str],
+    result: Synthesis | StateSpace | Any,
+    machine: Machine | None = None,
+    date: datetime | None = None,
+) -> Path:
+    """Write a Synthesis, or a controller alone, to ``path``; the file appears complete or not at all. Returns the path.
+
+    The controller's inputs are err_<axis> [m] and its outputs u_<axis> [A]. machine: recorded by name and hash; date (None:
+    now). Raises InvalidInput for other signals or a path that cannot be written.
+    """
+    if not isinstance(result, Synthesis):
+        controller = as_statespace(result)
+        content = _content(controller, "given", "uncertified", math.nan, None, machine, date)
+    else:
+        content = _content(result.controller, result.method, result.status, result.gamma, result.certificate, machine, date)
+    return _write_atomically(Path(path), _layout(content))
+
+
+def _content(
+    controller: StateSpace,
+    method: str,
+    status: str,
+    gamma: float,
+    certificate: Certificate | None,
+    machine: Machine | None,
+    date: datetime | None,
+) -> dict[str, Any]:
+    moment = (date or datetime.now(UTC)).astimezone(UTC)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "method": method,
+        "status": status,
+        "gamma": _scalar(gamma),
+        "inputs": _signals(controller.inputs, *INPUT_UNIT, "inputs"),
+        "outputs": _signals(controller.outputs, *OUTPUT_UNIT, "outputs"),
+        "sample_time": controller.dt,
+        **{letter: getattr(controller, letter).tolist() for letter in "ABCD"},
+        "scheduling": None,
+        "certificate": None if certificate is None else _certificate(certificate),
+        "provenance": {
+            "package": "ambrose",
+            "package_version": __version__,
+            "machine": None if machine is None else machine.name,
+            "machine_hash": None if machine is None else machine_hash(machine),
+            "date": moment.isoformat(timespec="seconds"),
+        },
+    }
+
+
+def _certificate(certificate: Certificate) -> dict[str, Any]:
+    return {
+        "stable": bool(certificate.stable),
+        "spectral_abscissa": _scalar(certificate.spectral_abscissa),
+        "closed_loop_norm": _scalar(certificate.closed_loop_norm),
+        "fastest_pole": _scalar(certificate.fastest_pole),
+        "margins": {name: _scalar(value) for name, value in certificate.margins.items()},
+        "plant": certificate.plant,
+    }
+
+
+def _scalar(value: float) -> float | str:
+    """A number as JSON has it; "nan", "inf" and "-inf" as text, since JSON has no such numbers."""
+    value = float(value)
+    return value if math.isfinite(value) else str(value)
+
+
+def _signals(names: Sequence[str], prefix: str, unit: str, side: str) -> list[dict[str, str]]:
+    for name in names:
+        if not name.startswith(prefix):
+            raise invalid(f"one of the controller's {side}", repr(name), f"{prefix}<axis> [{unit}]", "rename() its signals")
+    return [{"name": name, "unit": unit} for name in names]
+
+
+def _layout(content: Mapping[str, Any]) -> str:
+    """JSON with one key, and of matrices and lists one row, per line."""
+    lines = []
+    for key, value in content.items():
+        if isinstance(value, list) and value:
+            rows = ",\n".join(f"  {json.dumps(row, allow_nan=False)}" for row in value)
+            lines.append(f"{json.dumps(key)}: [\n{rows}\n ]")
+        else:
+            lines.append(f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
+    return "{\n " + ",\n ".join(lines) + "\n}\n"
+
+
+def _write_atomically(path: Path, text: str) -> Path:
+    if not path.name or path.is_dir():
+        raise invalid("the path of the controller file", repr(str(path)), "a file's", "add a name such as controller.json")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        partial.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+        raise InvalidInput(f"cannot write {path}: {error.strerror or error}; give a path in a writable folder") from error
+    return path
+
+
+def read_controller(path: str | os.PathLike[str]) -> ControllerFile:
+    """The controller file at ``path``, every part of it checked; nothing in it is ever executed.
+
+    Raises InvalidInput that names the file, the key, its value and the remedy.
+    """
+    path = Path(path)
+    try:
+        return _parse(read_json(path))
+    except InvalidInput as error:
+        raise InvalidInput(f"controller file {path}: {error}") from error
+
+
+def _parse(content: Any) -> ControllerFile:
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = repr(content.get("format")) if isinstance(content, dict) else type(content).__name__
+        raise invalid("format", found, repr(FORMAT), "this is no controller file; write one with `ambrose synthesize -o`")
+    if type(content.get("version")) is not int or content["version"] != VERSION:
+        raise invalid("version", repr(content.get("version")), str(VERSION), "it needs another version of ambrose")
+    parse_keys(content, KEYS, "the file")
+    if content["scheduling"] is not None:
+        raise invalid("scheduling", "given", "null in version 1", "it needs another version of ambrose")
+    inputs = parse_signals(content["inputs"], "inputs", *INPUT_UNIT)
+    outputs = parse_signals(content["outputs"], "outputs", *OUTPUT_UNIT)
+    A = parse_matrix(content["A"], "A", None, None)
+    n, m, p = len(A), len(inputs), len(outputs)
+    B = parse_matrix(content["B"], "B", n, m)
+    C = parse_matrix(content["C"], "C", p, n)
+    D = parse_matrix(content["D"], "D", p, m)
+    dt = None if content["sample_time"] is None else parse_number(content["sample_time"], "sample_time")
+    controller = StateSpace(A, B, C, D, inputs, outputs, dt)
+    certificate = _parse_certificate(content["certificate"])
+    status = parse_text(content["status"], "status")
+    if status not in STATUSES:
+        raise invalid("status", repr(status), " or ".join(STATUSES), "it needs another version of ambrose")
+    if status == "verified" and (certificate is None or not certificate.stable):
+        raise InvalidInput("status is 'verified', but the certificate does not say stable; design the controller again")
+    return ControllerFile(
+        controller,
+        parse_text(content["method"], "method"),
+        status,
+        parse_number(content["gamma"], "gamma", any_value=True),
+        certificate,
+        _parse_provenance(content["provenance"]),
+    )
+
+
+def _parse_certificate(content: Any) -> Certificate | None:
+    if content is None:
+        return None
+    parse_keys(content, CERTIFICATE_KEYS, "certificate")
+    if not isinstance(content["stable"], bool):
+        raise invalid("certificate.stable", repr(content["stable"]), "true or false", "write the file again")
+    if not isinstance(content["margins"], dict):
+        raise invalid("certificate.margins", repr(content["margins"]), "a table of numbers", "write the file again")
+    numbers = {
+        key: parse_number(content[key], f"certificate.{key}", any_value=True)
+        for key in ("spectral_abscissa", "closed_loop_norm", "fastest_pole")
+    }
+    margins = {
+        name: parse_number(value, f"certificate.margins.{name}", any_value=True) for name, value in content["margins"].items()
+    }
+    return Certificate(
+        stable=content["stable"],
+        margins=margins,
+        plant=parse_text(content["plant"], "certificate.plant", empty=True),
+        **numbers,
+    )
+
+
+def _parse_provenance(content: Any) -> Provenance:
+    parse_keys(content, PROVENANCE_KEYS, "provenance")
+    if content["package"] != "ambrose":
+        raise invalid("provenance.package", repr(content["package"]), "'ambrose'", "write the file with ambrose")
+    texts = [
+        None if content[key] is None else parse_text(content[key], f"provenance.{key}") for key in ("machine", "machine_hash")
+    ]
+    return Provenance(
+        parse_text(content["package_version"], "provenance.package_version"),
+        texts[0],
+        texts[1],
+        parse_date(content["date"], "provenance.date"),
+    )

@@ -1,0 +1,253 @@
+"""The PID controller against its formula, and tilt/translate coordinates on a rigid rotor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import StateSpace, feedback, series
+from ambrose.machine.description import (
+    Machine,
+    MagneticBearing,
+    Notch,
+    PidSettings,
+    Sensor,
+    ShaftSection,
+)
+from ambrose.synthesis import pid
+from ambrose.synthesis.filters import lead, low_pass, notch
+
+OMEGA = np.geomspace(1e-2, 1e5, 60)
+PLAIN = PidSettings(gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, derivative_filter=0.1)
+MASS, INERTIA, K_I, K_S = 68.0, 3.1, 150.0, 1.1e6  # kg, kg m2, N/A, N/m
+
+
+def machine(bearings=(0.2, 0.66), sensors=(0.15, 0.71), angle=np.pi / 4, tilted=None) -> Machine:
+    """A shaft with two bearings; sensors off the bearings; ``tilted``: another angle for bearing B."""
+    return Machine(
+        name="small",
+        shaft=(ShaftSection(start=0.0, length=0.86, outer_diameter=0.1),),
+        bearings=tuple(
+            MagneticBearing(
+                name=name,
+                position=z,
+                bias_current=6.0,
+                angle=angle if name == "A" or tilted is None else tilted,
+                force_per_current=(K_I, K_I),
+                negative_stiffness=(K_S, K_S),
+            )
+            for name, z in zip("AB", bearings, strict=True)
+        ),
+        sensors=tuple(Sensor(bearing=name, position=z) for name, z in zip("AB", sensors, strict=True)),
+    )
+
+
+def rigid_rotor(item: Machine) -> StateSpace:
+    """A rigid rotor, symmetric about the middle between the bearings, u [A] -> y [m]; states x, y, tilts, and their rates."""
+    places = np.array([b.position for b in item.bearings])
+    middle = places.mean()
+    B, C = np.zeros((8, 4)), np.zeros((4, 8))
+    stiffness = np.zeros((4, 4))
+    for k, (bearing, sensor) in enumerate(zip(item.bearings, item.sensors, strict=True)):
+        c, s = np.cos(bearing.angle), np.sin(bearing.angle)
+        directions = np.array([[c, s], [-s, c]])
+        lever = bearing.position - middle
+        rows = np.hstack([directions, lever * directions])
+        B[4:, 2 * k : 2 * k + 2] = K_I * rows.T / np.array([[MASS], [MASS], [INERTIA], [INERTIA]])
+        stiffness += K_S * rows.T @ rows
+        C[2 * k : 2 * k + 2, :4] = np.hstack([directions, (sensor.position - middle) * directions])
+    A = np.block(
+        [[np.zeros((4, 4)), np.eye(4)], [stiffness / np.array([MASS, MASS, INERTIA, INERTIA])[:, None], np.zeros((4, 4))]]
+    )
+    return StateSpace(A, B, C, np.zeros((4, 4)), [f"u_{a}" for a in item.axes], [f"y_{a}" for a in item.axes])
+
+
+def formula(settings: PidSettings, s: np.ndarray) -> np.ndarray:
+    """One axis' transfer function without its gain, written out from the settings."""
+    value = np.ones_like(s)
+    if settings.integral_time is not None:
+        value = value + 1 / (settings.integral_time * s)
+    if settings.derivative_time is not None:
+        T = settings.derivative_time
+        value = value + T * s / (settings.derivative_filter * T * s + 1)
+    for n in settings.notches:
+        w = n.frequency
+        value = value * (s**2 + 2 * n.zero_damping * w * s + w**2) / (s**2 + 2 * n.pole_damping * w * s + w**2)
+    if settings.lead is not None:
+        value = value * (s / settings.lead[0] + 1) / (s / settings.lead[1] + 1)
+    if settings.low_pass is not None:
+        w = settings.low_pass
+        value = value * w**2 / (s**2 + 2 * settings.low_pass_damping * w * s + w**2)
+    return value
+
+
+NOTCHES = (Notch(3455.0, 0.5, 0.02), Notch(6000.0, 0.7, 0.0))
+KINDS = {
+    "proportional": PidSettings(gain=(18e3,)),
+    "pi": PidSettings(gain=(18e3,), integral_time=0.2),
+    "pd": PidSettings(gain=(18e3,), derivative_time=3.5e-3),
+    "pid": PLAIN,
+    "four gains": PidSettings(gain=(1e4, 2e4, 3e4, 4e4), integral_time=0.1, derivative_time=2e-3, derivative_filter=0.2),
+    "notches": PidSettings(gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, notches=NOTCHES),
+    "all": PidSettings(
+        gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, notches=NOTCHES, lead=(400.0, 4e3), low_pass=1.2e4,
+        low_pass_damping=0.6,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_frequency_response_is_the_formula(name):
+    settings, item = KINDS[name], machine()
+    response = frequency_response(pid.controller(settings, item), OMEGA)
+    gains = np.broadcast_to(settings.gain, 4)
+    wanted = formula(settings, 1j * OMEGA)[:, None, None] * np.diag(gains)
+    # relative to the gain: a notch with zero_damping 0 is exactly blocked, so relative to the value would say nothing
+    assert np.abs(response.values - wanted).max() < 1e-9 * np.abs(wanted).max()
+    assert response.inputs == ("err_A_zeta", "err_A_eta", "err_B_zeta", "err_B_eta")
+    assert response.outputs == ("u_A_zeta", "u_A_eta", "u_B_zeta", "u_B_eta")
+
+
+def test_frequency_response_is_relatively_exact_too():
+    values = frequency_response(pid.channel(KINDS["all"]), OMEGA).values[:, 0, 0]
+    np.testing.assert_allclose(values, formula(KINDS["all"], 1j * OMEGA), rtol=1e-9)
+
+
+def test_order_has_no_superfluous_states():
+    assert pid.controller(KINDS["pid"], machine()).n_states == 8
+    assert pid.controller(KINDS["pd"], machine()).n_states == 4
+    assert pid.controller(KINDS["proportional"], machine()).n_states == 0
+    assert pid.channel(KINDS["all"]).n_states == 2 + 4 + 1 + 2
+
+
+def test_notch_depth_width_and_far_gain():
+    w, p, z = 3455.0, 0.5, 0.02
+    response = frequency_response(notch(w, p, z), [w, w * 1e-4, w * 1e4]).values[:, 0, 0]
+    np.testing.assert_allclose(response[0], z / p, rtol=1e-12)
+    np.testing.assert_allclose(np.abs(response[1:]), 1.0, rtol=1e-6)
+    assert abs(frequency_response(notch(w, p, 0.0), [w]).values[0, 0, 0]) < 1e-14
+
+
+def test_low_pass_and_lead_at_their_corners():
+    low = frequency_response(low_pass(500.0, 0.6), [0.0, 500.0, 5e6]).values[:, 0, 0]
+    np.testing.assert_allclose(low[:2], [1.0, 1 / (2 * 0.6j)], rtol=1e-9)
+    np.testing.assert_allclose(low[2], -1e-8, rtol=1e-3)  # second order: -(w/w0)^-2
+    middle = np.sqrt(400.0 * 4000.0)
+    value = frequency_response(lead(400.0, 4000.0), [middle]).values[0, 0, 0]
+    np.testing.assert_allclose(np.angle(value), np.arcsin(9 / 11), rtol=1e-12)  # the largest lead of a ratio of ten
+    np.testing.assert_allclose(np.abs(value), np.sqrt(10.0), rtol=1e-12)
+
+
+def test_positive_gain_pulls_the_rotor_back():
+    item = machine()
+    closed = feedback(series(pid.controller(PLAIN, item), rigid_rotor(item)), StateSpace([], [], [], np.eye(4)))
+    assert np.linalg.eigvals(closed.A).real.max() < 0
+    # static stiffness per axis: k_i K_p - k_s; just above the limit the rigid rotor is held, just below it falls
+    for factor, held in ((1.02, True), (0.98, False)):
+        damped = PidSettings(gain=(factor * K_S / K_I,), derivative_time=3.5e-3)
+        item = machine(sensors=(0.2, 0.66))
+        loop = series(pid.controller(damped, item), rigid_rotor(item))
+        poles = np.linalg.eigvals(loop.A - loop.B @ loop.C)
+        assert (poles.real.max() < 0) == held
+
+
+@pytest.mark.parametrize("tilted", [None, 0.3], ids=["same angle", "other angle at B"])
+def test_tilt_translate_is_decentralised_control_for_collocated_sensors(tilted):
+    item = machine(sensors=(0.2, 0.66), tilted=tilted)
+    np.testing.assert_allclose(pid.tilt_translate(item, 1.0), np.eye(4), atol=1e-14)
+    settings = PidSettings(gain=(1e4, 2e4, 3e4, 4e4), derivative_time=2e-3, coordinates="tilt-translate")
+    both = [frequency_response(pid.controller(s, item), OMEGA).values for s in (settings, PidSettings(
+        gain=settings.gain, derivative_time=2e-3))]  # fmt: skip
+    np.testing.assert_allclose(both[0], both[1], atol=1e-9 * np.abs(both[1]).max())
+
+
+@pytest.mark.parametrize("tilt_gain", [0.4, 1.0, 1.7])
+@pytest.mark.parametrize("sensors", [(0.2, 0.66), (0.15, 0.71), (0.1, 0.64)], ids=["collocated", "outside", "one-sided"])
+def test_tilt_translate_decouples_a_symmetric_rigid_rotor_exactly(sensors, tilt_gain):
+    """Parallel motion answers with force and no moment, tilting with moment and no force, wherever the sensors sit."""
+    item = machine(sensors=sensors, tilted=0.3)
+    settings = PidSettings(
+        gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, coordinates="tilt-translate", tilt_gain=tilt_gain
+    )
+    rotor = rigid_rotor(item)
+    # from rigid coordinates (x, y, tilt x, tilt y) through sensors, controller and magnets back to force and moment
+    weights = np.diag([MASS, MASS, INERTIA, INERTIA])
+    K = frequency_response(pid.controller(settings, item), OMEGA).values
+    action = weights @ rotor.B[4:] @ K @ rotor.C[:, :4]
+    half = 0.23
+    wanted = np.diag([2.0, 2.0, 2 * tilt_gain * half**2, 2 * tilt_gain * half**2]) * K_I * 18e3
+    expected = formula(settings, 1j * OMEGA)[:, None, None] * wanted
+    assert np.abs(action - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+def test_tilt_gain_moves_the_conical_poles_only():
+    item = machine()
+
+    def poles(tilt_gain: float) -> np.ndarray:
+        settings = PidSettings(gain=(18e3,), derivative_time=3.5e-3, coordinates="tilt-translate", tilt_gain=tilt_gain)
+        loop = series(pid.controller(settings, item), rigid_rotor(item))
+        return np.linalg.eigvals(loop.A - loop.B @ loop.C)
+
+    # parallel mode: m s^2 = 2 k_s - 2 k_i K(s), K = K_p (1 + T_d s/(eps T_d s + 1))
+    T, e = 3.5e-3, 0.1
+    parallel = np.roots(np.polyadd(np.polymul([MASS, 0, -2 * K_S], [e * T, 1]), 2 * K_I * 18e3 * np.array([(1 + e) * T, 1])))
+    for tilt_gain in (0.8, 1.6):
+        found = poles(tilt_gain)
+        assert max(np.abs(found - p).min() for p in parallel) < 1e-6 * np.abs(parallel).max()
+    moved = [np.abs(poles(1.6) - p).min() for p in poles(0.8)]
+    assert sum(np.array(moved) > 1.0) == 6  # three conical poles in each of two planes
+
+
+@pytest.mark.parametrize("delay", [0.0, 1e-4, 3e-4])
+def test_discrete_is_tustin_with_whole_samples_of_delay(delay):
+    dt = 1e-4
+    sampled = pid.discrete(pid.controller(KINDS["all"], machine()), dt, delay)
+    assert sampled.dt == dt
+    omega = np.geomspace(1.0, 0.98 * np.pi / dt, 40)
+    z = np.exp(1j * omega * dt)
+    wanted = 18e3 * formula(KINDS["all"], 2 / dt * (z - 1) / (z + 1)) * z ** -round(delay / dt)
+    values = frequency_response(sampled, omega).values
+    np.testing.assert_allclose(values[:, 2, 2], wanted, rtol=1e-8)
+    assert np.abs(values[:, 0, 1]).max() < 1e-11 * np.abs(wanted).max()
+
+
+def test_a_fractional_delay_is_refused():
+    with pytest.raises(InvalidInput, match="whole number of samples"):
+        pid.discrete(pid.controller(PLAIN, machine()), 1e-4, 1.5e-4)
+
+
+BAD = {
+    "number of gains": (PidSettings(gain=(1e4, 2e4)), "number of gains is 2"),
+    "NaN gain": (PidSettings(gain=(float("nan"),)), "gain"),
+    "integral time": (PidSettings(gain=(1e4,), integral_time=0.0), "integral_time is 0"),
+    "derivative time": (PidSettings(gain=(1e4,), derivative_time=-1e-3), "derivative_time is -0.001"),
+    "derivative filter": (PidSettings(gain=(1e4,), derivative_time=1e-3, derivative_filter=0.0), "pure derivative"),
+    "notch frequency": (PidSettings(gain=(1e4,), notches=(Notch(-1.0, 0.5, 0.1),)), "notch's frequency"),
+    "notch damping": (PidSettings(gain=(1e4,), notches=(Notch(1e3, 0.0, 0.1),)), "pole_damping"),
+    "lead": (PidSettings(gain=(1e4,), lead=(0.0, 1e3)), "lead's zero"),
+    "low pass": (PidSettings(gain=(1e4,), low_pass=-2.0), "low pass' frequency"),
+    "coordinates": (PidSettings(gain=(1e4,), coordinates="modal"), "tilt-translate"),
+    "tilt gain": (PidSettings(gain=(1e4,), coordinates="tilt-translate", tilt_gain=float("inf")), "tilt_gain"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_settings_name_the_quantity(name):
+    settings, message = BAD[name]
+    with pytest.raises(InvalidInput, match=message):
+        pid.controller(settings, machine())
+
+
+def test_tilt_translate_needs_two_planes():
+    settings = PidSettings(gain=(1e4,), coordinates="tilt-translate")
+    item = machine()
+    with pytest.raises(InvalidInput, match="sensor positions"):
+        pid.controller(settings, machine(sensors=(0.4, 0.4)))
+    from dataclasses import replace
+
+    with pytest.raises(InvalidInput, match="no sensor"):
+        pid.controller(settings, replace(item, sensors=item.sensors[:1]))
+    with pytest.raises(InvalidInput, match="number of bearings is 1"):
+        pid.controller(settings, replace(item, bearings=item.bearings[:1]))
