@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import (
     StateSpace,
@@ -50,8 +51,6 @@ def certify(plant: Plant | StateSpace, controller: Any, label: str = "") -> Cert
     label = label or _label(plant)
     if not abscissa < 0:
         return Certificate(False, abscissa, float("inf"), fastest, {}, label)
-    from ambrose.core.matrix_equations import hinf_norm
-
     loop = continuous_equivalent(loop)  # margins and norms do not change under the bilinear map
     peak = float(hinf_norm(feedback(static_gain(np.eye(len(axes))), loop)).value)
     complementary = float(hinf_norm(feedback(loop, static_gain(np.eye(len(axes))))).value)
