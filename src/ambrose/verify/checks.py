@@ -12,7 +12,7 @@ class Check:
     """One criterion, evaluated.
 
     name: a stable identifier ("sensitivity.output.max"); title: for people; value in ``unit`` (SI); limit: None for
-    information only; relation "<=" or ">="; passed: None for information only; zone: "A".."D" where a standard has zones;
+    information only; relation "<", "<=" or ">="; passed: None for information only; zone: "A".."D" where a standard has zones;
     source: standard, edition and clause; detail: where or why, in words.
     """
 
@@ -48,12 +48,16 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checks:
-    """The verdict on one closed loop at one operating point; ``stable`` False means that nothing else was evaluated."""
+    """The verdict on one closed loop at one operating point; ``stable`` False means that nothing else was evaluated.
+
+    notes: what was left out or approximated, and why, one sentence each.
+    """
 
     label: str
     stable: bool
     checks: tuple[Check, ...]
     curves: tuple[Curve, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:

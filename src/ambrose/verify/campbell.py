@@ -1,0 +1,121 @@
+"""Campbell map: natural frequencies and damping against speed, each mode followed by shape; critical speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import linear_sum_assignment
+
+from ambrose.core.checks import check_shape, invalid
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.model import Plant
+from ambrose.verify.checks import Curve
+from ambrose.verify.rotor_modes import OSCILLATORY, Modes, direction, modes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CampbellMap:
+    """speeds (s,) [rad/s]; frequency (m, s) [rad/s] damped, damping (m, s) ratio, whirl (m, s) in [-1, 1], a row per mode.
+
+    Rows ascend by frequency at the first speed. whirl: +1 forward, -1 backward, 0 planar (see rotor_modes.modes).
+    """
+
+    speeds: np.ndarray
+    frequency: np.ndarray
+    damping: np.ndarray
+    whirl: np.ndarray
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One name per mode, with its direction at the highest speed."""
+        return tuple(f"mode {k + 1}, {direction(row[-1])}" for k, row in enumerate(self.whirl))
+
+
+def campbell(plant_at: Callable[[float], Plant], speeds: np.ndarray, count: int, controller: Any = None) -> CampbellMap:
+    """The ``count`` lowest modes that can ring, over ascending speeds (s,) [rad/s], at least two.
+
+    plant_at: speed [rad/s] -> Plant; controller: closes the loop at every speed, None for the plant alone (with the magnets'
+    negative stiffness, so that its rigid modes need not oscillate). Modes are matched from speed to speed by the modal
+    assurance criterion of their shapes at the ports and the distance of their poles (assignment with least total cost).
+    Raises InvalidInput when there are fewer modes than ``count``.
+    """
+    speeds = check_shape(speeds, "speeds", "(s)").astype(float)
+    if speeds.size < 2 or (np.diff(speeds) <= 0).any():
+        raise invalid("speeds", f"{speeds.size} values", "at least two, ascending", "give them in rad/s")
+    rows, shapes = _lowest(_ringing(plant_at(float(speeds[0])), controller), count)
+    poles = [rows.poles]
+    whirl = [rows.whirl]
+    for speed in speeds[1:]:
+        candidates = _ringing(plant_at(float(speed)), controller)
+        order = _follow(poles[-1], shapes, candidates)
+        poles.append(candidates.poles[order])
+        whirl.append(candidates.whirl[order])
+        shapes = candidates.shapes[:, order]
+    p = np.array(poles).T
+    return CampbellMap(speeds, p.imag, -p.real / np.abs(p), np.array(whirl).T)
+
+
+def _ringing(plant: Plant, controller: Any) -> Modes:
+    """Every oscillating mode of the plant or of its closed loop."""
+    found = modes(plant.system if controller is None else closed_loop(plant, controller), plant.ports)
+    keep = found.poles.imag > 0
+    return Modes(found.poles[keep], found.whirl[keep], found.shapes[:, keep], found.ports)
+
+
+def _lowest(found: Modes, count: int) -> tuple[Modes, np.ndarray]:
+    chosen = np.flatnonzero(np.abs(found.damping) < OSCILLATORY)
+    chosen = chosen[np.argsort(found.frequency[chosen], kind="stable")][:count]
+    if len(chosen) < count:
+        raise invalid(
+            "the number of modes", count, f"at most {len(chosen)}", "ask for fewer, or keep more bending modes in the plant"
+        )
+    shapes = found.shapes[:, chosen]
+    return Modes(found.poles[chosen], found.whirl[chosen], shapes, found.ports), shapes
+
+
+def _follow(poles: np.ndarray, shapes: np.ndarray, candidates: Modes) -> np.ndarray:
+    """Which candidate continues which mode, (m,)."""
+    if len(candidates.poles) < len(poles):
+        raise invalid(
+            "the number of oscillating modes", len(candidates.poles), f"{len(poles)} at every speed",
+            "ask for fewer modes or take smaller steps in speed",
+        )  # fmt: skip
+    size = np.linalg.norm(shapes, axis=0)[:, None] * np.linalg.norm(candidates.shapes, axis=0)[None, :]
+    overlap = np.abs(shapes.conj().T @ candidates.shapes)
+    assurance = np.divide(overlap, size, out=np.zeros_like(overlap), where=size > 0) ** 2
+    distance = np.abs(candidates.poles[None, :] - poles[:, None]) / np.abs(poles)[:, None]
+    _, order = linear_sum_assignment(10 * distance + (1 - assurance))
+    return order
+
+
+def critical_speeds(found: CampbellMap) -> tuple[tuple[float, str], ...]:
+    """Speeds [rad/s] at which a mode's frequency equals the speed, with its whirl direction there, ascending.
+
+    Between the map's speeds the frequencies are interpolated by cubic splines.
+    """
+    result = []
+    for frequency, whirl in zip(found.frequency, found.whirl, strict=True):
+        excess = CubicSpline(found.speeds, frequency - found.speeds)
+        for root in excess.roots(extrapolate=False):
+            if root > 0:
+                result.append((float(root), direction(float(np.interp(root, found.speeds, whirl)))))
+    return tuple(sorted(result))
+
+
+def campbell_curves(found: CampbellMap) -> list[Curve]:
+    """The map as two curves: "campbell" (frequencies and the line of the speed itself) and "campbell.damping"."""
+    names = found.names
+    lines = np.vstack([found.frequency, found.speeds])
+    return [
+        Curve(
+            "campbell", "Natural frequencies against speed", "speed", found.speeds, lines,
+            (*names, "once per revolution"), "rad/s", "rad/s",
+        ),
+        Curve(
+            "campbell.damping", "Damping ratios against speed", "speed", found.speeds, found.damping, names, "rad/s", "-"
+        ),
+    ]  # fmt: skip

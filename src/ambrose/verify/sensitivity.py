@@ -1,0 +1,135 @@
+"""Sensitivities, complementary and control sensitivity, compliance: per axis and as maximum singular value.
+
+| check                        | what                                                                | unit |
+|------------------------------|---------------------------------------------------------------------|------|
+| sensitivity.output.<axis>    | peak of the diagonal element of S_o (ISO 14839-3: other loops closed) | -    |
+| sensitivity.output.max       | peak of its maximum singular value                                  | -    |
+| sensitivity.input.<axis>     | peak of the diagonal element of S_i                                 | -    |
+| sensitivity.input.max        | peak of its maximum singular value                                  | -    |
+| complementary.<axis>, .max   | the same of T_o = I - S_o                                           | -    |
+| control.<axis>, .max         | the same of K S_o                                                   | A/m  |
+| compliance.<axis>, .max      | the same of force to displacement at the bearings                   | m/N  |
+
+Each has a curve of the name before the last dot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.machine.description import Requirements
+from ambrose.verify.checks import Check, Curve
+from ambrose.verify.criteria import SENSITIVITY, demand, judge, zone_lines
+from ambrose.verify.loop_response import Evaluator, LoopResponse
+from ambrose.verify.peaks import Peak, peaks_of
+
+TWO_PI = 2 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class _Quantity:
+    """A matrix of the loop that is judged per axis and by its maximum singular value."""
+
+    name: str
+    title: str
+    unit: str
+    matrix: Callable[[LoopResponse], np.ndarray]
+    axis_rule: str = "information"
+    max_rule: str = "information"
+
+    def rows(self, response: LoopResponse) -> np.ndarray:
+        """Maximum singular value first, then the moduli of the diagonal, (1 + a, w)."""
+        values = self.matrix(response)
+        largest = np.linalg.norm(values, 2, axis=(1, 2))
+        return np.vstack([largest[None, :], np.abs(np.einsum("wii->iw", values))])
+
+
+_QUANTITIES = (
+    _Quantity(
+        "sensitivity.output",
+        "output sensitivity",
+        "-",
+        LoopResponse.output_sensitivity,
+        "sensitivity of an axis",
+        "maximum singular value of a sensitivity",
+    ),
+    _Quantity(
+        "sensitivity.input",
+        "input sensitivity",
+        "-",
+        LoopResponse.input_sensitivity,
+        "input sensitivity of an axis",
+        "maximum singular value of the input sensitivity",
+    ),
+    _Quantity("complementary", "complementary sensitivity", "-", LoopResponse.complementary),
+    _Quantity("control", "control sensitivity K S", "A/m", LoopResponse.control_sensitivity),
+    _Quantity("compliance", "compliance", "m/N", LoopResponse.compliance, "information", "compliance"),
+)
+
+
+def sensitivity_checks(
+    response: LoopResponse,
+    evaluator: Evaluator,
+    requirements: Requirements,
+    within: tuple[float, float],
+) -> tuple[list[Check], list[Curve]]:
+    """The checks and curves of this file's table; peaks are refined inside ``within`` [rad/s].
+
+    Where a curve rises higher on the grid beyond that range, the check's detail says so.
+    """
+    found = peaks_of([quantity.rows for quantity in _QUANTITIES], response, evaluator, within)
+    labels = ("max", *response.axes)
+    checks, curves = [], []
+    for quantity, row in zip(_QUANTITIES, found, strict=True):
+        values = quantity.rows(response)
+        for label, peak, curve in zip(labels, row, values, strict=True):
+            rule = quantity.max_rule if label == "max" else quantity.axis_rule
+            what = "maximum singular value" if label == "max" else label
+            detail = _where(peak) + _beyond(response.omega, curve, within[1], peak)
+            wanted = demand(rule, requirements)
+            checks.append(
+                judge(f"{quantity.name}.{label}", f"Peak {quantity.title}, {what}", peak.value, quantity.unit, wanted, detail)
+            )
+        curves.append(_curve(quantity, response, values, labels, requirements))
+    return checks, curves
+
+
+def _where(peak: Peak) -> str:
+    edge = " (the end of the range: it may rise beyond)" if peak.at_edge else ""
+    return f"at {peak.frequency / TWO_PI:.4g} Hz{edge}"
+
+
+def _beyond(omega: np.ndarray, curve: np.ndarray, highest: float, peak: Peak) -> str:
+    outside = omega > highest
+    if not outside.any() or curve[outside].max() <= peak.value:
+        return ""
+    i = np.flatnonzero(outside)[np.argmax(curve[outside])]
+    return f"; beyond the range of {highest / TWO_PI:.4g} Hz it reaches {curve[i]:.4g} at {omega[i] / TWO_PI:.4g} Hz"
+
+
+def _curve(
+    quantity: _Quantity,
+    response: LoopResponse,
+    values: np.ndarray,
+    labels: tuple[str, ...],
+    requirements: Requirements,
+) -> Curve:
+    limits: tuple[tuple[str, float], ...] = ()
+    if quantity.name.startswith("sensitivity"):
+        limits = zone_lines(SENSITIVITY, requirements.sensitivity_peak)
+    elif quantity.name == "compliance" and requirements.compliance_peak is not None:
+        limits = (("required", requirements.compliance_peak),)
+    return Curve(
+        quantity.name,
+        quantity.title.capitalize() if quantity.name != "control" else "Control sensitivity K S",
+        "frequency",
+        response.omega,
+        values,
+        ("maximum singular value", *labels[1:]),
+        "rad/s",
+        quantity.unit,
+        limits,
+    )

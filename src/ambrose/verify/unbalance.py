@@ -1,0 +1,268 @@
+"""Response to the residual unbalance of a balance grade: orbits, currents and bearing forces against speed.
+
+A rotor of mass m balanced to grade G [m/s] at W_b keeps the unbalance U = m G / W_b [kg m]; at W it pulls with F = U W^2
+(ISO 21940-11). How U is spread is unknown, so that three cases are reported:
+
+* worst: largest singular value of the compliance between the bearings, times F (Lauridsen, PhD thesis, papers P3, P5). It
+  bounds the root sum square of the orbits for circular forces with root sum square F.
+* in phase, in antiphase: rotating forces in the bearing planes, shared by the lever rule about the centre of mass; orbits
+  are semi-major axes.
+
+| check                | what                                                                     | unit |
+|----------------------|--------------------------------------------------------------------------|------|
+| unbalance.orbit      | largest worst-case orbit, zero to peak, up to the required speed         | m    |
+| unbalance.in_phase   | largest orbit with the unbalance in phase                                | m    |
+| unbalance.antiphase  | the same in antiphase                                                    | m    |
+| unbalance.clearance  | the worst-case orbit over the smallest touchdown (or air) gap (ISO 14839-2) | -    |
+| unbalance.current    | worst-case control current of the axis nearest to its limit              | A    |
+| unbalance.force      | worst-case magnetic force k_i i + k_s q of the axis nearest to its limit | N    |
+| unbalance.assembled  | worst-case orbit with the rotor assembled anew at every speed (on its grid) | m    |
+
+The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled" and "unbalance.current".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import InvalidInput, check_finite, invalid
+from ambrose.machine.description import Machine, Requirements
+from ambrose.physics import magnet
+from ambrose.physics.rotor import finite_element_rotor, mass_properties
+from ambrose.plant.model import Plant
+from ambrose.verify.checks import Check, Curve
+from ambrose.verify.criteria import BALANCE_GRADE, demand, judge, machine_limit
+from ambrose.verify.loop_response import Evaluator, LoopResponse, loop_at
+from ambrose.verify.peaks import Peak, peaks_of
+
+TWO_PI = 2 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Unbalance:
+    """moment U [kg m]; mass [kg]; grade [m/s]; speed W_b [rad/s] of balancing; share (bearings,) of U per bearing plane."""
+
+    moment: float
+    mass: float
+    grade: float
+    speed: float
+    share: tuple[float, ...]
+
+    def force(self, speed: ArrayLike) -> np.ndarray:
+        """F = U W^2 [N] at speeds W (w,) [rad/s]."""
+        return self.moment * np.asarray(speed) ** 2
+
+
+def residual_unbalance(machine: Machine, requirements: Requirements | None = None) -> Unbalance | None:
+    """The unbalance that the grade leaves (default G2.5) at the balancing speed (default: the machine's highest speed).
+
+    None when no such speed is known. Raises InvalidInput for a grade or speed that is not positive.
+    """
+    requirements = machine.requirements if requirements is None else requirements
+    speed = requirements.balance_speed or top_speed(machine)
+    if not speed:
+        return None
+    grade = BALANCE_GRADE.limits[0].value if requirements.balance_grade is None else requirements.balance_grade
+    properties = mass_properties(finite_element_rotor(machine))
+    return unbalance(properties.mass, grade, speed, _shares(machine, properties.centre))
+
+
+def unbalance(mass: float, grade: float, speed: float, share: Sequence[float] = (0.5, 0.5)) -> Unbalance:
+    """The residual unbalance of a mass [kg] at a grade [m/s] and speed [rad/s]. Raises InvalidInput unless all are positive."""
+    for name, value in (("the rotor's mass [kg]", mass), ("balance_grade", grade), ("balance_speed", speed)):
+        if not float(check_finite(value, name)) > 0:
+            raise invalid(name, value, "positive", "G2.5 is 2.5e-3 m/s; speeds are in rad/s")
+    return Unbalance(mass * grade / speed, mass, grade, speed, tuple(share))
+
+
+def top_speed(machine: Machine) -> float:
+    """The highest speed the machine is meant for [rad/s]: of its speed range and its operating points; 0 at standstill."""
+    return max(machine.operation.speed_range[1], *(point.speed for point in machine.operation.points))
+
+
+def _shares(machine: Machine, centre: float) -> tuple[float, ...]:
+    """Lever rule for two bearings on either side of the centre of mass; equal shares otherwise."""
+    position = [bearing.position for bearing in machine.bearings]
+    if len(position) == 2 and min(position) < centre < max(position):
+        a = (position[1] - centre) / (position[1] - position[0])
+        return (a, 1 - a)
+    return tuple(1 / len(position) for _ in position)
+
+
+def orbit(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Semi-major axis of the ellipse with complex amplitudes x, y in two perpendicular directions."""
+    return 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))
+
+
+def worst_orbit(response: LoopResponse, residual: Unbalance) -> np.ndarray:
+    """Largest singular value of the compliance times F, (w,) [m]."""
+    return np.linalg.norm(response.compliance(), 2, axis=(1, 2)) * residual.force(response.omega)
+
+
+def distributed_orbits(response: LoopResponse, residual: Unbalance, machine: Machine, *, antiphase: bool) -> np.ndarray:
+    """Orbits at the bearings (bearings, w) [m] for forward rotating forces in the bearing planes, in phase or alternating."""
+    sign = np.array([(-1.0) ** k if antiphase else 1.0 for k in range(len(residual.share))])
+    turned = np.exp(-1j * np.array([bearing.angle for bearing in machine.bearings]))
+    amplitude = sign * np.array(residual.share) * turned
+    pattern = np.stack([amplitude, -1j * amplitude], axis=1).ravel()  # zeta, eta of each bearing: forward circles
+    q = (response.compliance() @ pattern) * residual.force(response.omega)[:, None]
+    return orbit(q[:, 0::2], q[:, 1::2]).T
+
+
+def worst_currents(response: LoopResponse, residual: Unbalance) -> np.ndarray:
+    """Largest control current of every axis (a, w) [A] over force vectors of Euclidean length F."""
+    return (np.linalg.norm(response.current_per_force(), axis=2) * residual.force(response.omega)[:, None]).T
+
+
+def worst_forces(response: LoopResponse, residual: Unbalance, plant: Plant) -> np.ndarray:
+    """Largest magnetic force k_i i + k_s q of every axis (a, w) [N] over force vectors of Euclidean length F."""
+    k_i, k_s = magnet_coefficients(plant)
+    per_force = k_i[:, None] * response.current_per_force() + k_s[:, None] * response.compliance()
+    return (np.linalg.norm(per_force, axis=2) * residual.force(response.omega)[:, None]).T
+
+
+def magnet_coefficients(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
+    """k_i (a,) [N/A] and k_s (a,) [N/m] of the control axes at the plant's operating point."""
+    found = [magnet.linearised(bearing, plant.point.bias_current) for bearing in plant.machine.bearings]
+    k_i = np.array([value for item in found for value in item.force_per_current])
+    return k_i, np.array([value for item in found for value in item.negative_stiffness])
+
+
+def unbalance_checks(
+    plant: Plant,
+    response: LoopResponse,
+    evaluator: Evaluator,
+    requirements: Requirements,
+    residual: Unbalance,
+) -> tuple[list[Check], list[Curve]]:
+    """The checks and curves of this file's table, with the rotor's matrices frozen at the plant's speed."""
+    machine = plant.machine
+    highest = requirements.unbalance_to or top_speed(machine) or residual.speed
+    highest = min(highest, float(response.omega[-1]))
+    cases: list[Callable[[LoopResponse], np.ndarray]] = [
+        lambda r: worst_orbit(r, residual)[None, :],
+        lambda r: distributed_orbits(r, residual, machine, antiphase=False),
+        lambda r: distributed_orbits(r, residual, machine, antiphase=True),
+        lambda r: worst_currents(r, residual),
+        lambda r: worst_forces(r, residual, plant),
+    ]
+    within = (float(response.omega[0]), highest)
+    (worst,), in_phase, antiphase, currents, forces = peaks_of(cases, response, evaluator, within)
+    note = (
+        f"G{residual.grade * 1e3:g} at {residual.speed / TWO_PI:.4g} Hz, {residual.mass:.4g} kg: "
+        f"{float(residual.force(residual.speed)):.4g} N there"
+    )
+    names = [bearing.name for bearing in machine.bearings]
+    checks = [
+        judge(
+            "unbalance.orbit", f"Worst-case unbalance orbit up to {highest / TWO_PI:.4g} Hz", worst.value, "m",
+            demand("unbalance orbit", requirements), f"{_at(worst)}; {note}",
+        ),
+        _distribution("unbalance.in_phase", "in phase", in_phase, names),
+        _distribution("unbalance.antiphase", "in antiphase", antiphase, names),
+        *_clearance(machine, worst, requirements),
+        axis_limit_check(plant, "unbalance.current", "Worst-case unbalance current", currents, requirements),
+        axis_limit_check(plant, "unbalance.force", "Worst-case magnetic force under unbalance", forces, requirements),
+    ]  # fmt: skip
+    shown = response.omega <= max(highest, residual.speed)
+    orbits = np.vstack([case(response)[:, shown] for case in cases[:3]])
+    labels = ("worst case", *(f"{n}, in phase" for n in names), *(f"{n}, in antiphase" for n in names))
+    limits = () if requirements.unbalance_orbit is None else (("required", requirements.unbalance_orbit),)
+    omega = response.omega[shown]
+    title = "Unbalance response, zero to peak"
+    return checks, [
+        Curve("unbalance", title, "speed", omega, orbits, labels, "rad/s", "m", limits),
+        Curve(
+            "unbalance.current", "Worst-case unbalance current", "speed", omega, cases[3](response)[:, shown],
+            response.axes, "rad/s", "A",
+        ),
+    ]  # fmt: skip
+
+
+def _at(peak: Peak) -> str:
+    return f"at {peak.frequency / TWO_PI:.4g} Hz"
+
+
+def _distribution(name: str, words: str, found: tuple[Peak, ...], names: list[str]) -> Check:
+    k = int(np.argmax([peak.value for peak in found]))
+    title = f"Unbalance orbit, planes {words}"
+    return Check(name, title, found[k].value, "m", detail=f"bearing {names[k]} {_at(found[k])}")
+
+
+def _clearance(machine: Machine, worst: Peak, requirements: Requirements) -> list[Check]:
+    gaps = [bearing.touchdown_gap or bearing.gap for bearing in machine.bearings]
+    known = [gap for gap in gaps if gap]
+    if not known:
+        return []
+    kind = "touchdown gap" if all(bearing.touchdown_gap for bearing in machine.bearings) else "gap"
+    return [
+        judge(
+            "unbalance.clearance", "Worst-case unbalance orbit over clearance", worst.value / min(known), "-",
+            demand("orbit over clearance", requirements), f"{kind} {min(known):.4g} m, {_at(worst)}",
+        )
+    ]  # fmt: skip
+
+
+def axis_limit_check(plant: Plant, name: str, title: str, found: Sequence[Peak], requirements: Requirements) -> Check:
+    """One check for a current or force (by ``name``) known per axis: of the axis that comes nearest to its limit."""
+    current = name.endswith("current")
+    bearings = [bearing for bearing in plant.machine.bearings for _ in range(2)]
+    limits = [bearing.max_current if current else bearing.max_force for bearing in bearings]
+    required = demand("current" if current else "information", requirements)
+    known = [required.limit if required.limit is not None else limit for limit in limits]
+    ratio = [peak.value / limit if limit else peak.value * 1e-12 for peak, limit in zip(found, known, strict=True)]
+    k = int(np.argmax(ratio))
+    source = f"bearing {bearings[k].name}, {'max_current' if current else 'max_force'}"
+    wanted = required if required.limit is not None else machine_limit(limits[k], source)
+    at = "" if np.isnan(found[k].frequency) else f" {_at(found[k])}"
+    return judge(name, title, found[k].value, "A" if current else "N", wanted, f"axis {plant.axes[k]}{at}")
+
+
+def unbalance_curve(
+    plant_at: Callable[[float], Plant],
+    speeds: np.ndarray,
+    controller: Any,
+    residual: Unbalance | None = None,
+) -> Curve:
+    """Unbalance orbits with the rotor's matrices assembled anew at every speed (gyroscopic forces, speed-dependent seals).
+
+    plant_at: speed [rad/s] -> Plant; speeds (s,) [rad/s], positive. residual: default that of the machine. The curve has the
+    lines of the fixed-speed curve "unbalance". Raises InvalidInput when no balancing speed is known.
+    """
+    speeds = np.asarray(check_finite(speeds, "speeds"), float)
+    if speeds.size == 0 or speeds.min() <= 0:
+        raise invalid("speeds", speeds, "positive and at least one", "leave standstill out: unbalance has no force there")
+    columns = []
+    for speed in speeds:
+        plant = plant_at(float(speed))
+        machine = plant.machine
+        residual = residual_unbalance(machine) if residual is None else residual
+        if residual is None:
+            raise InvalidInput("no balancing speed is known; give requirements.balance_speed or a speed range")
+        response = loop_at(plant, controller, float(speed))
+        orbits = [distributed_orbits(response, residual, machine, antiphase=flag)[:, 0] for flag in (False, True)]
+        columns.append(np.concatenate([worst_orbit(response, residual), *orbits]))
+    names = [bearing.name for bearing in machine.bearings]
+    labels = ("worst case", *(f"{n}, in phase" for n in names), *(f"{n}, in antiphase" for n in names))
+    limit = machine.requirements.unbalance_orbit
+    return Curve(
+        "unbalance", "Unbalance response, zero to peak", "speed", speeds, np.array(columns).T, labels, "rad/s", "m",
+        () if limit is None else (("required", limit),),
+    )  # fmt: skip
+
+
+def assembled_check(curve: Curve, requirements: Requirements) -> Check:
+    """The largest worst-case orbit of an ``unbalance_curve`` up to the required speed, held against the required orbit."""
+    limit = requirements.unbalance_to or np.inf
+    inside = curve.x <= limit * (1 + 1e-9)
+    values = np.where(inside, curve.y[0], 0.0)
+    k = int(np.argmax(values))
+    return judge(
+        "unbalance.assembled", "Worst-case unbalance orbit, rotor assembled at every speed", values[k], "m",
+        demand("unbalance orbit", requirements), f"at {curve.x[k] / TWO_PI:.4g} Hz, on {inside.sum()} speeds",
+    )  # fmt: skip
