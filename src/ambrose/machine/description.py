@@ -1,7 +1,8 @@
 """What the user writes down about a machine. Data only: no matrices, no units but SI, no files.
 
 Positions are axial coordinates from the rotor's left end [m]. ``zeta``/``eta`` pairs are in the actuator axes, tilted by
-``angle`` from the global x, y. Everything is checked once, when the Machine is built (``machine/checks``).
+``angle`` from the global x, y. Reading and writing a file check all of it (``machine/validate.py``);
+a Machine made in code is checked by ``validate.check_machine``.
 """
 
 from __future__ import annotations
@@ -10,14 +11,21 @@ from dataclasses import dataclass, field
 
 Pair = tuple[float, float]  # (zeta, eta)
 
+SCHEMA_VERSION = 1  # of the machine file
+BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
+SEAL_COEFFICIENTS = ("K", "k", "C", "c", "M")
+SEAL_AXES = ("pressure", "speed", "frequency")
+CONTROLLER_COORDINATES = ("axes", "tilt-translate")
+
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """density [kg/m3], youngs_modulus [Pa], poisson_ratio [-]."""
+    """density [kg/m3], youngs_modulus [Pa], poisson_ratio [-]; ``name`` is that of its table in a file, and not compared."""
 
     density: float = 7850.0
     youngs_modulus: float = 2.1e11
     poisson_ratio: float = 0.3
+    name: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +140,6 @@ class Coupling:
     stiffness: Pair
     damping: Pair = (0.0, 0.0)
     angle: float = 0.0
-
-
-SEAL_COEFFICIENTS = ("K", "k", "C", "c", "M")
 
 
 @dataclass(frozen=True, slots=True)

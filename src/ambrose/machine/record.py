@@ -127,12 +127,12 @@ def _check_texts(record: Record) -> None:
             )
 
 
-def si_unit(name: str) -> str:
-    """The SI unit of a signal by the prefix of its name ("y_A_zeta" -> "m"). Raises InvalidInput for an unknown prefix."""
+def signal_dimension(name: str) -> Dimension:
+    """What a signal measures, by the prefix of its name ("y_A_zeta": length, in "m"). Raises InvalidInput if unknown."""
     prefix = name.partition("_")[0]
     if prefix not in _PREFIXES:
         raise invalid(f"the prefix of signal {name!r}", repr(prefix), f"one of {', '.join(_PREFIXES)}", "rename the signal")
-    return DIMENSIONS[_PREFIXES[prefix]].unit
+    return DIMENSIONS[_PREFIXES[prefix]]
 
 
 def si_values(name: str, unit: str, values: np.ndarray) -> tuple[np.ndarray, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 
 _LONGEST = 60
@@ -35,3 +35,33 @@ def suggestion(word: str, known: Iterable[str], nothing: str = "there is none") 
     if close:
         return f'did you mean "{close}"?'
     return f"known: {', '.join(names)}" if names else nothing
+
+
+def listed(name: str, found: Sequence[str]) -> str:
+    """One message out of one problem or many."""
+    if len(found) == 1:
+        return f"{name}: {found[0]}"
+    return "\n  - ".join([f"{name} has {len(found)} problems:", *found])
+
+
+def complaint(where: str, key: str, value: object, requirement: str, remedy: str) -> str:
+    """The one form of a complaint about a key of a table."""
+    return f"{where}: {key} is {value}, but must be {requirement}; {remedy}"
+
+
+def number(value: float | None, unit: str) -> str:
+    """A number with its unit."""
+    return "missing" if value is None else f"{value:g} {unit}".strip()
+
+
+def not_positive(where: str, remedy: str, *entries: tuple[str, float | None, str], zero: bool = False) -> Iterator[str]:
+    """Complaints about (key, value, unit) that are not above zero (or not at it); None passes."""
+    requirement = "zero or positive" if zero else "positive"
+    for key, value, unit in entries:
+        if value is not None and (value < 0 or (value == 0 and not zero)):
+            yield complaint(where, key, number(value, unit), requirement, remedy)
+
+
+def pair_entries(key: str, pair: tuple[float, float] | None, unit: str) -> tuple[tuple[str, float | None, str], ...]:
+    """A pair as entries for ``not_positive``."""
+    return () if pair is None else ((f"{key} (zeta)", pair[0], unit), (f"{key} (eta)", pair[1], unit))

@@ -1,0 +1,223 @@
+"""Machine files: TOML <-> Machine. The only place, with record.py, where units are converted; inside all is SI."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tomllib
+import uuid
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import SCHEMA_VERSION, Machine, Material, SealTable, ShaftSection
+from ambrose.machine.validate import check_machine
+from ambrose.machine.wording import meant
+
+_LARGEST_FILE = 10_000_000  # bytes; a machine file has a few thousand
+
+
+def bundled_machines() -> dict[str, Path]:
+    """The machine files that come with the package, by name."""
+    folder = Path(str(files("ambrose") / "machines"))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def load_machine(path: str | os.PathLike[str]) -> Machine:
+    """The machine in a TOML file, or the bundled machine of that name.
+
+    Raises InvalidInput, one message with a line for each problem, for a file that is missing, unreadable or wrong.
+    """
+    bundled = bundled_machines()
+    file = bundled.get(os.fspath(path), Path(path))
+    return loads_machine(_read(file, bundled), name=str(path))
+
+
+def loads_machine(text: str, name: str = "machine file") -> Machine:
+    """The machine in TOML text; ``name`` stands in messages. Raises InvalidInput."""
+    from ambrose.machine.reading import machine_from_document
+
+    if not text.strip():
+        raise InvalidInput(
+            f"{name}: the file is empty; it needs at least [machine], [[shaft]], [[bearing]], [[sensor]], [amplifier]"
+        )
+    try:
+        document = tomllib.loads(text)
+    except RecursionError:
+        raise InvalidInput(f"{name}: brackets are nested too deeply; a machine file nests lists at most three deep") from None
+    except ValueError as error:
+        remedy = "check quotes, brackets and commas there; a cut-off file ends like this too"
+        raise InvalidInput(f"{name}: not valid TOML: {error}; {remedy}") from None
+    return machine_from_document(document, name)
+
+
+def save_machine(machine: Machine, path: str | os.PathLike[str]) -> Path:
+    """Write a machine as TOML in SI numbers, complete or not at all; reading it gives an equal machine. Returns the path.
+
+    Raises InvalidInput for a machine that fails ``check_machine`` (nothing is written) and for a path that cannot be written.
+    """
+    check_machine(machine)
+    target = Path(path)
+    text = dumps_machine(machine)
+    draft = target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}.tmp") if target.name else target
+    try:
+        with draft.open("x", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(draft, target)
+    except OSError as error:
+        if target.name:
+            draft.unlink(missing_ok=True)
+        raise InvalidInput(
+            f"cannot write the machine file {target}: {error.strerror}; choose a file in an existing folder"
+        ) from error
+    return target
+
+
+def dumps_machine(machine: Machine) -> str:
+    """A machine as TOML text in SI numbers; keys that have their default value are left out."""
+    return "\n".join(_lines(_document(machine), "")).lstrip("\n") + "\n"
+
+
+def machine_hash(machine: Machine) -> str:
+    """SHA-256 (64 hexadecimal digits) of everything that is computed with; descriptions, sources and reasons do not count.
+
+    It does not depend on how a file is formatted, on units or on keys written out with their default value.
+    """
+    document = _document(machine)
+    for key in ("description", "source", "assumed"):
+        document["machine"].pop(key, None)
+    return hashlib.sha256(json.dumps(document, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def machine_schema() -> dict[str, Any]:
+    """The JSON schema of machine files, for editors that complete and check TOML while it is typed."""
+    from ambrose.machine.editor_schema import editor_schema
+
+    return editor_schema()
+
+
+def _read(path: Path, bundled: Mapping[str, Path]) -> str:
+    try:
+        if path.is_dir():
+            raise InvalidInput(f"{path} is a directory; give the machine file in it")
+        if path.stat().st_size > _LARGEST_FILE:
+            raise InvalidInput(f"{path} has {path.stat().st_size} bytes; that is no machine file")
+        return path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        close = meant(str(path), bundled)
+        hint = f'did you mean "{close}"?' if close else f"bundled machines: {', '.join(bundled)}"
+        raise InvalidInput(f'"{path}" is neither a file nor a bundled machine; {hint}') from None
+    except UnicodeDecodeError as error:
+        remedy = "save it as UTF-8 text"
+        raise InvalidInput(
+            f"{path} is not UTF-8 text (byte {error.start} is 0x{error.object[error.start]:02x}); {remedy}"
+        ) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InvalidInput(f"{path} cannot be read: {reason}; check its name and permissions") from error
+
+
+def _lines(table: Mapping[str, Any], path: str) -> Iterator[str]:
+    """A table as lines of TOML: its values, then the tables in it."""
+    import tomli_w
+
+    def below(value: Any) -> bool:
+        return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+
+    def quoted(key: str) -> str:
+        return tomli_w.dumps({key: 0}).removesuffix(" = 0\n")
+
+    def written(value: Any) -> str:
+        if isinstance(value, list):
+            comma = ",\n  " if value and isinstance(value[0], list) else ", "
+            return f"[{comma.join(map(written, value))}]"
+        return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
+
+    yield from (f"{quoted(key)} = {written(value)}" for key, value in table.items() if not below(value))
+    for key, value in table.items():
+        inner = f"{path}{quoted(key)}"
+        for entry in value if isinstance(value, list) and below(value) else [value] if below(value) else []:
+            yield f"\n[[{inner}]]" if isinstance(value, list) else f"\n[{inner}]"
+            yield from _lines(entry, f"{inner}.")
+
+
+def _document(machine: Machine) -> dict[str, Any]:
+    """The machine as nested tables of a TOML file."""
+    materials = _material_names(machine)
+    head = {"schema": SCHEMA_VERSION, **_changed(machine, {"name", "description", "source", "beam_theory", "modal_damping"})}
+    if machine.assumed:
+        head["assumed"] = dict(machine.assumed)
+    document: dict[str, Any] = {"machine": head}
+    if materials:
+        document["material"] = {
+            name: _changed(material, {"density", "youngs_modulus", "poisson_ratio"}) for material, name in materials.items()
+        }
+    document["shaft"] = [_section(section, materials) for section in machine.shaft]
+    for one in ("disc", "bearing", "sensor", "seal", "coupling", "tolerance"):
+        entries = getattr(machine, f"{one}s")
+        if entries or one in {"bearing", "sensor"}:
+            document[one] = [_changed(entry) for entry in entries]
+    document["amplifier"] = _changed(machine.amplifier)
+    if machine.controller is not None:
+        document["controller"] = _renamed(_changed(machine.controller), notches="notch")
+    rest = {"operation": _renamed(_changed(machine.operation), points="point"), "requirements": _changed(machine.requirements)}
+    document.update({name: table for name, table in rest.items() if table})
+    return document
+
+
+def _renamed(table: dict[str, Any], **names: str) -> dict[str, Any]:
+    return {names.get(key, key): value for key, value in table.items()}
+
+
+def _section(section: ShaftSection, materials: Mapping[Material, str]) -> dict[str, Any]:
+    table = _changed(section, {field.name for field in fields(section)} - {"material"})
+    if section.material in materials:
+        table["material"] = materials[section.material]
+    return table
+
+
+def _material_names(machine: Machine) -> dict[Material, str]:
+    """A different name for every material that is not the default one: its own where it has one."""
+    names: dict[Material, str] = {}
+    for section in machine.shaft:
+        material = section.material
+        if material != Material() and material not in names:
+            name = wanted = material.name or "material"
+            number = 1
+            while name in names.values():
+                number += 1
+                name = f"{wanted}-{number}"
+            names[material] = name
+    return names
+
+
+def _changed(thing: Any, keys: set[str] | None = None) -> dict[str, Any]:
+    """The fields of a noun that have no default or another value than it, as plain TOML values."""
+    table = {}
+    for field in fields(thing):
+        value = getattr(thing, field.name)
+        default = field.default_factory() if field.default_factory is not MISSING else field.default
+        if (keys is None or field.name in keys) and value is not None and (default is MISSING or value != default):
+            table[field.name] = int(value) if field.type == "int" else _plain(value)
+    return table
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, SealTable):
+        axes = dict(value.axes)
+        return {"axes": list(axes), **{key: _plain(grid) for key, grid in (axes | dict(value.values)).items()}}
+    if is_dataclass(value):
+        return _changed(value)
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (tuple, list)):
+        return [_plain(element) for element in value]
+    return value if isinstance(value, str) else float(value) + 0.0  # no negative zero

@@ -1,0 +1,55 @@
+"""The JSON schema of machine files, made from the tables in schema.py and the defaults in description.py."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+from typing import Any
+
+from ambrose.machine.description import SCHEMA_VERSION, Machine
+from ambrose.machine.fields import PLACEHOLDER, quantity_schemas
+from ambrose.machine.schema import MachineFile, Table
+
+
+def editor_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a machine file: every table and key with its meaning, form and default."""
+    made: dict[str, Any] = _tidy(MachineFile.model_json_schema(by_alias=True))
+    tables: dict[str, Any] = made.pop("$defs")
+    for model in Table.__subclasses__():
+        if model.__name__ in tables:
+            _add_defaults(tables[model.__name__], model)
+    head = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"ambrose machine file, schema {SCHEMA_VERSION}",
+        "description": made.pop("description"),
+    }
+    return {**head, **made, "$defs": {**dict(sorted(tables.items())), **quantity_schemas()}}
+
+
+def _tidy(node: Any) -> Any:
+    """Without pydantic's titles and null defaults, and with references to quantities in place of their placeholders."""
+    if isinstance(node, list):
+        return [_tidy(element) for element in node]
+    if not isinstance(node, dict):
+        return node
+    kept: dict[str, Any] = {}
+    for key, value in node.items():
+        if key == PLACEHOLDER:
+            kept["$ref"] = f"#/$defs/{value}"
+        elif key == "properties":
+            kept[key] = {name: _tidy(entry) for name, entry in value.items()}
+        elif not (key == "title" or (key == "default" and value is None)):
+            kept[key] = _tidy(value)
+    return kept
+
+
+def _add_defaults(table: dict[str, Any], model: type[Table]) -> None:
+    """Enter the defaults of the noun (numbers and strings) into the table's properties."""
+    noun: Any = Machine if model.__name__ == "MachineTable" else model.noun
+    if noun is None:
+        return
+    for field in fields(noun):
+        simple = field.default is not MISSING and isinstance(field.default, (int, float, str, tuple)) and field.default != ()
+        if simple and field.name in table["properties"]:
+            table["properties"][field.name]["default"] = (
+                list(field.default) if isinstance(field.default, tuple) else field.default
+            )

@@ -1,0 +1,156 @@
+"""A parsed TOML document -> Machine: pydantic's findings put into the words of the file, and nouns put together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import Machine, Material, ShaftSection
+from ambrose.machine.schema import MachineFile, ShaftTable, Table, table_below
+from ambrose.machine.validate import problems
+from ambrose.machine.wording import listed, shown, suggestion
+
+_ENTRIES = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")  # the tables of which a machine has several
+_LABELS = ("name", "label", "bearing", "parameter")
+
+
+def machine_from_document(document: Mapping[str, Any], name: str) -> Machine:
+    """The machine in a parsed TOML document; ``name`` is the file's, for messages.
+
+    Raises InvalidInput with one line for each problem found: of its form, or of its physics where the form is right.
+    """
+    try:
+        file = MachineFile.model_validate(document)
+    except ValidationError as error:
+        raise InvalidInput(listed(name, [_line(detail, document) for detail in error.errors()])) from None
+    whole = file.machine.given()
+    whole.pop("version")
+    assumed, unclear = _reasons(whole.pop("assumed", {}))
+    materials = {key: _named(key, material) for key, material in (file.material or {}).items()}
+    shaft, unknown = _shaft(file.shaft, materials)
+    if unclear or unknown:
+        raise InvalidInput(listed(name, [*unclear, *unknown]))
+    parts = {f"{key}s" if key in _ENTRIES else key: value for key, value in file.given().items()}
+    machine = Machine(shaft=shaft, assumed=assumed, **whole, **parts)
+    found = problems(machine)
+    if found:
+        raise InvalidInput(listed(name, found))
+    return machine
+
+
+def _named(name: str, table: Table) -> Material:
+    return Material(name=name, **table.given())
+
+
+def _shaft(tables: Sequence[ShaftTable], materials: Mapping[str, Material]) -> tuple[tuple[ShaftSection, ...], list[str]]:
+    """The sections, each starting where the previous one ends unless it says otherwise, and complaints about materials."""
+    sections, complaints, end = [], [], 0.0
+    for i, table in enumerate(tables):
+        given = table.given()
+        material = given.pop("material", None)
+        if material in materials:
+            given["material"] = materials[material]
+        elif material is not None:
+            remedy = suggestion(material, materials, f"there is no material table; add [material.{material}]")
+            complaints.append(f'[[shaft]] {i + 1}: material "{material}" is unknown; {remedy}')
+        sections.append(ShaftSection(**{"start": end, **given}))
+        end = sections[-1].start + sections[-1].length
+    return tuple(sections), complaints
+
+
+def _reasons(table: Mapping[str, Any], above: str = "") -> tuple[tuple[tuple[str, str], ...], list[str]]:
+    """[machine.assumed] as (key, reason) pairs; dotted keys without quotes arrive as tables within tables."""
+    pairs: list[tuple[str, str]] = []
+    complaints: list[str] = []
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            more, wrong = _reasons(value, f"{above}{key}.")
+            pairs += more
+            complaints += wrong
+        elif isinstance(value, str):
+            pairs.append((f"{above}{key}", value))
+        else:
+            complaints.append(
+                f"[machine.assumed]: {above}{key} is {shown(value)}, but must be a string; write the reason in quotes"
+            )
+    return tuple(pairs), complaints
+
+
+def _line(detail: Any, document: Mapping[str, Any]) -> str:
+    """One of pydantic's findings as a line: place, key, what is wrong, what to do."""
+    *above, last = detail["loc"]
+    kind = detail["type"]
+    if kind in {"model_type", "model_attributes_type", "dict_type", "list_type"}:
+        return _wrong_form((*above, last), kind, detail["input"])
+    where, model = _place(above, document)
+    prefix = f"{where}: " if where else ""
+    if kind == "missing":
+        return f"{prefix}{_missing(model, str(last))}"
+    if kind == "extra_forbidden":
+        known = [field.alias or key for key, field in (model.model_fields if model else {}).items()]
+        if not above:
+            return f"[{last}]: unknown table; {suggestion(str(last), known)}"
+        return f'{prefix}unknown key "{last}"; {suggestion(str(last), known)}'
+    problem = detail["ctx"]["problem"] if kind == "value" else f"is {shown(detail['input'])}: {detail['msg']}"
+    return f"{prefix}{last} {problem}"
+
+
+def _missing(model: type[Table] | None, key: str) -> str:
+    below = table_below(model, key) if model else None
+    if model is MachineFile:
+        many = str(model.model_fields[key].annotation).startswith("list")
+        needs = [name for name, field in below.model_fields.items() if field.is_required()] if below else []
+        keys = f" with {', '.join(field_name(below, name) for name in needs)}" if below and needs else ""
+        return f"table {_brackets(key, many=many)} is missing; add it{keys}"
+    expects = [rule.expects for field in [_field(model, key)] for rule in field.metadata if hasattr(rule, "expects")]
+    return f"{key} is missing; give {expects[0]}" if expects else f"{key} is missing"
+
+
+def field_name(model: type[Table], name: str) -> str:
+    """The key in the file of a model's field."""
+    return model.model_fields[name].alias or name
+
+
+def _field(model: type[Table] | None, key: str) -> Any:
+    assert model is not None
+    return next(field for name, field in model.model_fields.items() if (field.alias or name) == key)
+
+
+def _wrong_form(loc: Sequence[str | int], kind: str, value: object) -> str:
+    """A value, or a table in single brackets, where tables in double brackets belong, and the reverse."""
+    keys = [str(part) for part in loc if isinstance(part, str)]
+    many = kind == "list_type" or isinstance(loc[-1], int)
+    key, right = ".".join(keys), _brackets(".".join(keys), many=many)
+    given = "an array" if isinstance(value, list) else shown(value)
+    return f"{key} is {given}, but must be {right}; write its keys below the line {right}"
+
+
+def _brackets(path: str, *, many: bool) -> str:
+    return f"[[{path}]]" if many else f"[{path}]"
+
+
+def _place(loc: Sequence[str | int], document: Mapping[str, Any]) -> tuple[str, type[Table] | None]:
+    """Where a key stands, as the file has it ("[[bearing]] A, [[bearing.measured]] 2"), and the model of that table."""
+    entry: Any = document
+    model: type[Table] | None = MachineFile
+    places: list[str] = []
+    path: list[str] = []
+    for i, part in enumerate(loc):
+        entry = entry[part]
+        if isinstance(part, int):
+            label = (
+                next((entry[key] for key in _LABELS if isinstance(entry.get(key), str)), None)
+                if isinstance(entry, Mapping)
+                else None
+            )
+            number = f"{part + 1}" if label is None or path[-1] in {"shaft", "point", "tolerance"} else ""
+            places.append(" ".join(filter(None, (_brackets(".".join(path), many=True), number, label))))
+            continue
+        path.append(part)
+        model = (table_below(model, part) or model) if model else None
+        if i == len(loc) - 1 or (not isinstance(loc[i + 1], int) and places):
+            places.append(_brackets(".".join(path), many=False))
+    return ", ".join(places), model

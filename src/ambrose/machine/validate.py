@@ -1,0 +1,214 @@
+"""What a machine must fulfil: checked when a file is read and before one is written, and on demand for one made in code.
+
+Every check yields complaints, so that all problems of a machine are reported together. Places are named as in the file.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine import validate_parts as parts
+from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, Machine, PidSettings
+from ambrose.machine.parameters import Parameter, find_parameter
+from ambrose.machine.wording import complaint, listed, not_positive, number, shown, suggestion
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+def check_machine(machine: Machine) -> None:
+    """Raises InvalidInput with one line per problem, if there is any."""
+    found = problems(machine)
+    if found:
+        raise InvalidInput(listed(f'machine "{machine.name}"', found))
+
+
+def problems(machine: Machine) -> tuple[str, ...]:
+    """Everything that is wrong with a machine, one line each; numbers that are not finite hide all else."""
+    checks = (
+        *(_whole, parts.shaft, _names, _places, parts.discs, parts.bearings, parts.sensors, parts.amplifier, parts.couplings),
+        *(parts.seals, _controller, _operation, _tolerances, _requirements),
+    )
+    return tuple(_not_finite(machine, "")) or tuple(line for check in checks for line in check(machine))
+
+
+def _not_finite(thing: object, place: str) -> Iterator[str]:
+    if isinstance(thing, float) and not math.isfinite(thing):
+        yield f"{place} is {thing}, but must be finite; look for a missing value or a division by zero"
+    elif isinstance(thing, np.ndarray):
+        if thing.dtype.kind == "f" and not np.isfinite(thing).all():
+            yield f"{place} has an element that is not finite; look for a missing value or a division by zero"
+    elif isinstance(thing, (tuple, list)):
+        for i, element in enumerate(thing):
+            yield from _not_finite(element, f"{place} {getattr(element, 'name', i + 1)}")
+    elif is_dataclass(thing):
+        for field in fields(thing):
+            yield from _not_finite(getattr(thing, field.name), f"{place}: {field.name}" if place else field.name)
+
+
+def _whole(machine: Machine) -> Iterator[str]:
+    if not machine.name.strip():
+        yield complaint("[machine]", "name", "empty", "a name", 'write name = "..."')
+    if not 0 <= machine.modal_damping < 1:
+        yield complaint(
+            "[machine]",
+            "modal_damping",
+            f"{machine.modal_damping:g}",
+            "a ratio from 0 to below 1",
+            "0.005 is usual for a steel shaft",
+        )
+    if machine.beam_theory not in BEAM_THEORIES:
+        known = f"one of {', '.join(BEAM_THEORIES)}"
+        yield complaint(
+            "[machine]", "beam_theory", shown(machine.beam_theory), known, suggestion(machine.beam_theory, BEAM_THEORIES)
+        )
+
+
+def _attachments(machine: Machine) -> Iterator[tuple[str, str, float]]:
+    """(table, name, position) of everything with a name of its own; the plant's signals are named after it."""
+    for table, entries in (
+        ("disc", machine.discs),
+        ("bearing", machine.bearings),
+        ("seal", machine.seals),
+        ("coupling", machine.couplings),
+    ):
+        for entry in entries:
+            yield table, entry.name, entry.position
+
+
+def _names(machine: Machine) -> Iterator[str]:
+    seen: dict[str, str] = {}
+    for table, name, _ in _attachments(machine):
+        if not _NAME.fullmatch(name):
+            requirement = "a letter, then letters, digits, _ or -"
+            yield complaint(f"[[{table}]]", "name", shown(name), requirement, "signals and files are named after it")
+        elif name in seen:
+            remedy = "give every attachment its own name"
+            yield f'[[{table}]] {name}: name "{name}" is taken by a [[{seen[name]}]] already; {remedy}'
+        seen.setdefault(name, table)
+
+
+def _places(machine: Machine) -> Iterator[str]:
+    if not machine.shaft:
+        return
+    sensors = (("sensor", sensor.bearing, sensor.position) for sensor in machine.sensors)
+    slack = parts.JOINT * machine.length
+    for table, name, position in (*_attachments(machine), *sensors):
+        if not -slack <= position <= machine.length + slack:
+            on_shaft = f"on the shaft, from 0 to {machine.length:g} m"
+            yield complaint(
+                f"[[{table}]] {name}", "position", number(position, "m"), on_shaft, "positions count from the rotor's left end"
+            )
+
+
+def _controller(machine: Machine) -> Iterator[str]:
+    pid = machine.controller
+    if pid is None:
+        return
+    where, n = "[controller]", len(machine.axes)
+    if len(pid.gain) not in {1, n}:
+        yield complaint(
+            where,
+            "gain",
+            f"a list of {len(pid.gain)}",
+            f"one value or {n}, one per axis ({', '.join(machine.axes)})",
+            "K_p in A/m",
+        )
+    yield from not_positive(where, "give K_p in A/m", *((f"gain (element {i + 1})", g, "A/m") for i, g in enumerate(pid.gain)))
+    yield from _pid_times(where, pid)
+    for i, notch in enumerate(pid.notches):
+        inside = f"[[controller.notch]] {i + 1}"
+        poles = (("frequency", notch.frequency, "rad/s"), ("pole_damping", notch.pole_damping, ""))
+        yield from not_positive(inside, "leave the notch out where there is none", *poles)
+        yield from not_positive(inside, "zero is the deepest notch", ("zero_damping", notch.zero_damping, ""), zero=True)
+    if pid.coordinates not in CONTROLLER_COORDINATES:
+        known = f"one of {', '.join(CONTROLLER_COORDINATES)}"
+        yield complaint(
+            where, "coordinates", shown(pid.coordinates), known, suggestion(pid.coordinates, CONTROLLER_COORDINATES)
+        )
+    elif pid.coordinates == "tilt-translate" and len(machine.bearings) != 2:
+        yield complaint(
+            where,
+            "coordinates",
+            shown(pid.coordinates),
+            '"axes"',
+            f"tilting needs two bearings, there are {len(machine.bearings)}",
+        )
+
+
+def _pid_times(where: str, pid: PidSettings) -> Iterator[str]:
+    yield from not_positive(
+        where,
+        "leave it out where there is none",
+        ("integral_time", pid.integral_time, "s"),
+        ("derivative_time", pid.derivative_time, "s"),
+        ("derivative_filter", pid.derivative_filter, ""),
+        ("low_pass", pid.low_pass, "rad/s"),
+        ("low_pass_damping", pid.low_pass_damping, ""),
+        ("tilt_gain", pid.tilt_gain, ""),
+        ("sample_time", pid.sample_time, "s"),
+        *(() if pid.lead is None else (("lead (zero)", pid.lead[0], "rad/s"), ("lead (pole)", pid.lead[1], "rad/s"))),
+    )
+    yield from not_positive(where, "a controller cannot see ahead", ("delay", pid.delay, "s"), zero=True)
+
+
+def _operation(machine: Machine) -> Iterator[str]:
+    operation = machine.operation
+    low, high = operation.speed_range
+    if not 0 <= low <= high:
+        wanted = "[lowest, highest], neither negative"
+        yield complaint("[operation]", "speed_range", f"[{low:g}, {high:g}] rad/s", wanted, "swap or correct the two")
+    if not operation.points:
+        yield "[operation]: there is no point; add at least one [[operation.point]], the nominal one first"
+    labels: set[str] = set()
+    for i, point in enumerate(operation.points):
+        where = f"[[operation.point]] {i + 1}" + (f' "{point.label}"' if point.label else "")
+        at_least_zero = (("speed", point.speed, "rad/s"), ("seal_pressure", point.seal_pressure, "Pa"))
+        yield from not_positive(where, "spin is positive from x to y, pressure is a difference", *at_least_zero, zero=True)
+        yield from not_positive(where, "leave it out for the bearings' own", ("bias_current", point.bias_current, "A"))
+        yield from not_positive(
+            where, "leave it out for the speed", ("whirl_frequency", point.whirl_frequency, "rad/s"), zero=True
+        )
+        if point.label and point.label in labels:
+            yield f'{where}: label "{point.label}" is taken by an earlier point; give every point its own label'
+        labels.add(point.label)
+
+
+def _tolerances(machine: Machine) -> Iterator[str]:
+    found: list[Parameter] = []
+    for i, tolerance in enumerate(machine.tolerances):
+        where = f"[[tolerance]] {i + 1}"
+        try:
+            found.append(find_parameter(machine, tolerance.parameter))
+        except InvalidInput as error:
+            yield f"{where}: {error}"
+        named = f"{where} {tolerance.parameter}"
+        if (tolerance.relative is None) == (tolerance.absolute is None):
+            both = "both relative and absolute are" if tolerance.relative is not None else "neither relative nor absolute is"
+            yield f"{named}: {both} given; give one of the two"
+        widths = (("relative", tolerance.relative, ""), ("absolute", tolerance.absolute, ""))
+        yield from not_positive(named, "give the half-width, or remove the tolerance", *widths)
+    for one, other in combinations(found, 2):
+        if one.overlaps(other):
+            yield (
+                f'[[tolerance]]: parameters "{one.path}" and "{other.path}" are the same number; '
+                "keep one of the two, or name single axes in both"
+            )
+
+
+def _requirements(machine: Machine) -> Iterator[str]:
+    where, demanded = "[requirements]", machine.requirements
+    for field in fields(demanded):
+        remedy = "leave it out where nothing is demanded"
+        yield from not_positive(where, remedy, (field.name, getattr(demanded, field.name), ""))
+    for key, least in (("sensitivity_peak", demanded.sensitivity_peak), ("gain_margin", demanded.gain_margin)):
+        if least is not None and 0 < least < 1:
+            yield complaint(where, key, f"{least:g}", "at least 1", "it is a factor, not decibels")
+    if demanded.phase_margin is not None and demanded.phase_margin >= math.pi:
+        yield complaint(where, "phase_margin", f"{demanded.phase_margin:g} rad", "below pi", 'write degrees as "30 deg"')

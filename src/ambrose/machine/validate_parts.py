@@ -1,0 +1,253 @@
+"""What the parts of a machine must fulfil: shaft, discs, bearings, sensors, amplifier, couplings, seals, each on its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from ambrose.machine.description import (
+    SEAL_AXES,
+    SEAL_COEFFICIENTS,
+    Machine,
+    MagneticBearing,
+    Seal,
+    SealTable,
+    ShaftSection,
+)
+from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
+from ambrose.machine.wording import complaint, not_positive, number, pair_entries, shown, suggestion
+
+JOINT = 1e-9  # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
+_MOST_ELEMENTS = 1000  # per section; more is a slip of the pen
+
+
+def shaft(machine: Machine) -> Iterator[str]:
+    if not machine.shaft:
+        yield "[[shaft]]: there is no section; describe the rotor by at least one, from its left end to its right end"
+        return
+    rounding = JOINT * sum(abs(section.length) for section in machine.shaft)
+    end = 0.0
+    for i, section in enumerate(machine.shaft):
+        where = shaft_place(i, section)
+        yield from _section(where, section)
+        if abs(section.start - end) > rounding:
+            kind = "a gap after" if section.start > end else "an overlap with"
+            what = f"{kind} the previous section, which ends" if i else "away from the rotor's left end, which is"
+            yield (
+                f"{where}: start is {section.start:g} m, {what} at {end:g} m; "
+                "leave start out, or make every section start where the previous one ends"
+            )
+        end = section.start + section.length
+
+
+def shaft_place(index: int, section: ShaftSection) -> str:
+    """A shaft section as messages call it: by number and label."""
+    return f"[[shaft]] {index + 1}" + (f' "{section.label}"' if section.label else "")
+
+
+def _section(where: str, section: ShaftSection) -> Iterator[str]:
+    bore, outer, mass = section.inner_diameter, section.outer_diameter, section.mass_diameter
+    yield from not_positive(where, "give its size", ("length", section.length, "m"), ("outer_diameter", outer, "m"))
+    yield from not_positive(where, "leave it out for a solid shaft", ("inner_diameter", bore, "m"), zero=True)
+    if 0 < outer <= bore:
+        yield complaint(
+            where,
+            "inner_diameter",
+            number(bore, "m"),
+            f"below the outer_diameter, {outer:g} m",
+            "swap or correct the diameters",
+        )
+    if mass is not None and mass <= max(bore, 0):
+        remedy = "it is the outer diameter that carries the mass; leave it out where it is the outer_diameter"
+        yield complaint(where, "mass_diameter", number(mass, "m"), f"above the inner_diameter, {bore:g} m", remedy)
+    if not 1 <= section.elements <= _MOST_ELEMENTS:
+        remedy = "one element per diameter of length is a good start"
+        yield complaint(where, "elements", section.elements, f"from 1 to {_MOST_ELEMENTS}", remedy)
+    material = section.material
+    yield from not_positive(
+        f"{where}, material {material.name}".rstrip(),
+        "see the material's data sheet",
+        ("density", material.density, "kg/m^3"),
+        ("youngs_modulus", material.youngs_modulus, "Pa"),
+    )
+    if not -1 < material.poisson_ratio < 0.5:
+        yield complaint(
+            f"{where}, material {material.name}".rstrip(),
+            "poisson_ratio",
+            f"{material.poisson_ratio:g}",
+            "between -1 and 0.5",
+            "steel has 0.3",
+        )
+
+
+def discs(machine: Machine) -> Iterator[str]:
+    for disc in machine.discs:
+        where = f"[[disc]] {disc.name}"
+        polar, diametral = disc.polar_inertia, disc.diametral_inertia
+        yield from not_positive(where, "give its mass", ("mass", disc.mass, "kg"))
+        inertias = (("polar_inertia", polar, "kg m^2"), ("diametral_inertia", diametral, "kg m^2"))
+        yield from not_positive(where, "leave it out where it is negligible", *inertias, zero=True)
+        if polar > 2 * diametral * (1 + 1e-6) and diametral > 0:
+            yield complaint(
+                where,
+                "polar_inertia",
+                number(polar, "kg m^2"),
+                f"at most twice the diametral_inertia, {diametral:g} kg m^2",
+                "no body has more; a thin disc has exactly twice",
+            )
+
+
+def bearings(machine: Machine) -> Iterator[str]:
+    for bearing in machine.bearings:
+        where = f"[[bearing]] {bearing.name}"
+        yield from _bearing(where, bearing)
+        yield from _coefficients(where, bearing)
+
+
+def _bearing(where: str, bearing: MagneticBearing) -> Iterator[str]:
+    limits = (
+        ("gap", bearing.gap, "m"),
+        ("touchdown_gap", bearing.touchdown_gap, "m"),
+        ("max_current", bearing.max_current, "A"),
+        ("max_force", bearing.max_force, "N"),
+    )
+    yield from not_positive(where, "give the premagnetisation current", ("bias_current", bearing.bias_current, "A"))
+    yield from not_positive(where, "leave it out where it is unknown", *limits)
+    if bearing.gap and bearing.touchdown_gap and bearing.touchdown_gap > bearing.gap:
+        below = f"at most the magnet's gap, {bearing.gap:g} m"
+        yield complaint(
+            where, "touchdown_gap", number(bearing.touchdown_gap, "m"), below, "the rotor must land before it meets the magnet"
+        )
+    if bearing.geometry is None:
+        return
+    inside, geometry = f"{where}, [bearing.geometry]", bearing.geometry
+    sizes = (("turns", geometry.turns, ""), ("pole_area", geometry.pole_area, "m^2"), ("gap", geometry.gap, "m"))
+    yield from not_positive(inside, "give its size", *sizes)
+    if not 0 <= geometry.pole_half_angle < math.pi / 2:
+        degrees = f"{math.degrees(geometry.pole_half_angle):g} deg"
+        yield complaint(inside, "pole_half_angle", degrees, "from 0 to below 90 deg", "eight poles have 22.5 deg")
+
+
+def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:
+    given = {key: getattr(bearing, key) for key in ("force_per_current", "negative_stiffness")}
+    missing = [key for key, pair in given.items() if pair is None]
+    if len(missing) == 1:
+        yield f"{where}: {missing[0]} is missing; give both force_per_current and negative_stiffness, or neither"
+    elif missing and bearing.geometry is None and not bearing.measured:
+        yield f"{where}: there are no coefficients; give force_per_current and negative_stiffness, or [bearing.geometry]"
+    yield from _signs(where, bearing.force_per_current, bearing.negative_stiffness)
+    currents = [row.bias_current for row in bearing.measured]
+    for i, row in enumerate(bearing.measured):
+        inside = f"{where}, [[bearing.measured]] {i + 1}"
+        yield from not_positive(inside, "give the premagnetisation current", ("bias_current", row.bias_current, "A"))
+        yield from _signs(inside, row.force_per_current, row.negative_stiffness)
+        if row.bias_current in currents[:i]:
+            yield f"{inside}: bias_current {row.bias_current:g} A stands there twice; keep one row per bias current"
+
+
+def _signs(where: str, k_i: tuple[float, float] | None, k_s: tuple[float, float] | None) -> Iterator[str]:
+    yield from not_positive(where, "a positive current pulls along the axis", *pair_entries("force_per_current", k_i, "N/A"))
+    remedy = "it is the size of a destabilising stiffness; a spring to ground is a [[coupling]]"
+    yield from not_positive(where, remedy, *pair_entries("negative_stiffness", k_s, "N/m"), zero=True)
+
+
+def sensors(machine: Machine) -> Iterator[str]:
+    names = [bearing.name for bearing in machine.bearings]
+    served = [sensor.bearing for sensor in machine.sensors]
+    for i, sensor in enumerate(machine.sensors):
+        where = f"[[sensor]] {sensor.bearing}"
+        if sensor.bearing not in names:
+            remedy = suggestion(sensor.bearing, names, "there is no [[bearing]]")
+            yield f'{where}: bearing "{sensor.bearing}" is unknown; {remedy}'
+        elif sensor.bearing in served[:i]:
+            yield f'{where}: bearing "{sensor.bearing}" has a [[sensor]] already; give one sensor pair per bearing'
+        yield from not_positive(where, "leave it out for a sensor without lag", ("bandwidth", sensor.bandwidth, "rad/s"))
+        for axis, gain in zip(("zeta", "eta"), sensor.gain, strict=True):
+            if gain == 0:
+                yield complaint(where, f"gain ({axis})", 0, "different from zero", "1 is a calibrated sensor")
+    for name in names:
+        if name not in served:
+            yield f'[[bearing]] {name}: no [[sensor]] serves it; add one with bearing = "{name}" and its position'
+
+
+def amplifier(machine: Machine) -> Iterator[str]:
+    amplifier = machine.amplifier
+    if amplifier.order not in AMPLIFIER_PARAMETERS:
+        known = f"one of {', '.join(AMPLIFIER_PARAMETERS)}"
+        yield complaint(
+            "[amplifier]", "order", shown(amplifier.order), known, suggestion(amplifier.order, AMPLIFIER_PARAMETERS)
+        )
+        return
+    used = AMPLIFIER_PARAMETERS[amplifier.order]
+    for key in ("bandwidth", "eddy_bandwidth", "natural_frequency", "damping"):
+        value: float | None = getattr(amplifier, key)
+        if key in used and value is None:
+            yield f'[amplifier]: {key} is missing; order "{amplifier.order}" needs it, in rad/s or such as "1.5 kHz"'
+        elif key not in used and value is not None:
+            orders = [order for order, keys in AMPLIFIER_PARAMETERS.items() if key in keys]
+            yield (
+                f'[amplifier]: {key} is {value:g} rad/s, but order "{amplifier.order}" does not use it; '
+                f"remove it, or set order to {' or '.join(orders)}"
+            )
+        yield from not_positive("[amplifier]", "give its corner frequency or damping term", (key, value, "rad/s"))
+
+
+def couplings(machine: Machine) -> Iterator[str]:
+    for coupling in machine.couplings:
+        pairs = (*pair_entries("stiffness", coupling.stiffness, "N/m"), *pair_entries("damping", coupling.damping, "N s/m"))
+        yield from not_positive(f"[[coupling]] {coupling.name}", "a passive coupling holds back", *pairs, zero=True)
+
+
+def seals(machine: Machine) -> Iterator[str]:
+    for seal in machine.seals:
+        where = f"[[seal]] {seal.name}"
+        yield from not_positive(where, "give a pressure difference", ("reference_pressure", seal.reference_pressure, "Pa"))
+        scaled = seal.scales_with_pressure
+        for coefficient in scaled:
+            if coefficient not in SEAL_COEFFICIENTS:
+                unknown = suggestion(coefficient, SEAL_COEFFICIENTS)
+                yield f'{where}: scales_with_pressure names the unknown coefficient "{coefficient}"; {unknown}'
+        if len(set(scaled)) < len(scaled):
+            yield f"{where}: scales_with_pressure names a coefficient twice, {', '.join(scaled)}; name each once"
+        if scaled and seal.reference_pressure is None:
+            yield f'{where}: reference_pressure is missing; scales_with_pressure needs it, such as "2.04 bar"'
+        if seal.table is not None:
+            yield from _seal_table(f"{where}, [seal.table]", seal, seal.table)
+
+
+def _seal_table(where: str, seal: Seal, table: SealTable) -> Iterator[str]:
+    axes, values = dict(table.axes), dict(table.values)
+    if not axes or len(axes) < len(table.axes):
+        yield f"{where}: axes are missing or repeated; give one list for each of pressure, speed or frequency that matters"
+    if not values:
+        yield f"{where}: it lists no coefficient; give any of {', '.join(SEAL_COEFFICIENTS)} as lists over the axes"
+    for axis, grid in axes.items():
+        if axis not in SEAL_AXES:
+            yield f'{where}: axis "{axis}" is unknown; {suggestion(axis, SEAL_AXES)}'
+        if len(grid) == 0 or any(b <= a for a, b in pairwise(grid)):
+            yield complaint(where, axis, shown(list(grid)), "ascending, with at least one value", "sort the table along it")
+    size = tuple(len(grid) for grid in axes.values())
+    for name, array in values.items():
+        if name not in SEAL_COEFFICIENTS:
+            yield f'{where}: coefficient "{name}" is unknown; {suggestion(name, SEAL_COEFFICIENTS)}'
+            continue
+        yield from _table_size(where, name, array, tuple(axes), size)
+        if getattr(seal, name) != 0:
+            yield f"{where}: {name} is {getattr(seal, name):g} in [[seal]] {seal.name} as well; keep the constant or the table"
+        if "pressure" in axes and name in seal.scales_with_pressure:
+            yield f"{where}: {name} is given over pressure and named in scales_with_pressure; keep one of the two"
+
+
+def _table_size(where: str, name: str, array: object, axes: tuple[str, ...], size: tuple[int, ...]) -> Iterator[str]:
+    try:
+        actual = np.asarray(array, dtype=float).shape
+    except (TypeError, ValueError):
+        yield f"{where}: {name} is ragged; make all its inner lists equally long, nested in the order {', '.join(axes)}"
+        return
+    if actual != size:
+        wanted = f"{' x '.join(map(str, size))} ({' x '.join(axes)})"
+        remedy = "nest the lists in the order of the axes, one number per point"
+        yield complaint(where, f"the size of {name}", " x ".join(map(str, actual)), wanted, remedy)
