@@ -9,7 +9,7 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import record as module
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record, read_record, si_unit, si_values, write_record
+from ambrose.machine.record import Record, read_record, si_values, signal_dimension, write_record
 
 POINT = OperatingPoint(speed=3298.6722862692827, seal_pressure=2.04e5, bias_current=6.0, label="nominal, 2.04 bar")
 
@@ -112,12 +112,12 @@ def test_units_are_converted_on_reading_hdf5(record, tmp_path):
 
 
 def test_unit_of_a_signal():
-    assert [si_unit(f"{prefix}_A_zeta") for prefix in ("y", "u", "f", "qdot")] == ["m", "A", "N", "m/s"]
+    assert [signal_dimension(f"{prefix}_A_zeta").unit for prefix in ("y", "u", "f", "qdot")] == ["m", "A", "N", "m/s"]
     assert si_values("p_inlet", "bar", np.array([2.0]))[0] == [2e5]
     assert si_values("speed_rotor", "rpm", np.array([30.0]))[0] == pytest.approx([np.pi])
     assert si_values("valve", "%", np.array([40.0]))[0] == pytest.approx([0.4])
     with pytest.raises(InvalidInput, match="prefix"):
-        si_unit("valve")
+        signal_dimension("valve")
 
 
 def test_rate_without_statement_comes_from_the_times(csv):

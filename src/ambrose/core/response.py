@@ -11,7 +11,7 @@ are formed: defective and badly conditioned systems are as exact as any other.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import factorial
 from typing import Any
@@ -60,11 +60,17 @@ def simulate_states(system: Any, u: ArrayLike, dt: float | None = None, x0: Arra
     return np.column_stack([x, t * end])
 
 
-def simulate_piecewise(systems: Iterable[Any], inputs: Iterable[ArrayLike], x0: ArrayLike | None = None) -> np.ndarray:
+def simulate_piecewise(
+    systems: Iterable[Any],
+    inputs: Iterable[ArrayLike],
+    x0: ArrayLike | None = None,
+    stop: Callable[[np.ndarray], bool] | None = None,
+) -> np.ndarray:
     """The outputs y (p, k) of a system that changes from one stretch of samples to the next; the state carries over.
 
     systems: sampled systems with the same states and signals (and dt), one per stretch. inputs: u (m, k_i) of each stretch,
-    k = sum k_i. Raises InvalidInput, and NumericalFailure when the response overflows.
+    k = sum k_i, fewer when ``stop`` is true of the outputs (p, k_i) of a stretch: that one is the last. Raises InvalidInput,
+    and NumericalFailure when the response overflows.
     """
     parts: list[np.ndarray] = []
     x: np.ndarray | None = None
@@ -77,6 +83,8 @@ def simulate_piecewise(systems: Iterable[Any], inputs: Iterable[ArrayLike], x0: 
         u = check_shape(piece, "u", "(m, k)", m=len(system.inputs)).astype(float)
         y, x = _respond(system, u, x)
         parts.append(y)
+        if stop is not None and stop(y):
+            break
     if not parts:
         raise InvalidInput("no system was given; a piecewise response needs at least one stretch")
     return np.concatenate(parts, axis=1)

@@ -1,0 +1,227 @@
+"""Linear simulation of a closed loop in a scenario: exact for pulses, to (w dt)^4/384 for sines and unbalance.
+
+Smooth disturbances are cubics between the samples (core/response.py: hermite), not stairs. In a run-up the speed is held over
+short intervals at its middle value (exponential midpoint rule, second order in the interval) and the number of intervals is
+doubled until two results agree: unlike an explicit Runge-Kutta method that cost does not grow with the stiffness of the
+bending modes, and the change of the gyroscopic terms within an interval is small. The phase of the unbalance is always exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import NumericalFailure, check_positive, invalid
+from ambrose.core.response import sample_polynomial, simulate_piecewise
+from ambrose.core.statespace import StateSpace, as_statespace, index_of, poles, select
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.record import Record, signal_dimension
+from ambrose.simulate.scenario import Scenario
+from ambrose.simulate.trace import Trace
+from ambrose.simulate.waveforms import FASTEST, waveforms
+
+LoopAt = Callable[[float], Any]
+_SAMPLE_TIME = 1e-4  # [s] unless the scenario, the loop or the caller says otherwise
+_ESCAPE = 1e-3  # [m] where an unstable loop is stopped when no displacement limit is given
+_FROZEN = 5  # speeds of a run-up at which the poles are looked at
+_FEWEST, _MOST = 32, 1024  # intervals of constant speed in a run-up
+_CLOSE, _TOLERATED = 1e-3, 1e-2  # error of a run-up, as a fraction of the peak: aimed at, and refused
+
+
+def run(
+    loop: Any | LoopAt,
+    scenario: Scenario,
+    *,
+    machine: str = "",
+    point: OperatingPoint | None = None,
+    mass: float | None = None,
+    outputs: Sequence[str] | None = None,
+    displacement_limit: float | None = None,
+    dt: float | None = None,
+) -> Trace:
+    """Simulate a closed loop from rest.
+
+    loop: the closed loop of plant/loop.py, a StateSpace (or python-control system) with inputs e_, d_, r_, f_ and outputs y_,
+    u_, i_, q_, qdot_; or, for a speed that changes, a function from speed [rad/s] to that, always in the same states.
+    machine, point: written into the record. mass [kg]: of the rotor, needed where an unbalance is given as a grade. outputs:
+    the signals to record (None: all). displacement_limit [m]: the record ends where a displacement q_ (y_ where there is
+    none) passes it; None: 1 mm for an unstable loop, else nowhere. dt [s]: None takes the loop's, the scenario's, or 0.1 ms
+    divided as the fastest sine demands. A sampled loop sees the mean of a smooth disturbance over each sample.
+    Raises InvalidInput, and NumericalFailure where a run-up does not converge.
+    """
+    loop_at, first, speed = _resolve(loop, scenario, point)
+    step = _sample_time(first, scenario, dt)
+    k = int(scenario.duration / step + 1e-6) + 1
+    names, c = waveforms(scenario, first.inputs, step, k, mass)
+    shown = list(first.outputs if outputs is None else outputs)
+    watched = [name for name in first.outputs if name.startswith("q_")] or [n for n in first.outputs if n.startswith("y_")]
+    pole, pole_speed = _rightmost(loop_at, scenario, speed)
+    stable = pole is None or pole.real < 0
+    limit = np.inf if stable else _ESCAPE
+    if displacement_limit is not None:
+        limit = check_positive(displacement_limit, "displacement_limit", "give it in metres")
+    task = _Task(loop_at, scenario, names, list(dict.fromkeys([*shown, *watched])), c, step, speed, watched, limit)
+    y, error = _run_up(task) if scenario.runs_up and not hasattr(loop, "A") else (_constant_speed(task, pole), 0.0)
+
+    beyond = np.abs(y[index_of(watched, task.outputs, "output")]) > limit
+    stop = int(np.argmax(beyond.any(axis=0))) if beyond.any() else None
+    k = y.shape[1] if stop is None else stop + 1
+    record = _record(task, y[index_of(shown, task.outputs, "output"), :k], shown, machine, point)
+    culprit = watched[int(np.argmax(beyond[:, stop]))] if stop is not None else ""
+    stopped_at = None if stop is None else stop * step
+    outcome = "completed" if stop is None else ("limit exceeded" if stable else "diverged")
+    text = _explain(outcome, stopped_at, culprit, limit, pole, pole_speed if scenario.runs_up else None, error)
+    return Trace(record, scenario.name, stable, outcome, text, pole, stopped_at, error)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What both ways of computing need: loop and scenario, the driven inputs with their cubics c (4, m, k), the outputs."""
+
+    loop_at: LoopAt
+    scenario: Scenario
+    inputs: list[str]
+    outputs: list[str]
+    c: np.ndarray
+    dt: float
+    speed: float
+    watched: list[str]
+    limit: float
+
+    def stop(self, y: np.ndarray) -> bool:
+        """Whether a displacement has passed the limit."""
+        return bool(np.abs(y[index_of(self.watched, self.outputs, "output")]).max(initial=0.0) > self.limit)
+
+    def sampled(self, speed: float) -> StateSpace:
+        """The loop at a speed [rad/s], sampled for the driven inputs; a sampled loop as it is."""
+        system = select(as_statespace(self.loop_at(speed)), self.inputs, self.outputs)
+        return sample_polynomial(system, self.dt) if system.dt is None else system
+
+    def piece(self, system: StateSpace, first: int, last: int) -> np.ndarray:
+        """Inputs of ``sampled`` for the samples first..last - 1; the means over the samples for a sampled loop."""
+        c = self.c[:, :, first:last]
+        if len(system.inputs) == len(self.inputs):
+            return np.tensordot([1, 1 / 2, 1 / 3, 1 / 4], c, 1)
+        return c.reshape(4 * len(self.inputs), -1)
+
+
+def _resolve(loop: Any, scenario: Scenario, point: OperatingPoint | None) -> tuple[LoopAt, StateSpace, float]:
+    """The loop as a function of speed, the loop at the start, and the speed [rad/s] there."""
+    known = scenario.speed is not None
+    speed = scenario.speed_at(0.0) if known else (point.speed if point is not None else 0.0)
+    if hasattr(loop, "A") or not callable(loop):
+        first = as_statespace(loop)
+        return (lambda _: first), first, speed
+    return loop, as_statespace(loop(speed)), speed
+
+
+def _sample_time(loop: StateSpace, scenario: Scenario, dt: float | None) -> float:
+    given = scenario.sample_time if dt is None else check_positive(dt, "dt", "give the sample time in seconds")
+    if loop.dt is not None:
+        if given is not None and abs(given - loop.dt) > 1e-9 * loop.dt:
+            raise invalid("the sample time", given, f"the loop's own {loop.dt:g} s, or None", "leave it out")
+        return loop.dt
+    if given is not None:
+        return given
+    fastest = max([sine.frequency for sine in scenario.sines], default=0.0)
+    if scenario.unbalances:
+        fastest = max(fastest, abs(scenario.speed_at(0.0)), abs(scenario.speed_at(scenario.duration)))
+    return _SAMPLE_TIME / max(1.0, np.ceil(fastest * _SAMPLE_TIME / FASTEST))
+
+
+def _constant_speed(task: _Task, pole: complex | None) -> np.ndarray:
+    """Outputs at one speed; an unstable loop in stretches of twenty time constants, so that it stops before it overflows."""
+    k = task.c.shape[2]
+    length = k if pole is None or pole.real <= 0 else max(16, int(min(20 / (pole.real * task.dt), k)))
+    system = task.sampled(task.speed)
+    edges = [*range(0, k, length), k]
+    pieces = [task.piece(system, first, last) for first, last in pairwise(edges)]
+    return simulate_piecewise([system] * len(pieces), pieces, stop=task.stop)
+
+
+def _run_up(task: _Task) -> tuple[np.ndarray, float]:
+    """Outputs while the speed changes, and their estimated error as a fraction of the peak."""
+    count, error = _FEWEST, np.inf
+    coarse = _held_speed(task, count)
+    rows = index_of(task.watched or task.outputs, task.outputs, "output")
+    while True:
+        count *= 2
+        fine = _held_speed(task, count)
+        k = min(coarse.shape[1], fine.shape[1])
+        peak = np.abs(fine[rows, :k]).max(initial=0.0)
+        error = float(np.abs(fine[rows, :k] - coarse[rows, :k]).max(initial=0.0) / 3 / peak) if peak > 0 else 0.0
+        if error <= _CLOSE or count >= min(_MOST, task.c.shape[2]):
+            break
+        coarse = fine
+    if error > _TOLERATED and not task.stop(fine):
+        raise NumericalFailure(
+            f"the run-up has an error of {error:.2g} of the peak with {count} intervals of constant speed, more than "
+            f"{_TOLERATED:g}; lengthen the run-up, narrow its speed range or set a displacement_limit"
+        )
+    return fine, error
+
+
+def _held_speed(task: _Task, count: int) -> np.ndarray:
+    """Outputs with the ramp in ``count`` intervals, each at its middle speed, and the rest at the final speed."""
+    k = task.c.shape[2]
+    end = min(round((task.scenario.ramp or task.scenario.duration) / task.dt), k)
+    edges = np.unique(np.append(np.linspace(0, end, count + 1).round().astype(int), k)).tolist()
+    spans = list(pairwise(edges))
+
+    def systems() -> Iterator[StateSpace]:
+        for first, last in spans:
+            yield task.sampled(task.scenario.speed_at((first + last) / 2 * task.dt))
+
+    probe = task.sampled(task.speed)
+    return simulate_piecewise(systems(), [task.piece(probe, first, last) for first, last in spans], stop=task.stop)
+
+
+def _rightmost(loop_at: LoopAt, scenario: Scenario, speed: float) -> tuple[complex | None, float]:
+    """The rightmost pole [rad/s] over the speeds of the scenario, and the speed it belongs to."""
+    times = np.linspace(0.0, scenario.ramp or scenario.duration, _FROZEN)
+    speeds = [scenario.speed_at(time) for time in times] if scenario.runs_up else [speed]
+    found: list[tuple[float, complex, float]] = []
+    systems: dict[int, StateSpace] = {}
+    for value in speeds:
+        system = as_statespace(loop_at(value))
+        if id(system) in systems:  # the same loop at every speed
+            continue
+        systems[id(system)] = system
+        z = poles(system)
+        s = z if system.dt is None else np.log(np.maximum(np.abs(z), 1e-300)) / system.dt + 1j * np.angle(z) / system.dt
+        found += [(float(pole.real), complex(pole), value) for pole in s]
+    if not found:
+        return None, speed
+    _, pole, at = max(found, key=lambda entry: entry[0])
+    return pole, at
+
+
+def _record(task: _Task, y: np.ndarray, shown: Sequence[str], machine: str, point: OperatingPoint | None) -> Record:
+    """Outputs, driven inputs and, where it changes, the speed, as a Record."""
+    k = y.shape[1]
+    names, values = [*shown, *task.inputs], [y, task.c[0, :, :k]]
+    if task.scenario.runs_up:
+        names.append("speed")
+        values.append(np.array([[task.scenario.speed_at(i * task.dt) for i in range(k)]]))
+    units = tuple(signal_dimension(name).unit for name in names)
+    where = replace(OperatingPoint() if point is None else point, speed=task.speed)
+    notes = (("scenario", task.scenario.name),)
+    return Record(machine, 1 / task.dt, tuple(names), units, np.vstack(values), where, notes=notes)
+
+
+def _explain(
+    outcome: str, stopped_at: float | None, culprit: str, limit: float, pole: complex | None, speed: float | None, error: float
+) -> str:
+    at = "" if speed is None else f" at {speed:g} rad/s"
+    side = "" if pole is None else f"rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s{at}"
+    if stopped_at is not None:
+        what = f"{culprit} passed {limit * 1e6:g} um at t = {stopped_at:.6g} s"
+        return f"diverged: {what}; the loop is unstable, {side}" if outcome == "diverged" else f"limit exceeded: {what}; {side}"
+    accuracy = f"; error of the run-up about {error:.1e} of the peak" if speed is not None else ""
+    if pole is not None and pole.real >= 0:
+        return f"completed within {limit * 1e6:g} um only because it is short: the loop is unstable, {side}{accuracy}"
+    return f"completed; {side or 'the loop has no states'}{accuracy}"

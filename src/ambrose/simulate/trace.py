@@ -1,0 +1,46 @@
+"""Trace: what a simulation returns, a Record and how it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.response import settling_time
+from ambrose.machine.record import Record
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """A simulated record and its outcome; an unstable loop is an outcome, not an error.
+
+    stable: whether all poles lie to the left (at every speed looked at). outcome: "completed", "limit exceeded" (a stable loop
+    driven beyond the displacement limit) or "diverged". text: the outcome in words. pole [rad/s]: the rightmost one, None
+    without states. stopped_at [s]: the time at which the displacement limit was passed; the record ends there. scenario: its
+    name. speed_error: estimated error of holding the speed over short intervals during a run-up, as a fraction of the peak.
+    """
+
+    record: Record
+    scenario: str
+    stable: bool
+    outcome: str
+    text: str
+    pole: complex | None = None
+    stopped_at: float | None = None
+    speed_error: float = 0.0
+
+
+def peaks(trace: Trace) -> dict[str, float]:
+    """Largest magnitude of every signal, in its SI unit."""
+    return dict(zip(trace.record.signals, np.abs(trace.record.values).max(axis=1).tolist(), strict=True))
+
+
+def settling(trace: Trace, signals: Sequence[str] | None = None, band: float = 0.05, start: float = 0.0) -> float:
+    """Time [s] after ``start`` from which the signals (default: all y_) stay within ``band`` of their common peak; else inf.
+
+    A trace that stopped at the displacement limit never settles. Raises InvalidInput.
+    """
+    names = [name for name in trace.record.signals if name.startswith("y_")] if signals is None else list(signals)
+    time = settling_time(trace.record.time, trace.record.select(names).values, band, start=start)
+    return time if trace.stopped_at is None else np.inf
