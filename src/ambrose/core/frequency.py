@@ -109,19 +109,23 @@ class SchurForm:
     @property
     def poles(self) -> np.ndarray:
         """The eigenvalues of A, (n,) complex, in the order of the triangle's diagonal."""
-        T = self.triangle
-        values = np.diag(T).astype(complex)
-        i = np.flatnonzero(np.diag(T, -1))
-        half = 1j * np.sqrt(-np.diag(T, 1)[i] * np.diag(T, -1)[i])
-        values[i] += half
-        values[i + 1] -= half
-        return values
+        return schur_eigenvalues(self.triangle)
 
     @property
     def pole_errors(self) -> np.ndarray:
         """What rounding can do to each (well-conditioned) pole, (n,): eps times the largest entry in its row and column."""
         size = np.abs(self.triangle)
         return np.finfo(float).eps * np.maximum(size.max(0, initial=0.0), size.max(1, initial=0.0))
+
+
+def schur_eigenvalues(T: np.ndarray) -> np.ndarray:
+    """The eigenvalues (n,) of a triangular or (real, standardised) quasi-triangular T (n, n), in the order of its diagonal."""
+    values = np.diag(T).astype(complex)
+    i = np.flatnonzero(np.diag(T, -1))
+    half = 1j * np.sqrt(-np.diag(T, 1)[i] * np.diag(T, -1)[i])
+    values[i] += half
+    values[i + 1] -= half
+    return values
 
 
 def schur_form(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> SchurForm:
@@ -197,25 +201,39 @@ def transfer_matrix_at(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarra
 
     A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput where s is an eigenvalue of A to rounding.
     """
-    n = A.shape[0]
-    if n == 0 or 0 in D.shape:
+    if A.shape[0] == 0 or 0 in D.shape:
         return D.astype(complex)
+    X, rcond = state_response_at(A, B, s)
+    if rcond < A.shape[0] * np.finfo(float).eps:
+        raise _at_pole(s)
+    return C @ X + D
+
+
+def state_response_at(A: np.ndarray, B: np.ndarray, s: complex) -> tuple[np.ndarray, float]:
+    """X = (s I - A)^-1 B, (n, m) complex, refined in extended precision, and the equilibrated matrix's reciprocal condition.
+
+    A (n, n), B (n, m). At an eigenvalue of A the condition is 0 and X is zero.
+    """
+    n = A.shape[0]
     A, t = balance(A)
-    B, C = B / t[:, None], C * t
     shifted = s * np.eye(n) - A
-    rows = 1 / np.maximum(np.abs(shifted).max(axis=1), np.finfo(float).tiny)
-    columns = 1 / np.maximum((np.abs(shifted) * rows[:, None]).max(axis=0), np.finfo(float).tiny)
+    rows = 1 / np.maximum(np.abs(shifted).max(axis=1), 1e-280)
+    columns = 1 / np.maximum((np.abs(shifted) * rows[:, None]).max(axis=0), 1e-280)
     scaled = shifted * rows[:, None] * columns
     lu, pivots, singular = sla.lapack.zgetrf(scaled)
-    rcond = 0.0 if singular else sla.lapack.zgecon(lu, np.abs(scaled).sum(axis=0).max())[0]
-    if rcond < n * np.finfo(float).eps:
-        raise _at_pole(s)
-    X = columns[:, None] * sla.lu_solve((lu, pivots), rows[:, None] * B)
+    if singular:
+        return np.zeros(B.shape, complex), 0.0
+
+    def solve(right: np.ndarray) -> np.ndarray:
+        return columns[:, None] * sla.lapack.zgetrs(lu, pivots, rows[:, None] * right)[0]
+
+    right = B / t[:, None]
+    X = solve(right)
     wide = s * np.eye(n, dtype=np.clongdouble) - A
     for _ in range(2):
-        residual = (B - wide @ X).astype(complex)
-        X = X + columns[:, None] * sla.lu_solve((lu, pivots), rows[:, None] * residual)
-    return C @ X + D
+        X = X + solve((right - wide @ X).astype(complex))
+    rcond = float(sla.lapack.zgecon(lu, np.abs(scaled).sum(axis=0).max())[0])
+    return t[:, None] * X, rcond
 
 
 def _times(T: np.ndarray, X: np.ndarray) -> np.ndarray:

@@ -14,6 +14,8 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
+from ambrose.core.balancing import balance as balance  # noqa: PLC0414 (re-exported)
+from ambrose.core.balancing import balance_system
 from ambrose.core.checks import (
     InvalidInput,
     NumericalFailure,
@@ -165,16 +167,8 @@ def transfer_function(
     A = np.vstack([-a[1:], np.eye(n)[:-1]])
     B = np.eye(n)[:, :1]
     C = (b[1:] - b[0] * a[1:])[None, :]
-    A, t = balance(A)
-    return StateSpace(A, B / t[:, None], C * t, [[b[0]]], [input], [output], dt)
-
-
-def balance(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Diagonal similarity that evens out row and column norms: T^-1 A T with T = diag(t), and t (n,). Exact (powers of 2)."""
-    if A.shape[0] == 0:
-        return A, np.ones(0)
-    balanced, (scale, _) = sla.matrix_balance(A, permute=False, separate=True)
-    return balanced, scale
+    A, B, C, _ = balance_system(A, B, C)
+    return StateSpace(A, B, C, [[b[0]]], [input], [output], dt)
 
 
 def poles(system: Any) -> np.ndarray:

@@ -1,0 +1,331 @@
+"""Lyapunov and Riccati equations, Gramians, balanced realisations and the H2 norm; the H-infinity norm is in ``norms``.
+
+Everything is balanced by exact diagonal scaling first, and every result is put back into its equation: what does not fit
+is not returned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import ArrayLike
+
+from ambrose.core.balancing import balance, balance_system
+from ambrose.core.checks import NumericalFailure, UnstableSystem, check_shape, invalid
+from ambrose.core.frequency import schur_eigenvalues
+from ambrose.core.norms import HinfNorm, hinf_norm
+from ambrose.core.statespace import StateSpace, as_statespace
+
+__all__ = [
+    "HinfNorm",
+    "RiccatiSolution",
+    "balanced_realization",
+    "controllability_gramian",
+    "discrete_lyapunov",
+    "h2_norm",
+    "hinf_norm",
+    "lyapunov",
+    "observability_gramian",
+    "riccati",
+    "solve_riccati",
+]
+
+_RESIDUAL = 1e-8  # largest accepted residual, relative to the terms of the equation
+_EPS = float(np.finfo(float).eps)
+
+
+def lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
+    """X (n, n) with A X + X A^T + Q = 0.
+
+    A (n, n); Q (n, n), any; a symmetric Q gives a symmetric X. Raises NumericalFailure when A and -A share an eigenvalue.
+    Source: Bartels & Stewart 1972, on the complex Schur form of the balanced A.
+    """
+    return _lyapunov(*_square(A, Q), discrete=False)
+
+
+def discrete_lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
+    """X (n, n) with A X A^T - X + Q = 0.
+
+    A (n, n); Q (n, n), any; a symmetric Q gives a symmetric X. Raises NumericalFailure when the product of two eigenvalues of A
+    is 1. Source: Kitagawa 1977, on the complex Schur form of the balanced A.
+    """
+    return _lyapunov(*_square(A, Q), discrete=True)
+
+
+def _square(A: ArrayLike, Q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    a = check_shape(A, "A", "(n, n)")
+    return a, check_shape(Q, "Q", "(n, n)", n=a.shape[0])
+
+
+def _lyapunov(A: np.ndarray, Q: np.ndarray, discrete: bool) -> np.ndarray:
+    if A.shape[0] == 0:
+        return np.zeros((0, 0))
+    A, t = balance(A)
+    Q = Q / t[:, None] / t
+    T, U = sla.schur(A, output="complex")
+    size = np.abs(T)
+    error = 10 * _EPS * np.maximum(size.max(0), size.max(1))
+    poles = np.diag(T)
+    if discrete:
+        clash = np.abs(poles[:, None] * poles.conj() - 1) - error[:, None] - error
+    else:
+        clash = np.abs(poles[:, None] + poles.conj()) - error[:, None] - error
+    if clash.min() <= 0:
+        i, j = np.unravel_index(np.argmin(clash), clash.shape)
+        what = "with the product 1" if discrete else "with the sum 0"
+        raise NumericalFailure(
+            f"the Lyapunov equation has no unique solution: A has the eigenvalues {poles[i]:.6g} and {poles[j].conj():.6g} "
+            f"{what}; remove or shift marginal states first"
+        )
+    X = U @ _triangular_lyapunov(T, U.conj().T @ Q @ U, discrete) @ U.conj().T
+    if np.isrealobj(A) and np.isrealobj(Q):
+        X = X.real
+    if np.array_equal(Q, Q.conj().T):
+        X = (X + X.conj().T) / 2
+    AX = A @ X
+    terms = np.array((AX @ A.conj().T, -X, Q) if discrete else (AX, X @ A.conj().T, Q))
+    residual = float(np.linalg.norm(terms.sum(axis=0)) / max(np.linalg.norm(terms, axis=(1, 2)).sum(), 1e-280))
+    if not residual <= _RESIDUAL:
+        raise NumericalFailure(
+            f"the Lyapunov equation's relative residual is {residual:.2g}, but must be at most {_RESIDUAL:g}; "
+            "a pole is too close to the stability boundary, or the states are badly scaled"
+        )
+    return X * t[:, None] * t
+
+
+def _triangular_lyapunov(T: np.ndarray, Q: np.ndarray, discrete: bool) -> np.ndarray:
+    """Y with T Y + Y T^H + Q = 0, or T Y T^H - Y + Q = 0, for upper triangular T (n, n): the last column first."""
+    n = T.shape[0]
+    Y = np.zeros((n, n), dtype=complex)
+    for j in range(n - 1, -1, -1):
+        known = Y[:, j + 1 :] @ T[j, j + 1 :].conj()
+        shift = T[j, j].conj()
+        if discrete:
+            left, right = shift * T, -Q[:, j] - T @ known
+            left[np.diag_indices(n)] -= 1
+        else:
+            left, right = T.copy(order="F"), -Q[:, j] - known
+            left[np.diag_indices(n)] += shift
+        Y[:, j] = sla.blas.ztrsv(left, right)
+    return Y
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RiccatiSolution:
+    """The stabilising solution of A^T X + X A - X G X + Q = 0, or why there is none.
+
+    X (n, n) symmetric; closed_loop_poles (n,): eigenvalues of A - G X; residual: relative to the sum of the equation's terms.
+    status: "solved", or the reason: "imaginary-axis eigenvalues", "X1 singular", "inaccurate"; X is NaN unless solved.
+    """
+
+    X: np.ndarray
+    closed_loop_poles: np.ndarray
+    residual: float
+    status: str
+
+    @property
+    def solved(self) -> bool:
+        return self.status == "solved"
+
+
+_ADVICE = {
+    "imaginary-axis eigenvalues": "the Hamiltonian has eigenvalues on the imaginary axis; gamma is too small, or a mode on the "
+    "axis is uncontrollable or unobservable",
+    "X1 singular": "the stable subspace has a singular X1; gamma is too small, or (A, G) is not stabilisable",
+    "inaccurate": "the solution's residual is too large; rescale the problem, or move away from the optimal gamma",
+}
+
+
+def riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
+    """The stabilising solution of A^T X + X A - X G X + Q = 0: the eigenvalues of A - G X lie in the open left half plane.
+
+    A (n, n); G (n, n) and Q (n, n) symmetric, either may be indefinite. For LQR G = B R^-1 B^T; for H-infinity control
+    G = B2 B2^T - gamma^-2 B1 B1^T. Raises NumericalFailure naming the reason when there is none; InvalidInput. Source: Laub
+    1979 (Schur vectors of the Hamiltonian), with symplectic balancing (Benner 2001).
+    """
+    solution = solve_riccati(A, G, Q)
+    if not solution.solved:
+        raise NumericalFailure(f"the Riccati equation has no stabilising solution: {_ADVICE[solution.status]}")
+    return solution
+
+
+def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
+    """``riccati`` for use in an iteration: failure is a ``status``, not an exception.
+
+    A (n, n); G (n, n), Q (n, n) symmetric. Raises InvalidInput only.
+    """
+    a = check_shape(A, "A", "(n, n)")
+    n = a.shape[0]
+    if n == 0:
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros(0, complex), 0.0, "solved")
+    return _solve_riccati(a, _symmetric(G, "G", n), _symmetric(Q, "Q", n))
+
+
+def _solve_riccati(A: np.ndarray, G: np.ndarray, Q: np.ndarray) -> RiccatiSolution:
+    n = A.shape[0]
+    H = np.block([[A, -G], [-Q, -A.T]])
+    scale = balance(H)[1]
+    d = np.exp2(np.round(np.log2(scale[:n] / scale[n:]) / 2))  # diag(d, 1/d) is symplectic
+    A, G, Q = A * d / d[:, None], G / d[:, None] / d, Q * d[:, None] * d
+    X, status = _stable_subspace(np.block([[A, -G], [-Q, -A.T]]))
+    residual = np.inf
+    if status == "solved":
+        X, residual = _refine(A, G, Q, X)
+        poles = np.linalg.eigvals(A - G @ X)
+        if not residual <= _RESIDUAL:
+            status = "inaccurate"
+        elif poles.real.max() >= 0:
+            status = "imaginary-axis eigenvalues"
+    if status != "solved":
+        return RiccatiSolution(np.full((n, n), np.nan), np.full(n, np.nan, complex), float(residual), status)
+    return RiccatiSolution(X / d[:, None] / d, poles, float(residual), status)
+
+
+def _symmetric(X: ArrayLike, name: str, n: int) -> np.ndarray:
+    x = check_shape(X, name, "(n, n)", n=n)
+    if np.abs(x - x.T).max(initial=0.0) > 1e-10 * np.abs(x).max(initial=0.0):
+        raise invalid(name, "not symmetric", "symmetric", "use its symmetric part")
+    return (x + x.T) / 2
+
+
+def _stable_subspace(H: np.ndarray) -> tuple[np.ndarray, str]:
+    """X = X2 X1^-1 from the n most stable Schur vectors of the Hamiltonian (2n, 2n), and the status.
+
+    The n most stable eigenvalues are taken, whatever their sign after rounding: slow poles far below the norm would break a
+    count of negative real parts. That they mirror the others shows in the symmetry of X (a Lagrangian subspace).
+    """
+    n = H.shape[0] // 2
+    T, Z = sla.schur(H)
+    values = schur_eigenvalues(T)
+    order = np.argsort(values.real, kind="stable")
+    if ((np.abs(values.real) <= 10 * _EPS * np.abs(T).max()) & (values.imag != 0)).any():
+        return H[:n, :n], "imaginary-axis eigenvalues"
+    select = np.zeros(2 * n, dtype=np.int32)
+    select[order[:n]] = 1
+    _, Z, *_, m, _, _, info = sla.lapack.dtrsen(select, T, Z, job=b"N")
+    if info != 0 or m != n:
+        return H[:n, :n], "imaginary-axis eigenvalues"
+    lu, pivots, singular = sla.lapack.dgetrf(Z[:n, :n])
+    if singular or sla.lapack.dgecon(lu, np.abs(Z[:n, :n]).sum(axis=0).max())[0] < 10 * _EPS:
+        return H[:n, :n], "X1 singular"
+    X = sla.lapack.dgetrs(lu, pivots, Z[n:, :n].T, trans=1)[0].T
+    if np.abs(X - X.T).max() > 1e-5 * np.abs(X).max():  # a Lagrangian subspace gives a symmetric X
+        return H[:n, :n], "imaginary-axis eigenvalues"
+    return (X + X.T) / 2, "solved"
+
+
+def _refine(A: np.ndarray, G: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, float]:
+    """One Newton step where the residual asks for it, kept only if it helps; the residual (relative)."""
+
+    def put_in(X: np.ndarray) -> tuple[np.ndarray, float]:
+        XA, XGX = X @ A, X @ G @ X
+        R = XA + XA.T - XGX + Q
+        terms = 2 * np.linalg.norm(XA) + np.linalg.norm(XGX) + np.linalg.norm(Q)
+        return R, float(np.linalg.norm(R)) / max(float(terms), 1e-280)
+
+    R, residual = put_in(X)
+    if residual > 1e-13:
+        try:
+            better = X + lyapunov((A - G @ X).T, (R + R.T) / 2)
+        except NumericalFailure:
+            return X, residual
+        if put_in(better)[1] < residual:
+            return better, put_in(better)[1]
+    return X, residual
+
+
+def controllability_gramian(system: Any) -> np.ndarray:
+    """P (n, n) with A P + P A^T + B B^T = 0, or A P A^T - P + B B^T = 0 when sampled. Raises UnstableSystem."""
+    system = as_statespace(system)
+    L = _gramian_factor(system.A, system.B, system.dt is not None)
+    return L @ L.T
+
+
+def observability_gramian(system: Any) -> np.ndarray:
+    """Q (n, n) with A^T Q + Q A + C^T C = 0, or A^T Q A - Q + C^T C = 0 when sampled. Raises UnstableSystem."""
+    system = as_statespace(system)
+    L = _gramian_factor(system.A.T, system.C.T, system.dt is not None)
+    return L @ L.T
+
+
+def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
+    """L (n, n) real with P = L L^T, found without forming P, so that small singular values keep their digits.
+
+    Source: Hammarling 1982, on the complex Schur form, one column at a time; real and imaginary parts side by side are a
+    real factor of the same Gramian.
+    """
+    n = A.shape[0]
+    if n == 0:
+        return np.zeros((0, 0))
+    A, B, _, t = balance_system(A, B, np.zeros((1, n)))
+    T, U = sla.schur(A, output="complex")
+    size = np.abs(T)
+    poles, error = np.diag(T), 10 * _EPS * np.maximum(size.max(0), size.max(1))
+    distance = 1 - np.abs(poles) if discrete else -poles.real
+    if (distance <= error).any():
+        worst = poles[np.argmin(distance - error)]
+        raise UnstableSystem(
+            f"the pole {'z' if discrete else 's'} = {worst:.6g} is not inside the stability region, so the Gramian does not "
+            "exist; stabilise the system, or split off its unstable part"
+        )
+    R = np.zeros((n, n), dtype=complex)
+    W = (U.conj().T @ B).astype(complex)
+    for k in range(n - 1, -1, -1):
+        b, tau, above = W[k], T[k, k], T[:k, k]
+        size_b = np.linalg.norm(b)
+        if size_b == 0.0:
+            W = W[:k]
+            continue
+        unit = b.conj() / size_b
+        alpha = np.sqrt((1 - abs(tau)) * (1 + abs(tau)) if discrete else -2 * tau.real)
+        R[k, k] = rho = size_b / alpha
+        c = W[:k] @ unit
+        left = T[:k, :k] * tau.conj() if discrete else T[:k, :k].copy(order="F")
+        left[np.diag_indices(k)] += -1 if discrete else tau.conj()
+        if k:
+            r = sla.blas.ztrsv(left, -above * rho * tau.conj() - alpha * c if discrete else -above * rho - alpha * c)
+            R[:k, k] = r
+            change = alpha * (T[:k, :k] @ r + above * rho) - tau * c - c if discrete else -alpha * r
+            W = W[:k] + np.outer(change, unit.conj())
+    S = U @ R
+    factor: np.ndarray = sla.qr(np.hstack([S.real, S.imag]).T, mode="r")[0][:n]
+    return factor.T * t[:, None]
+
+
+def h2_norm(system: Any) -> float:
+    """The H2 norm: root of the summed squares of all impulse responses; inf when a continuous system has D != 0.
+
+    Sampled systems are summed per sample, not per second. Raises UnstableSystem. Source: Zhou, Doyle & Glover 1996, sec. 4.6.
+    """
+    system = as_statespace(system)
+    discrete = system.dt is not None
+    L = _gramian_factor(system.A, system.B, discrete)
+    if discrete:
+        return float(np.hypot(np.linalg.norm(system.C @ L), np.linalg.norm(system.D)))
+    return float(np.inf if system.D.any() else np.linalg.norm(system.C @ L))
+
+
+def balanced_realization(system: Any) -> tuple[StateSpace, np.ndarray, np.ndarray, np.ndarray]:
+    """The realisation with equal, diagonal Gramians: (system, hankel (n,), T_L (k, n), T_R (n, k)).
+
+    The new system has A = T_L A T_R, B = T_L B, C = C T_R, T_L T_R = I; its Gramians are diag(hankel[:k]), in descending order.
+    States whose Hankel singular value is below n eps of the largest cannot be told from zero and are left out, so k <= n for
+    a system that is not minimal. Raises UnstableSystem. Source: Tombs & Postlethwaite 1987 (square-root method).
+    """
+    system = as_statespace(system)
+    discrete = system.dt is not None
+    A, B, C, t = balance_system(system.A, system.B, system.C)
+    n = A.shape[0]
+    Lc, Lo = _gramian_factor(A, B, discrete), _gramian_factor(A.T, C.T, discrete)
+    U, hankel, Vt = np.linalg.svd(Lo.T @ Lc)
+    k = int((hankel > n * _EPS * hankel.max(initial=0.0)).sum())
+    root = np.sqrt(hankel[:k])
+    T_L = (Lo @ (U[:, :k] / root)).T / t
+    T_R = (Lc @ (Vt[:k].T / root)) * t[:, None]
+    balanced = StateSpace(
+        T_L @ system.A @ T_R, T_L @ system.B, system.C @ T_R, system.D, system.inputs, system.outputs, system.dt
+    )  # fmt: skip
+    return balanced, hankel, T_L, T_R

@@ -1,0 +1,266 @@
+"""The H-infinity norm: two-step bisection (Bruinsma & Steinbuch 1990) without any classification of eigenvalues.
+
+gamma is a singular value of G(j omega) exactly where a Hamiltonian matrix has the eigenvalue j omega. Whether a computed
+eigenvalue lies "on" the axis is a fragile question; it is not asked. The imaginary part of *every* eigenvalue, and the
+midpoints between neighbours, are candidate frequencies: were there an interval with a gain above gamma, its ends would be
+eigenvalues, so one candidate at least would lie inside it and show that gain by evaluation. A wrong candidate costs one
+evaluation. The lower bound starts from the poles' frequencies and climbs to the local maximum after each step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose.core.balancing import balance_system
+from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive
+from ambrose.core.frequency import SchurForm, evaluate, schur_form, state_response_at
+from ambrose.core.statespace import StateSpace, as_statespace
+
+_MAX_STEPS = 60
+_STENCIL = np.linspace(-1.0, 1.0, 17)  # points of one pass of the local search
+_PASSES = 5
+_PEAKS = 6  # local maxima followed at once
+_ROUNDING = 10.0  # a pole is marginal when it is closer to the boundary than this many rounding errors
+
+
+@dataclass(frozen=True, slots=True)
+class HinfNorm:
+    """The largest singular value over all frequencies, and where it is attained.
+
+    value: attained at ``frequency`` [rad/s] (inf when only approached at infinite frequency); no frequency has a gain above
+    ``upper`` = (1 + tolerance) value, up to rounding. ``steps`` counts Hamiltonian eigenvalue problems.
+    """
+
+    value: float
+    frequency: float
+    upper: float
+    steps: int
+
+
+def hinf_norm(system: Any, tolerance: float = 1e-6, allow_unstable: bool = False) -> HinfNorm:
+    """The H-infinity norm of a continuous or sampled system, with the frequency of its peak [rad/s].
+
+    system: a StateSpace or python-control system; tolerance: relative distance from the value to the certified upper bound;
+    allow_unstable: return the L-infinity norm (largest gain on the axis or unit circle) of an unstable system; a pole on the
+    boundary then gives inf. Raises UnstableSystem for an unstable or marginal system, NumericalFailure when the bounds do not
+    meet. Source: Bruinsma & Steinbuch 1990, Systems & Control Letters 14, algorithm 2.
+    """
+    system = as_statespace(system)
+    check_positive(tolerance, "tolerance", "1e-6 suits most uses")
+    if 0 in system.D.shape:
+        return HinfNorm(0.0, 0.0, 0.0, 0)
+    if system.n_states == 0:
+        gain = float(np.linalg.norm(system.D, 2))
+        return HinfNorm(gain, 0.0, gain, 0)
+    problem = _Problem.of(system)
+    marginal = _check_stability(problem, allow_unstable)
+    if marginal is not None:
+        return HinfNorm(np.inf, marginal / problem.unit, np.inf, 0)
+    value, angle, upper, steps = _bisect(problem, max(tolerance, 1e-12))
+    return HinfNorm(value, angle / problem.unit, upper, steps)
+
+
+@dataclass(frozen=True, slots=True)
+class _Peak:
+    gain: float
+    angle: float
+    noise: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """One system prepared: ``form`` for gains at many points, ``A .. D`` of the continuous equivalent for the Hamiltonian.
+
+    Frequencies are angles theta = omega dt in 0..pi when sampled, else omega in 0..inf; ``unit`` is dt or 1.
+    """
+
+    original: StateSpace
+    form: SchurForm
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    rotation: float
+
+    @classmethod
+    def of(cls, system: StateSpace) -> _Problem:
+        A, B, C, _ = balance_system(system.A, system.B, system.C)
+        form = schur_form(A, B, C, system.D)
+        rotation = 0.0
+        D = system.D
+        if system.dt is not None:
+            A, B, C, D, rotation = _continuous(A, B, C, D, form.poles)
+            A, B, C, _ = balance_system(A, B, C)
+        return cls(system, form, A, B, C, D, rotation)
+
+    @property
+    def sampled(self) -> bool:
+        return self.original.dt is not None
+
+    @property
+    def unit(self) -> float:
+        return 1.0 if self.original.dt is None else self.original.dt
+
+    def point(self, angle: np.ndarray) -> np.ndarray:
+        return np.exp(1j * angle) if self.sampled else 1j * angle
+
+    def gains(self, angle: np.ndarray) -> np.ndarray:
+        """The largest singular value at each frequency, fast."""
+        return np.linalg.norm(evaluate(self.form, self.point(angle)), 2, axis=(1, 2))
+
+    def peak(self, angle: float) -> _Peak:
+        """The largest singular value at one frequency, as exactly as the data allow, with its rounding error."""
+        s = self.original
+        if np.isinf(angle):
+            return _Peak(float(np.linalg.norm(s.D, 2)), angle, 0.0)
+        X, _ = state_response_at(s.A, s.B, complex(self.point(np.asarray(angle))))
+        noise = np.finfo(float).eps * np.linalg.norm(np.abs(s.C) @ np.abs(X) + np.abs(s.D))
+        return _Peak(float(np.linalg.norm(s.C @ X + s.D, 2)), angle, float(noise))
+
+    def candidates(self, gamma: float) -> np.ndarray:
+        """Every frequency at which gamma may be a singular value, sorted, with the points between neighbours."""
+        values = np.linalg.eigvals(_hamiltonian(self.A, self.B, self.C, self.D, gamma)).imag
+        if self.sampled:
+            angles = np.abs(np.angle(np.exp(1j * (2 * np.arctan(values) + self.rotation))))
+            ends = np.unique(np.concatenate([[0.0], angles, [np.pi]]))
+        else:
+            ends = np.unique(np.concatenate([[0.0], np.abs(values)]))
+        middle, geometric = (ends[1:] + ends[:-1]) / 2, np.sqrt(ends[1:] * ends[:-1])
+        return np.unique(np.concatenate([ends, middle, geometric]))
+
+
+def _continuous(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, poles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """The bilinear image z = e^(j rotation) (1 + s) / (1 - s); rotated (and complex) only when a pole is close to z = -1."""
+    rotation = 0.0
+    if np.abs(poles + 1).min() < 1e-3:
+        angles = np.linspace(0.0, np.pi, 65)
+        rotation = float(angles[np.argmax(np.abs(poles[:, None] + np.exp(1j * angles)).min(axis=0))])
+        A, B = A * np.exp(-1j * rotation), B * np.exp(-1j * rotation)
+    plus = A + np.eye(len(A))
+    lu = sla.lu_factor(plus)
+    left = sla.lu_solve(lu, np.hstack([A - np.eye(len(A)), B]))
+    CE = sla.lu_solve(lu, C.T.astype(plus.dtype), trans=1).T
+    return left[:, : len(A)], np.sqrt(2) * left[:, len(A) :], np.sqrt(2) * CE, D - CE @ B, rotation
+
+
+def _hamiltonian(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, gamma: float) -> np.ndarray:
+    """Eigenvalues j omega where gamma is a singular value of C (j omega - A)^-1 B + D; scaled to gamma = 1."""
+    B, C, D = B / np.sqrt(gamma), C / np.sqrt(gamma), D / gamma
+    DH, CH, BH = D.conj().T, C.conj().T, B.conj().T
+    right = np.linalg.solve(np.eye(D.shape[1]) - DH @ D, np.hstack([DH @ C, BH]))
+    n = len(A)
+    F = A + B @ right[:, :n]
+    return np.block([[F, B @ right[:, n:]], [-CH @ (C + D @ right[:, :n]), -F.conj().T]])
+
+
+def _check_stability(problem: _Problem, allow_unstable: bool) -> float | None:
+    """The frequency of a pole on the stability boundary, or None; refuses unstable systems unless they are allowed."""
+    poles, errors = problem.form.poles, _ROUNDING * problem.form.pole_errors
+    distance = 1 - np.abs(poles) if problem.sampled else -poles.real
+    if (distance <= errors).any():
+        worst = int(np.argmin(distance - errors))
+        if not allow_unstable:
+            kind = "z" if problem.sampled else "s"
+            raise UnstableSystem(
+                f"the pole {kind} = {poles[worst]:.6g} is not inside the stability region, so the H-infinity norm does not "
+                "exist; stabilise the loop first, or ask for the L-infinity norm with allow_unstable=True"
+            )
+        on_boundary = np.flatnonzero(np.abs(distance) <= errors)
+        if on_boundary.size:
+            pole = poles[on_boundary[0]]
+            return float(abs(np.angle(pole)) if problem.sampled else abs(pole.imag))
+    return None
+
+
+def _bisect(problem: _Problem, tolerance: float) -> tuple[float, float, float, int]:
+    """Raise the lower bound until no candidate beats it by more than ``tolerance``: value, angle, upper bound, steps."""
+    best = _Peak(0.0, 0.0, 0.0) if problem.sampled else problem.peak(np.inf)
+    best = _climb(problem, _seeds(problem), best, 0.0)
+    for step in range(_MAX_STEPS):
+        level = best.gain * (1 + tolerance) + best.noise
+        if level == 0.0:
+            return 0.0, 0.0, 0.0, step
+        higher = _climb(problem, problem.candidates(level), best, level - 0.5 * tolerance * best.gain)
+        if higher.gain <= level:
+            return higher.gain, higher.angle, level, step + 1
+        best = higher
+    raise NumericalFailure(
+        f"the H-infinity norm's lower bound {best.gain:.6g} still rises after {_MAX_STEPS} steps; use a larger tolerance "
+        f"than {tolerance:g}, or rescale the inputs and outputs"
+    )
+
+
+def _seeds(problem: _Problem) -> np.ndarray:
+    """Frequencies to start from: those of the poles, the ends, and points between."""
+    poles = problem.form.poles
+    if problem.sampled:  # the last one is where the bilinear map has its infinity
+        seeds = np.concatenate([[0.0, np.pi, np.pi - problem.rotation], np.abs(np.angle(poles))])
+    else:
+        seeds = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag)])
+    seeds = np.unique(seeds)
+    return np.unique(np.concatenate([seeds, (seeds[1:] + seeds[:-1]) / 2]))
+
+
+def _climb(problem: _Problem, angles: np.ndarray, best: _Peak, level: float) -> _Peak:
+    """The highest of ``best`` and the local maxima near the best of these (sorted) frequencies with gains above ``level``."""
+    gains = problem.gains(angles)
+    left, right = np.append(-np.inf, gains[:-1]), np.append(gains[1:], -np.inf)
+    peaks = np.flatnonzero((gains >= left) & (gains >= right) & (gains > max(level, 0.5 * gains.max())))
+    peaks = peaks[np.argsort(-gains[peaks])][:_PEAKS]
+    if peaks.size == 0:
+        return best
+    centre, radius, height = _zoom(problem, angles[peaks], gains[peaks])
+    keep = height > (1 - 1e-3) * height.max()
+    for angle, step in zip(centre[keep], radius[keep], strict=True):
+        peak = _polish(problem, float(angle), float(step))
+        if peak.gain > best.gain:
+            best = peak
+    return best
+
+
+def _zoom(problem: _Problem, centre: np.ndarray, gains: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Local maximisation from several starts (k,) at once: centres, remaining radii, gains.
+
+    The first radius is the distance to the nearest pole: on that scale G changes. Frequencies may leave the half axis (or the
+    half circle); the gain is symmetric.
+    """
+    points = problem.point(centre)
+    radius = np.abs(points[:, None] - problem.form.poles).min(axis=1)
+    k = np.arange(len(centre))
+    for _ in range(_PASSES):
+        angles = centre[:, None] + radius[:, None] * _STENCIL
+        values = problem.gains(angles.ravel()).reshape(angles.shape)
+        top = np.argmax(values, axis=1)
+        inside = (top > 0) & (top < len(_STENCIL) - 1)
+        better = values[k, top] > gains
+        centre = np.where(better, angles[k, top], centre)
+        gains = np.where(better, values[k, top], gains)
+        radius = np.where(inside | ~better, radius / 8, radius)
+    return centre, radius, gains
+
+
+def _polish(problem: _Problem, angle: float, step: float) -> _Peak:
+    """The same for one start with exactly evaluated gains: walk while a neighbour is higher, end with a parabola."""
+    step = max(step, 8 * np.spacing(angle))
+    here = problem.peak(angle)
+    low, high = problem.peak(angle - step), problem.peak(angle + step)
+    for _ in range(30):
+        if max(low.gain, high.gain) <= here.gain:
+            break
+        step *= 2
+        here = max(low, high, key=lambda peak: peak.gain)
+        low, high = problem.peak(here.angle - step), problem.peak(here.angle + step)
+    bend = low.gain - 2 * here.gain + high.gain
+    if bend < 0:
+        vertex = problem.peak(here.angle + 0.5 * step * (low.gain - high.gain) / bend)
+        here = max(here, vertex, key=lambda peak: peak.gain)
+    angle = abs(here.angle)
+    if problem.sampled:
+        angle = float(abs(np.angle(np.exp(1j * angle))))
+    return _Peak(here.gain, angle, here.noise)
