@@ -13,7 +13,8 @@ theory              translational mass  rotary inertia    gyroscopic moments   s
 ==================  ==================  ================  ===================  =================
 
 "rayleigh" is the element of Nelson & McVaugh (1976), "timoshenko" that of Nelson (1980); both use the static deflection under
-end loads as shape functions. All functions take arrays: a leading axis runs over elements.
+end loads as shape functions. Frequencies converge with order 4 in the element length; with shear, whose strain is constant
+in an element, with order 2. All functions take arrays: a leading axis runs over elements.
 """
 
 from __future__ import annotations
@@ -25,8 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_finite, invalid
-
-BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
+from ambrose.machine.description import BEAM_THEORIES
 
 # Four Gauss points integrate the products of the shape functions (degree 6) exactly.
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -143,8 +143,9 @@ def shear_coefficient(poisson_ratio: Any, diameter_ratio: Any = 0.0) -> Any:
 
 
 def _integral(rows: np.ndarray) -> np.ndarray:
-    """Integral over xi of rows' rows, (..., 4, 4), from rows (..., points, 4)."""
-    return np.einsum("p,...pi,...pj->...ij", _WEIGHTS, rows, rows)
+    """Integral over xi of rows' rows, (..., 4, 4), from rows (..., points, 4); symmetric to the last bit."""
+    weighted = np.sqrt(_WEIGHTS)[:, None] * rows
+    return np.einsum("...pi,...pj->...ij", weighted, weighted)
 
 
 def _stiffness(EI: np.ndarray, L: np.ndarray, phi: np.ndarray) -> np.ndarray:
@@ -155,8 +156,8 @@ def _stiffness(EI: np.ndarray, L: np.ndarray, phi: np.ndarray) -> np.ndarray:
     zero, half, inverse = np.zeros_like(L), np.full_like(L, 0.5), 1 / L
     bend = np.stack([zero, zero - 1, zero, zero + 1], axis=-1)
     shear = np.stack([inverse, half, -inverse, half], axis=-1)
-    first = (EI / L)[..., None, None] * bend[..., :, None] * bend[..., None, :]
-    return first + (12 * EI / ((1 + phi) * L))[..., None, None] * shear[..., :, None] * shear[..., None, :]
+    first = (EI / L)[..., None, None] * (bend[..., :, None] * bend[..., None, :])
+    return first + (12 * EI / ((1 + phi) * L))[..., None, None] * (shear[..., :, None] * shear[..., None, :])
 
 
 def _check_section(

@@ -74,8 +74,7 @@ class FreeModes:
 def finite_element_rotor(machine: Machine) -> Rotor:
     """Assemble the shaft (``elements`` equal elements per section) and the discs of a machine; N = all elements + 1.
 
-    Discs may lie between nodes: their inertia is spread by the shape functions. Raises InvalidInput for impossible sections,
-    materials or disc positions.
+    Discs may lie between nodes: their inertia is spread by the shape functions.
     """
     positions, element = _mesh(machine)
     mass, gyroscopic = _add_discs(element, positions, machine.discs)
@@ -202,11 +201,6 @@ def _rigid_motions(positions: np.ndarray, about: float) -> tuple[np.ndarray, np.
 def _mesh(machine: Machine) -> tuple[np.ndarray, BeamElement]:
     """Node positions (N,) [m] and the matrices of all elements."""
     sections = machine.shaft
-    if not sections:
-        raise invalid("the number of shaft sections", 0, "one or more", "add a shaft section")
-    for section in sections:
-        if section.elements < 1:
-            raise invalid(f"elements of shaft section {section.label!r}", section.elements, "one or more", "set elements = 1")
     count = [section.elements for section in sections]
     lengths = np.repeat([section.length / section.elements for section in sections], count)
     element = beam_element(
@@ -231,7 +225,7 @@ def _add_discs(element: BeamElement, positions: np.ndarray, discs: tuple[Disc, .
             ..., None, None
         ]
         tilting = theta[:, :, None] * theta[:, None, :]
-        np.add.at(mass, at, kilograms * w[:, :, None] * w[:, None, :] + diametral * tilting)
+        np.add.at(mass, at, kilograms * (w[:, :, None] * w[:, None, :]) + diametral * tilting)
         np.add.at(gyroscopic, at, polar * tilting)
     return mass, gyroscopic
 
