@@ -38,6 +38,8 @@ def check_finite(x: ArrayLike, name: str) -> np.ndarray:
     """
     try:
         array = np.asarray(x)
+        if array.dtype.kind in "USmM":
+            raise TypeError(f"it holds {array.dtype}")
         if array.dtype.kind not in "fc":
             array = array.astype(float)
     except (TypeError, ValueError) as error:
@@ -81,7 +83,10 @@ def match_shape(actual: tuple[int, ...], shape: str, sizes: dict[str, int]) -> b
 
 def check_positive(x: float, name: str, remedy: str, *, zero_allowed: bool = False) -> float:
     """``x`` as a float, after refusing NaN, infinity and numbers below (or at) zero. Raises InvalidInput."""
-    value = float(check_finite(x, name))
+    array = check_finite(x, name)
+    if array.ndim or np.iscomplexobj(array):
+        raise invalid(name, array.tolist(), "one real number", remedy)
+    value = float(array)
     if value < 0 or (value == 0 and not zero_allowed):
         raise invalid(name, value, "zero or positive" if zero_allowed else "positive", remedy)
     return value

@@ -54,13 +54,14 @@ class StateSpace:
         outputs: Sequence[str] | None = None,
         dt: float | None = None,
     ) -> None:
-        D = np.atleast_2d(check_finite(D, "D"))
+        A, B, C, D = (np.asarray(check_finite(x, letter)) for x, letter in zip((A, B, C, D), "ABCD", strict=True))
+        A, B, C, D = (np.atleast_2d(x) if x.ndim == 0 else x for x in (A, B, C, D))  # scalars
+        D = check_shape(np.atleast_2d(D), "D", "(p, m)")
         p, m = D.shape
-        A = np.asarray(check_finite(A, "A"))
         n = A.shape[0] if A.size else 0
         A = check_shape(A.reshape(n, n) if A.size == n * n else A, "A", "(n, n)")
-        B = check_shape(np.asarray(B).reshape(0, m) if n == 0 else B, "B", "(n, m)", n=n, m=m)
-        C = check_shape(np.asarray(C).reshape(p, 0) if n == 0 else C, "C", "(p, n)", p=p, n=n)
+        B = check_shape(B.reshape(0, m) if n == B.size == 0 else B, "B", "(n, m)", n=n, m=m)
+        C = check_shape(C.reshape(p, 0) if n == C.size == 0 else C, "C", "(p, n)", p=p, n=n)
         for letter, matrix in zip("ABCD", (A, B, C, D), strict=True):
             if np.iscomplexobj(matrix):
                 raise invalid(f"matrix {letter}", "complex", "real", "transform to a real state basis first")
@@ -70,6 +71,8 @@ class StateSpace:
         object.__setattr__(self, "inputs", _names(inputs, "u", m, "inputs"))
         object.__setattr__(self, "outputs", _names(outputs, "y", p, "outputs"))
         if dt is not None:
+            if isinstance(dt, bool):
+                raise invalid("dt", dt, "the sample time in seconds, or None", "True and False say nothing about seconds")
             dt = check_positive(dt, "dt", "give the sample time in seconds, or None for continuous time")
         object.__setattr__(self, "dt", dt)
 
@@ -96,20 +99,10 @@ def _names(names: Sequence[str] | None, letter: str, count: int, what: str) -> t
         return tuple(f"{letter}{i + 1}" for i in range(count))
     result = (names,) if isinstance(names, str) else tuple(names)
     if len(result) != count:
-        raise invalid(
-            f"the number of {what} names",
-            len(result),
-            f"{count}",
-            "give one name for each column or row of D",
-        )
+        raise invalid(f"the number of {what} names", len(result), f"{count}", "give one name for each column or row of D")
     repeated = sorted({name for name in result if result.count(name) > 1})
     if repeated:
-        raise invalid(
-            f"the {what} names",
-            f"repeating {', '.join(repeated)}",
-            "unique",
-            "rename() one of the systems first",
-        )
+        raise invalid(f"the {what} names", f"repeating {', '.join(repeated)}", "unique", "rename() one of the systems first")
     return result
 
 
@@ -153,8 +146,8 @@ def transfer_function(
 
     The states are scaled so that A and B are balanced. Raises InvalidInput when improper or the leading coefficient is 0.
     """
-    num = np.trim_zeros(np.atleast_1d(check_finite(numerator, "numerator")).astype(float), "f")
-    den = np.atleast_1d(check_finite(denominator, "denominator")).astype(float)
+    num, den = _polynomial(numerator, "numerator"), _polynomial(denominator, "denominator")
+    num = np.trim_zeros(num, "f")
     if den[0] == 0:
         raise invalid("the leading denominator coefficient", 0, "non-zero", "drop the leading zeros")
     if len(num) > len(den):
@@ -169,6 +162,13 @@ def transfer_function(
     C = (b[1:] - b[0] * a[1:])[None, :]
     A, B, C, _ = balance_system(A, B, C)
     return StateSpace(A, B, C, [[b[0]]], [input], [output], dt)
+
+
+def _polynomial(coefficients: ArrayLike, name: str) -> np.ndarray:
+    values = check_shape(np.atleast_1d(check_finite(coefficients, name)), name, "(k)")
+    if np.iscomplexobj(values) or not values.size:
+        raise invalid(name, values.tolist(), "at least one real coefficient", "give them from the highest power down")
+    return values
 
 
 def poles(system: Any) -> np.ndarray:
@@ -258,9 +258,10 @@ def _block_diag(blocks: Sequence[np.ndarray]) -> np.ndarray:
 def _common_dt(systems: Iterable[StateSpace]) -> float | None:
     """The sample time shared by all systems that have one; static gains go with any."""
     times = {s.dt for s in systems if s.n_states or s.dt is not None}
-    if len(times) > 1:
+    first = next(iter(times), None)
+    if len(times) > 1 and (None in times or not all(np.isclose(t, first, rtol=1e-9, atol=0) for t in times)):  # type: ignore[arg-type]
         raise invalid("the sample times", sorted(map(str, times)), "equal", "resample with sampling.c2d first")
-    return times.pop() if times else None
+    return first
 
 
 def series(first: Any, second: Any) -> StateSpace:
@@ -294,19 +295,11 @@ def feedback(forward: Any, backward: Any, sign: int = -1) -> StateSpace:
     forward, backward = as_statespace(forward), as_statespace(backward)
     if forward.D.shape != backward.D.shape[::-1]:
         raise invalid("the feedback's size", backward.D.shape, str(forward.D.shape[::-1]), "select() signals")
-    joined = append(
-        rename(
-            forward,
-            [f"r{i}" for i in range(len(forward.inputs))],
-            [f"y{i}" for i in range(len(forward.outputs))],
-        ),
-        rename(
-            backward,
-            [f"b{i}" for i in range(len(backward.inputs))],
-            [f"v{i}" for i in range(len(backward.outputs))],
-        ),
-    )
-    m, p = len(forward.inputs), len(forward.outputs)
+    if sign not in {-1, 1}:
+        raise invalid("the feedback's sign", sign, "-1 or 1", "put a gain into the backward system")
+    parts = [StateSpace(s.A, s.B, s.C, s.D, dt=s.dt) for s in (forward, backward)]
+    p, m = forward.D.shape
+    joined = append(parts[0], rename(parts[1], [f"v{i}" for i in range(p)], [f"b{i}" for i in range(m)]))
     loop = np.zeros((m + p, p + m))
     loop[:m, p:] = sign * np.eye(m)
     loop[m:, :p] = np.eye(p)
@@ -320,8 +313,9 @@ def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
     Raises NumericalFailure when I - D loop is singular (an algebraic loop).
     """
     loop = check_shape(loop, "loop", "(m, p)", m=len(system.inputs), p=len(system.outputs))
-    E = np.eye(len(system.outputs)) - system.D @ loop
-    if E.size and np.linalg.cond(E) > 1 / np.finfo(float).eps:
+    DL = system.D @ loop
+    E = np.eye(len(DL)) - DL
+    if E.size and np.abs(1 - np.linalg.eigvals(DL)).min() < 1e-14 * max(1.0, float(np.abs(balance(DL)[0]).max())):
         raise NumericalFailure("the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole")
     # y = E^-1 (C x + D r)
     C, D = np.linalg.solve(E, system.C), np.linalg.solve(E, system.D)
@@ -338,8 +332,9 @@ def connect(
     """Interconnection by name.
 
     An input of a system is fed by the output (of any system) or the external input of the same name, unless ``sums`` says
-    what it is: ``sums={"e_A": ["r_A", "-y_A"]}`` makes the input e_A equal r_A - y_A. ``outputs`` may name any system's output
-    or any entry of ``sums``. Raises InvalidInput for a name that leads nowhere.
+    what it is: ``sums={"e_A": ["r_A", "-y_A"]}`` makes the input e_A equal r_A - y_A; an empty list makes it zero. The terms
+    of a sum, and ``outputs``, name a system's output, an external input or another sum, looked up in that order. Raises
+    InvalidInput for a name that leads nowhere, and for sums that need each other.
     """
     joined = append(*systems)
     sums = {} if sums is None else dict(sums)
@@ -349,37 +344,44 @@ def connect(
         raise invalid("the external inputs", ", ".join(repeated), "different from the systems' outputs", "rename them")
     position = {name: i for i, name in enumerate(sources)}
 
-    def row(name: str) -> np.ndarray:
+    used: set[str] = set()
+
+    def signal(name: str, wanted_by: tuple[str, ...]) -> np.ndarray:
+        if name in position:
+            return np.eye(1, len(sources), position[name])[0]
+        if name not in sums:
+            by = f" (wanted by {wanted_by[-1]!r})" if wanted_by else ""
+            raise InvalidInput(f"signal {name!r}{by} is no system's output, no external input and no sum")
+        if name in wanted_by:
+            raise InvalidInput(f"the sums {' <- '.join([*wanted_by, name])} need each other; break the circle with a system")
+        return total(name, wanted_by)
+
+    def total(name: str, wanted_by: tuple[str, ...] = ()) -> np.ndarray:
+        used.add(name)
         coefficients = np.zeros(len(sources))
-        for term in sums.get(name, [name]):
+        for term in sums[name]:
             sign, source = (-1.0, term[1:]) if term.startswith("-") else (1.0, term)
-            if source in position:
-                coefficients[position[source]] += sign
-            elif source in sums and source != name:
-                coefficients += sign * row(source)
-            else:
-                raise InvalidInput(f"signal {source!r} (wanted by {name!r}) is no system's output and no external input")
+            coefficients += sign * signal(source, (*wanted_by, name))
         return coefficients
 
-    mixing = np.array([row(name) for name in joined.inputs]).reshape(len(joined.inputs), len(sources))
+    rows = [total(name) if name in sums else signal(name, ("an input",)) for name in joined.inputs]
+    mixing = np.array(rows).reshape(len(joined.inputs), len(sources))
     p = len(joined.outputs)
     closed = close(joined, mixing[:, :p])
     B, D = closed.B @ mixing[:, p:], closed.D @ mixing[:, p:]
-    pick = np.array([row(name) for name in outputs]).reshape(len(outputs), len(sources))
-    return StateSpace(
-        closed.A,
-        B,
-        pick[:, :p] @ closed.C,
-        pick[:, :p] @ D + pick[:, p:],
-        list(inputs),
-        list(outputs),
-        closed.dt,
-    )
+    pick = np.array([signal(name, ()) for name in outputs]).reshape(len(outputs), len(sources))
+    if set(sums) - used:
+        raise InvalidInput(f"the sum {sorted(set(sums) - used)[0]!r} leads nowhere: it is no input, no output and no term")
+    C, D = pick[:, :p] @ closed.C, pick[:, :p] @ D + pick[:, p:]
+    return StateSpace(closed.A, B, C, D, list(inputs), list(outputs), closed.dt)
 
 
 def similarity(system: Any, T: ArrayLike) -> StateSpace:
     """The same system in the states z with x = T z; T (n, n)."""
     system = as_statespace(system)
     T = check_shape(T, "T", "(n, n)", n=system.n_states)
+    columns = np.maximum(np.linalg.norm(T, axis=0), np.finfo(float).tiny)
+    if np.linalg.matrix_rank(T / columns) < system.n_states:
+        raise invalid("T", "singular", "invertible", "use project() or a balanced truncation to reduce a system")
     A = np.linalg.solve(T, system.A @ T)
     return StateSpace(A, np.linalg.solve(T, system.B), system.C @ T, system.D, system.inputs, system.outputs, system.dt)
