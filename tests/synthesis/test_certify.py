@@ -106,6 +106,16 @@ class TestLoopMargins:
         d = np.sqrt(1e-12 - 4 * z**2)
         np.testing.assert_allclose(margins.phase_margin, np.arctan2(2 * z, d), rtol=1e-4)
 
+    def test_spectrum_of_nine_decades(self):
+        """Twelve poles at 1e8..1e9 rad/s, as a fine mesh has them, hide no crossing at 1 rad/s."""
+        loop = transfer_function([2.0], [1, 3, 3, 1])
+        for corner in np.geomspace(1e8, 1e9, 12):
+            loop = series(loop, transfer_function([corner], [1, corner]))
+        margins = loop_margins(loop)
+        np.testing.assert_allclose(margins.gain_margin, 4.0, rtol=1e-6)
+        assert margins.gain_reduction == 0.0
+        np.testing.assert_allclose(margins.phase_margin, np.pi - 3 * np.arctan(np.sqrt(2.0 ** (2 / 3) - 1)), rtol=1e-6)
+
     def test_random_loops_reach_instability_exactly_at_the_margin(self):
         """Scaled or turned by a little less than the margin the loop is stable, by a little more it is not."""
         step, limits = 1e-6, 0

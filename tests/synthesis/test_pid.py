@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.core.statespace import StateSpace, feedback, series
+from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
 from ambrose.machine.description import (
+    Amplifier,
     Machine,
     MagneticBearing,
     Notch,
@@ -16,6 +19,10 @@ from ambrose.machine.description import (
     Sensor,
     ShaftSection,
 )
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
 from ambrose.synthesis import pid
 from ambrose.synthesis.filters import lead, low_pass, notch
 
@@ -42,6 +49,22 @@ def machine(bearings=(0.2, 0.66), sensors=(0.15, 0.71), angle=np.pi / 4, tilted=
         ),
         sensors=tuple(Sensor(bearing=name, position=z) for name, z in zip("AB", sensors, strict=True)),
     )
+
+
+def levitating() -> Machine:
+    """The small machine with laminations, an amplifier and PID settings that hold it."""
+    item = machine(sensors=(0.2, 0.66))
+    return replace(
+        item,
+        shaft=(ShaftSection(start=0.0, length=0.86, outer_diameter=0.11, elements=8),),
+        amplifier=Amplifier(order="first", bandwidth=6e3),
+        controller=PLAIN,
+    )
+
+
+def rig(bending_modes: int = 0) -> Plant:
+    """Its reduced plant."""
+    return reduce(assemble(levitating()), bending_modes)
 
 
 def rigid_rotor(item: Machine) -> StateSpace:
@@ -218,6 +241,56 @@ def test_a_fractional_delay_is_refused():
         pid.discrete(pid.controller(PLAIN, machine()), 1e-4, 1.5e-4)
 
 
+class TestSynthesize:
+    def test_a_loop_that_holds_is_verified(self):
+        plant = rig()
+        result = pid.synthesize(plant)
+        assert (result.method, result.status) == ("pid", "verified")
+        assert np.isnan(result.gamma)
+        assert result.controller.inputs == ("err_A_zeta", "err_A_eta", "err_B_zeta", "err_B_eta")
+        closed = closed_loop(plant, result.controller)
+        assert result.certificate.stable
+        np.testing.assert_allclose(result.certificate.spectral_abscissa, spectral_abscissa(closed), rtol=1e-6)
+        axes = plant.axes
+        omega = np.geomspace(1, 1e4, 4001)
+        sensitivity = frequency_response(select(closed, [f"d_{a}" for a in axes], [f"y_{a}" for a in axes]), omega)
+        peak = sensitivity.max_singular_value().max()
+        np.testing.assert_allclose(result.certificate.closed_loop_norm, peak, rtol=1e-4)
+        assert result.certificate.plant == "small, standstill, 12 states"
+
+    def test_full_and_reduced_plant_give_the_same_margins(self):
+        """The finite-element plant, with poles to 7e5 rad/s, and the one with three bending modes; the rigid rotor promises
+        four times the gain margin, for it is the first bending mode that limits it."""
+        full, reduced, rigid = (pid.synthesize(plant).certificate for plant in (assemble(levitating()), rig(3), rig()))
+        assert rigid.margins["gain_margin"] > 4 * full.margins["gain_margin"]
+        for name in ("gain_margin", "gain_reduction", "phase_margin_rad", "sensitivity_peak"):
+            np.testing.assert_allclose(full.margins[name], reduced.margins[name], rtol=0.002)
+
+    def test_too_little_gain_is_a_verdict_and_no_exception(self):
+        result = pid.synthesize(rig(), replace(PLAIN, gain=(5e3,)))
+        assert result.status == "unstable"
+        assert not result.certificate.stable
+        assert result.certificate.spectral_abscissa > 0
+
+    def test_a_delay_that_the_loop_does_not_bear_is_found(self):
+        """The continuous controller holds; the sampled one with 3 ms of delay does not."""
+        slow = replace(PLAIN, sample_time=5e-4, delay=3e-3)
+        result = pid.synthesize(rig(), slow)
+        assert result.certificate.stable
+        assert result.status == "unstable"
+        assert result.certificate.margins["sampled_spectral_abscissa"] > 0
+        quick = pid.synthesize(rig(), replace(PLAIN, sample_time=5e-5, delay=5e-5))
+        assert quick.status == "verified"
+        peaks = quick.certificate.margins
+        assert peaks["sensitivity_peak"] < peaks["sampled_sensitivity_peak"] < 1.5 * peaks["sensitivity_peak"]
+
+    def test_no_settings_at_all(self):
+        plant = rig()
+        bare = replace(plant, machine=replace(plant.machine, controller=None))
+        with pytest.raises(InvalidInput, match="has no controller settings"):
+            pid.synthesize(bare)
+
+
 BAD = {
     "number of gains": (PidSettings(gain=(1e4, 2e4)), "number of gains is 2"),
     "NaN gain": (PidSettings(gain=(float("nan"),)), "gain"),
@@ -245,8 +318,6 @@ def test_tilt_translate_needs_two_planes():
     item = machine()
     with pytest.raises(InvalidInput, match="sensor positions"):
         pid.controller(settings, machine(sensors=(0.4, 0.4)))
-    from dataclasses import replace
-
     with pytest.raises(InvalidInput, match="no sensor"):
         pid.controller(settings, replace(item, sensors=item.sensors[:1]))
     with pytest.raises(InvalidInput, match="number of bearings is 1"):
