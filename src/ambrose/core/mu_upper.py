@@ -1,0 +1,397 @@
+"""Upper bound of the mixed structured singular value with D and G scalings.
+
+For beta >= 0, Hermitian X > 0 that commutes with Delta and Hermitian G on the real blocks (Fan, Tits & Doyle 1991)::
+
+    M^H X_z M + j (G M - M^H G^H) - beta^2 X_w < 0     implies     mu(M) < beta
+
+The smallest such beta is a generalized eigenvalue problem. It is followed along its analytic centres (method of centres, Boyd
+& El Ghaoui 1993): with G = beta G~ (Young's normalisation) the inequality reads F = V^H S V > 0, V = [beta I; M],
+S = [[X_w, -j G~], [j G~^H, -X_z]]. The barrier -logdet F - logdet X + tr X is self-concordant; the trace fixes the scale of
+(X, G). One step lowers beta along the tangent of the path of centres, one to three Newton steps return to the path. All
+members of the batch move together; those that are done leave it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.lft import FullBlock, RealBlock
+from ambrose.core.mu_structure import Structure, osborne
+
+_SHRINK = (1.0, 0.98, 0.9, 0.7, 0.45, 0.2, 0.07, 0.02)  # fractions of the way to the dual bound that the predictor tries
+_CENTRED = 0.3  # Newton decrement that counts as centred
+_ZERO = 1e-7  # a bound below this fraction of sigma_max(M) is driven no further
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpperBound:
+    """value (b,); X_w (b, n_w, n_w), X_z (b, n_z, n_z), G (b, n_w, n_z) in the inequality above; worst (b, n_w) complex: the
+    direction w in which it is tight, a guess of the worst perturbation; iterations: Newton steps of the slowest member."""
+
+    value: np.ndarray
+    X_w: np.ndarray
+    X_z: np.ndarray
+    G: np.ndarray
+    worst: np.ndarray
+    iterations: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Basis:
+    """S(x) = sum x_a S_a as sparse entries (row, column, coefficient, variable), and full blocks apart by their diagonal.
+
+    The rows of S are (w, z, x): the last part carries the barrier of X, one row per repeated channel and per full block.
+    """
+
+    n_w: int
+    n_z: int
+    n_x: int
+    count: int  # variables
+    row: np.ndarray
+    column: np.ndarray
+    mix: np.ndarray  # (entries, variables) complex
+    dense: np.ndarray  # (variables, N N) complex: every S_a, flat
+    full: tuple[tuple[int, np.ndarray], ...]  # (variable, diagonal of S_a)
+    trace: np.ndarray  # (variables,) tr X
+    start: np.ndarray  # (variables,) X = I, G = 0
+    is_g: np.ndarray
+
+    def assemble(self, x: np.ndarray) -> np.ndarray:
+        """S (b, N, N) for variables x (b, variables)."""
+        N = self.n_w + self.n_z + self.n_x
+        return (x @ self.dense).reshape(len(x), N, N)
+
+
+def _basis(structure: Structure, *, g_scaling: bool) -> _Basis:
+    n_w, n_z = structure.n_w, structure.n_z
+    entries: list[tuple[int, int, complex, int]] = []
+    full: list[tuple[int, FullBlock, int, int, int]] = []
+    trace: list[float] = []
+    is_g: list[bool] = []
+    n_x = 0
+    for place in structure.places:
+        w, z, x = place.w.start, n_w + place.z.start, n_w + n_z + n_x
+        if isinstance(place.block, FullBlock):
+            full.append((len(trace), place.block, w, z, x))
+            trace.append(1.0)
+            is_g.append(False)
+            n_x += 1
+            continue
+        r = place.block.repeat
+        hermitian = [[(p, p, 1.0 + 0j)] for p in range(r)]
+        for p in range(r):
+            for q in range(p + 1, r):
+                hermitian += [[(p, q, 1.0 + 0j), (q, p, 1.0 + 0j)], [(p, q, 1j), (q, p, -1j)]]
+        for matrix in hermitian:
+            for p, q, c in matrix:
+                entries += [(w + p, w + q, c, len(trace)), (z + p, z + q, -c, len(trace)), (x + p, x + q, c, len(trace))]
+            trace.append(1.0 if len(matrix) == 1 else 0.0)
+            is_g.append(False)
+        if g_scaling and isinstance(place.block, RealBlock):
+            for matrix in hermitian:
+                for p, q, c in matrix:
+                    entries += [(w + p, z + q, -1j * c, len(trace)), (z + p, w + q, 1j * c, len(trace))]
+                trace.append(0.0)
+                is_g.append(True)
+        n_x += r
+    diagonals = []
+    for variable, block, w, z, x in full:
+        diagonal = np.zeros(n_w + n_z + n_x)
+        diagonal[w : w + block.n_w] = 1.0
+        diagonal[z : z + block.n_z] = -1.0
+        diagonal[x] = 1.0
+        diagonals.append((variable, diagonal))
+    mix = np.zeros((len(entries), len(trace)), complex)
+    for k, (_, _, c, variable) in enumerate(entries):
+        mix[k, variable] = c
+    index = np.array([entry[:2] for entry in entries], int).reshape(-1, 2)
+    N = n_w + n_z + n_x
+    dense = np.zeros((len(trace), N, N), complex)
+    for p, q, c, variable in entries:
+        dense[variable, p, q] += c
+    for variable, diagonal in diagonals:
+        dense[variable, np.arange(N), np.arange(N)] = diagonal
+    return _Basis(
+        n_w,
+        n_z,
+        n_x,
+        len(trace),
+        index[:, 0],
+        index[:, 1],
+        mix,
+        dense.reshape(len(trace), N * N),
+        tuple(diagonals),
+        np.array(trace),
+        np.array(trace),
+        np.array(is_g),
+    )
+
+
+def positive_definite(F: np.ndarray) -> np.ndarray:
+    """Which members of the Hermitian batch F (b, n, n) are positive definite, (b,) bool."""
+    try:
+        np.linalg.cholesky(F)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.eigvalsh(F)[:, 0] > 0)
+    return np.ones(len(F), bool)
+
+
+class _Path:
+    """The barrier at (x, beta) for a batch of M (b, n_z, n_w)."""
+
+    __slots__ = ("P", "S", "V", "basis", "gradient", "hessian", "kernel")
+
+    def __init__(self, basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> None:
+        n_w, n_z = basis.n_w, basis.n_z
+        S = basis.assemble(x)
+        V = np.concatenate([beta[:, None, None] * np.eye(n_w), M], axis=1)
+        F, X = V.conj().swapaxes(1, 2) @ S[:, : n_w + n_z, : n_w + n_z] @ V, S[:, n_w + n_z :, n_w + n_z :]
+        P = np.linalg.inv(F)
+        P = 0.5 * (P + P.conj().swapaxes(1, 2))
+        K = np.zeros_like(S)
+        K[:, : n_w + n_z, : n_w + n_z] = V @ P @ V.conj().swapaxes(1, 2)
+        K[:, n_w + n_z :, n_w + n_z :] = np.linalg.inv(X)
+        self.basis, self.S, self.V, self.P, self.kernel = basis, S, V, P, K
+        self.gradient = basis.trace - self.traces(K)
+        self.hessian = self._second(K)
+
+    def part(self, members: np.ndarray) -> _Path:
+        """The same for some members of the batch."""
+        new = object.__new__(_Path)
+        new.basis = self.basis
+        for name in ("P", "S", "V", "gradient", "hessian", "kernel"):
+            setattr(new, name, getattr(self, name)[members])
+        return new
+
+    def traces(self, K: np.ndarray) -> np.ndarray:
+        """tr(K S_a) for every variable, (b, variables)."""
+        basis = self.basis
+        values = (K[:, basis.column, basis.row] @ basis.mix).real
+        diagonal = np.einsum("bii->bi", K).real
+        for variable, weight in basis.full:
+            values[:, variable] += diagonal @ weight
+        return values
+
+    def _second(self, K: np.ndarray) -> np.ndarray:
+        """tr(K S_a K S_b), (b, variables, variables)."""
+        basis = self.basis
+        left = K[:, basis.column[:, None], basis.row[None, :]]  # K[q_e, r_f]
+        H = (basis.mix.T @ (left * left.swapaxes(1, 2)) @ basis.mix).real
+        for variable, weight in basis.full:
+            column = self.traces((K * weight) @ K)
+            H[:, :, variable] = column
+            H[:, variable, :] = column
+        return H
+
+    def tangent(self) -> np.ndarray:
+        """d(gradient)/d(beta) at fixed x, (b, variables)."""
+        n_w, n_z = self.basis.n_w, self.basis.n_z
+        n = n_w + n_z
+        V, P, S = self.V, self.P, self.S
+        dV = np.zeros_like(V)
+        dV[:, :n_w] = np.eye(n_w)
+        cross = dV.conj().swapaxes(1, 2) @ S[:, :n, :n] @ V
+        dF = cross + cross.conj().swapaxes(1, 2)
+        half = dV @ P @ V.conj().swapaxes(1, 2)
+        dK = np.zeros_like(self.kernel)
+        dK[:, :n, :n] = half + half.conj().swapaxes(1, 2) - V @ (P @ dF @ P) @ V.conj().swapaxes(1, 2)
+        return -self.traces(dK)
+
+
+def _solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """H^-1 g for a batch of symmetric positive definite H, scaled by its diagonal and regularised at rounding level."""
+    d = 1 / np.sqrt(np.maximum(np.einsum("bii->bi", H), 1e-300))
+    n = H.shape[1]
+    scaled = H * d[:, :, None] * d[:, None, :] + 1e-14 * n * np.eye(n)
+    return d * np.linalg.solve(scaled, (g * d)[..., None])[..., 0]
+
+
+def _inside(basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """Whether F > 0 and X > 0, (b,)."""
+    n = basis.n_w + basis.n_z
+    S = basis.assemble(x)
+    V = np.concatenate([beta[:, None, None] * np.eye(basis.n_w), M], axis=1)
+    F = V.conj().swapaxes(1, 2) @ S[:, :n, :n] @ V
+    finite = np.isfinite(F).all(axis=(1, 2)) & np.isfinite(S).all(axis=(1, 2))
+    F, X = (
+        np.where(finite[:, None, None], F, np.eye(basis.n_w)),
+        np.where(finite[:, None, None], S[:, n:, n:], np.eye(basis.n_x)),
+    )
+    return finite & positive_definite(F) & positive_definite(X)
+
+
+def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
+    """Estimate of the smallest beta the scalings can reach, from the dual variable P = F^-1; the larger of two.
+
+    Per block the smallest ratio of (M P M^H)_ii to P_ii is a true dual bound on the path of centres, but weak for repeated
+    blocks; beta^2 - n_w / tr(P X_w) is the usual gap of a logarithmic barrier.
+    """
+    n_w, K = structure.n_w, path.kernel
+    ratio = np.full(len(K), np.inf)
+    for place in structure.places:
+        z = slice(n_w + place.z.start, n_w + place.z.stop)
+        top, bottom = K[:, z, z], path.P[:, place.w, place.w]
+        if isinstance(place.block, FullBlock) or place.block.n_w == 1:
+            value = np.einsum("bii->b", top).real / np.einsum("bii->b", bottom).real
+        else:
+            L = np.linalg.inv(np.linalg.cholesky(bottom))
+            value = np.linalg.eigvalsh(L @ top @ L.conj().swapaxes(1, 2))[:, 0]
+        ratio = np.minimum(ratio, value)
+    gap = n_w / np.einsum("bij,bji->b", path.P, path.S[:, :n_w, :n_w]).real
+    return np.sqrt(np.clip(np.maximum(ratio, beta**2 - gap), 0.0, None))
+
+
+def _lower_beta(
+    basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray, path: _Path, target: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The predictor: move along the tangent of the path of centres as far towards ``target`` as stays inside."""
+    slope = _solve(path.hessian, path.tangent())
+    new_x, new_beta = x.copy(), beta.copy()
+    left = np.arange(len(x))
+    for fraction in _SHRINK:
+        for use in (1.0, 0.0) if fraction == _SHRINK[-1] else (1.0,):
+            step = fraction * (beta[left] - target[left])
+            try_beta = beta[left] - step
+            try_x = x[left] + use * step[:, None] * slope[left]
+            ok = _inside(basis, M[left], try_x, try_beta)
+            new_x[left[ok]], new_beta[left[ok]] = try_x[ok], try_beta[ok]
+            left = left[~ok]
+            if len(left) == 0:
+                return new_x, new_beta
+    return new_x, new_beta
+
+
+def _drop_to_zero(basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """With real blocks only, beta = 0 is reached when M^H X M + j (G M - M^H G) < 0; then G~ = G / beta at a tiny beta."""
+    near = np.full(len(x), _ZERO / 10)
+    dropped = np.where(basis.is_g, x * (beta / near)[:, None], x)
+    zero = _inside(basis, M, dropped, near)
+    return np.where(zero[:, None], dropped, x), np.where(zero, near, beta), zero
+
+
+def _minimise(
+    structure: Structure,
+    basis: _Basis,
+    M: np.ndarray,
+    beta: np.ndarray,
+    level: np.ndarray,
+    tolerance: float,
+    max_iterations: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Follow the centres down until within ``tolerance`` of the dual bound, or at ``level``. M is balanced, of size about 1."""
+    b = len(M)
+    x = np.tile(basis.start, (b, 1))
+    worst = np.zeros((b, basis.n_w), complex)
+    active = np.arange(b)
+    iteration = 0
+    while len(active) and iteration < max_iterations:
+        iteration += 1
+        m, xa, ba = M[active], x[active], beta[active]
+        path = _Path(basis, m, xa, ba)
+        step = _solve(path.hessian, path.gradient)
+        decrement = np.sqrt(np.maximum((step * path.gradient).sum(axis=1), 0.0))
+        centred = decrement < _CENTRED
+        damping = np.where(decrement < 0.9, 1.0, 1 / (1 + decrement))
+        xa = xa - damping[:, None] * step
+        stuck = ~np.isfinite(xa).all(axis=1) | ~_inside(basis, m, xa, ba)
+        xa[stuck] = x[active][stuck]
+        done = stuck.copy()
+        if centred.any():
+            c = np.flatnonzero(centred & ~stuck)
+            here = path.part(c)
+            target = np.minimum(np.maximum(_dual(structure, here, ba[c]), _ZERO / 10), ba[c])
+            target = np.maximum(target, np.minimum(level[active[c]], ba[c]))
+            done[c] = (ba[c] - target <= tolerance * ba[c]) | (ba[c] < _ZERO)
+            xa[c], ba[c] = _lower_beta(basis, m[c], xa[c], ba[c], here, target)
+        if not structure.complex and not level.any():
+            xa, ba, zero = _drop_to_zero(basis, m, xa, ba)
+            done |= zero
+        if done.any() or iteration == max_iterations:
+            end_now = np.flatnonzero(done) if iteration < max_iterations else np.arange(len(done))
+            worst[active[end_now]] = np.linalg.eigh(path.P[end_now])[1][:, :, -1]
+        x[active], beta[active] = xa, ba
+        active = active[~done]
+    return x, beta, worst, iteration
+
+
+def _verified(
+    structure: Structure, M: np.ndarray, X: tuple[np.ndarray, np.ndarray], G: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The bound that (X, G) prove, by one Hermitian eigenvalue problem, with the rounding error of that added.
+
+    X: (X_w (b, n_w, n_w), X_z (b, n_z, n_z)). Returns the bound (b,) and the direction w in which it is tight (b, n_w).
+    """
+    L_w, L_z = np.linalg.cholesky(X[0]), np.linalg.cholesky(X[1])
+    inverse = np.linalg.inv(L_w)
+    T = L_z.conj().swapaxes(1, 2) @ M @ inverse.conj().swapaxes(1, 2)
+    left = inverse @ (1j * G @ M) @ inverse.conj().swapaxes(1, 2)
+    A = T.conj().swapaxes(1, 2) @ T + left + left.conj().swapaxes(1, 2)
+    values, vectors = np.linalg.eigh(A)
+    size = np.linalg.norm(T, axis=(1, 2)) ** 2 + 2 * np.linalg.norm(left, axis=(1, 2))
+    error = 4 * structure.n_w * np.finfo(float).eps * size
+    worst = (inverse.conj().swapaxes(1, 2) @ vectors[:, :, -1:])[..., 0]
+    return np.sqrt(np.maximum(values[:, -1] + error, 0.0)), worst
+
+
+def needs_scaling(structure: Structure) -> bool:
+    """Whether scalings can change sigma_max: not for one full block, nor for one complex scalar."""
+    block = structure.places[0].block
+    return len(structure.places) > 1 or isinstance(block, RealBlock) or (block.n_w > 1 and not isinstance(block, FullBlock))
+
+
+def upper_bound(
+    M: np.ndarray,
+    structure: Structure,
+    *,
+    g_scaling: bool = True,
+    level: np.ndarray | None = None,
+    tolerance: float = 1e-4,
+    max_iterations: int = 120,
+) -> UpperBound:
+    """Upper bound of mu for a batch M (b, n_z, n_w), within ``tolerance`` (relative) of the best (D, G) bound.
+
+    level (b,): stop at this value, with the scalings of its analytic centre: those that prove mu < level with most room, and
+    so reach furthest in frequency. ``g_scaling=False`` treats real blocks as complex.
+    """
+    b = len(M)
+    balanced, d_z, d_w = osborne(M, structure)
+    size = np.linalg.norm(balanced, 2, axis=(1, 2))
+    alive = np.flatnonzero(size > 0)
+    scale = np.where(size > 0, size, 1.0)
+    unit = balanced / scale[:, None, None]
+    X_w, X_z = (
+        np.tile(np.eye(structure.n_w, dtype=complex), (b, 1, 1)),
+        np.tile(np.eye(structure.n_z, dtype=complex), (b, 1, 1)),
+    )
+    G = np.zeros((b, structure.n_w, structure.n_z), complex)
+    value, worst, iterations = _verified_osborne(structure, unit, alive)
+    if len(alive) and needs_scaling(structure):
+        basis = _basis(structure, g_scaling=g_scaling)
+        low = (np.zeros(b) if level is None else level / scale)[alive]
+        x, beta, direction, iterations = _minimise(
+            structure, basis, unit[alive], np.maximum(1.05, np.minimum(low, 10.0)), low, tolerance, max_iterations
+        )
+        S, n_w, n = basis.assemble(x), structure.n_w, structure.n_w + structure.n_z
+        new = (S[:, :n_w, :n_w], -S[:, n_w:n, n_w:n], 1j * S[:, :n_w, n_w:n] * beta[:, None, None])
+        proved, _ = _verified(structure, unit[alive], new[:2], new[2])
+        better = proved < (value[alive] if level is None else np.maximum(value, level / scale)[alive])
+        k = alive[better]
+        value[k], worst[alive] = proved[better], direction
+        X_w[k], X_z[k], G[k] = (part[better] for part in new)
+    value = value * size
+    X_w = d_w[:, :, None] * X_w * d_w[:, None, :]
+    X_z = d_z[:, :, None] * X_z * d_z[:, None, :]
+    G = d_w[:, :, None] * G * d_z[:, None, :] * scale[:, None, None]
+    return UpperBound(value, X_w, X_z, G, worst / d_w, iterations)
+
+
+def _verified_osborne(structure: Structure, unit: np.ndarray, alive: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """sigma_max of the balanced matrix, with its rounding error, and the right singular vector."""
+    value, worst = np.zeros(len(unit)), np.zeros((len(unit), structure.n_w), complex)
+    if len(alive):
+        _, s, vh = np.linalg.svd(unit[alive])
+        value[alive] = s[:, 0] * (1 + 4 * structure.n_w * np.finfo(float).eps)
+        worst[alive] = vh[:, 0].conj()
+    return value, worst, 0
