@@ -202,9 +202,6 @@ def test_splitting_a_section_changes_nothing(theory):
         assert a == pytest.approx(b, rel=1e-9, abs=1e-12 * np.abs(b).max())
 
 
-# Attachments
-
-
 @pytest.mark.parametrize("theory", BEAM_THEORIES)
 def test_displacement_row_is_exact_for_cubic_fields(theory):
     """A cubic w, with theta = w' + (phi h^2/12) w''' (constant shear strain), is in the elements' space of a uniform shaft."""
@@ -292,9 +289,6 @@ def test_attachments_off_the_shaft_are_refused():
         plane_rows(rotor, [0.4, 0.9])
 
 
-# Modes
-
-
 @pytest.mark.parametrize("theory", BEAM_THEORIES)
 def test_free_modes_are_those_of_the_whole_matrices(theory):
     rotor = stepped(theory)
@@ -347,9 +341,6 @@ def test_all_bending_modes_of_a_small_mesh_can_be_asked_for():
     for count in (0, 5, -1):
         with pytest.raises(InvalidInput, match="number of bending modes"):
             free_bending_frequencies(rotor, count)
-
-
-# Gyroscopics
 
 
 @pytest.mark.parametrize("theory", BEAM_THEORIES)

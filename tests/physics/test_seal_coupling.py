@@ -56,6 +56,7 @@ def test_frequency_defaults_to_the_speed():
     seal = Seal("s", 0.4, table=table({"frequency": (0.0, 100.0)}, K=(0.0, 1e5)))
     assert coefficients(seal, speed=40.0).K == pytest.approx(4e4)
     assert coefficients(seal, speed=40.0, frequency=70.0).K == pytest.approx(7e4)
+    assert coefficients(seal, speed=40.0, frequency=0.0).K == 0.0
 
 
 def test_table_without_pressure_can_scale_with_pressure():
@@ -68,7 +69,7 @@ def test_table_without_pressure_can_scale_with_pressure():
 def test_an_axis_of_one_point_holds_only_there():
     seal = Seal("s", 0.4, table=table({"pressure": (2e5,), "speed": (0.0, 100.0)}, k=((1.0, 3.0),)))
     assert coefficients(seal, 2e5, 50.0).k == pytest.approx(2.0)
-    with pytest.raises(InvalidInput, match="pressure of seal s is 100000 Pa.* within its table, 200000 to 200000 Pa"):
+    with pytest.raises(InvalidInput, match=r"pressure of seal s is 100000 Pa.* within its table, 200000 to 200000 Pa"):
         coefficients(seal, 1e5, 50.0)
     single = Seal("s", 0.4, table=table({"pressure": (2e5,)}, k=(5.0,)))
     assert coefficients(single, 2e5).k == 5.0
