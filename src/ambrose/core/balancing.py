@@ -13,7 +13,8 @@ def balance(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     if A.shape[0] == 0:
         return A, np.ones(0)
-    balanced, (scale, _) = sla.matrix_balance(A, permute=False, separate=True)
+    gebal = sla.lapack.zgebal if np.iscomplexobj(A) else sla.lapack.dgebal
+    balanced, _, _, scale, _ = gebal(A, scale=1, permute=0)
     return balanced, scale
 
 

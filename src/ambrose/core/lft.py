@@ -117,7 +117,7 @@ class GeneralizedPlant:
         y: Sequence[str],
         blocks: Sequence[Block] = (),
     ) -> None:
-        groups = {"w": tuple(w), "u": tuple(u), "z": tuple(z), "y": tuple(y)}
+        groups = {side: (s,) if isinstance(s, str) else tuple(s) for side, s in zip("wuzy", (w, u, z, y), strict=True)}
         blocks = tuple(blocks)
         for count, side in ((sum(b.n_w for b in blocks), "w"), (sum(b.n_z for b in blocks), "z")):
             if count > len(groups[side]):
@@ -169,14 +169,18 @@ def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.nd
     i = j = 0
     for block in plant.blocks:
         value = check_finite(delta.get(block.name, 0.0), f"delta of {block.name}")
+        if np.iscomplexobj(value):
+            raise invalid(f"delta of {block.name}", value, "real", "a real state space cannot hold a complex perturbation")
         if isinstance(block, FullBlock):
             value = (
                 check_shape(value, f"delta of {block.name}", "(w, z)", w=block.n_w, z=block.n_z)
                 if value.ndim
                 else value * np.eye(block.n_w, block.n_z)
             )
+        elif value.ndim:
+            raise invalid(f"delta of {block.name}", value.tolist(), "one number", "it multiplies the identity")
         else:
-            value = float(value) * np.eye(block.repeat)
+            value = value * np.eye(block.repeat)
         gain[i : i + block.n_w, j : j + block.n_z] = value
         i, j = i + block.n_w, j + block.n_z
     w, z = plant.w[: plant.n_w_blocks], plant.z[: plant.n_z_blocks]

@@ -1,4 +1,4 @@
-"""Sampling: zero-order hold and Tustin, with delay."""
+"""Sampling: zero-order hold and Tustin, with delay. States keep their meaning; the matrices are balanced for the work."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any, Literal
 import numpy as np
 import scipy.linalg as sla
 
+from ambrose.core.balancing import balance
 from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.core.statespace import StateSpace, as_statespace, series
+from ambrose.core.statespace import StateSpace, as_statespace, series, transfer_function
 
 Method = Literal["zoh", "tustin"]
 
@@ -66,10 +67,20 @@ def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
 
 
 def _held(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(A t) and the integral of exp(A s) B over 0..t, from one exponential (Van Loan 1978)."""
+    """exp(A t) and the integral of exp(A s) B over 0..t, from one exponential (Van Loan 1978) of the balanced matrix.
+
+    B is scaled to the size of A: without both scalings large entries cost as many squarings, and digits.
+    """
     n, m = B.shape
-    E = sla.expm(np.block([[A, B], [np.zeros((m, n + m))]]) * time)
-    return E[:n, :n], E[:n, n:]
+    A, t = balance(A)
+    B = B / t[:, None]
+    size = np.exp2(np.round(np.log2(max(_size(A), 1 / time) / max(_size(B), 1e-280))))
+    E = sla.expm(np.block([[A, B * size], [np.zeros((m, n + m))]]) * time)
+    return E[:n, :n] * t[:, None] / t, E[:n, n:] * t[:, None] / size
+
+
+def _size(X: np.ndarray) -> float:
+    return float(np.abs(X).sum(axis=0).max(initial=0.0))
 
 
 def _tustin(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace:
@@ -80,13 +91,16 @@ def _tustin(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace:
             raise invalid("prewarp", f"{prewarp:g} rad/s", f"below Nyquist {np.pi / dt:g} rad/s", "sample faster")
         half = np.tan(prewarp * dt / 2) / prewarp
     n = system.n_states
-    E = np.eye(n) - half * system.A
-    if n and np.linalg.cond(E) > 1 / np.finfo(float).eps:
-        raise InvalidInput(f"a pole at 2/dt = {1 / half:g} rad/s has no Tustin equivalent; change the sample time")
-    Ad = np.linalg.solve(E, np.eye(n) + half * system.A)
-    Bd = np.linalg.solve(E, system.B) * 2 * half
-    CE = np.linalg.solve(E.T, system.C.T).T
-    return StateSpace(Ad, Bd, CE, system.D + half * CE @ system.B, system.inputs, system.outputs, dt)
+    A, t = balance(system.A)
+    B, C = system.B / t[:, None], system.C * t
+    if n and np.abs(1 - half * np.linalg.eigvals(A)).min() < 1e-12:
+        raise InvalidInput(f"a pole at {1 / half:g} rad/s (2/dt) has no Tustin equivalent; change the sample time")
+    E = np.eye(n) - half * A
+    Ad = np.linalg.solve(E, np.eye(n) + half * A)
+    Bd = np.linalg.solve(E, B) * 2 * half
+    CE = np.linalg.solve(E.T, C.T).T
+    D = system.D + half * CE @ B
+    return StateSpace(Ad * t[:, None] / t, Bd * t[:, None], CE / t, D, system.inputs, system.outputs, dt)
 
 
 def _unit_delay(system: StateSpace) -> StateSpace:
@@ -97,11 +111,9 @@ def _unit_delay(system: StateSpace) -> StateSpace:
 
 def pade(delay: float, order: int, input: str = "u1", output: str = "y1") -> StateSpace:
     """All-pass approximation of a pure delay [s] (diagonal Pade), for continuous loop models."""
-    from ambrose.core.statespace import transfer_function
-
     check_positive(delay, "delay", "leave the delay out if there is none")
-    if order < 1:
-        raise invalid("order", order, "at least 1", "2 suits a delay of one sample")
+    if not isinstance(order, int | np.integer) or not 1 <= order <= 12:
+        raise invalid("order", order, "a whole number from 1 to 12", "2 suits a delay of one sample")
     c = np.ones(order + 1)
     for k in range(1, order + 1):
         c[k] = c[k - 1] * (order - k + 1) / (k * (2 * order - k + 1))
