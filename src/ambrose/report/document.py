@@ -1,0 +1,193 @@
+"""One self-contained page: `report.html`, readable on a screen without any network, printable and signable on A4.
+
+    report = Report("Verification", machine, sections=(Section("Closed loop", "What to look at ...", figures, tables),))
+    write(report, Path("report.html"))                                  # atomic: complete or not there at all
+
+The nouns are generic; a study fills them as it likes:
+    Report    title, machine, sections, verdicts (label, passed, text), facts (name, text) for the head
+    Section   title, text (paragraphs separated by an empty line), figures, tables
+    Figure    a plotly figure (plots.figure, plots.rotor_drawing) and a caption that says what to look at
+    Table     title, columns, rows of text or Cell; Cell("4.1", "fail") carries a verdict as colour AND symbol
+``verification.verification_report`` builds the standard report of a verified loop from Checks. All text is plain text: it
+is escaped here. jinja2 and plotly are imported inside ``render``.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from datetime import date as calendar
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from ambrose import __version__
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import Machine
+
+MARKS = {"": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": ""}
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One entry of a table; mark: "pass", "fail", "none" (information only), "number" (right-aligned), "muted" or ""."""
+
+    text: str
+    mark: str = ""
+
+    def __post_init__(self) -> None:
+        if self.mark not in MARKS:
+            raise InvalidInput(f"the mark of cell {self.text!r} is {self.mark!r}, but must be one of {', '.join(MARKS)}")
+
+    @property
+    def symbol(self) -> str:
+        """The sign that stands beside the colour."""
+        return MARKS[self.mark]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table with its heading; every row as long as ``columns``; ``note`` stands beneath it. Raises InvalidInput.
+
+    widths: of the columns [%], where tables are to line up with each other.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str | Cell, ...], ...]
+    note: str = ""
+    widths: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        for i, row in enumerate(self.rows):
+            if len(row) != len(self.columns):
+                raise InvalidInput(
+                    f"row {i} of table {self.title!r} has {len(row)} cells, but must have {len(self.columns)}; fill it with ''"
+                )
+
+    @property
+    def cells(self) -> tuple[tuple[Cell, ...], ...]:
+        """The rows with every entry a Cell."""
+        return tuple(tuple(entry if isinstance(entry, Cell) else Cell(entry) for entry in row) for row in self.rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Figure:
+    """A plotly figure, its title and the caption that says what to look at."""
+
+    title: str
+    picture: Any
+    caption: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """A heading, some paragraphs, then figures and tables (tables first if ``tables_first``)."""
+
+    title: str
+    text: str = ""
+    figures: tuple[Figure, ...] = ()
+    tables: tuple[Table, ...] = ()
+    tables_first: bool = False
+
+    @property
+    def paragraphs(self) -> tuple[str, ...]:
+        """The text cut at empty lines."""
+        return tuple(part.strip() for part in self.text.split("\n\n") if part.strip())
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What holds for one operating point, in plain words; passed None: for information."""
+
+    label: str
+    passed: bool | None
+    text: str
+
+    @property
+    def mark(self) -> str:
+        """The mark of a Cell that says the same."""
+        return "none" if self.passed is None else "pass" if self.passed else "fail"
+
+    @property
+    def symbol(self) -> str:
+        """The sign that stands beside the colour."""
+        return MARKS[self.mark]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Report:
+    """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the end."""
+
+    title: str
+    machine: Machine
+    sections: tuple[Section, ...]
+    verdicts: tuple[Verdict, ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()
+    date: str = ""
+    signatures: tuple[str, ...] = ("Prepared", "Checked", "Released")
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether every verdict is good; None without verdicts."""
+        known = [verdict.passed for verdict in self.verdicts if verdict.passed is not None]
+        return all(known) if known else None
+
+
+def render(report: Report) -> str:
+    """The page as text."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    template = files("ambrose.report").joinpath("templates/report.html.j2").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    pictures = [figure for section in report.sections for figure in section.figures]
+    data = [Markup(_json(figure.picture)) for figure in pictures]
+    return environment.from_string(template).render(
+        report=report,
+        date=report.date or calendar.today().isoformat(),
+        version=__version__,
+        offsets=[sum(len(before.figures) for before in report.sections[:i]) for i in range(len(report.sections))],
+        heights=[int(figure.picture.layout.height or 400) for figure in pictures],
+        data=data,
+        library=Markup(get_library()) if pictures else "",
+    )
+
+
+def get_library() -> str:
+    """The drawing library that a page with figures carries, once."""
+    from plotly.offline import get_plotlyjs
+
+    return get_plotlyjs()
+
+
+def _json(picture: Any) -> str:
+    """A figure as JSON that can stand inside a script element."""
+    return picture.to_json().replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def write(report: Report, path: str | Path) -> Path:
+    """Render the report and put it at ``path`` in one step: a reader sees the old page or the new one, never half of it.
+
+    Returns the path. Raises InvalidInput when the folder does not exist or cannot be written to.
+    """
+    target = Path(path)
+    text = render(report)
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    except OSError as error:
+        raise InvalidInput(
+            f"the report cannot be written to {target.parent} ({error.strerror}); create the folder first"
+        ) from error
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(name, 0o644)
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+    return target

@@ -1,0 +1,306 @@
+"""The rotor to scale with its stations, and its free-free mode shapes beneath on the same axial axis.
+
+Shaft sections, bores, lamination (mass) diameters and discs are to scale, a disc as the cylinder that has its mass and
+inertias. Bearings, sensors, seals and couplings are symbols at their true axial positions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import check_shape
+from ambrose.machine.description import Disc, Machine
+from ambrose.report import theme, units
+
+_PIXELS = 800  # width of the plot area that the height is computed for [px]
+_ROW, _GAP = 74, 14  # height of one mode shape, space between two [px]
+_STEEL, _LAMINATION, _DISC = "#dfe4e8", "#b9c3cb", "#c9d0d6"
+_KINDS = {"bearing": "#0072b2", "sensor": "#1c2329", "seal": "#a3341f", "coupling": "#66717b", "disc": "#1c2329"}
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A named place on the rotor [mm]: what, where, and how far its symbol reaches from the centre line."""
+
+    kind: str
+    name: str
+    position: float
+    reach: float
+
+
+def rotor_drawing(
+    machine: Machine,
+    node_positions: ArrayLike,
+    shapes: ArrayLike | None = None,
+    frequencies: ArrayLike | None = None,
+) -> Any:
+    """The rotor with its stations and, where given, its mode shapes in one plane.
+
+    machine: the description. node_positions (n,) [m]: the finite-element nodes. shapes (n, k) [any]: lateral displacement
+    of the nodes, each mode scaled to its largest. frequencies (k,) [rad/s]: 0 for a rigid-body mode. Returns a plotly Figure.
+    Raises InvalidInput.
+    """
+    import plotly.graph_objects as go
+
+    nodes = check_shape(node_positions, "node_positions", "(n,)") * 1e3
+    modes = np.zeros((nodes.size, 0)) if shapes is None else check_shape(shapes, "shapes", "(n, k)", n=nodes.size)
+    omega = None if frequencies is None else check_shape(frequencies, "frequencies", "(k,)", k=modes.shape[1])
+    length = machine.length * 1e3
+    pixel = 1.08 * length / _PIXELS  # mm per pixel
+    figure = go.Figure()
+    _shaft(figure, machine)
+    for disc in machine.discs:
+        _disc(figure, machine, disc)
+    stations = _stations(machine, pixel)
+    for station in stations:
+        _symbol(figure, machine, station, pixel)
+    top, bottom = _labels(figure, stations, machine, pixel)
+    _centre_line(figure, nodes, length)
+    drawn = (top - bottom) / pixel
+    total = drawn + modes.shape[1] * (_ROW + _GAP) + _GAP
+    theme.dress(figure, round(total), legend=False)
+    _layout(figure, length, (bottom, top), (drawn / total, _GAP / total), modes.shape[1])
+    _shapes(figure, nodes, modes, omega, stations, 1 - (drawn + _GAP) / total)
+    return figure
+
+
+def _shaft(figure: Any, machine: Machine) -> None:
+    for section in machine.shaft:
+        left, right = section.start * 1e3, (section.start + section.length) * 1e3
+        outer, bore = section.outer_diameter * 500, section.inner_diameter * 500
+        mass = (section.mass_diameter or 0.0) * 500
+        if mass > outer:
+            for sign in (1, -1):
+                _patch(figure, left, right, sign * outer, sign * mass, _LAMINATION, hatched=True)
+        _patch(figure, left, right, -outer, outer, _STEEL)
+        if bore > 0:
+            _patch(figure, left, right, -bore, bore, "white", dash="3px,2px")
+
+
+def _patch(
+    figure: Any, left: float, right: float, low: float, high: float, fill: str, *, hatched: bool = False, dash: str = "solid"
+) -> None:
+    import plotly.graph_objects as go
+
+    pattern = {"shape": "/", "fgcolor": theme.MUTED, "bgcolor": "white", "size": 5, "solidity": 0.25} if hatched else None
+    figure.add_trace(
+        go.Scatter(
+            x=[left, right, right, left, left], y=[low, low, high, high, low], mode="lines", fill="toself", fillcolor=fill,
+            fillpattern=pattern, line={"color": theme.INK, "width": 0.9, "dash": dash}, hoverinfo="skip", showlegend=False,
+        )
+    )  # fmt: skip
+
+
+def equivalent_cylinder(disc: Disc) -> tuple[float, float] | None:
+    """Radius and width [m] of the solid cylinder with the disc's mass and inertias: I_p = m r^2/2,
+    I_d = m (3 r^2 + w^2)/12. None where no inertia is given; width 0 where I_d allows none."""
+    if disc.polar_inertia <= 0 or disc.mass <= 0:
+        return None
+    radius = math.sqrt(2 * disc.polar_inertia / disc.mass)
+    return radius, math.sqrt(max(12 * disc.diametral_inertia / disc.mass - 3 * radius**2, 0.0))
+
+
+def _disc(figure: Any, machine: Machine, disc: Disc) -> None:
+    size = equivalent_cylinder(disc)
+    if size is None:
+        return
+    radius, half = size[0] * 1e3, max(size[1] * 500, machine.length * 2.5)
+    position = disc.position * 1e3
+    _patch(figure, position - half, position + half, -radius, radius, _DISC)
+
+
+def _radius_at(machine: Machine, position: float) -> float:
+    """The outermost radius [mm] of the shaft at an axial position [mm]."""
+    at = [
+        max(section.outer_diameter, section.mass_diameter or 0.0) * 500
+        for section in machine.shaft
+        if section.start * 1e3 - 1e-6 <= position <= (section.start + section.length) * 1e3 + 1e-6
+    ]
+    return max(at, default=0.0)
+
+
+def _stations(machine: Machine, pixel: float) -> list[Station]:
+    """All named places, bearings first; the reach of the symbols is chosen on the page, not on the machine."""
+    found = [("bearing", b.name, b.position, 30.0) for b in machine.bearings]
+    found += [("sensor", s.bearing, s.position, 17.0) for s in machine.sensors]
+    found += [("seal", s.name, s.position, 18.0) for s in machine.seals]
+    found += [("coupling", c.name, c.position, 26.0) for c in machine.couplings]
+    stations = [Station(k, n, p * 1e3, _radius_at(machine, p * 1e3) + 4 * pixel + r * pixel) for k, n, p, r in found]
+    for disc in machine.discs:
+        size = equivalent_cylinder(disc)
+        reach = max(_radius_at(machine, disc.position * 1e3), size[0] * 1e3 if size else 0.0) + (0 if size else 10 * pixel)
+        stations.append(Station("disc", disc.name, disc.position * 1e3, reach))
+    return stations
+
+
+def _symbol(figure: Any, machine: Machine, station: Station, pixel: float) -> None:
+    """One station's symbol, above and below the shaft."""
+    colour = _KINDS[station.kind]
+    gap = _radius_at(machine, station.position) + 3 * pixel
+    x, reach = station.position, station.reach
+    outlines: list[tuple[list[float], list[float]]] = []
+    if station.kind == "bearing":  # a horseshoe: two poles and a yoke
+        a, b, yoke = 16 * pixel, 6 * pixel, reach - 9 * pixel
+        outlines = [
+            (
+                [x - a, x - a, x + a, x + a, x + b, x + b, x - b, x - b, x - a],
+                [gap, reach, reach, gap, gap, yoke, yoke, gap, gap],
+            )
+        ]
+    elif station.kind == "sensor":  # a probe pointing at the shaft
+        a = 5 * pixel
+        outlines = [([x, x - a, x - a, x + a, x + a, x], [gap, gap + a, reach, reach, gap + a, gap])]
+    elif station.kind == "seal":  # a comb
+        teeth = np.array([-12, -12, -10, -10, -4, -4, -1, -1, 1, 1, 4, 4, 10, 10, 12, 12, -12]) * pixel
+        tip, root = gap, gap + 6 * pixel
+        levels = [reach, tip, tip, root, root, tip, tip, root, root, tip, tip, root, root, tip, tip, reach, reach]
+        outlines = [(list(x + teeth), [float(v) for v in levels])]
+    elif station.kind == "coupling":  # a spring to ground, below only
+        turns = np.linspace(-gap, -reach, 9)
+        side = np.array([0, 0, 5, -5, 5, -5, 5, 0, 0]) * pixel
+        _line(figure, list(x + side), list(turns), colour)
+        _line(figure, [x - 9 * pixel, x + 9 * pixel], [-reach, -reach], colour, width=2.5)
+        return
+    elif reach > _radius_at(machine, x) + pixel and not _has_size(machine, station.name):  # a disc of unknown size
+        _line(figure, [x, x], [-reach, reach], colour, width=3)
+        return
+    for xs, ys in outlines:
+        for sign in (1, -1):
+            _filled(figure, xs, [sign * y for y in ys], colour)
+
+
+def _has_size(machine: Machine, name: str) -> bool:
+    return any(disc.name == name and equivalent_cylinder(disc) is not None for disc in machine.discs)
+
+
+def _line(figure: Any, x: Sequence[float], y: Sequence[float], colour: str, width: float = 1.3) -> None:
+    import plotly.graph_objects as go
+
+    line = {"color": colour, "width": width}
+    figure.add_trace(go.Scatter(x=list(x), y=list(y), mode="lines", line=line, hoverinfo="skip", showlegend=False))
+
+
+def _filled(figure: Any, x: Sequence[float], y: Sequence[float], colour: str) -> None:
+    import plotly.graph_objects as go
+
+    figure.add_trace(
+        go.Scatter(
+            x=list(x), y=list(y), mode="lines", fill="toself", fillcolor=colour, line={"color": colour, "width": 0.8},
+            hoverinfo="skip", showlegend=False,
+        )
+    )  # fmt: skip
+
+
+def _labels(figure: Any, stations: Sequence[Station], machine: Machine, pixel: float) -> tuple[float, float]:
+    """Names above the rotor (sensors and couplings below), staggered where they would overlap. Returns the y range [mm]."""
+    high = (
+        max([s.reach for s in stations] + [max(_radius_at(machine, s.start * 1e3 + 1e-3) for s in machine.shaft)]) + 4 * pixel
+    )
+    extent = [high, -high]
+    for sign, kinds in ((1, ("bearing", "seal", "disc")), (-1, ("sensor", "coupling"))):
+        taken: list[float] = []  # right end of the text on each level
+        for station in sorted((s for s in stations if s.kind in kinds), key=lambda s: s.position):
+            text = f"{station.kind} {units.axis_name(station.name)}" if station.name.lower() != station.kind else station.kind
+            text = text if station.kind != "disc" else units.axis_name(station.name)
+            half = (3.2 * len(text) + 7) * pixel
+            level = next((i for i, end in enumerate(taken) if station.position - half > end), len(taken))
+            taken[level : level + 1] = [station.position + half]
+            y = sign * (high + (4 + 16 * level) * pixel)
+            _line(figure, [station.position] * 2, [sign * station.reach, y], _KINDS[station.kind], width=0.7)
+            figure.add_annotation(
+                x=station.position, y=y, text=theme.plain(text), showarrow=False, yanchor="bottom" if sign > 0 else "top",
+                xanchor="center", font={"size": 12.5, "color": _KINDS[station.kind]},
+            )  # fmt: skip
+            extent[0 if sign > 0 else 1] = max(extent[0], y + 18 * pixel) if sign > 0 else min(extent[1], y - 18 * pixel)
+    return extent[0], extent[1]
+
+
+def _centre_line(figure: Any, nodes: np.ndarray, length: float) -> None:
+    """The axis of rotation and the finite-element nodes on it."""
+    import plotly.graph_objects as go
+
+    line = {"color": theme.MUTED, "width": 0.8, "dash": "12px,3px,2px,3px"}
+    ends = [-0.03 * length, 1.03 * length]
+    figure.add_trace(go.Scatter(x=ends, y=[0, 0], mode="lines", line=line, hoverinfo="skip", showlegend=False))
+    figure.add_trace(
+        go.Scatter(
+            x=nodes, y=np.zeros(nodes.size), mode="markers", marker={"size": 4, "color": theme.INK}, showlegend=False,
+            customdata=np.arange(1, nodes.size + 1), hovertemplate="node %{customdata} at %{x:.1f} mm<extra></extra>",
+        )
+    )  # fmt: skip
+
+
+def _layout(figure: Any, length: float, y_range: tuple[float, float], shares: tuple[float, float], rows: int) -> None:
+    """One axial axis for all rows; the drawing keeps its proportions (equal millimetres in both directions)."""
+    figure.update_layout(margin={"l": 112, "r": 16, "t": 26, "b": 48})
+    figure.update_xaxes(
+        title_text="Axial position from the left end [mm]", range=[-0.04 * length, 1.04 * length], showgrid=False,
+        anchor=f"y{rows + 1}" if rows else "y",
+    )  # fmt: skip
+    bottom = 1 - shares[0]
+    figure.update_layout(
+        yaxis={"domain": [bottom, 1], "range": list(y_range), "scaleanchor": "x", "scaleratio": 1, "visible": False}
+    )
+    below = bottom - shares[1]
+    step = below / max(rows, 1)
+    for i in range(rows):
+        domain = [below - (i + 1) * step + shares[1], below - i * step]
+        axis = {"domain": domain, "range": [-1.15, 1.15], "anchor": "x", "visible": False, "fixedrange": True}
+        figure.update_layout({f"yaxis{i + 2}": axis})
+
+
+def _shapes(
+    figure: Any, nodes: np.ndarray, modes: np.ndarray, omega: np.ndarray | None, stations: Sequence[Station], high: float
+) -> None:
+    """Free-free shapes, one row each, with guides and dots where bearings, sensors and seals see them."""
+    import plotly.graph_objects as go
+
+    order = np.argsort(nodes)
+    seen = [station for station in stations if station.kind in {"bearing", "sensor", "seal"}]
+    for station in seen if modes.size else []:
+        line = {"color": theme.FAINT, "width": 1}
+        at = station.position
+        figure.add_shape(type="line", xref="x", yref="paper", x0=at, x1=at, y0=0, y1=high, line=line, layer="below")
+    counts = {"rigid": 0, "bending": 0}
+    for i in range(modes.shape[1]):
+        axis = f"y{i + 2}"
+        peak = float(np.abs(modes[:, i]).max()) or 1.0
+        shape = modes[order, i] / peak * (1.0 if modes[order[0], i] >= 0 else -1.0)
+        figure.add_trace(go.Scatter(x=nodes[order[[0, -1]]], y=[0, 0], mode="lines", line={"color": theme.MUTED, "width": 0.8},
+                                    yaxis=axis, hoverinfo="skip", showlegend=False))  # fmt: skip
+        figure.add_trace(
+            go.Scatter(
+                x=nodes[order], y=shape, mode="lines", line={"color": theme.INK, "width": 1.8}, yaxis=axis, showlegend=False,
+                fill="tozeroy", fillcolor="rgba(102,113,123,0.13)", hovertemplate="%{x:.0f} mm: %{y:.3f}<extra></extra>",
+            )
+        )  # fmt: skip
+        for station in seen:
+            there = float(np.interp(station.position, nodes[order], shape))
+            symbol = {"bearing": "square", "sensor": "circle-open", "seal": "diamond"}[station.kind]
+            marker = {
+                "symbol": symbol,
+                "size": 7,
+                "color": _KINDS[station.kind],
+                "line": {"width": 1.5, "color": _KINDS[station.kind]},
+            }
+            figure.add_trace(
+                go.Scatter(
+                    x=[station.position], y=[there], mode="markers", marker=marker, yaxis=axis, showlegend=False,
+                    hovertemplate=f"{station.kind} {theme.plain(station.name)}: %{{y:.3f}}<extra></extra>",
+                )
+            )  # fmt: skip
+        rigid = omega is not None and omega[i] < 1e-6 * float(omega.max(initial=1.0))
+        kind = "rigid" if rigid else "bending"
+        counts[kind] += 1
+        name = f"{kind} {counts[kind]}" if omega is not None else f"mode {i + 1}"
+        text = f"<b>{name}</b>" + (f"<br>{units.quantity(float(omega[i]), 'rad/s')}" if omega is not None and not rigid else "")
+        figure.add_annotation(
+            x=0, xref="paper", y=0, yref=axis, text=text, showarrow=False, xanchor="right", align="right", xshift=-8,
+            font={"size": 12.5},
+        )  # fmt: skip

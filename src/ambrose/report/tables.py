@@ -1,0 +1,177 @@
+"""Checks and machine data as tables and sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.report import units
+from ambrose.report.document import Cell, Table, Verdict
+from ambrose.verify.checks import Check, Checks
+
+_RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
+_VIOLATED = {"<=": ">", ">=": "<", "<": "≥", ">": "≤"}
+
+
+def verdict(checks: Checks) -> Verdict:
+    """The verdict in plain words: "stable, 14 of 16 checks passed; fails: output sensitivity 4.1 > 3 (at 41 Hz)"."""
+    judged = [check for check in checks.checks if check.passed is not None]
+    failed = [check for check in judged if not check.passed]
+    if not checks.stable:
+        return Verdict(checks.label, False, "UNSTABLE; nothing else was evaluated" + _reasons(failed))
+    if not judged:
+        return Verdict(checks.label, True, "stable; no limits were given to check against")
+    counted = f"all {len(judged)}" if not failed else f"{len(judged) - len(failed)} of {len(judged)}"
+    return Verdict(checks.label, checks.passed, f"stable, {counted} checks passed" + _reasons(failed))
+
+
+def _reasons(failed: Sequence[Check]) -> str:
+    return "; fails: " + ", ".join(_reason(check) for check in failed) if failed else ""
+
+
+def _reason(check: Check) -> str:
+    detail = units.prose(check.detail.split(";")[0].strip().rstrip("."))
+    where = "" if not detail or len(detail) > 60 else f" {detail}" if detail.startswith("at ") else f" ({detail})"
+    title = units.prose(check.title if check.title[:2].isupper() else check.title[:1].lower() + check.title[1:])
+    if check.limit is None:
+        return f"{title} {units.quantity(check.value, _unit(check))}{where}"
+    value, limit = units.pair(check.value, check.limit, _unit(check))
+    return f"{title} {value} {_VIOLATED.get(check.relation, '≠')} {limit}{where}"
+
+
+def _unit(check: Check) -> str:
+    """The unit a check is shown from; the real part of a pole is a decay in 1/s, not a frequency in Hz."""
+    return "1/s" if check.unit == "rad/s" and "abscissa" in check.name else check.unit
+
+
+def _value_and_limit(check: Check) -> tuple[str, str]:
+    if check.limit is None:
+        value, limit = units.quantity(check.value, _unit(check)), ""
+    else:
+        value, limit = units.pair(check.value, check.limit, _unit(check))
+        limit = f"{_RELATION.get(check.relation, check.relation)} {limit}"
+    ratio = check.unit in {"", "-", "1"} and any(word in check.name for word in ("sensitivity", "gain_margin"))
+    level = units.decibel(check.value) if ratio else ""
+    return value + (f" ({level})" if level else ""), limit
+
+
+def checks_table(checks: Checks) -> Table:
+    """Every check at one operating point: value, limit, verdict, zone, standard and clause, detail."""
+    rows = []
+    for check in checks.checks:
+        value, limit = _value_and_limit(check)
+        title, detail = units.prose(check.title), units.prose(check.detail)
+        words = Cell("for information", "muted") if check.passed is None else _verdict_cell(check.passed)
+        rows.append((title, Cell(value, "number"), Cell(limit, "number"), words, check.zone or "", check.source, detail))
+    columns = ("Quantity", "Value", "Limit", "Verdict", "Zone", "Standard, clause", "Where or why")
+    return Table(checks.label, columns, tuple(rows), widths=(28, 13, 11, 10, 5, 15, 18))
+
+
+def _verdict_cell(passed: bool) -> Cell:
+    return Cell("pass", "pass") if passed else Cell("fail", "fail")
+
+
+def overview_table(verifications: Sequence[Checks]) -> Table:
+    """One row per check that has a limit somewhere, one column per operating point: the verification at a glance."""
+    every = [check for checks in verifications for check in checks.checks]
+    judged = dict.fromkeys(check.name for check in every if check.passed is not None)
+    names = list(judged or dict.fromkeys(check.name for check in every))
+    rows: list[tuple[str | Cell, ...]] = [
+        ("Stability", "", *(Cell("stable", "pass") if checks.stable else Cell("unstable", "fail") for checks in verifications))
+    ]
+    for name in names:
+        found = [next((check for check in checks.checks if check.name == name), None) for checks in verifications]
+        first = next(check for check in found if check is not None)
+        limits = {_value_and_limit(check)[1] for check in found if check is not None}
+        same = limits.pop() if len(limits) == 1 else "differs"
+        rows.append((units.prose(first.title), Cell(same, "number"), *(_overview_cell(check) for check in found)))
+    columns = ("Quantity", "Limit", *(checks.label for checks in verifications))
+    return Table(
+        "All operating points",
+        columns,
+        tuple(rows),
+        note="✓ pass, ✗ fail, – no limit. Quantities without any limit are in the detailed tables.",
+    )
+
+
+def _overview_cell(check: Check | None) -> Cell:
+    if check is None:
+        return Cell("not evaluated", "muted")
+    value, _ = _value_and_limit(check)
+    zone = f" · zone {check.zone}" if check.zone else ""
+    return Cell(value + zone, "none" if check.passed is None else "pass" if check.passed else "fail")
+
+
+def operating_points_table(points: Sequence[OperatingPoint]) -> Table:
+    """Speed, seal pressure and bias current of the operating points."""
+    rows = []
+    for point in points:
+        speed = f"{units.number(point.speed * units.RPM, 5)} rpm ({units.quantity(point.speed, 'rad/s')})"
+        bias = "machine's" if point.bias_current is None else units.quantity(point.bias_current, "A")
+        rows.append(
+            (
+                point.label,
+                Cell(speed, "number"),
+                Cell(units.quantity(point.seal_pressure, "Pa"), "number"),
+                Cell(bias, "number"),
+            )
+        )
+    columns = ("Operating point", "Speed", "Seal pressure difference", "Bias current")
+    return Table("Operating points", columns, tuple(rows))
+
+
+def stations_table(machine: Machine) -> Table:
+    """What acts on the rotor, where, and how strongly, from left to right."""
+    rows: list[tuple[float, str, str]] = []
+    for bearing in machine.bearings:
+        words = [f"bias {units.quantity(bearing.bias_current, 'A')}", f"ζ at {units.quantity(bearing.angle, 'rad')}"]
+        words += _pair_of("kᵢ", bearing.force_per_current, "N/A") + _pair_of("kₛ", bearing.negative_stiffness, "N/m")
+        limits = [("gap", bearing.gap, "m"), ("touchdown gap", bearing.touchdown_gap, "m")]
+        limits += [("largest control current", bearing.max_current, "A"), ("largest force", bearing.max_force, "N")]
+        words += [f"{name} {units.quantity(value, unit)}" for name, value, unit in limits if value is not None]
+        rows.append((bearing.position, f"bearing {bearing.name}", ", ".join(words)))
+    for sensor in machine.sensors:
+        lag = "no lag" if sensor.bandwidth is None else f"bandwidth {units.quantity(sensor.bandwidth, 'rad/s')}"
+        rows.append((sensor.position, f"sensor {sensor.bearing}", ", ".join([*_pair_of("gain", sensor.gain, ""), lag])))
+    for seal in machine.seals:
+        values = (
+            (c, getattr(seal, c), u) for c, u in (("K", "N/m"), ("k", "N/m"), ("C", "N s/m"), ("c", "N s/m"), ("M", "kg"))
+        )
+        words = [f"{name} {units.quantity(value, unit)}" for name, value, unit in values if value]
+        words += [] if seal.reference_pressure is None else [f"at {units.quantity(seal.reference_pressure, 'Pa')}"]
+        words += [] if seal.table is None else ["coefficients from a table"]
+        rows.append((seal.position, _titled("seal", seal.name), ", ".join(words) or "no coefficients"))
+    for coupling in machine.couplings:
+        words = _pair_of("stiffness", coupling.stiffness, "N/m")
+        words += _pair_of("damping", coupling.damping, "N s/m") if any(coupling.damping) else []
+        rows.append((coupling.position, _titled("coupling", coupling.name), ", ".join(words)))
+    for disc in machine.discs:
+        inertias = (("polar", disc.polar_inertia), ("diametral", disc.diametral_inertia))
+        words = [f"{name} inertia {units.quantity(value, 'kg m2')}" for name, value in inertias if value]
+        rows.append((disc.position, disc.name, ", ".join([f"mass {units.quantity(disc.mass, 'kg')}", *words])))
+    cells = tuple((what, Cell(units.number(x * 1e3, 4), "number"), text) for x, what, text in sorted(rows))
+    return Table("Stations", ("Station", "Position [mm]", "Data"), cells)
+
+
+def _titled(kind: str, name: str) -> str:
+    return name if name.lower() == kind else f"{kind} {name}"
+
+
+def _pair_of(name: str, values: tuple[float, float] | None, unit: str) -> list[str]:
+    """A ζ, η pair in words, as one number where both are equal."""
+    if values is None:
+        return []
+    if math.isclose(*values, rel_tol=1e-12):
+        return [f"{name} {units.quantity(values[0], unit)}"]
+    return [f"{name} {units.quantity(values[0], unit)} (ζ), {units.quantity(values[1], unit)} (η)"]
+
+
+def assumed_table(machine: Machine) -> Table:
+    """The parameters of the machine that were chosen, not measured or published."""
+    return Table("Chosen, not measured", ("Parameter", "Reason"), machine.assumed)
+
+
+def named_table(title: str, rows: Sequence[tuple[str, str]], columns: tuple[str, str]) -> Table:
+    """A two-column table, e.g. of model sizes."""
+    return Table(title, columns, tuple(rows))

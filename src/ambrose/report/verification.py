@@ -1,0 +1,104 @@
+"""The standard report of a verified loop: verdicts, machine, curves of all operating points overlaid, models, checks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from ambrose.machine.description import Machine
+from ambrose.report import tables
+from ambrose.report.captions import caption
+from ambrose.report.document import Figure, Report, Section
+from ambrose.report.plots import figure, rotor_drawing
+from ambrose.verify.checks import Checks, Curve
+
+Labelled = Sequence[tuple[str, Curve]]
+
+
+def verification_report(
+    machine: Machine,
+    verifications: Sequence[Checks],
+    *,
+    node_positions: ArrayLike,
+    shapes: ArrayLike | None = None,
+    frequencies: ArrayLike | None = None,
+    models: Sequence[tuple[str, str]] = (),
+    responses: Labelled = (),
+    comparison: Labelled = (),
+    facts: Sequence[tuple[str, str]] = (),
+    title: str = "Verification of the magnetic bearing loop",
+    date: str = "",
+) -> Report:
+    """The report of one machine and controller at several operating points.
+
+    verifications: one Checks per operating point, labelled as in ``machine.operation``; their curves of the same name share a
+    figure. node_positions (n,) [m], shapes (n, k), frequencies (k,) [rad/s]: see plots.rotor_drawing. models: (name, size in
+    words) such as ("full model", "320 states"). responses: (operating point, Curve) pairs of time responses; comparison:
+    (model, Curve) pairs, the reference model first; pairs whose curves share a name share a figure. facts: (name, text) for
+    the head, e.g. the controller. date: ISO date, today if empty. Raises InvalidInput.
+    """
+    order = [checks.label for checks in verifications]
+    loops = [(checks.label, curve) for checks in verifications for curve in checks.curves]
+    sections = [
+        _overview(machine, verifications),
+        _machine(machine, node_positions, shapes, frequencies, models),
+    ]
+    if loops:
+        text = "Every operating point keeps its colour and dash in all figures. Drag to zoom, double-click to return."
+        sections.append(Section("Closed loop", text, curve_figures(loops, order)))
+    if responses:
+        text = "Linear model: valid while currents and displacements stay well inside their limits."
+        sections.append(Section("Time responses", text, curve_figures(responses, order)))
+    if comparison:
+        text = "The reference is drawn broad and pale, the others on top: where a thin line leaves the broad one, they differ."
+        sections.append(Section("Model against model", text, curve_figures(comparison, (), overlay=True)))
+    detailed = tuple(tables.checks_table(checks) for checks in verifications if checks.checks)
+    sections.append(Section("All checks in detail", "", (), detailed))
+    return Report(title, machine, tuple(sections), tuple(map(tables.verdict, verifications)), tuple(facts), date)
+
+
+def curve_figures(curves: Labelled, order: Sequence[str], *, overlay: bool = False) -> tuple[Figure, ...]:
+    """One figure for all curves of the same name, in the order of first appearance."""
+    found = []
+    for name in dict.fromkeys(curve.name for _, curve in curves):
+        same = [(label, curve) for label, curve in curves if curve.name == name]
+        words = "" if overlay else caption(same[0][1])
+        found.append(Figure(same[0][1].title, figure(same, order=order, overlay=overlay), words))
+    return tuple(found)
+
+
+def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
+    wanted = {checks.label for checks in verifications}
+    points = [point for point in machine.operation.points if point.label in wanted]
+    found = [tables.overview_table(verifications)]
+    if points:
+        found.append(tables.operating_points_table(points))
+    return Section("Overview", "", (), tuple(found))
+
+
+def _machine(
+    machine: Machine,
+    node_positions: ArrayLike,
+    shapes: ArrayLike | None,
+    frequencies: ArrayLike | None,
+    models: Sequence[tuple[str, str]],
+) -> Section:
+    words = (
+        "To scale: shaft, bores (dashed), laminations that add mass but no stiffness (hatched), discs as the cylinder with "
+        "their mass and inertias. Symbols at their true positions: bearings, sensors, seals, couplings; dots on the axis "
+        "are finite-element nodes."
+    )
+    if shapes is not None:
+        words += (
+            " Beneath: free-free mode shapes at standstill, with what bearings (squares), sensors (circles) and seals "
+            "(diamonds) see of them. A bearing and its sensor on opposite sides of a zero need a phase reversal of the "
+            "controller at that mode."
+        )
+    drawing = Figure("Rotor and free-free modes", rotor_drawing(machine, node_positions, shapes, frequencies), words)
+    found = [tables.stations_table(machine)]
+    if models:
+        found.append(tables.named_table("Models", models, ("Model", "Size")))
+    if machine.assumed:
+        found.append(tables.assumed_table(machine))
+    return Section("Machine", "", (drawing,), tuple(found))
