@@ -1,0 +1,170 @@
+"""Time responses, sensitivities, records and run-ups, beside python-control and plain ways of doing the same."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose import load_machine
+from ambrose.core.response import SystemDerivative, impulse_response, simulate, simulate_derivative
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import StateSpace, select
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.record import Record, read_record, write_record
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.reduce import free_mode_reduction
+from ambrose.simulate import linear
+from ambrose.simulate.scenario import load_scenario
+from ambrose.synthesis import pid
+
+DT = 1e-4
+
+
+def run() -> list[dict[str, Any]]:
+    """One row per case: name, ours [s], peer [s] or None, peer name, error (largest difference over the largest value)."""
+    full, reduced = _loop(None), _loop(0)
+    return [
+        _against_control("336-state loop, 5,000 samples, 1 input, 4 outputs", full, 5_000),
+        _against_control(f"{reduced.n_states}-state loop, 50,000 samples, 1 input, 4 outputs", reduced, 50_000),
+        _against_stepping(f"{reduced.n_states}-state loop, 1,000,000 samples", reduced, 1_000_000),
+        _impulse(full),
+        _sensitivity(reduced),
+        _run_up(),
+        *_files(),
+    ]
+
+
+def _loop(bending_modes: int | None) -> StateSpace:
+    machine = load_machine("seal-rig")
+    plant = assemble(machine, OperatingPoint(seal_pressure=1e5))
+    if bending_modes is not None:
+        plant = free_mode_reduction(plant, bending_modes)
+    loop = closed_loop(plant, pid.controller(machine.controller, machine))
+    return select(loop, "e_A_zeta", [f"y_{axis}" for axis in machine.axes])
+
+
+def _seconds(job: Callable[[], Any], repeats: int = 3) -> tuple[float, Any]:
+    """The shortest time of a few runs, and the result."""
+    best, result = np.inf, None
+    for _ in range(repeats):
+        start = time.perf_counter()
+        result = job()
+        best = min(best, time.perf_counter() - start)
+    return best, result
+
+
+def _row(name: str, ours: float, peer: float | None, peer_name: str, error: float) -> dict[str, Any]:
+    return {"name": name, "ours": ours, "peer": peer, "peer_name": peer_name, "error": error}
+
+
+def _excitation(k: int) -> np.ndarray:
+    return np.sign(np.random.default_rng(0).standard_normal((1, k))) * 0.1
+
+
+def _difference(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.abs(a - b).max() / np.abs(b).max())
+
+
+def _against_control(name: str, loop: StateSpace, k: int) -> dict[str, Any]:
+    """Against forced_response of the held model: the only way to get an exact answer from python-control."""
+    import control
+
+    u, t = _excitation(k), np.arange(k) * DT
+    ours, y = _seconds(lambda: simulate(loop, u, DT))
+    system = loop.to_control()
+    peer, other = _seconds(lambda: control.forced_response(control.c2d(system, DT, "zoh"), t, u).outputs, 1)
+    return _row(name, ours, peer, "python-control c2d + forced_response", _difference(y, other))
+
+
+def _against_stepping(name: str, loop: StateSpace, k: int) -> dict[str, Any]:
+    u, part = _excitation(k), 50_000
+    ours, y = _seconds(lambda: simulate(loop, u, DT), 1)
+    held = c2d(loop, DT)
+
+    def step() -> np.ndarray:
+        x, states = np.zeros(held.n_states), np.empty((part, held.n_states))
+        for i in range(part):
+            states[i] = x
+            x = held.A @ x + held.B[:, 0] * u[0, i]
+        return held.C @ states.T
+
+    peer, other = _seconds(step, 1)
+    return _row(name, ours, peer * k / part, "numpy, sample by sample (extrapolated)", _difference(y[:, :part], other))
+
+
+def _impulse(loop: StateSpace) -> dict[str, Any]:
+    k = 2_000
+    ours, y = _seconds(lambda: impulse_response(loop, k, DT))
+
+    def powers() -> np.ndarray:
+        E, x = sla.expm(loop.A * DT), loop.B
+        values = np.empty((len(loop.C), k))
+        for i in range(k):
+            values[:, i] = (loop.C @ x)[:, 0]
+            x = E @ x
+        return values
+
+    peer, other = _seconds(powers, 1)
+    return _row(
+        "impulse response, 336 states, 2,000 samples", ours, peer, "scipy expm, sample by sample", _difference(y[:, 0], other)
+    )
+
+
+def _sensitivity(loop: StateSpace) -> dict[str, Any]:
+    """Nine parameters, 5 s at 10 kHz, against central differences of our own simulation; error: of the differences."""
+    rng, k = np.random.default_rng(1), 50_000
+    u = _excitation(k)
+    directions = [
+        SystemDerivative(1e-3 * rng.standard_normal(loop.A.shape) * np.abs(loop.A), 0 * loop.B, 0 * loop.C, 0 * loop.D)
+        for _ in range(9)
+    ]
+    ours, (_, dy) = _seconds(lambda: simulate_derivative(loop, directions, u, DT), 1)
+
+    def differences() -> np.ndarray:
+        h = 1e-4
+        result = []
+        for d in directions:
+            ends = [StateSpace(loop.A + s * h * d.A, loop.B, loop.C, loop.D) for s in (1, -1)]
+            plus, minus = (simulate(end, u, DT) for end in ends)
+            result.append((plus - minus) / (2 * h))
+        return np.array(result)
+
+    peer, other = _seconds(differences, 1)
+    name = f"exact sensitivities, 9 parameters, {loop.n_states} states, 50,000 samples"
+    return _row(name, ours, peer, "central differences of ambrose's own response (error is theirs)", _difference(other, dy))
+
+
+def _run_up() -> dict[str, Any]:
+    """Error: the estimate that the simulation makes of itself."""
+    machine = load_machine("seal-rig")
+    K = pid.controller(machine.controller, machine)
+
+    def loop_at(speed: float) -> StateSpace:
+        return closed_loop(free_mode_reduction(assemble(machine, OperatingPoint(speed=speed)), 2), K)
+
+    scenario = load_scenario("run-up")
+    speeds = scenario.speed_at(0.0), scenario.speed_at(scenario.duration)
+    ours, trace = _seconds(lambda: linear.run(linear.affine_in_speed(loop_at, *speeds), scenario, mass=68.9), 1)
+    return _row("run-up 20 to 300 Hz in 1 s, reduced loop", ours, None, "", trace.speed_error)
+
+
+def _files() -> list[dict[str, Any]]:
+    """A record of 12 signals, 5 s at 10 kHz; error: of what comes back."""
+    values = np.random.default_rng(2).standard_normal((12, 50_000))
+    record = Record("bench", 1 / DT, tuple(f"y_{i}" for i in range(12)), ("m",) * 12, values)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for suffix in ("h5", "csv"):
+            path = Path(folder) / f"record.{suffix}"
+            written, _ = _seconds(lambda path=path: write_record(record, path))
+            read, again = _seconds(lambda path=path: read_record(path))
+            rows.append(_row(f"write {suffix} record, 600,000 numbers", written, None, "", _difference(again.values, values)))
+            rows.append(_row(f"read {suffix} record, 600,000 numbers", read, None, "", _difference(again.values, values)))
+    return rows

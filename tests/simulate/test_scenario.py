@@ -1,0 +1,125 @@
+"""Scenarios: the bundled ones, their files, and what is refused."""
+
+import numpy as np
+import pytest
+
+from ambrose.core.checks import InvalidInput
+from ambrose.simulate.scenario import Pulse, Scenario, Sine, Unbalance, bundled_scenarios, load_scenario, read_scenario
+from ambrose.simulate.waveforms import waveforms
+
+FORCES = ("f_A_zeta", "f_A_eta", "f_center_x", "f_center_y")
+
+
+def test_every_bundled_scenario_loads_under_its_own_name():
+    names = bundled_scenarios()
+    assert {"impulse-orthogonal", "impulse-parallel", "force-impulse", "unbalance", "run-up"} <= set(names)
+    for name, description in names.items():
+        assert load_scenario(name).name == name and description
+
+
+@pytest.mark.literature
+def test_disturbance_patterns_of_the_papers():
+    """P5, Figs. 15 and 16: 0.05 A for 10 ms on two axes at once; P3, Fig. 9: 100 N for 2 ms at A."""
+    for name, axes in (("impulse-orthogonal", ["A_zeta", "B_eta"]), ("impulse-parallel", ["A_zeta", "B_zeta"])):
+        pulses = load_scenario(name).pulses
+        assert [(p.signal, p.amplitude, p.start, p.duration) for p in pulses] == [(f"e_{a}", 0.05, 0.05, 0.01) for a in axes]
+    (pulse,) = load_scenario("force-impulse").pulses
+    assert (pulse.signal, pulse.amplitude, pulse.duration) == ("f_A_zeta", 100.0, 0.002)
+
+
+@pytest.mark.literature
+def test_balance_grade_gives_the_printed_force():
+    """P5 prints 541 N at 500 Hz for G2.5; the rotor weighs 69 kg."""
+    amounts = [item.mass_times_radius(68.9) for item in load_scenario("unbalance").unbalances]
+    assert sum(amounts) * (2 * np.pi * 500) ** 2 == pytest.approx(541, rel=2e-3)
+
+
+def test_a_file_with_everything(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'name = "mine"\nduration = "200 ms"\nspeed = "3000 rpm"\nto_speed = 400.0\nramp = 0.1\nsample_time = "50 us"\n'
+        '[[pulse]]\nsignal = "d_A_zeta"\namplitude = "2 um"\nduration = "5 ms"\nevery = 0.02\n'
+        '[[sine]]\nsignal = "f_A_eta"\namplitude = "1 kN"\nfrequency = "50 Hz"\nphase = "90 deg"\n'
+        '[[unbalance]]\nport = "center"\namount = "50 g mm"\nphase = "180 deg"\n'
+    )
+    scenario = load_scenario(path)
+    assert scenario.speed == pytest.approx(100 * np.pi) and scenario.sample_time == pytest.approx(50e-6)
+    assert scenario.pulses == (Pulse("d_A_zeta", pytest.approx(2e-6), 0.0, pytest.approx(5e-3), 0.02),)
+    assert scenario.sines == (Sine("f_A_eta", 1000.0, pytest.approx(100 * np.pi), pytest.approx(np.pi / 2)),)
+    assert scenario.unbalances == (Unbalance("center", pytest.approx(50e-6), phase=pytest.approx(np.pi)),)
+    assert [scenario.speed_at(t) for t in (0.0, 0.05, 0.1, 0.2)] == pytest.approx([100 * np.pi, 357.0796, 400, 400], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('name = "x"', "duration is missing"),
+        ('name = "x"\nduration = "3 mm"', "duration.*time"),
+        ('name = "x"\nduration = -1.0', "positive"),
+        ('name = "x"\nduration = 0.0', "positive"),
+        ("name = 5\nduration = 1.0", "name is 5"),
+        ('name = "x"\nduration = 1.0\nspeeed = 1.0', "unknown key 'speeed'; did you mean \"speed\""),
+        ('name = "x"\nduration = 1.0\nto_speed = 1.0', "without speed"),
+        ('name = "x"\nduration = 1.0\nspeed = 1.0\nto_speed = 2.0\nramp = 3.0', "ramp is 3"),
+        ('name = "x"\nduration = 1.0\npulse = 3', r"write \[\[pulse\]\]"),
+        ('name = "x"\nduration = 1.0\n[[pulse]]\nsignal = "e_A"', r"\[\[pulse\]\] number 1: amplitude is missing"),
+        ('name = "x"\nduration = 1.0\n[[pulse]]\nsignal = "e_A"\namplitude = "5 N"', "amplitude.*current"),
+        ('name = "x"\nduration = 1.0\n[[pulse]]\nsignal = "z_A"\namplitude = 1.0', "prefix of signal 'z_A'"),
+        ('name = "x"\nduration = 1.0\n[[pulse]]\nsignal = "e_A"\namplitude = nan', "finite"),
+        ('name = "x"\nduration = 1.0\n[[pulse]]\nsignal = "e_A"\namplitude = 1.0\nstart = 2.0', "within 0 to 1 s"),
+        ('name = "x"\nduration = 1.0\n[[pulse]]\nsignal = "e_A"\namplitude = 1.0\nevery = 0.1', "at least its duration"),
+        ('name = "x"\nduration = 1.0\n[[pulse]]\nsignal = "e_A"\namplitude = 1.0\nduration = 0.0', "positive"),
+        ('name = "x"\nduration = 1.0\n[[sine]]\nsignal = "e_A"\namplitude = 1.0\nfrequency = 0', "positive"),
+        ('name = "x"\nduration = 1.0\n[[unbalance]]\nport = "A"\namount = 1.0', "without speed"),
+        ('name = "x"\nduration = 1.0\nspeed = 1.0\n[[unbalance]]\nport = "A"', "either amount"),
+        ('name = "x"\nduration = 1.0\nspeed = 1.0\n[[unbalance]]\nport = "A"\ngrade = 1.0', "either amount"),
+        ('name = "x"\nduration = 1.0\nspeed = 1.0\n[[unbalance]]\nport = "A"\namount = "5 kg"', "g mm"),
+        ('name = "x"\nduration = 1.0\nspeed = 1.0\n[[unbalance]]\nport = "A"\namount = true', "amount is True"),
+        ("name = ", "scenario .*bad.toml"),
+    ],
+)
+def test_bad_files_are_refused(tmp_path, text, message):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InvalidInput, match=message):
+        load_scenario(path)
+
+
+def test_unknown_names_are_refused(tmp_path):
+    with pytest.raises(InvalidInput, match='did you mean "run-up"'):
+        load_scenario("runup")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(InvalidInput, match=r"binary\.toml"):
+        load_scenario(tmp_path / "binary.toml")
+    with pytest.raises(InvalidInput, match="scenario x has no speed"):
+        read_scenario({"name": "x", "duration": 1.0}).speed_at(0.0)
+
+
+def test_pulses_land_on_their_samples():
+    scenario = Scenario("x", 0.01, pulses=(Pulse("f_A_eta", 3.0, 2e-3, 1e-3, 4e-3), Pulse("f_A_eta", 0.5, 8e-3)))
+    names, c = waveforms(scenario, FORCES, 1e-3, 11)
+    assert names == ["f_A_eta"]
+    assert c[0, 0].tolist() == [0, 0, 3, 0, 0, 0, 3, 0, 0.5, 0.5, 3.5]
+    assert not c[1:].any()
+
+
+def test_run_up_force_is_that_of_a_turning_mass():
+    """F = -U d2/dt2 (cos phi, sin phi), differentiated numerically from the angle, also after the ramp."""
+    U, dt, k = 2e-4, 1e-5, 4001
+    scenario = Scenario("x", 0.04, unbalances=(Unbalance("center", U, phase=0.7),), speed=300.0, to_speed=900.0, ramp=0.03)
+    names, c = waveforms(scenario, FORCES, dt, k)
+    assert names == ["f_center_x", "f_center_y"]
+    t = np.arange(k) * dt
+    a = 600 / 0.03
+    phi = 0.7 + np.where(t < 0.03, 300 * t + a * t**2 / 2, 300 * 0.03 + a * 0.03**2 / 2 + 900 * (t - 0.03))
+    place = np.exp(1j * phi)
+    force = -U * (place[2:] - 2 * place[1:-1] + place[:-2]) / dt**2
+    inside = np.abs(t[1:-1] - 0.03) > 2 * dt
+    size = np.abs(force).max()
+    np.testing.assert_allclose(c[0, 0, 1:-1][inside], force.real[inside], atol=1e-5 * size, rtol=0)
+    np.testing.assert_allclose(c[0, 1, 1:-1][inside], force.imag[inside], atol=1e-5 * size, rtol=0)
+    ends = c.sum(axis=0)[:, :-1] - c[0, :, 1:]  # the cubics meet, except where the torque jumps at the end of the ramp
+    ends[:, 2999] = 0.0
+    assert np.abs(ends).max() < 1e-12 * size
+    jump = c.sum(axis=0)[:, 2999] - c[0, :, 3000]
+    assert np.hypot(*jump) == pytest.approx(U * a, rel=1e-9)
