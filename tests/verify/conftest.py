@@ -77,7 +77,7 @@ def rig_controller(rig: Machine) -> StateSpace:
     return pid.controller(PID, rig)
 
 
-def single_masses(mass=2.0, k_i=100.0, k_s=2e5, damping=0.0, requirements=None) -> Plant:
+def make_single_masses(mass=2.0, k_i=100.0, k_s=2e5, damping=0.0, requirements=None) -> Plant:
     """Four equal, uncoupled masses m q'' + d q' - k_s q = k_i u + f on ideal amplifiers: every axis has a closed form."""
     machine = replace(
         make_rig(),
@@ -101,9 +101,19 @@ def single_masses(mass=2.0, k_i=100.0, k_s=2e5, damping=0.0, requirements=None) 
     return Plant(machine, OperatingPoint(label="single masses"), system, system, AXES)
 
 
-def pd_controller(gain: float, derivative: float, time_constant: float) -> StateSpace:
+def make_pd(gain: float, derivative: float, time_constant: float) -> StateSpace:
     """gain + derivative s/(time_constant s + 1) on every axis."""
     eye = np.eye(4)
     return StateSpace(
         -eye / time_constant, eye / time_constant, -derivative / time_constant * eye, (gain + derivative / time_constant) * eye
     )
+
+
+@pytest.fixture(scope="session", name="single_masses")
+def _single_masses():
+    return make_single_masses
+
+
+@pytest.fixture(scope="session", name="pd_controller")
+def _pd_controller():
+    return make_pd

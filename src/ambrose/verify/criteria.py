@@ -195,7 +195,7 @@ def zone(criterion: Criterion, value: float) -> str | None:
 
 def holds(value: float, relation: str, limit: float) -> bool:
     """Whether ``value relation limit``; relation "<", "<=" or ">="."""
-    return {"<": value < limit, "<=": value <= limit, ">=": value >= limit}[relation]
+    return bool({"<": value < limit, "<=": value <= limit, ">=": value >= limit}[relation])
 
 
 def judge(name: str, title: str, value: float, unit: str, wanted: Demand, detail: str = "") -> Check:

@@ -20,11 +20,12 @@ import scipy.linalg as sla
 from ambrose.core.statespace import StateSpace, balance, index_of
 from ambrose.machine.description import Requirements
 from ambrose.verify.checks import Check, Curve
-from ambrose.verify.criteria import Demand, demand, information, judge
+from ambrose.verify.criteria import SENSITIVITY_RANGE, Demand, demand, information, judge
 
 TWO_PI = 2 * np.pi
 PLANAR = 0.1  # below this modulus of the whirl measure a mode has no direction
 OSCILLATORY = 0.7071067811865476  # a damping ratio below this counts as a mode that can ring
+_REAL = 1e-7  # |Im|/|pole| up to which a pole is real: rounding splits a double real pole by about the root of 1e-16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +85,8 @@ def modes(system: StateSpace, ports: tuple[str, ...]) -> Modes:
     values, vectors = sla.eig(A)
     if system.dt is not None:
         values = np.log(np.where(values == 0, np.finfo(float).tiny, values)) / system.dt
+    real = np.abs(values.imag) <= _REAL * np.abs(values)
+    values = np.where(real, values.real, values)
     keep = values.imag >= 0
     values, vectors = values[keep], vectors[:, keep]
     order = np.lexsort((values.imag, np.abs(values)))
@@ -112,9 +115,14 @@ def pairs(ports: tuple[str, ...]) -> tuple[list[int], list[int]]:
     return first, second
 
 
-def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> list[Check]:
-    """The checks of this file's table. top_speed [rad/s]: modes up to it are held against the log decrement, whatever their
-    direction; so is the first mode that can ring and does not whirl backward."""
+def pole_checks(
+    found: Modes, requirements: Requirements, top_speed: float, listed_to: float = SENSITIVITY_RANGE.limits[0].value
+) -> list[Check]:
+    """The checks of this file's table.
+
+    top_speed [rad/s]: modes up to it are held against the log decrement, whatever their direction; so is the first mode that
+    can ring and does not whirl backward. listed_to [rad/s]: the details name the five least damped modes up to there.
+    """
     worst = int(np.argmax(found.poles.real))
     abscissa = float(found.poles[worst].real)
     stability = judge(
@@ -141,8 +149,11 @@ def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> l
             )
         )
     order = ringing[np.argsort(found.damping[ringing])]
-    detail = "; ".join(describe(found, k) for k in order[:5])
+    near = [k for k in order if found.frequency[k] <= listed_to][:5]
     least = order[0]
+    detail = f"{describe(found, least)}; least damped up to {listed_to / TWO_PI:.4g} Hz: " + (
+        "; ".join(describe(found, k) for k in near) or "none"
+    )
     return [
         *checks,
         information("poles.log_decrement.least", "Least log decrement of all poles", found.log_decrement[least], "-", detail),

@@ -46,8 +46,8 @@ class PulseResponse:
         has not, or not for the last tenth of the record."""
         size = np.abs(self.displacement)
         outside = (size > self.pulse.band * size.max(axis=(1, 2), keepdims=True)).any(axis=1)
-        last = outside.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
-        settled = np.where(outside.any(axis=1), np.maximum(self.time[last] - self.pulse.duration, 0.0), 0.0)
+        last = np.where(outside.any(axis=1), outside.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1), 0)
+        settled = np.maximum(self.time[last] - self.pulse.duration, 0.0)
         return np.where(last < 0.9 * len(self.time), settled, np.inf)
 
 
