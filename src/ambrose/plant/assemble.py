@@ -1,21 +1,23 @@
-"""Machine and operating point -> Plant, in three steps: the rotor with its attachments, its state space, the wiring."""
+"""Machine and operating point -> Plant, in three steps: the rotor with its attachments, its state space, the wiring.
+
+The rotor is written in the mass-orthonormal modes of the free rotor - all of them for the full model, so nothing is lost
+but a change of coordinates. There the rigid-body modes have exactly no stiffness; in nodal coordinates rounding of the
+element stiffness (norm 1e14) would disturb them in the sixth digit.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.linalg as sla
 
 from ambrose.core.mechanical import SecondOrder, to_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import Machine, OperatingPoint, Seal
 from ambrose.physics import amplifier, coupling, magnet, seal, sensor
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes
 from ambrose.plant.model import Plant
 from ambrose.plant.ports import ports, sensor_ports
-
-_DAMPED_MODES = 30  # bending modes that get exactly the stated damping ratio; above, the ratio grows with frequency
 
 
 def assemble(machine: Machine, point: OperatingPoint | None = None) -> Plant:
@@ -28,16 +30,25 @@ def assemble(machine: Machine, point: OperatingPoint | None = None) -> Plant:
     return wire(machine, point, rotor)
 
 
-def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor) -> SecondOrder:
-    """The free rotor plus bearing stiffness, seals, couplings and modal damping, as a second-order system with all ports.
+def bending_modes_of(rotor: Rotor) -> int:
+    """How many bending modes per plane the mesh has: 2 N - 2."""
+    return 2 * rotor.n_nodes - 2
 
+
+def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None) -> SecondOrder:
+    """The rotor plus bearing stiffness, seals, couplings and modal damping, in free-rotor modes, with all ports.
+
+    Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency (None: all of the mesh).
     Inputs f_<port> [N]; outputs q_<port> and s_<axis> [m]; velocity outputs qdot_<port> [m/s].
     """
-    places = ports(machine)
-    N = np.array([displacement_row(rotor, p.position, p.direction) for p in places])
-    S = np.array([displacement_row(rotor, p.position, p.direction) for p in sensor_ports(machine)])
+    modes = free_modes(rotor, bending_modes_of(rotor) if bending_modes is None else bending_modes)
+    places, sensed = ports(machine), sensor_ports(machine)
+    N = np.array([displacement_row(rotor, p.position, p.direction) for p in places]) @ modes.shapes
+    S = np.array([displacement_row(rotor, p.position, p.direction) for p in sensed]) @ modes.shapes
     rows = {p.name: row for p, row in zip(places, N, strict=True)}
-    mass, damping, stiffness = rotor.mass.copy(), modal_damping(machine, rotor), rotor.stiffness.copy()
+    mass = np.eye(len(modes.frequencies))
+    damping = np.diag(2 * machine.modal_damping * modes.frequencies)
+    stiffness = np.diag(modes.frequencies**2)
     for bearing in machine.bearings:
         pair = np.array([rows[f"{bearing.name}_zeta"], rows[f"{bearing.name}_eta"]])
         stiffness -= pair.T @ np.diag(magnet.linearised(bearing, point.bias_current).negative_stiffness) @ pair
@@ -46,9 +57,9 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor) -> Sec
         k, d = coupling.matrices(item)
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
-    for item in machine.seals:
-        pair = np.array([rows[f"{item.name}_x"], rows[f"{item.name}_y"]])
-        k, d, m = seal.matrices(seal_coefficients(item, point))
+    for annular in machine.seals:
+        pair = np.array([rows[f"{annular.name}_x"], rows[f"{annular.name}_y"]])
+        k, d, m = seal.matrices(seal_coefficients(annular, point))
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
         mass += pair.T @ m @ pair
@@ -56,7 +67,7 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor) -> Sec
     return SecondOrder(
         mass,
         damping,
-        rotor.gyroscopic,
+        modes.shapes.T @ rotor.gyroscopic @ modes.shapes,
         stiffness,
         N.T,
         np.vstack([N, S]),
@@ -67,24 +78,10 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor) -> Sec
     )
 
 
-def seal_coefficients(item: seal.Seal, point: OperatingPoint) -> seal.SealCoefficients:
+def seal_coefficients(item: Seal, point: OperatingPoint) -> seal.SealCoefficients:
     """The seal's coefficients at the point; frequency-dependent tables are read at its whirl frequency."""
     frequency = point.speed if point.whirl_frequency is None else point.whirl_frequency
     return seal.coefficients(item, point.seal_pressure, point.speed, frequency)
-
-
-def modal_damping(machine: Machine, rotor: Rotor) -> np.ndarray:
-    """Damping matrix (n, n) [N s/m] that gives the lowest bending modes of the free rotor the stated ratio, rigid modes none.
-
-    D = M Phi diag(2 zeta w - beta w^2) Phi' M + beta K with beta = 2 zeta / w_k: ratio zeta up to mode k, growing above.
-    """
-    zeta = machine.modal_damping
-    count = min(_DAMPED_MODES, len(rotor.positions) - 2)
-    modes = free_modes(rotor, count)
-    bending, w = modes.shapes[:, 4:], modes.frequencies[4:]
-    beta = 2 * zeta / w.max()
-    P = rotor.mass @ bending
-    return (P * (2 * zeta * w - beta * w**2)) @ P.T + beta * rotor.stiffness
 
 
 def wire(
@@ -128,8 +125,3 @@ def magnets(machine: Machine, point: OperatingPoint) -> StateSpace:
     """The current force of every axis, i_<axis> [A] -> m_<axis> [N]; the displacement force is part of the rotor."""
     k_i = np.concatenate([magnet.linearised(b, point.bias_current).force_per_current for b in machine.bearings])
     return static_gain(np.diag(k_i), [f"i_{a}" for a in machine.axes], [f"m_{a}" for a in machine.axes])
-
-
-def static_response(system: SecondOrder) -> np.ndarray:
-    """Displacement outputs per static force, C K^-1 B, (p, m) [m/N]."""
-    return system.C @ sla.solve(system.stiffness, system.B)

@@ -8,16 +8,17 @@ tolerance. A parameter that acts in several places (k and -k; one bandwidth for 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
-from ambrose.core.statespace import StateSpace, connect, rename, select, static_gain
-from ambrose.machine.description import Amplifier, Machine, Tolerance
-from ambrose.physics import coupling, magnet, sensor
+from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
+from ambrose.machine.description import Amplifier, Tolerance
+from ambrose.machine.parameters import Parameter, find_parameter
+from ambrose.physics import magnet, sensor
 from ambrose.plant.assemble import force_sums, magnets, plant_inputs, plant_outputs, seal_coefficients
 from ambrose.plant.model import Plant
 
@@ -37,7 +38,7 @@ class Channel:
 def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> GeneralizedPlant:
     """The plant with its uncertain parameters pulled out: one RealBlock per tolerance, named by the parameter's path.
 
-    w and z are the blocks' signals, u all inputs and y all outputs of ``plant.system``; the default is the machine's tolerances.
+    w and z are the blocks' signals, u all inputs and y all outputs of ``plant.system``. Default: the machine's tolerances.
     Raises InvalidInput for a path that leads nowhere, and for a relative tolerance of a parameter whose value is zero.
     """
     machine = plant.machine
@@ -55,7 +56,7 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     w = [f"w_{name[2:]}" for name, _ in rows]
     z = [name for name, _ in rows]
     drive = open_amplifier(machine.amplifier, machine.axes)
-    unused = {name: [] for name in drive.inputs if name.startswith("x_") and name not in sums}
+    unused: dict[str, list[str]] = {name: [] for name in drive.inputs if name.startswith("x_") and name not in sums}
     inner = [
         rename(plant.rotor, [f"F_{name}" for name in plant.ports]),
         drive,
@@ -63,7 +64,9 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
         sensor.linearised(machine.sensors, machine.axes),
     ]
     u, y = plant_inputs(machine.axes, plant.ports), plant_outputs(machine.axes, plant.ports)
-    system = connect([*inner, _rows_as_gain(rows)], inputs=[*w, *u], outputs=[*z, *y], sums={**sums, **unused})
+    gain = _rows_as_gain(rows)
+    taps = {name: [name.removeprefix("port ")] for name in gain.inputs}
+    system = connect([*inner, gain], inputs=[*w, *u], outputs=[*z, *y], sums={**sums, **unused, **taps})
     return GeneralizedPlant(system, w, u, z, y, blocks)
 
 
@@ -92,90 +95,53 @@ def _half_widths(tolerance: Tolerance, found: Sequence[Channel]) -> list[float]:
 
 def channels(plant: Plant, path: str) -> list[Channel]:
     """Every place where the parameter at ``path`` acts; raises InvalidInput naming the part of the path that is unknown."""
-    kind, *rest = path.split(".")
-    machine = plant.machine
-    if kind == "seal" and len(rest) == 2:
-        item = _named(machine.seals, rest[0], path)
-        return _seal_channels(item.name, seal_coefficients(item, plant.point), rest[1], path)
-    if kind == "bearing" and len(rest) in {2, 3}:
-        return _bearing_channels(plant, _named(machine.bearings, rest[0], path), rest[1], rest[2:], path)
-    if kind == "coupling" and len(rest) in {2, 3}:
-        item = _named(machine.couplings, rest[0], path)
-        k, d = coupling.matrices(item)
-        if rest[1] not in {"stiffness", "damping"}:
-            raise _unknown(path, rest[1], ("stiffness", "damping"))
-        values, signal = (np.diag(k), "q") if rest[1] == "stiffness" else (np.diag(d), "qdot")
-        return [
-            Channel(f"F_{item.name}_{axis}", float(values[i]), ((f"{signal}_{item.name}_{axis}", -1.0),))
-            for i, axis in _axes(rest[2:], path)
-        ]
-    if kind == "amplifier" and len(rest) == 1:
-        return _amplifier_channels(machine, rest[0], path)
-    raise _unknown(
-        path, kind, ("seal.<name>.<coefficient>", "bearing.<name>...", "coupling.<name>...", "amplifier.<parameter>")
-    )
+    parameter = find_parameter(plant.machine, path)
+    return _FORMS[parameter.table](plant, parameter)
 
 
-# Signs of the seal's force on the rotor, f = -([[K, k], [-k, K]] q + [[C, c], [-c, C]] q'): (row, column, factor).
-_SEAL_ENTRIES = {
-    "direct": (("x", "x", -1.0), ("y", "y", -1.0)),
-    "cross": (("x", "y", -1.0), ("y", "x", 1.0)),
-    "xx": (("x", "x", -1.0),),
-    "yy": (("y", "y", -1.0),),
-    "xy": (("x", "y", -1.0),),
-    "yx": (("y", "x", 1.0),),
-}
+# Signs of the seal's force on the rotor, f = -([[K, k], [-k, K]] q + [[C, c], [-c, C]] q'): entry -> (row, column, sign).
+_SEAL_ENTRIES = {"xx": ("x", "x", -1.0), "yy": ("y", "y", -1.0), "xy": ("x", "y", -1.0), "yx": ("y", "x", 1.0)}
 
 
-def _seal_channels(name: str, values: object, coefficient: str, path: str) -> list[Channel]:
-    letter, _, entry = coefficient.partition("_")
-    cross = letter in {"k", "c"}
-    allowed = ("K", "k", "C", "c", "K_xx", "K_yy", "k_xy", "k_yx", "C_xx", "C_yy", "c_xy", "c_yx")
-    if coefficient not in allowed:
-        raise _unknown(path, coefficient, allowed)
-    pattern = _SEAL_ENTRIES[entry or ("cross" if cross else "direct")]
+def _seal_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
+    letter, name = parameter.quantity, parameter.name
+    if letter == "M":
+        raise InvalidInput(f"{parameter.path} acts on the acceleration, which no port carries; give K or C a tolerance instead")
+    item = next(item for item in plant.machine.seals if item.name == name)
+    nominal = float(getattr(seal_coefficients(item, plant.point), letter))
+    entries = [parameter.component] if parameter.component else ["xx", "yy"] if letter in {"K", "C"} else ["xy", "yx"]
     signal = "q" if letter in {"K", "k"} else "qdot"
     return [
-        Channel(f"F_{name}_{row}", float(getattr(values, letter)), ((f"{signal}_{name}_{column}", sign),))
-        for row, column, sign in pattern
+        Channel(f"F_{name}_{row}", nominal, ((f"{signal}_{name}_{column}", sign),))
+        for row, column, sign in (_SEAL_ENTRIES[entry] for entry in entries)
     ]
 
 
-def _bearing_channels(plant: Plant, bearing: magnet.MagneticBearing, what: str, axis: list[str], path: str) -> list[Channel]:
-    values = magnet.linearised(bearing, plant.point.bias_current)
-    if what not in {"force_per_current", "negative_stiffness"}:
-        raise _unknown(path, what, ("force_per_current", "negative_stiffness"))
-    pair, signal = (values.force_per_current, "i") if what == "force_per_current" else (values.negative_stiffness, "q")
+def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
+    bearing = next(item for item in plant.machine.bearings if item.name == parameter.name)
+    values = getattr(magnet.linearised(bearing, plant.point.bias_current), parameter.quantity)
+    return _pair(parameter, values, "i" if parameter.quantity == "force_per_current" else "q", 1.0)
+
+
+def _coupling_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
+    item = next(item for item in plant.machine.couplings if item.name == parameter.name)
+    return _pair(parameter, getattr(item, parameter.quantity), "q" if parameter.quantity == "stiffness" else "qdot", -1.0)
+
+
+def _pair(parameter: Parameter, values: Sequence[float], signal: str, sign: float) -> list[Channel]:
+    """The zeta and eta channels of an attachment, or the one that the path names."""
     return [
-        Channel(f"F_{bearing.name}_{a}", float(pair[i]), ((f"{signal}_{bearing.name}_{a}", 1.0),)) for i, a in _axes(axis, path)
+        Channel(f"F_{parameter.name}_{axis}", float(value), ((f"{signal}_{parameter.name}_{axis}", sign),))
+        for axis, value in zip(("zeta", "eta"), values, strict=True)
+        if parameter.component in {"", axis}
     ]
-
-
-def _axes(axis: list[str], path: str) -> list[tuple[int, str]]:
-    both = [(0, "zeta"), (1, "eta")]
-    if not axis:
-        return both
-    if axis[0] not in {"zeta", "eta"}:
-        raise _unknown(path, axis[0], ("zeta", "eta"))
-    return [pair for pair in both if pair[1] == axis[0]]
-
-
-def _named(items: Iterable[object], name: str, path: str) -> object:
-    known = {item.name: item for item in items}
-    if name not in known:
-        raise _unknown(path, name, tuple(known))
-    return known[name]
-
-
-def _unknown(path: str, part: str, known: Sequence[str]) -> InvalidInput:
-    return InvalidInput(f"tolerance path {path!r}: {part!r} is unknown here; possible are {', '.join(known) or 'none'}")
 
 
 def _rows_as_gain(rows: Sequence[tuple[str, Mapping[str, float]]]) -> StateSpace:
-    """The z signals as a static gain on the plant's signals."""
+    """The z signals as a static gain on the plant's signals, its inputs called "port <signal>"."""
     signals = sorted({signal for _, row in rows for signal in row})
     gain = np.array([[row.get(signal, 0.0) for signal in signals] for _, row in rows])
-    return static_gain(gain, signals, [name for name, _ in rows])
+    return static_gain(gain, [f"port {signal}" for signal in signals], [name for name, _ in rows])
 
 
 # Each amplifier is a sum of terms: parameter * (a . x + b u) added to the derivative of one state; the last is the current.
@@ -201,8 +167,6 @@ def _amplifier_terms(amplifier: Amplifier) -> tuple[int, list[tuple[str, float, 
 def open_amplifier(amplifier: Amplifier, axes: Sequence[str]) -> StateSpace:
     """All amplifiers with their state derivatives open: inputs u_<axis>, x_<axis>_<state>; outputs i_<axis> and the terms
     t_<axis>_<term> that the parameters multiply."""
-    from ambrose.core.statespace import append
-
     n, terms = _amplifier_terms(amplifier)
     parts = []
     for axis in axes:
@@ -221,13 +185,19 @@ def open_amplifier(amplifier: Amplifier, axes: Sequence[str]) -> StateSpace:
     return append(*parts)
 
 
-def _amplifier_channels(machine: Machine, parameter: str, path: str) -> list[Channel]:
-    _, terms = _amplifier_terms(machine.amplifier)
-    if parameter not in {name for name, *_ in terms}:
-        raise _unknown(path, parameter, tuple(sorted({name for name, *_ in terms})))
+def _amplifier_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
+    _, terms = _amplifier_terms(plant.machine.amplifier)
     return [
         Channel(f"x_{axis}_{state}", value, ((f"t_{axis}_{k}", 1.0),))
-        for axis in machine.axes
+        for axis in plant.axes
         for k, (name, value, state, *_) in enumerate(terms)
-        if name == parameter
+        if name == parameter.quantity
     ]
+
+
+_FORMS = {
+    "seal": _seal_channels,
+    "bearing": _bearing_channels,
+    "coupling": _coupling_channels,
+    "amplifier": _amplifier_channels,
+}

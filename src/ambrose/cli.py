@@ -1,0 +1,239 @@
+"""The `ambrose` command. Exit status: 0 done and all required checks passed, 1 done but a check failed, 2 bad input.
+
+Results go to standard output (with --json exactly one JSON object), progress and errors to standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ambrose import __version__
+from ambrose.core.checks import AmbroseError
+
+AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+MACHINE = click.argument("machine")
+
+
+class AmbroseCommand(click.Group):
+    """Turns every refusal of the package, and every file that cannot be used, into one message and exit status 2."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except AmbroseError as error:
+            _stop(str(error))
+        except OSError as error:
+            _stop(f"{error.filename or 'file'}: {error.strerror or error}; check that it exists and may be read or written")
+        except KeyboardInterrupt:
+            _stop("interrupted; what was finished before stays on disk", 130)
+
+
+def _stop(message: str, status: int = 2) -> None:
+    click.echo(f"ambrose: {message}", err=True)
+    sys.exit(status)
+
+
+@click.group(cls=AmbroseCommand, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="ambrose")
+def main() -> None:
+    """Rotors on active magnetic bearings with destabilising seal forces: model, control, verification, report.
+
+    MACHINE is a machine file (*.toml) or the name of a bundled machine; see `ambrose machines`.
+    """
+
+
+@main.command()
+@AS_JSON
+def machines(as_json: bool) -> None:
+    """List the bundled machines."""
+    from ambrose.machine.config import bundled_machines, load_machine
+
+    found = {name: load_machine(name).description for name in bundled_machines()}
+    if as_json:
+        click.echo(json.dumps(found))
+        return
+    _table("Bundled machines", ("name", "what it is"), list(found.items()))
+
+
+@main.command()
+@MACHINE
+@AS_JSON
+def check(machine: str, as_json: bool) -> None:
+    """Validate a machine file; mass, bending frequencies, open-loop poles and model sizes."""
+    from ambrose import study
+
+    facts = study.facts(_load(machine))
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    _table(f"{facts['machine']}: {facts['description']}", ("quantity", "value"), study.facts_in_words(facts))
+
+
+@main.command()
+@MACHINE
+@click.option("--method", type=click.Choice(["pid"]), default="pid", show_default=True)
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("controller.json"), show_default=True)
+@AS_JSON
+def synthesize(machine: str, method: str, output: Path, as_json: bool) -> None:
+    """Design a controller and certify it on the full plant at the nominal operating point."""
+    from ambrose import study
+    from ambrose.export.files import write_controller
+    from ambrose.export.results import certificate_to_dict
+
+    description = _load(machine)
+    with _progress(as_json) as progress:
+        progress("assembling the plant")
+        plant = study.full_plants(description)[0]
+        progress(f"designing ({method})")
+        result = study.design(plant)
+    write_controller(output, result, description)
+    certificate = certificate_to_dict(result.certificate)
+    if as_json:
+        click.echo(json.dumps({"controller": str(output), "status": result.status, "certificate": certificate}))
+    else:
+        rows = [(name.replace("_", " "), _shown(value)) for name, value in certificate.items() if name != "margins"]
+        rows += [(name.replace("_", " "), _shown(value)) for name, value in certificate["margins"].items()]
+        _table(f"{method} controller, {result.status}: {output}", ("certificate", "value"), rows)
+    sys.exit(0 if result.status == "verified" else 1)
+
+
+@main.command()
+@MACHINE
+@click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
+@AS_JSON
+def verify(machine: str, path: Path, as_json: bool) -> None:
+    """Check a controller on the full plant at every operating point of the machine."""
+    from ambrose import study
+    from ambrose.export.files import read_controller
+    from ambrose.export.results import checks_to_dict
+
+    description = _load(machine)
+    controller = read_controller(path).controller
+    with _progress(as_json) as progress:
+        results = study.verification(study.full_plants(description), controller, progress)
+    if as_json:
+        click.echo(json.dumps({"machine": description.name, "points": [checks_to_dict(r) for r in results]}))
+    else:
+        for result in results:
+            _print_checks(result)
+    sys.exit(0 if all(result.passed for result in results) else 1)
+
+
+@main.command()
+@MACHINE
+@click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
+@click.option("--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario.")
+@click.option("--linear", is_flag=True, help="The linear model (the nonlinear rig is not there yet).")
+@click.option("--point", default=None, help="Label of an operating point; default: the nominal one.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
+@AS_JSON
+def simulate(machine: str, path: Path, scenario: str, linear: bool, point: str | None, output: Path, as_json: bool) -> None:
+    """Simulate a scenario and write the record (*.h5 or *.csv)."""
+    from ambrose import study
+    from ambrose.export.files import read_controller
+    from ambrose.machine.record import write_record
+
+    if not linear:
+        _stop("only the linear simulation exists so far; add --linear")
+    description = _load(machine)
+    controller = read_controller(path).controller
+    with _progress(as_json) as progress:
+        progress("assembling the plant")
+        plant = study.plant_at(description, point)
+        progress(f"simulating {scenario}")
+        trace = study.simulation(plant, controller, scenario)
+    write_record(trace.record, output)
+    summary = {"record": str(output), "outcome": trace.outcome, "text": trace.text}
+    click.echo(json.dumps(summary) if as_json else f"{output}: {trace.text}")
+    sys.exit(0 if trace.outcome == "stable" else 1)
+
+
+@main.command(name="study")
+@MACHINE
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=None, help="Directory; default: study-<machine>.")
+@AS_JSON
+def study_command(machine: str, output: Path | None, as_json: bool) -> None:
+    """The whole chain, from the machine file to report.html."""
+    from ambrose import study
+    from ambrose.export.results import checks_to_dict
+
+    description = _load(machine)
+    directory = output or Path(f"study-{description.name}")
+    with _progress(as_json) as progress:
+        result = study.run(description, directory, progress)
+    report = directory / "report.html"
+    if as_json:
+        points = [checks_to_dict(c) for c in result.checks]
+        click.echo(json.dumps({"machine": description.name, "passed": result.passed, "report": str(report), "points": points}))
+    else:
+        for checks in result.checks:
+            _print_checks(checks)
+        click.echo(f"\nReport: {report}")
+    sys.exit(0 if result.passed else 1)
+
+
+def _load(machine: str) -> Any:
+    from ambrose.machine.config import load_machine
+
+    return load_machine(machine)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A spinner with the present stage and its time on a terminal, one line per stage elsewhere; nothing with --json."""
+    if quiet:
+        yield lambda stage: None
+        return
+    if not sys.stderr.isatty():
+        yield lambda stage: click.echo(f"  {stage}", err=True)
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        tasks: list[Any] = []
+
+        def step(stage: str) -> None:
+            if tasks:
+                bar.update(tasks[-1], total=1, completed=1)
+            tasks.append(bar.add_task(stage, total=None))
+
+        yield step
+        if tasks:
+            bar.update(tasks[-1], total=1, completed=1)
+
+
+def _table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], marks: tuple[str, ...] = ()) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    for i, row in enumerate(rows):
+        table.add_row(*row, style=marks[i] if marks else None)
+    console.print(table)
+
+
+def _print_checks(checks: Any) -> None:
+    """One operating point: the verdict in words, then every check but its source."""
+    from ambrose.report.tables import checks_table, verdict
+
+    table = checks_table(checks)
+    keep = [i for i, column in enumerate(table.columns) if not column.startswith("Standard")]
+    rows = [tuple(f"{row[i].symbol} {row[i].text}".strip() for i in keep) for row in table.cells]
+    marks = tuple("red" if check.passed is False else "" for check in checks.checks)
+    _table(f"{checks.label}: {verdict(checks).text}", tuple(table.columns[i] for i in keep), rows, marks)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

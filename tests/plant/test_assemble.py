@@ -1,0 +1,106 @@
+"""The assembled plant against hand calculations on the rigid seal rig."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambrose import load_machine
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import poles, select
+from ambrose.machine.description import Coupling, OperatingPoint
+from ambrose.physics.rotor import finite_element_rotor
+from ambrose.plant.assemble import assemble
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return load_machine("seal-rig")
+
+
+@pytest.fixture(scope="module")
+def plant(machine):
+    return assemble(machine)
+
+
+def test_full_size_and_names(plant):
+    assert plant.rotor.n_states == 320
+    assert plant.system.n_states == 328  # two amplifier states per axis
+    assert plant.named("u") == ("u_A_zeta", "u_A_eta", "u_B_zeta", "u_B_eta")
+    assert plant.bearing_named("q") == ("q_A_zeta", "q_A_eta", "q_B_zeta", "q_B_eta")
+    assert set(plant.named("f")) <= set(plant.system.inputs)
+
+
+def test_high_frequency_compliance_is_the_inverse_mass(machine, plant):
+    """Far above the springs and far below bending, f -> q at a bearing is -1/(m_eff w^2) of the rigid rotor.
+
+    1/m_eff = 1/m + l^2/J; J includes no rotary inertia of the sections in the Bernoulli-Euler model.
+    """
+    stiff = replace(machine, seals=(), couplings=(), modal_damping=1e-6)
+    stiff = replace(stiff, bearings=tuple(replace(b, negative_stiffness=(1.0, 1.0)) for b in machine.bearings))
+    w = 2 * np.pi * 20.0
+    G = frequency_response(select(assemble(stiff).system, "f_A_zeta", "q_A_zeta"), [w]).values[0, 0, 0]
+    rotor = finite_element_rotor(machine)
+    m = rotor.plane_mass
+    x = rotor.positions - machine.bearings[0].position
+    unit, tilt = np.ravel([np.ones_like(x), 0 * x], "F"), np.ravel([x, np.ones_like(x)], "F")
+    generalized = np.array([[unit @ m @ unit, unit @ m @ tilt], [tilt @ m @ unit, tilt @ m @ tilt]])
+    assert G.real == pytest.approx(-np.linalg.inv(generalized)[0, 0] / w**2, rel=5e-3)
+
+
+def test_static_compliance_of_a_coupling(machine):
+    """A coupling to ground at both bearings and no other spring: a unit force at A moves A by 1/k."""
+    held = replace(
+        machine,
+        seals=(),
+        couplings=(Coupling("left", 0.162, (1e5, 1e5), angle=0.7), Coupling("right", 0.698, (1e5, 1e5))),
+        bearings=tuple(replace(b, negative_stiffness=(1e-6, 1e-6)) for b in machine.bearings),
+    )
+    G = frequency_response(select(assemble(held).system, ["f_A_zeta", "f_A_eta"], ["q_A_zeta", "q_A_eta"]), [1e-3]).values[0]
+    assert G.real == pytest.approx(np.eye(2) / 1e5, rel=1e-3, abs=1e-10)
+
+
+def test_cross_coupling_drives_forward_whirl(plant):
+    """k > 0: the unstable conjugate pair turns from x to y (y lags x by 90 degrees), DESIGN's sign."""
+    A = plant.rotor.A
+    values, vectors = np.linalg.eig(A)
+    i = np.argmax(np.where(values.imag > 60, values.real, -np.inf))
+    assert values[i].real > 0
+    C = select(plant.rotor, outputs=["q_center_x", "q_center_y"]).C
+    x, y = C @ vectors[:, i]
+    assert y / x == pytest.approx(-1j, abs=0.05)  # e^{jwt}: x = cos, y = sin
+
+
+def test_zero_pressure_removes_only_k(machine):
+    """P5: pressure changes k alone; at zero pressure the nominal K, C and c stay."""
+    at_zero = assemble(machine, OperatingPoint(seal_pressure=0.0))
+    without = replace(machine, seals=(replace(machine.seals[0], k=0.0),))
+    assert poles(at_zero.rotor) == pytest.approx(poles(assemble(without).rotor), abs=1e-6)
+
+
+def test_modal_damping_ratio(machine):
+    """Every bending mode of the free rotor gets the stated ratio, rigid-body modes none."""
+    free = replace(
+        machine, seals=(), couplings=(), bearings=tuple(replace(b, negative_stiffness=(1e-9, 1e-9)) for b in machine.bearings)
+    )
+    values = poles(assemble(free).rotor)
+    bending = values[np.abs(values) > 100.0]
+    assert len(bending) == 312
+    assert -bending.real / np.abs(bending) == pytest.approx(machine.modal_damping, rel=1e-6)
+
+
+def test_bearing_angle_turns_the_signals_only(machine):
+    """Turning bearings and coupling together turns the signals; singular values stay when the stiffness is isotropic."""
+    isotropic = replace(
+        machine,
+        bearings=tuple(replace(b, negative_stiffness=(1e6, 1e6), force_per_current=(150.0, 150.0)) for b in machine.bearings),
+        couplings=(),
+    )
+    turned = replace(isotropic, bearings=tuple(replace(b, angle=b.angle + 0.3) for b in isotropic.bearings))
+    w = np.array([10.0, 300.0, 3000.0])
+
+    def sv(m):
+        p = assemble(m)
+        return np.linalg.svd(frequency_response(select(p.system, p.named("u"), p.named("y")), w).values, compute_uv=False)
+
+    assert sv(turned) == pytest.approx(sv(isotropic), rel=1e-8)

@@ -1,0 +1,136 @@
+"""Every kind of uncertain parameter: closing its block equals assembling the changed machine."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambrose import load_machine
+from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import frequency_response
+from ambrose.core.lft import RealBlock
+from ambrose.machine.description import Amplifier, Tolerance
+from ambrose.plant.assemble import assemble
+from ambrose.plant.reduce import reduce
+from ambrose.plant.uncertainty import perturbed, uncertain
+
+OMEGA = np.array([1.0, 100.0, 500.0, 3000.0, 12000.0])
+
+
+@pytest.fixture(scope="module")
+def machine():
+    m = load_machine("seal-rig")
+    return replace(m, couplings=(replace(m.couplings[0], damping=(100.0, 150.0)),))
+
+
+def response(plant):
+    return frequency_response(plant.system, OMEGA).values
+
+
+def scaled(pair, index, factor):
+    return tuple(value * factor if i in index else value for i, value in enumerate(pair))
+
+
+def with_bearing(m, name, field, index, factor):
+    change = {b.name: b for b in m.bearings}
+    change[name] = replace(change[name], **{field: scaled(getattr(change[name], field), index, factor)})
+    return replace(m, bearings=tuple(change.values()))
+
+
+def with_seal(m, letter, factor):
+    return replace(m, seals=(replace(m.seals[0], **{letter: getattr(m.seals[0], letter) * factor}),))
+
+
+def with_coupling(m, field, index, factor):
+    return replace(m, couplings=(replace(m.couplings[0], **{field: scaled(getattr(m.couplings[0], field), index, factor)}),))
+
+
+CASES = {
+    "seal.center.K": (2, lambda m, f: with_seal(m, "K", f)),
+    "seal.center.k": (2, lambda m, f: with_seal(m, "k", f)),
+    "seal.center.C": (2, lambda m, f: with_seal(m, "C", f)),
+    "seal.center.c": (2, lambda m, f: with_seal(m, "c", f)),
+    "bearing.A.negative_stiffness": (2, lambda m, f: with_bearing(m, "A", "negative_stiffness", (0, 1), f)),
+    "bearing.B.negative_stiffness.eta": (1, lambda m, f: with_bearing(m, "B", "negative_stiffness", (1,), f)),
+    "bearing.A.force_per_current": (2, lambda m, f: with_bearing(m, "A", "force_per_current", (0, 1), f)),
+    "bearing.B.force_per_current.zeta": (1, lambda m, f: with_bearing(m, "B", "force_per_current", (0,), f)),
+    "coupling.coupling.stiffness": (2, lambda m, f: with_coupling(m, "stiffness", (0, 1), f)),
+    "coupling.coupling.damping.zeta": (1, lambda m, f: with_coupling(m, "damping", (0,), f)),
+    "amplifier.natural_frequency": (
+        8,
+        lambda m, f: replace(m, amplifier=replace(m.amplifier, natural_frequency=m.amplifier.natural_frequency * f)),
+    ),
+    "amplifier.damping": (4, lambda m, f: replace(m, amplifier=replace(m.amplifier, damping=m.amplifier.damping * f))),
+}
+
+
+@pytest.mark.parametrize("path", CASES)
+@pytest.mark.parametrize("delta", [-1.0, 0.7])
+def test_block_equals_changed_machine(machine, path, delta):
+    repeat, change = CASES[path]
+    plant = assemble(machine)
+    tolerance = Tolerance(path, relative=0.3)
+    assert uncertain(plant, [tolerance]).blocks == (RealBlock(path, repeat),)
+    ours = response(perturbed(plant, {path: delta}, [tolerance]))
+    truth = response(assemble(change(machine, 1 + 0.3 * delta)))
+    assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
+
+
+@pytest.mark.parametrize(
+    ("amplifier", "parameter"),
+    [
+        (Amplifier("first", bandwidth=9000.0), "bandwidth"),
+        (Amplifier("twice-first", bandwidth=9000.0, eddy_bandwidth=4000.0), "bandwidth"),
+        (Amplifier("twice-first", bandwidth=9000.0, eddy_bandwidth=4000.0), "eddy_bandwidth"),
+    ],
+)
+def test_amplifier_bandwidth(machine, amplifier, parameter):
+    m = replace(machine, amplifier=amplifier)
+    path = f"amplifier.{parameter}"
+    ours = perturbed(assemble(m), {path: -0.5}, [Tolerance(path, relative=0.4)])
+    truth = assemble(replace(m, amplifier=replace(amplifier, **{parameter: getattr(amplifier, parameter) * 0.8})))
+    assert response(ours) == pytest.approx(response(truth), rel=1e-6, abs=1e-9 * np.abs(response(truth)).max())
+
+
+def test_single_entries_add_up_to_the_repeated_block(machine):
+    plant = assemble(machine)
+    both = perturbed(plant, {"seal.center.k": 0.4}, [Tolerance("seal.center.k", relative=1.0)])
+    single = [Tolerance(f"seal.center.{entry}", relative=1.0) for entry in ("k_xy", "k_yx")]
+    entries = perturbed(plant, {t.parameter: 0.4 for t in single}, single)
+    assert response(entries) == pytest.approx(response(both), rel=1e-9)
+
+
+def test_absolute_width_serves_a_zero_nominal(machine):
+    m = with_seal(machine, "K", 0.0)
+    with pytest.raises(InvalidInput, match=r"seal\.center\.K.*absolute"):
+        uncertain(assemble(m), [Tolerance("seal.center.K", relative=0.1)])
+    ours = perturbed(assemble(m), {"seal.center.K": -1.0}, [Tolerance("seal.center.K", absolute=2e5)])
+    truth = assemble(replace(m, seals=(replace(m.seals[0], K=-2e5),)))
+    assert response(ours) == pytest.approx(response(truth), rel=1e-6, abs=1e-9 * np.abs(response(truth)).max())
+
+
+def test_nominal_is_unchanged_and_maps_to_the_reduced_plant(machine):
+    plant = reduce(assemble(machine), 1)
+    assert response(perturbed(plant, {})) == pytest.approx(response(plant), rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("path", "part"),
+    [
+        ("seal.middle.k", "middle"),
+        ("seal.center.q", "q"),
+        ("bearing.A.mass", "mass"),
+        ("bearing.A.negative_stiffness.x", "zeta"),
+        ("amplifier.bandwidth", "amplifier of order"),
+        ("seal.center.M", "acceleration"),
+        ("rotor.mass", "rotor"),
+    ],
+)
+def test_unknown_paths_name_the_part(machine, path, part):
+    with pytest.raises(InvalidInput, match=part):
+        uncertain(assemble(machine), [Tolerance(path, relative=0.1)])
+
+
+def test_no_tolerance_at_all(machine):
+    with pytest.raises(InvalidInput, match="has no tolerance"):
+        uncertain(assemble(replace(machine, tolerances=())))
