@@ -11,6 +11,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
+from ambrose.core.matrix_equations import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select, static_gain
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
@@ -19,7 +20,7 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
 from ambrose.verify import nominal
 
-TABLES = ("rotor_modes", "sensitivity", "margins", "unbalance", "transient")
+TABLES = ("rotor_modes", "campbell", "sensitivity", "margins", "unbalance", "transient")
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +68,30 @@ def test_reported_peaks_are_the_true_maxima(verdicts, rig_plants, rig_controller
         largest = frequency_response(part, omega).max_singular_value().max()
         assert check.value == pytest.approx(largest, rel=1e-5)
         assert largest <= check.value * (1 + 1e-6)
+
+
+def test_peaks_equal_the_exact_norms(rig_plants, rig_controller):
+    """H-infinity norms of the closed loop in state space, by a Hamiltonian method without a grid, on 3 bending modes."""
+    plant = reduce(rig_plants["nominal"], 3)
+    found, closed = nominal.check(plant, rig_controller), closed_loop(plant, rig_controller)
+    for name, inputs, outputs in (("sensitivity.output", "d", "y"), ("complementary", "r", "y"), ("compliance", "f", "q")):
+        part = select(closed, [f"{inputs}_{a}" for a in plant.axes], [f"{outputs}_{a}" for a in plant.axes])
+        assert found[f"{name}.max"].value == pytest.approx(hinf_norm(part, 1e-9).value, rel=1e-8), name
+
+
+def test_an_unstable_speed_inside_the_range_is_found(rig, rig_controller):
+    """The seal is switched on beyond 60 Hz only: the nominal point is fine, the range is not."""
+    points = rig.operation.points
+    machine = replace(rig, operation=Operation((points[1],), (0.0, 2 * np.pi * 100)))
+
+    def plant_at(speed):
+        return assemble(machine, replace(points[2 if speed > 2 * np.pi * 60 else 1], speed=speed))
+
+    found = nominal.check(assemble(machine), rig_controller, plant_at=plant_at)
+    check = found["stability.speeds"]
+    assert found.stable and not found.passed and check.passed is False
+    assert check.detail.endswith("unstable at 70, 80, 90, 100 Hz")
+    assert "unbalance.assembled" not in {item.name for item in found.checks}
 
 
 def test_the_grid_does_not_change_the_verdict(verdicts, rig_plants, rig_controller):

@@ -149,11 +149,17 @@ def test_reassembly_at_every_speed_agrees_where_nothing_depends_on_speed(rig_pla
     curve = unbalance_curve(lambda speed: plant, speeds, rig_controller)
     residual = residual_unbalance(rig)
     response = loop_evaluator(plant, rig_controller)(speeds)
-    np.testing.assert_allclose(curve.y[0], worst_orbit(response, residual), rtol=1e-5)
-    np.testing.assert_allclose(curve.y[1:3], distributed_orbits(response, residual, rig, antiphase=False), rtol=1e-5)
+    given = np.isin(curve.x, speeds)
+    np.testing.assert_allclose(curve.y[0, given], worst_orbit(response, residual), rtol=1e-5)
+    np.testing.assert_allclose(curve.y[1:3, given], distributed_orbits(response, residual, rig, antiphase=False), rtol=1e-5)
+    dense = np.linspace(speeds[0], speeds[-1], 4001)  # between the three given speeds the peak is found
+    assert curve.y[0].max() == pytest.approx(
+        worst_orbit(loop_evaluator(plant, rig_controller)(dense), residual).max(), rel=1e-6
+    )
+    assert len(curve.x) == 4
     assert curve.labels[0] == "worst case" and curve.kind == "speed" and curve.limits == (("required", 8e-6),)
     check = assembled_check(curve, replace(rig.requirements, unbalance_to=speeds[1]))
-    assert check.value == curve.y[0, :2].max() and check.passed is True
+    assert check.value == curve.y[0, curve.x <= speeds[1]].max() and check.passed is True
 
 
 def test_gyroscopic_forces_are_seen_only_by_reassembly(rig, rig_controller):
@@ -166,7 +172,7 @@ def test_gyroscopic_forces_are_seen_only_by_reassembly(rig, rig_controller):
 
     speed = 2 * np.pi * 200.0
     curve = unbalance_curve(plant_at, np.array([speed]), rig_controller)
-    assert list(plants) == [speed]
+    assert set(plants) == {speed}
     still = unbalance_curve(lambda _: assemble(rig, point), np.array([speed]), rig_controller)
     assert curve.y[0, 0] != pytest.approx(still.y[0, 0], rel=1e-6)
     with pytest.raises(InvalidInput, match="speeds"):

@@ -1,4 +1,9 @@
-"""Campbell map: natural frequencies and damping against speed, each mode followed by shape; critical speeds."""
+"""Campbell map: natural frequencies and damping against speed, each mode followed by shape; critical speeds.
+
+| check            | what                                                                                 | unit  |
+|------------------|--------------------------------------------------------------------------------------|-------|
+| stability.speeds | largest real part of the closed-loop poles over the speed range; must be negative    | rad/s |
+"""
 
 from __future__ import annotations
 
@@ -11,10 +16,12 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
 from ambrose.core.checks import check_shape, invalid
+from ambrose.core.statespace import spectral_abscissa
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
-from ambrose.verify.checks import Curve
-from ambrose.verify.rotor_modes import OSCILLATORY, Modes, direction, modes
+from ambrose.verify.checks import Check, Curve
+from ambrose.verify.criteria import Demand, judge
+from ambrose.verify.rotor_modes import OSCILLATORY, TWO_PI, Modes, direction, modes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,3 +126,16 @@ def campbell_curves(found: CampbellMap) -> list[Curve]:
             "campbell.damping", "Damping ratios against speed", "speed", found.speeds, found.damping, names, "rad/s", "-"
         ),
     ]  # fmt: skip
+
+
+def speed_stability_check(plant_at: Callable[[float], Plant], speeds: np.ndarray, controller: Any) -> Check:
+    """Stability of the closed loop at every one of ``speeds`` (s,) [rad/s], with the rotor assembled anew."""
+    values = np.array([spectral_abscissa(closed_loop(plant_at(float(speed)), controller)) for speed in speeds])
+    k = int(np.argmax(values))
+    span = f"{len(speeds)} speeds from {speeds[0] / TWO_PI:.4g} to {speeds[-1] / TWO_PI:.4g} Hz"
+    unstable = speeds[values >= 0] / TWO_PI
+    found = "" if not unstable.size else f"; unstable at {', '.join(f'{w:.4g}' for w in unstable)} Hz"
+    return judge(
+        "stability.speeds", "Stability over the speed range", values[k], "rad/s",
+        Demand(0.0, "<", "asymptotic stability"), f"largest at {speeds[k] / TWO_PI:.4g} Hz, of {span}{found}",
+    )  # fmt: skip

@@ -1,8 +1,8 @@
 """Verification of one closed loop: everything that holds without uncertainty, on the plant given.
 
 Give it the full plant: a controller designed on a reduced one can destabilise a bending mode. The checks are listed in the
-tables of rotor_modes.py, sensitivity.py, margins.py, unbalance.py and transient.py; limits come from criteria.py, overridden by
-the requirements. The loop diagram is in core/lft.py.
+tables of rotor_modes.py, campbell.py, sensitivity.py, margins.py, unbalance.py and transient.py; limits come from criteria.py,
+overridden by the requirements. The loop diagram is in core/lft.py.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ambrose.core.checks import check_shape, invalid
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.model import Plant
+from ambrose.verify.campbell import speed_stability_check
 from ambrose.verify.checks import Check, Checks, Curve
 from ambrose.verify.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR
 from ambrose.verify.loop_response import add_poles, frequency_grid, loop_evaluator
@@ -36,7 +37,8 @@ from ambrose.verify.unbalance import (
 
 TWO_PI = 2 * np.pi
 _LOWEST = 0.5 * TWO_PI  # rad/s, start of the default grid
-_SPEEDS = 60  # speeds at which the rotor is assembled anew
+_SPEEDS = 40  # speeds at which the rotor is assembled anew for unbalance
+_STABILITY_SPEEDS = 11
 _BEYOND = 5.0  # the default grid reaches this many times past the standard's range
 
 Progress = Callable[[str, float], None]
@@ -54,9 +56,10 @@ def check(
 
     requirements: default those of the plant's machine. omega (w,) [rad/s]: ascending, positive; points around lightly damped
     closed-loop poles are added (default: 0.5 Hz to five times the range of ISO 14839-3). progress(stage, fraction) is called
-    between stages. plant_at(speed [rad/s]) -> Plant: with it the curve "unbalance.assembled" re-assembles the rotor along the
-    speed range. An unstable loop yields stable=False, the check "stability.abscissa" that names its poles, and the pole curve.
-    Raises InvalidInput for a controller of the wrong size or a grid that does not ascend from a positive frequency.
+    between stages. plant_at(speed [rad/s]) -> Plant: with it stability and unbalance are checked along the machine's speed
+    range with the rotor assembled anew at every speed. An unstable loop yields stable=False, the check "stability.abscissa"
+    that names its poles, and the pole curve. Raises InvalidInput for a controller of the wrong size or a grid that does not
+    ascend from a positive frequency.
     """
     tell = progress or (lambda stage, fraction: None)
     requirements = plant.machine.requirements if requirements is None else requirements
@@ -90,9 +93,8 @@ def check(
         notes += ("No unbalance response: no balancing speed is known; set requirements.balance_speed or a speed range.",)
     else:
         _extend(checks, curves, unbalance_checks(plant, response, evaluator, requirements, residual))
-        if plant_at is not None and plant.machine.operation.speed_range[1] > 0:
-            curves.append(_assembled(plant_at, plant, controller, residual))
-            checks.append(assembled_check(curves[-1], requirements))
+    if plant_at is not None and plant.machine.operation.speed_range[1] > 0:
+        _extend(checks, curves, _assembled(plant_at, plant, controller, requirements, residual))
     tell("time response", 0.85)
     _extend(checks, curves, pulse_checks(pulse_response(closed, plant), plant, requirements))
     tell("done", 1.0)
@@ -126,8 +128,20 @@ def _notes(plant: Plant, dt: float | None) -> tuple[str, ...]:
     return notes
 
 
-def _assembled(plant_at: Callable[[float], Plant], plant: Plant, controller: Any, residual: Unbalance) -> Curve:
-    """The unbalance curve with the rotor assembled anew at a few dozen speeds up to the highest."""
+def _assembled(
+    plant_at: Callable[[float], Plant],
+    plant: Plant,
+    controller: Any,
+    requirements: Requirements,
+    residual: Unbalance | None,
+) -> tuple[list[Check], list[Curve]]:
+    """Stability and the unbalance curve along the speed range, with the rotor assembled anew at every speed."""
     low, high = plant.machine.operation.speed_range
+    stability = speed_stability_check(plant_at, np.linspace(low, high, _STABILITY_SPEEDS), controller)
+    if residual is None or not stability.passed:
+        return [stability], []
     speeds = np.linspace(max(low, 0.02 * high), high, _SPEEDS)
-    return replace(unbalance_curve(plant_at, speeds, controller, residual), name="unbalance.assembled")
+    if requirements.unbalance_to is not None and speeds[0] < requirements.unbalance_to < high:
+        speeds = np.unique(np.append(speeds, requirements.unbalance_to))
+    curve = replace(unbalance_curve(plant_at, speeds, controller, residual), name="unbalance.assembled")
+    return [stability, assembled_check(curve, requirements)], [curve]
