@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.optimize import linear_sum_assignment
 
 from ambrose.core.checks import check_shape, invalid
 from ambrose.core.statespace import spectral_abscissa
@@ -91,6 +89,8 @@ def _follow(poles: np.ndarray, shapes: np.ndarray, candidates: Modes) -> np.ndar
             "the number of oscillating modes", len(candidates.poles), f"{len(poles)} at every speed",
             "ask for fewer modes or take smaller steps in speed",
         )  # fmt: skip
+    from scipy.optimize import linear_sum_assignment
+
     size = np.linalg.norm(shapes, axis=0)[:, None] * np.linalg.norm(candidates.shapes, axis=0)[None, :]
     overlap = np.abs(shapes.conj().T @ candidates.shapes)
     assurance = np.divide(overlap, size, out=np.zeros_like(overlap), where=size > 0) ** 2
@@ -104,6 +104,8 @@ def critical_speeds(found: CampbellMap) -> tuple[tuple[float, str], ...]:
 
     Between the map's speeds the frequencies are interpolated by cubic splines.
     """
+    from scipy.interpolate import CubicSpline
+
     result = []
     for frequency, whirl in zip(found.frequency, found.whirl, strict=True):
         excess = CubicSpline(found.speeds, frequency - found.speeds)

@@ -29,7 +29,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize_scalar
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.machine.description import Machine, Requirements
@@ -236,6 +235,8 @@ def unbalance_curve(
     default that of the machine. The curve has the lines of the fixed-speed curve "unbalance"; at every large local maximum of
     the worst case a refined point is added. Raises InvalidInput when no balancing speed is known.
     """
+    from scipy.optimize import minimize_scalar
+
     speeds = np.asarray(check_finite(speeds, "speeds"), float)
     if speeds.size == 0 or speeds.min() <= 0 or (np.diff(speeds) <= 0).any():
         raise invalid("speeds", speeds, "positive, ascending, at least one", "leave standstill out: it has no unbalance force")
