@@ -13,7 +13,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import PydanticCustomError, core_schema
 
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.machine.wording import shown, suggestion
+from ambrose.machine.wording import meant, shown
 
 UNIT_STRING = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[A-Za-zµμ°%].*$"
 PLACEHOLDER = "x-quantity"  # stands for a reference until pydantic has made the schema, which knows only its own definitions
@@ -59,7 +59,7 @@ class Quantity(_Kind):
     @property
     def expects(self) -> str:
         dimension = DIMENSIONS[self.dimension]
-        return f'{dimension.phrase}, for example "{dimension.example}"'
+        return dimension.phrase + (f', for example "{dimension.example}"' if dimension.example else "")
 
     def read(self, value: object) -> float:
         return read_quantity(value, DIMENSIONS[self.dimension])
@@ -191,8 +191,9 @@ class Choice(_Kind):
 
     def read(self, value: object) -> str:
         if not isinstance(value, str) or value not in self.options:
-            close = suggestion(value, self.options) if isinstance(value, str) else f"give {self.expects}"
-            raise ValueError(f"is {shown(value)}, but must be {self.expects}; {close}")
+            close = meant(value, self.options) if isinstance(value, str) else ""
+            remedy = f'did you mean "{close}"?' if close else "choose one of them"
+            raise ValueError(f"is {shown(value)}, but must be {self.expects}; {remedy}")
         return value
 
     def schema(self) -> dict[str, Any]:
@@ -266,8 +267,9 @@ def _definition(dimension: str) -> str:
 
 def _quantity_schema(name: str) -> dict[str, Any]:
     dimension = DIMENSIONS[name]
+    if not dimension.units:
+        return {"description": "a plain number", "type": "number"}
     return {
-        "title": name,
         "description": f'{name}: a plain number in {dimension.unit}, or a string with a unit such as "{dimension.example}"',
         "anyOf": [{"type": "number"}, {"type": "string", "pattern": UNIT_STRING, "examples": [dimension.example]}],
     }

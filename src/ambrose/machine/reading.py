@@ -99,24 +99,17 @@ def _line(detail: Any, document: Mapping[str, Any]) -> str:
 
 
 def _missing(model: type[Table] | None, key: str) -> str:
-    below = table_below(model, key) if model else None
+    """What to say about a key or a table that is not there."""
+    if model is None:
+        return f"{key} is missing"
     if model is MachineFile:
+        below = table_below(model, key) or MachineFile
         many = str(model.model_fields[key].annotation).startswith("list")
-        needs = [name for name, field in below.model_fields.items() if field.is_required()] if below else []
-        keys = f" with {', '.join(field_name(below, name) for name in needs)}" if below and needs else ""
-        return f"table {_brackets(key, many=many)} is missing; add it{keys}"
-    expects = [rule.expects for field in [_field(model, key)] for rule in field.metadata if hasattr(rule, "expects")]
-    return f"{key} is missing; give {expects[0]}" if expects else f"{key} is missing"
-
-
-def field_name(model: type[Table], name: str) -> str:
-    """The key in the file of a model's field."""
-    return model.model_fields[name].alias or name
-
-
-def _field(model: type[Table] | None, key: str) -> Any:
-    assert model is not None
-    return next(field for name, field in model.model_fields.items() if (field.alias or name) == key)
+        needs = {name: field for name, field in below.model_fields.items() if field.is_required()} or below.model_fields
+        keys = ", ".join(field.alias or name for name, field in needs.items())
+        return f"table {_brackets(key, many=many)} is missing; add it with {keys}"
+    kinds = next(field.metadata for name, field in model.model_fields.items() if (field.alias or name) == key)
+    return f"{key} is missing; give {kinds[0].expects}"
 
 
 def _wrong_form(loc: Sequence[str | int], kind: str, value: object) -> str:
@@ -141,16 +134,18 @@ def _place(loc: Sequence[str | int], document: Mapping[str, Any]) -> tuple[str, 
     for i, part in enumerate(loc):
         entry = entry[part]
         if isinstance(part, int):
-            label = (
-                next((entry[key] for key in _LABELS if isinstance(entry.get(key), str)), None)
-                if isinstance(entry, Mapping)
-                else None
-            )
-            number = f"{part + 1}" if label is None or path[-1] in {"shaft", "point", "tolerance"} else ""
-            places.append(" ".join(filter(None, (_brackets(".".join(path), many=True), number, label))))
+            places.append(f"{_brackets('.'.join(path), many=True)} {_called(entry, path[-1], part + 1)}")
             continue
         path.append(part)
         model = (table_below(model, part) or model) if model else None
         if i == len(loc) - 1 or (not isinstance(loc[i + 1], int) and places):
             places.append(_brackets(".".join(path), many=False))
     return ", ".join(places), model
+
+
+def _called(entry: object, table: str, number: int) -> str:
+    """An entry by its name where it has one, else by its number; labels are free text and stand after the number."""
+    name = next((entry[key] for key in _LABELS if isinstance(entry.get(key), str)), "") if isinstance(entry, Mapping) else ""
+    if table in {"shaft", "point"} and name:
+        return f'{number} "{name}"'
+    return f"{number} {name}".rstrip() if table == "tolerance" else name or str(number)

@@ -245,7 +245,7 @@ def _write_hdf5(record: Record, path: Path) -> None:
         file.attrs.update(_attributes(record))
         group = file.create_group("signals", track_order=True)
         for name, unit, values in zip(record.signals, record.units, record.values, strict=True):
-            group.create_dataset(name, data=values, dtype="f8").attrs["unit"] = unit
+            group.create_dataset(name, data=values, dtype="f8", fletcher32=True).attrs["unit"] = unit
 
 
 def _read_hdf5(path: Path) -> Record:
@@ -259,7 +259,9 @@ def _read_hdf5(path: Path) -> Record:
             if not isinstance(group, h5py.Group) or not len(group):
                 raise InvalidInput("the group /signals is missing or empty; a record keeps one dataset per signal there")
             signals = [_hdf5_signal(group, name, h5py) for name in group]
-    except (OSError, RuntimeError, KeyError) as error:
+    except InvalidInput:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError) as error:
         raise InvalidInput(f"it cannot be read as HDF5 ({error}); it is damaged, truncated or of another kind") from error
     lengths = {name: len(values) for name, _, values in signals}
     if len(set(lengths.values())) > 1:

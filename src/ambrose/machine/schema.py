@@ -121,7 +121,7 @@ class GeometryTable(Table):
     """The magnet's geometry, from which its coefficients are computed when they are not given."""
 
     noun = nouns.MagnetGeometry
-    turns: Annotated[float, Quantity("ratio")] = required("turns of one horseshoe")
+    turns: Annotated[float, Quantity("plain number")] = required("turns of one horseshoe")
     pole_area: Annotated[float, Quantity("area")] = required("area of one pole face")
     gap: Length = required("nominal radial air gap")
     pole_half_angle: Angle = optional("half the angle between the two poles of a horseshoe")

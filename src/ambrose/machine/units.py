@@ -36,11 +36,15 @@ class Dimension:
     @property
     def phrase(self) -> str:
         """ "a length [m]", for messages."""
+        if not self.units:
+            return f"a {self.name}"
         return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name} [{self.unit}]"
 
     @property
     def remedy(self) -> str:
         """How to write it, for messages."""
+        if not self.units:
+            return "write a number without quotes and unit"
         if self.unit == "-":
             return f'write a plain number or a string such as "{self.example}"'
         return f'write a plain number in {self.unit} or a string such as "{self.example}"'
@@ -75,6 +79,7 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("compliance", "m/N", "0.1 um/N", "m/N=1,mm/N=1e-3,um/N=1e-6"),
         _dimension("current per displacement", "A/m", "18 A/mm", "A/m=1,A/mm=1e3,A/um=1e6"),
         _dimension("ratio", "-", "40 %", "%=1e-2", closed=True),
+        _dimension("plain number", "-", "", "", closed=True),
     )
 )
 

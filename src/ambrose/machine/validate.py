@@ -17,7 +17,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine import validate_parts as parts
 from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, Machine, PidSettings
 from ambrose.machine.parameters import Parameter, find_parameter
-from ambrose.machine.wording import complaint, listed, not_positive, number, shown, suggestion
+from ambrose.machine.wording import complaint, listed, not_positive, number, shown
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
@@ -65,9 +65,7 @@ def _whole(machine: Machine) -> Iterator[str]:
         )
     if machine.beam_theory not in BEAM_THEORIES:
         known = f"one of {', '.join(BEAM_THEORIES)}"
-        yield complaint(
-            "[machine]", "beam_theory", shown(machine.beam_theory), known, suggestion(machine.beam_theory, BEAM_THEORIES)
-        )
+        yield complaint("[machine]", "beam_theory", shown(machine.beam_theory), known, "choose one of them")
 
 
 def _attachments(machine: Machine) -> Iterator[tuple[str, str, float]]:
@@ -129,9 +127,7 @@ def _controller(machine: Machine) -> Iterator[str]:
         yield from not_positive(inside, "zero is the deepest notch", ("zero_damping", notch.zero_damping, ""), zero=True)
     if pid.coordinates not in CONTROLLER_COORDINATES:
         known = f"one of {', '.join(CONTROLLER_COORDINATES)}"
-        yield complaint(
-            where, "coordinates", shown(pid.coordinates), known, suggestion(pid.coordinates, CONTROLLER_COORDINATES)
-        )
+        yield complaint(where, "coordinates", shown(pid.coordinates), known, "choose one of them")
     elif pid.coordinates == "tilt-translate" and len(machine.bearings) != 2:
         yield complaint(
             where,
