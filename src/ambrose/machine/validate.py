@@ -93,7 +93,7 @@ def _names(machine: Machine) -> Iterator[str]:
 
 
 def _places(machine: Machine) -> Iterator[str]:
-    if not machine.shaft:
+    if not machine.shaft or any(section.length <= 0 for section in machine.shaft):
         return
     sensors = (("sensor", sensor.bearing, sensor.position) for sensor in machine.sensors)
     slack = parts.JOINT * machine.length
