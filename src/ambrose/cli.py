@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import click
 from ambrose import __version__
 from ambrose.core.checks import AmbroseError
 
+ALL = click.option("--all", "everything", is_flag=True, help="Show the quantities without a limit as well.")
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 MACHINE = click.argument("machine")
 
@@ -73,7 +74,7 @@ def check(machine: str, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(facts))
         return
-    _table(f"{facts['machine']}: {facts['description']}", ("quantity", "value"), study.facts_in_words(facts))
+    _table(f"{facts['machine']}: {facts['description']}", ("quantity", "value"), _facts_in_words(facts))
 
 
 @main.command()
@@ -107,8 +108,9 @@ def synthesize(machine: str, method: str, output: Path, as_json: bool) -> None:
 @main.command()
 @MACHINE
 @click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
+@ALL
 @AS_JSON
-def verify(machine: str, path: Path, as_json: bool) -> None:
+def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
     """Check a controller on the full plant at every operating point of the machine."""
     from ambrose import study
     from ambrose.export.files import read_controller
@@ -122,7 +124,7 @@ def verify(machine: str, path: Path, as_json: bool) -> None:
         click.echo(json.dumps({"machine": description.name, "points": [checks_to_dict(r) for r in results]}))
     else:
         for result in results:
-            _print_checks(result)
+            _print_checks(result, everything)
     sys.exit(0 if all(result.passed for result in results) else 1)
 
 
@@ -152,14 +154,15 @@ def simulate(machine: str, path: Path, scenario: str, linear: bool, point: str |
     write_record(trace.record, output)
     summary = {"record": str(output), "outcome": trace.outcome, "text": trace.text}
     click.echo(json.dumps(summary) if as_json else f"{output}: {trace.text}")
-    sys.exit(0 if trace.outcome == "stable" else 1)
+    sys.exit(0 if trace.outcome == "completed" else 1)
 
 
 @main.command(name="study")
 @MACHINE
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=None, help="Directory; default: study-<machine>.")
+@ALL
 @AS_JSON
-def study_command(machine: str, output: Path | None, as_json: bool) -> None:
+def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
     """The whole chain, from the machine file to report.html."""
     from ambrose import study
     from ambrose.export.results import checks_to_dict
@@ -174,7 +177,7 @@ def study_command(machine: str, output: Path | None, as_json: bool) -> None:
         click.echo(json.dumps({"machine": description.name, "passed": result.passed, "report": str(report), "points": points}))
     else:
         for checks in result.checks:
-            _print_checks(checks)
+            _print_checks(checks, everything)
         click.echo(f"\nReport: {report}")
     sys.exit(0 if result.passed else 1)
 
@@ -211,7 +214,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
             bar.update(tasks[-1], total=1, completed=1)
 
 
-def _table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], marks: tuple[str, ...] = ()) -> None:
+def _table(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], marks: Sequence[str] = ()) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -224,14 +227,36 @@ def _table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], ma
     console.print(table)
 
 
-def _print_checks(checks: Any) -> None:
-    """One operating point: the verdict in words, then every check but its source."""
+def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    from ambrose.report.units import quantity
+
+    unstable = ", ".join(f"{re:.1f}{im:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
+    return [
+        ("rotor mass", quantity(facts["mass_kg"], "kg")),
+        ("centre of mass", quantity(facts["centre_m"], "m")),
+        (
+            "inertia, diametral and polar",
+            f"{facts['diametral_inertia_kg_m2']:.4g} and {facts['polar_inertia_kg_m2']:.4g} kg m²",
+        ),
+        ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
+        ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),
+        ("rotor states, full and reduced", f"{facts['rotor_states']} and {facts['reduced_rotor_states']}"),
+        ("plant states, full and reduced", f"{facts['plant_states']} and {facts['reduced_plant_states']}"),
+        ("operating points", ", ".join(facts["operating_points"])),
+        ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
+        ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
+    ]
+
+
+def _print_checks(checks: Any, everything: bool) -> None:
+    """One operating point: the verdict in words, then the checks that have a limit (or all), without their sources."""
     from ambrose.report.tables import checks_table, verdict
 
     table = checks_table(checks)
     keep = [i for i, column in enumerate(table.columns) if not column.startswith("Standard")]
-    rows = [tuple(f"{row[i].symbol} {row[i].text}".strip() for i in keep) for row in table.cells]
-    marks = tuple("red" if check.passed is False else "" for check in checks.checks)
+    shown = [i for i, check in enumerate(checks.checks) if everything or check.passed is not None]
+    rows = [tuple(f"{table.cells[k][i].symbol} {table.cells[k][i].text}".strip() for i in keep) for k in shown]
+    marks = tuple("red" if checks.checks[k].passed is False else "" for k in shown)
     _table(f"{checks.label}: {verdict(checks).text}", tuple(table.columns[i] for i in keep), rows, marks)
 
 

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
-from ambrose.core.statespace import StateSpace, as_statespace, close, rename, select
+from ambrose.core.statespace import StateSpace, as_statespace, close, rename, select, static_gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,14 +186,7 @@ def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.nd
     w, z = plant.w[: plant.n_w_blocks], plant.z[: plant.n_z_blocks]
     keep_in = [*plant.w[plant.n_w_blocks :], *plant.u]
     keep_out = [*plant.z[plant.n_z_blocks :], *plant.y]
-    return _star(
-        plant.system,
-        StateSpace([], np.zeros((0, len(z))), np.zeros((len(w), 0)), gain),
-        keep_in,
-        keep_out,
-        list(w),
-        list(z),
-    )
+    return _star(plant.system, static_gain(gain), keep_in, keep_out, list(w), list(z))
 
 
 def _star(system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: list[str], y: list[str]) -> StateSpace:

@@ -6,9 +6,6 @@ reader takes nothing on trust: unknown keys, other versions, sizes that do not f
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
-import hashlib
 import json
 import math
 import os
@@ -30,7 +27,9 @@ from ambrose.export.parsing import (
     parse_text,
     read_json,
 )
+from ambrose.machine.config import machine_hash
 from ambrose.machine.description import Machine
+from ambrose.machine.writing import write_text
 from ambrose.synthesis.certify import match_controller
 from ambrose.synthesis.result import Certificate, Synthesis
 
@@ -72,22 +71,6 @@ class ControllerFile:
     provenance: Provenance
 
 
-def machine_hash(machine: Machine) -> str:
-    """SHA-256 of everything that the description says, as 64 hexadecimal digits; the layout of its file does not matter."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, bool) or value is None or isinstance(value, str):
-            return value
-        if isinstance(value, int | float):
-            return float(value)
-        if isinstance(value, Mapping):
-            return {str(key): plain(item) for key, item in value.items()}
-        return [plain(item) for item in value]
-
-    text = json.dumps(plain(dataclasses.asdict(machine)), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def write_controller(
     path: str | os.PathLike[str],
     result: Synthesis | StateSpace | Any,
@@ -104,7 +87,7 @@ def write_controller(
         content = _content(controller, "given", "uncertified", math.nan, None, machine, date)
     else:
         content = _content(result.controller, result.method, result.status, result.gamma, result.certificate, machine, date)
-    return _write_atomically(Path(path), _layout(content))
+    return write_text(path, _layout(content), "controller file")
 
 
 def _content(
@@ -173,23 +156,6 @@ def _layout(content: Mapping[str, Any]) -> str:
         else:
             lines.append(f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
     return "{\n " + ",\n ".join(lines) + "\n}\n"
-
-
-def _write_atomically(path: Path, text: str) -> Path:
-    if not path.name or path.is_dir():
-        raise invalid("the path of the controller file", repr(str(path)), "a file's", "add a name such as controller.json")
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink()
-        raise InvalidInput(f"cannot write {path}: {error.strerror or error}; give a path in a writable folder") from error
-    return path
 
 
 def read_controller(path: str | os.PathLike[str]) -> ControllerFile:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
+from pathlib import Path
 from typing import Any
 
+from ambrose.machine.writing import write_text
 from ambrose.synthesis.result import Certificate
 from ambrose.verify.checks import Checks
 
@@ -36,3 +39,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value if isinstance(value, str | int | float | bool) or value is None else dict(value)
+
+
+def write_json(path: Path, content: Any) -> Path:
+    """``content`` as a JSON file that appears complete or not at all. Raises InvalidInput where it cannot be written."""
+    return write_text(path, json.dumps(plain(content), indent=1) + "\n", "result file")

@@ -1,0 +1,234 @@
+"""The whole chain, one call per stage: machine file -> plants -> controller -> verification -> simulation -> report.
+
+Read this first. Each stage is a plain function of the results before it; ``run`` calls them in order and leaves what they
+made in one directory. A second run for the same machine takes the controller up from there instead of designing it again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import poles, select
+from ambrose.export.files import match_controller, read_controller, write_controller
+from ambrose.export.results import checks_to_dict, write_json
+from ambrose.machine.config import machine_hash
+from ambrose.machine.description import Machine
+from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, free_modes, mass_properties
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
+from ambrose.simulate import linear
+from ambrose.simulate.scenario import load_scenario
+from ambrose.simulate.trace import Trace
+from ambrose.synthesis import pid
+from ambrose.synthesis.certify import certify
+from ambrose.synthesis.result import Synthesis
+from ambrose.verify import nominal
+from ambrose.verify.checks import Checks, Curve
+
+Progress = Callable[[str], None]
+SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance patterns of P5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Study:
+    """Everything that one run found; plants, checks and traces go by operating point, the nominal one first.
+
+    traces: (operating point, trace) pairs.
+    """
+
+    machine: Machine
+    plants: tuple[Plant, ...]
+    reduced: Plant
+    synthesis: Synthesis
+    checks: tuple[Checks, ...]
+    traces: tuple[tuple[str, Trace], ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check at every operating point is met."""
+        return all(checks.passed for checks in self.checks)
+
+
+def run(machine: Machine, directory: Path, progress: Progress = lambda stage: None) -> Study:
+    """All stages in order; leaves controller.json, checks.json and report.html in ``directory``.
+
+    Raises InvalidInput for a machine without controller settings, OSError where the directory cannot be written.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    progress("assembling the finite-element plant at every operating point")
+    plants = full_plants(machine)
+    progress("reducing it")
+    reduced = reduce(plants[0])
+    progress("controller")
+    synthesis = kept_or_designed(plants[0], directory / "controller.json")
+    checks = verification(plants, synthesis.controller, progress)
+    traces = simulations(plants, synthesis.controller, progress)
+    study = Study(machine, plants, reduced, synthesis, checks, traces)
+    progress("writing the report")
+    write_json(directory / "checks.json", {"machine": machine.name, "points": [checks_to_dict(c) for c in checks]})
+    write_report(study, directory / "report.html")
+    return study
+
+
+def full_plants(machine: Machine) -> tuple[Plant, ...]:
+    """The full finite-element plant at every operating point of the machine; the first is the nominal one."""
+    return tuple(assemble(machine, point) for point in machine.operation.points)
+
+
+def plant_at(machine: Machine, label: str | None) -> Plant:
+    """The full plant at the operating point of that label (None: the nominal one). Raises InvalidInput."""
+    points = {point.label: point for point in machine.operation.points}
+    if label is not None and label not in points:
+        raise InvalidInput(f"operating point {label!r} is unknown; machine {machine.name!r} has {', '.join(map(repr, points))}")
+    return assemble(machine, machine.operation.nominal if label is None else points[label])
+
+
+def design(plant: Plant) -> Synthesis:
+    """The reference PID controller of the machine file, certified on the full plant."""
+    return pid.synthesize(plant)
+
+
+def kept_or_designed(plant: Plant, path: Path) -> Synthesis:
+    """The controller at ``path`` if it was made for exactly this machine (certified again), else a new one, written there."""
+    try:
+        kept = read_controller(path)
+        if kept.provenance.machine_hash == machine_hash(plant.machine):
+            certificate = certify(plant, kept.controller)
+            return Synthesis(kept.controller, kept.method, kept.gamma, kept.status, certificate)
+    except AmbroseError:
+        pass  # absent, or not readable any more: designed anew
+    synthesis = design(plant)
+    write_controller(path, synthesis, plant.machine)
+    return synthesis
+
+
+def verification(plants: tuple[Plant, ...], controller: Any, progress: Progress) -> tuple[Checks, ...]:
+    """The checks on every full plant. Raises InvalidInput where the controller is not one for this machine."""
+    results = []
+    for plant in plants:
+        progress(f"verifying at {plant.point.label}")
+        turning = plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
+        along = _plants_along_speed(plant) if turning else None
+        results.append(nominal.check(plant, match_controller(controller, plant), plant_at=along))
+    return tuple(results)
+
+
+def _plants_along_speed(plant: Plant) -> Callable[[float], Plant]:
+    return lambda speed: assemble(plant.machine, replace(plant.point, speed=speed))
+
+
+def simulations(plants: tuple[Plant, ...], controller: Any, progress: Progress) -> tuple[tuple[str, Trace], ...]:
+    """Impulse responses of the linear loop, both patterns of P5, at every operating point."""
+    traces = []
+    for plant in plants:
+        progress(f"simulating at {plant.point.label}")
+        traces += [(plant.point.label, simulation(plant, controller, name)) for name in SCENARIOS]
+    return tuple(traces)
+
+
+def simulation(plant: Plant, controller: Any, scenario: str) -> Trace:
+    """One scenario on the linear closed loop; stops where the rotor would touch down."""
+    gaps = [b.touchdown_gap for b in plant.machine.bearings if b.touchdown_gap is not None]
+    return linear.run(
+        closed_loop(plant, match_controller(controller, plant)),
+        load_scenario(scenario),
+        machine=plant.machine.name,
+        point=plant.point,
+        mass=mass_properties(finite_element_rotor(plant.machine)).mass,
+        displacement_limit=min(gaps, default=None),
+    )
+
+
+def facts(machine: Machine) -> dict[str, Any]:
+    """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies, open-loop poles, sizes."""
+    rotor = finite_element_rotor(machine)
+    properties = mass_properties(rotor)
+    plant = assemble(machine)
+    reduced = reduce(plant)
+    values = poles(plant.rotor)
+    return {
+        "machine": machine.name,
+        "description": machine.description,
+        "mass_kg": properties.mass,
+        "centre_m": properties.centre,
+        "diametral_inertia_kg_m2": properties.diametral_inertia,
+        "polar_inertia_kg_m2": properties.polar_inertia,
+        "bending_rad_s": free_bending_frequencies(rotor, 3).tolist(),
+        "unstable_poles_rad_s": [[float(p.real), float(p.imag)] for p in values if p.real > 0],
+        "rotor_states": plant.rotor.n_states,
+        "plant_states": plant.system.n_states,
+        "reduced_rotor_states": reduced.rotor.n_states,
+        "reduced_plant_states": reduced.system.n_states,
+        "operating_points": [point.label for point in machine.operation.points],
+        "tolerances": [tolerance.parameter for tolerance in machine.tolerances],
+        "assumed": len(machine.assumed),
+    }
+
+
+def model_comparison(plant: Plant, reduced: Plant) -> list[tuple[str, Curve]]:
+    """Largest singular value of currents -> sensors, full and reduced model, 1 Hz to 5 kHz."""
+    omega = np.geomspace(2 * np.pi, 2 * np.pi * 5000, 600)
+    pairs = []
+    for label, model in (
+        (f"full, {plant.rotor.n_states} states", plant),
+        (f"reduced, {reduced.rotor.n_states} states", reduced),
+    ):
+        response = frequency_response(select(model.system, model.named("u"), model.named("y")), omega)
+        gain = response.max_singular_value()[None]
+        name = "plant gain, currents to sensors"
+        pairs.append((label, Curve("plant.gain", name, "frequency", omega, gain, ("max singular value",), "rad/s", "m/A")))
+    return pairs
+
+
+def response_curves(traces: tuple[tuple[str, Trace], ...]) -> list[tuple[str, Curve]]:
+    """Displacements and coil currents of every trace as curves for the report."""
+    curves = []
+    for label, trace in traces:
+        record = trace.record
+        for prefix, what, unit in (("y", "displacement", "m"), ("i", "current", "A")):
+            names = [signal for signal in record.signals if signal.startswith(f"{prefix}_")]
+            title = f"{what}, {trace.scenario}"
+            values = record.select(names).values
+            labels = tuple(name.removeprefix(f"{prefix}_") for name in names)
+            curve = Curve(f"{trace.scenario}.{what}", title, "time", record.time, values, labels, "s", unit)
+            curves.append((label, curve))
+    return curves
+
+
+def write_report(study: Study, path: Path) -> None:
+    """report.html: one self-contained page."""
+    from ambrose.report.document import write
+    from ambrose.report.verification import verification_report
+
+    rotor = finite_element_rotor(study.machine)
+    modes = free_modes(rotor, 2)
+    plane = slice(0, None, 2)  # the modes come in x/y pairs; the drawing shows x
+    full, reduced = study.plants[0], study.reduced
+    certificate = study.synthesis.certificate
+    report = verification_report(
+        study.machine,
+        study.checks,
+        node_positions=rotor.positions,
+        shapes=modes.shapes[0::4, plane],
+        frequencies=modes.frequencies[plane],
+        models=(
+            ("full model", f"{full.rotor.n_states} rotor states, {full.system.n_states} with amplifiers and sensors"),
+            ("reduced model", f"{reduced.rotor.n_states} rotor states, {reduced.system.n_states} with amplifiers and sensors"),
+        ),
+        responses=response_curves(study.traces),
+        comparison=model_comparison(full, reduced),
+        facts=(
+            ("Controller", f"{study.synthesis.method}, {study.synthesis.controller.n_states} states, {study.synthesis.status}"),
+            ("Certified on", certificate.plant),
+        ),
+    )
+    write(report, path)
