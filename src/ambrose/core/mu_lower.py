@@ -19,6 +19,7 @@ from ambrose.core.lft import ComplexBlock, FullBlock
 from ambrose.core.mu_structure import Structure, osborne
 
 _POWER_STEPS = 60  # of the complex power iteration from a cold start; a third of it when warm
+_TRIES = 8  # random parameter vectors looked at per restart
 _CHECK = 10  # power steps between two looks at the eigenvalue, the best is kept
 _REAL_TOLERANCE = 1e-9  # relative imaginary part that counts as real
 
@@ -276,6 +277,29 @@ def _boxed_step(J: np.ndarray, target: np.ndarray, q: np.ndarray, edge: np.ndarr
     return step
 
 
+def _random_reals(M: np.ndarray, parts: _Parts, reach: np.ndarray, rng: np.random.Generator, *, corner: bool) -> np.ndarray:
+    """Random parameters in the box +-reach (b,), or at its corners; with complex blocks the best of a few, by a quick look."""
+    b, m = len(M), len(parts.member)
+    tries = _TRIES if parts.structure.complex and m else 1
+    spread = rng.uniform(-1, 1, (tries, b, m))
+    q = reach[:, None] * (np.sign(spread) if corner else spread)
+    if tries == 1:
+        return q[0]
+    q = np.concatenate([q, np.stack([_on_pole(M, parts, guess, reach) for guess in q])])
+    size = np.stack([_evaluate(M, parts, guess, None, 1).size for guess in q])
+    return np.take_along_axis(q, size.argmin(axis=0)[None, :, None], axis=0)[0]
+
+
+def _on_pole(M: np.ndarray, parts: _Parts, q: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """q stretched to where F(q) is largest along its ray, near a pole: the most real eigenvalue of M_rr Q becomes 1."""
+    M_rr = M[:, parts.real_z[:, None], parts.real_w[None, :]]
+    values = np.linalg.eigvals(M_rr * (q @ parts.member)[:, None, :])
+    pick = (np.abs(values.real) - 3 * np.abs(values.imag)).argmax(axis=1)
+    value = values[np.arange(len(q)), pick]
+    stretch = value.real / np.maximum(np.abs(value) ** 2, 1e-300)
+    return np.clip(q * stretch[:, None], -reach[:, None], reach[:, None])
+
+
 def _start_reals(M: np.ndarray, parts: _Parts, worst: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """The real parameters that map z = M w closest to w, for the direction w of the upper bound, within its box."""
     z = (M @ worst[..., None])[..., 0][:, parts.real_z]
@@ -319,10 +343,8 @@ def lower_bound(
         if attempt:
             noise = rng.standard_normal((2, *b0.shape))
             b0 = noise[0] + 1j * noise[1]
-            spread = rng.uniform(-1, 1, q.shape)
-            q = goal[:, None] * (np.sign(spread) if attempt % 2 else spread)
-        if attempt == 1 and m:
-            q = np.zeros_like(q)
+            reach = np.minimum(size[todo] / np.maximum(value[todo], 1e-3 * upper[todo]), 1e3 * goal)
+            q = _random_reals(unit, parts, reach, rng, corner=attempt % 2 == 1)
         if structure.complex:
             point = _ascend(unit, parts, q, b0, goal, tolerance, iterations if m else 0, _POWER_STEPS)
             candidate = _assemble(structure, point)

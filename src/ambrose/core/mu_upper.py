@@ -22,6 +22,7 @@ from ambrose.core.mu_structure import Structure, osborne
 
 _SHRINK = (1.0, 0.98, 0.9, 0.7, 0.45, 0.2, 0.07, 0.02)  # fractions of the way to the dual bound that the predictor tries
 _CENTRED = 0.3  # Newton decrement that counts as centred
+_REGULARISE = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6)  # added to X, whose trace is about the number of channels
 _ZERO = 1e-7  # a bound below this fraction of sigma_max(M) is driven no further
 
 
@@ -240,6 +241,7 @@ def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
             value = np.linalg.eigvalsh(L @ top @ L.conj().swapaxes(1, 2))[:, 0]
         ratio = np.minimum(ratio, value)
     gap = n_w / np.einsum("bij,bji->b", path.P, path.S[:, :n_w, :n_w]).real
+    ratio = np.where(ratio < beta**2, ratio, -np.inf)  # beyond beta: not on the path yet
     return np.sqrt(np.clip(np.maximum(ratio, beta**2 - gap), 0.0, None))
 
 
@@ -316,23 +318,42 @@ def _minimise(
     return x, beta, worst, iteration
 
 
-def _verified(
-    structure: Structure, M: np.ndarray, X: tuple[np.ndarray, np.ndarray], G: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _verified(structure: Structure, M: np.ndarray, X: tuple[np.ndarray, np.ndarray], G: np.ndarray) -> np.ndarray:
     """The bound that (X, G) prove, by one Hermitian eigenvalue problem, with the rounding error of that added.
 
-    X: (X_w (b, n_w, n_w), X_z (b, n_z, n_z)). Returns the bound (b,) and the direction w in which it is tight (b, n_w).
+    X: (X_w (b, n_w, n_w), X_z (b, n_z, n_z)). Returns the bound (b,).
     """
     L_w, L_z = np.linalg.cholesky(X[0]), np.linalg.cholesky(X[1])
     inverse = np.linalg.inv(L_w)
     T = L_z.conj().swapaxes(1, 2) @ M @ inverse.conj().swapaxes(1, 2)
     left = inverse @ (1j * G @ M) @ inverse.conj().swapaxes(1, 2)
     A = T.conj().swapaxes(1, 2) @ T + left + left.conj().swapaxes(1, 2)
-    values, vectors = np.linalg.eigh(A)
+    values = np.linalg.eigvalsh(A)
     size = np.linalg.norm(T, axis=(1, 2)) ** 2 + 2 * np.linalg.norm(left, axis=(1, 2))
     error = 4 * structure.n_w * np.finfo(float).eps * size
-    worst = (inverse.conj().swapaxes(1, 2) @ vectors[:, :, -1:])[..., 0]
-    return np.sqrt(np.maximum(values[:, -1] + error, 0.0)), worst
+    return np.sqrt(np.maximum(values[:, -1] + error, 0.0))
+
+
+Scalings = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def _proved(structure: Structure, M: np.ndarray, found: Scalings, beta: np.ndarray) -> tuple[np.ndarray, Scalings]:
+    """The verified bound, (b,), and its scalings (X_w, X_z, G).
+
+    Where the best X is nearly singular rounding errors spoil the proof; then X + epsilon I is tried as well.
+    """
+    best = _verified(structure, M, found[:2], found[2])
+    X_w, X_z, G = (part.copy() for part in found)
+    for epsilon in _REGULARISE:
+        k = np.flatnonzero(best > beta * (1 + 1e-8))
+        if len(k) == 0:
+            break
+        wider = found[0][k] + epsilon * np.eye(structure.n_w), found[1][k] + epsilon * np.eye(structure.n_z)
+        value = _verified(structure, M[k], wider, found[2][k])
+        better = value < best[k]
+        best[k[better]] = value[better]
+        X_w[k[better]], X_z[k[better]] = wider[0][better], wider[1][better]
+    return best, (X_w, X_z, G)
 
 
 def needs_scaling(structure: Structure) -> bool:
@@ -375,7 +396,7 @@ def upper_bound(
         )
         S, n_w, n = basis.assemble(x), structure.n_w, structure.n_w + structure.n_z
         new = (S[:, :n_w, :n_w], -S[:, n_w:n, n_w:n], 1j * S[:, :n_w, n_w:n] * beta[:, None, None])
-        proved, _ = _verified(structure, unit[alive], new[:2], new[2])
+        proved, new = _proved(structure, unit[alive], new, beta)
         better = proved < (value[alive] if level is None else np.maximum(value, level / scale)[alive])
         k = alive[better]
         value[k], worst[alive] = proved[better], direction
