@@ -11,31 +11,15 @@ from typing import Any
 import numpy as np
 
 from ambrose.report import theme, units
+from ambrose.report.axes import Axes, axes_of, drawn, is_map
 from ambrose.verify.checks import Curve
 
 Labelled = Sequence[tuple[str, Curve]]
 
 _ENVELOPE = re.compile(r"max|worst|sigma|σ|envelope|largest|all axes", re.IGNORECASE)
 _MOST_PANELS = 8
-_MOST_DECADES = 4.0  # a logarithmic view reaches this far below its top; the rest is a double-click away, and said so
-_OVERLAY_DECADES = 7.0  # models are compared over a longer range: they differ where the plant is small
 _AGREEMENT = 0.05  # the legend says up to where an overlaid model stays this close to the reference
 _MAIN_HEIGHT, _ONLY_HEIGHT, _SMALL_HEIGHT, _GAP = 280, 320, 140, 68  # [px]
-
-
-@dataclass(frozen=True, slots=True)
-class Axes:
-    """How x and y are shown: factors from SI, texts, logarithmic or not, and the visible range of y (shown units)."""
-
-    x_factor: float
-    x_text: str
-    y_factor: float
-    y_unit: str
-    log_x: bool
-    log_y: bool
-    x_range: tuple[float, float]
-    y_range: tuple[float, float]
-    cut: bool  # part of the data lies below the view
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +37,13 @@ def line_figure(curves: Labelled, style: Mapping[str, theme.Style], *, overlay: 
     from plotly.subplots import make_subplots
 
     panels, specs, heights = _arrange(curves)
-    axes = _axes(curves, _OVERLAY_DECADES if overlay else _MOST_DECADES)
+    axes = axes_of(curves, overlay=overlay)
     total = sum(heights) + _GAP * (len(heights) - 1)
     figure = make_subplots(
         rows=len(heights), cols=len(specs[0]), specs=specs, row_heights=[h / sum(heights) for h in heights],
-        horizontal_spacing=0.035 if len(specs[0]) > 2 else 0.06, vertical_spacing=_GAP / total,
+        horizontal_spacing=0.042 if len(specs[0]) > 2 else 0.06, vertical_spacing=_GAP / total,
     )  # fmt: skip
-    legend = len(dict.fromkeys(label for label, _ in curves)) > 1 or _peak_known(curves)
+    legend = len(dict.fromkeys(label for label, _ in curves)) > 1 or _peaked(curves[0][1])
     for panel in panels:
         _draw(figure, panel, curves, axes, style, first=panel is panels[0], overlay=overlay)
     theme.dress(figure, total, legend=legend)
@@ -67,15 +51,14 @@ def line_figure(curves: Labelled, style: Mapping[str, theme.Style], *, overlay: 
     for panel in panels:
         _limits(figure, panel, curves, axes, named=panel.main or not panels[0].main)
         _panel_title(figure, panel, axes, many=len(panels) > 1)
-    if axes.cut:
-        _note(figure, "curves continue below the view: double-click to see all")
+    _beyond(figure, curves, axes)
     return figure
 
 
 def _arrange(curves: Labelled) -> tuple[list[Panel], list[list[Any]], list[int]]:
     """Which lines share a panel, the grid for make_subplots, and the heights of its rows [px]."""
     names = list(dict.fromkeys(name for _, curve in curves for name in curve.labels))
-    together = curves[0][1].kind == "speed" or len(names) == 1 or len(names) > _MOST_PANELS
+    together = is_map(curves[0][1]) or len(names) == 1 or len(names) > _MOST_PANELS
     if together:
         return [Panel(tuple(names), 1, 1, True)], [[{}]], [_ONLY_HEIGHT]
     envelope = [name for name in names if _ENVELOPE.search(name)][:1]
@@ -95,47 +78,6 @@ def _arrange(curves: Labelled) -> tuple[list[Panel], list[list[Any]], list[int]]
     return panels, specs, heights
 
 
-def _axes(curves: Labelled, decades: float) -> Axes:
-    first = curves[0][1]
-    x = np.concatenate([curve.x for _, curve in curves])
-    y = np.concatenate([curve.y.ravel() for _, curve in curves])
-    y = y[np.isfinite(y)]
-    top = float(np.abs(y).max(initial=0.0))
-    y_factor, y_unit = units.scale(first.y_unit, top)
-    if first.kind == "time":
-        x_factor, unit = units.seconds_or_milliseconds(float(np.ptp(x)) if x.size else 0.0)
-        x_text = f"Time [{unit}]"
-    elif first.kind == "speed":
-        x_factor, x_text = units.RPM, "Rotational speed [rpm]"
-    else:
-        x_factor, x_text = units.scale("rad/s")[0], "Frequency [Hz]"
-    log_x = first.kind == "frequency" and x.size > 0 and float(x.min()) > 0
-    log_y = first.kind == "frequency" and y.size > 0 and float(y.min()) > 0 and first.y_unit != "rad"
-    limits = [value for _, curve in curves for _, value in curve.limits]
-    low, high, cut = _view(y * y_factor, [value * y_factor for value in limits], decades if log_y else None)
-    x_low, x_high = (float(x.min()) * x_factor, float(x.max()) * x_factor) if x.size else (0.0, 1.0)
-    if x_low == x_high:
-        x_low, x_high = (x_low / 2, x_low * 2) if log_x else (x_low - 0.5, x_low + 0.5)
-    return Axes(x_factor, x_text, y_factor, y_unit, log_x, log_y, (x_low, x_high), (low, high), cut)
-
-
-def _view(y: np.ndarray, limits: Sequence[float], decades: float | None) -> tuple[float, float, bool]:
-    """The visible range: the data, on a logarithmic axis (``decades`` given) its upper part, and the limits near them."""
-    log = decades is not None
-    if y.size == 0:
-        return 0.1 if log else 0.0, 1.0, False
-    low, high = float(y.min()), float(y.max())
-    if decades is not None:
-        high = max([high, *(v for v in limits if high < v <= 30 * high)]) * 1.5
-        floor = high / 10**decades
-        return max(low / 1.3, floor), high, low < floor
-    reach = max(abs(low), abs(high))
-    high = max([high, *(v for v in limits if high < v <= 4 * reach)])
-    low = min([low, *(v for v in limits if -4 * reach <= v < low)])
-    margin = 0.06 * (high - low) or 0.5 * reach or 1.0
-    return (low - margin if low < 0 else min(0.0, low)), high + margin, False
-
-
 def _draw(
     figure: Any, panel: Panel, curves: Labelled, axes: Axes, style: Mapping[str, theme.Style], *, first: bool, overlay: bool
 ) -> None:
@@ -153,8 +95,9 @@ def _draw(
             hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
             figure.add_trace(
                 go.Scatter(
-                    x=x, y=y, mode="lines", legendgroup=theme.plain(label), showlegend=first and label not in shown,
-                    name=theme.plain(label) + _legend_text(name, label, values, curves, axes, overlay=overlay),
+                    x=drawn(x), y=drawn(y), mode="lines", legendgroup=theme.plain(label),
+                    showlegend=first and label not in shown,
+                    name=theme.plain(label) + _legend_text(panel, label, curves, axes, overlay=overlay),
                     line={"color": look.colour, "dash": _dash(name, look, curve), "width": look.width if panel.main else 1.4},
                     hovertemplate=hover,
                 ),
@@ -163,54 +106,52 @@ def _draw(
             shown.add(label)
             if panel.main and len(panel.names) == 1 and _peaked(curve) and not overlay:
                 _mark_peak(figure, panel, x, y, look)
-    if curves[0][1].kind == "speed":
-        _speed_furniture(figure, panel, curves, axes)
+    if is_map(curves[0][1]):
+        _map_furniture(figure, panel, curves, axes)
 
 
 def _dash(name: str, look: theme.Style, curve: Curve) -> str:
     """On a Campbell map the dash tells backward from forward whirl, elsewhere it tells operating points apart."""
-    if curve.kind == "speed" and len(curve.labels) > 1:
+    if is_map(curve):
         return "6px,3px" if "backward" in name.lower() else "solid"
     return look.dash
 
 
 def _peaked(curve: Curve) -> bool:
-    return curve.kind == "frequency" and curve.y_unit != "rad"
+    return curve.kind in {"frequency", "speed"} and curve.y_unit not in {"rad", "rad/s"}
 
 
-def _peak_known(curves: Labelled) -> bool:
-    return any(_peaked(curve) for _, curve in curves)
-
-
-def _legend_text(name: str, label: str, values: np.ndarray, curves: Labelled, axes: Axes, *, overlay: bool) -> str:
+def _legend_text(panel: Panel, label: str, curves: Labelled, axes: Axes, *, overlay: bool) -> str:
     """What the legend adds to the label: the peak, or how far an overlaid model agrees with the reference."""
-    if not overlay:
-        return _peak_text(values, curves[[other for other, _ in curves].index(label)][1], axes)
-    reference = curves[0][1]
     curve = next(curve for other, curve in curves if other == label)
-    if (
-        label == curves[0][0]
-        or curve.kind != "frequency"
-        or name not in reference.labels
-        or not np.array_equal(curve.x, reference.x)
-    ):
+    rows = [row for name, row in zip(curve.labels, curve.y, strict=True) if name in panel.names or not panel.main]
+    if not overlay:
+        return _peak_text(np.array(rows), curve, axes)
+    reference = curves[0][1]
+    if label == curves[0][0] or curve.kind != "frequency" or curve.labels != reference.labels:
         return ""
-    wanted = reference.y[reference.labels.index(name)]
-    apart = np.flatnonzero(~(np.abs(values - wanted) <= _AGREEMENT * np.abs(wanted)))
+    if not np.array_equal(curve.x, reference.x):
+        return ""
+    near = np.abs(curve.y - reference.y) <= _AGREEMENT * np.abs(reference.y)
+    apart = np.flatnonzero(~near.all(axis=0))
     if not apart.size:
         return f" · within {_AGREEMENT:.0%} everywhere"
     return f" · within {_AGREEMENT:.0%} up to {units.quantity(float(curve.x[apart[0]]), 'rad/s')}"
 
 
-def _peak_text(values: np.ndarray, curve: Curve, axes: Axes) -> str:
-    """For the legend: where and how high the peak is. Empty for a map or when nothing is finite."""
-    if curve.kind == "speed" or not np.isfinite(values).any():
+def _peak_text(rows: np.ndarray, curve: Curve, axes: Axes) -> str:
+    """For the legend: where and how high the peak of these lines (k, n) is; nothing where they start highest."""
+    if is_map(curve) or curve.y_unit == "rad" or not np.isfinite(rows).any():
         return ""
-    largest = int(np.nanargmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
-    size = units.join(units.number(abs(float(values[largest])) * axes.y_factor), axes.y_unit)
-    if not _peaked(curve):
-        return f" · largest {size}" if len(curve.labels) == 1 else ""
-    return f" · peak {size} at {units.quantity(float(curve.x[largest]), 'rad/s')}"
+    size = np.where(np.isfinite(rows), np.abs(rows), -1.0).max(axis=0)
+    largest = int(size.argmax())
+    amount = _amount(float(size[largest]) * axes.y_factor, axes)
+    if curve.kind == "time":
+        return f" · largest {amount}"
+    if largest == 0 < len(size) - 1:
+        return ""
+    where = units.join(units.number(float(curve.x[largest]) * axes.x_factor), "rpm" if curve.kind == "speed" else "Hz")
+    return f" · {'peak' if largest < len(size) - 1 else 'up to'} {amount} at {where}"
 
 
 def _mark_peak(figure: Any, panel: Panel, x: np.ndarray, y: np.ndarray, look: theme.Style) -> None:
@@ -219,6 +160,8 @@ def _mark_peak(figure: Any, panel: Panel, x: np.ndarray, y: np.ndarray, look: th
     if not np.isfinite(y).any():
         return
     i = int(np.nanargmax(y))
+    if i in {0, len(y) - 1}:
+        return
     marker = {"color": "white", "size": 7, "line": {"color": look.colour, "width": 1.6}}
     figure.add_trace(
         go.Scatter(x=[x[i]], y=[y[i]], mode="markers", marker=marker, showlegend=False, hoverinfo="skip"),
@@ -226,22 +169,21 @@ def _mark_peak(figure: Any, panel: Panel, x: np.ndarray, y: np.ndarray, look: th
     )  # fmt: skip
 
 
-def _speed_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> None:
+def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> None:
     """On a map over speed: the synchronous line (frequency = speed) and the names of the lines at their right ends."""
     import plotly.graph_objects as go
 
     place = {"row": panel.row, "col": panel.column}
     first = curves[0][1]
-    if first.y_unit == "rad/s":
-        high = min(axes.x_range[1] / 60, axes.y_range[1])
-        low = min(axes.x_range[0] / 60, high)
-        line = {"color": theme.MUTED, "width": 1, "dash": "2px,3px"}
-        ends = {"x": [low * 60, high * 60], "y": [low, high]}
-        figure.add_trace(go.Scatter(**ends, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
-        figure.add_annotation(
-            x=high * 33, y=high * 0.55, text="1× speed", showarrow=False, xanchor="left", yanchor="top", xshift=5,
-            font={"size": 12, "color": theme.MUTED}, **place,
-        )  # fmt: skip
+    high = min(axes.x_range[1] / 60, axes.y_range[1])
+    low = min(axes.x_range[0] / 60, high)
+    line = {"color": theme.MUTED, "width": 1, "dash": "2px,3px"}
+    ends = {"x": [low * 60, high * 60], "y": [low, high]}
+    figure.add_trace(go.Scatter(**ends, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
+    figure.add_annotation(
+        x=high * 33, y=high * 0.55, text="1× speed", showarrow=False, xanchor="left", yanchor="top", xshift=5,
+        font={"size": 12, "color": theme.MUTED}, **place,
+    )  # fmt: skip
     if 1 < len(panel.names) <= 16:
         for level, name in _spread(
             [(float(row[-1]) * axes.y_factor, n) for n, row in zip(first.labels, first.y, strict=True)], axes
@@ -287,29 +229,52 @@ def _scale_axes(figure: Any, panels: Sequence[Panel], axes: Axes, rows: int) -> 
 
 
 def _limits(figure: Any, panel: Panel, curves: Labelled, axes: Axes, *, named: bool) -> None:
-    """Limits as thin lines with their names on them; one outside the view is named at its edge."""
+    """Limits inside the view as thin lines with their names on them, side by side where they would overprint."""
     import plotly.graph_objects as go
 
     place = {"row": panel.row, "col": panel.column}
-    hidden = []
-    for text, value in dict.fromkeys(limit for _, curve in curves for limit in curve.limits):
-        level = value * axes.y_factor
-        words = f"{theme.plain(text)} {units.join(units.number(level), axes.y_unit)}"
+    height = _SMALL_HEIGHT if not panel.main else _MAIN_HEIGHT
+    low, high = (math.log10(v) for v in axes.y_range) if axes.log_y else axes.y_range
+    taken: list[tuple[float, float]] = []  # height [px] and left end (fraction of the panel's width) of the names so far
+    for level, words in _limit_levels(curves, axes):
         if not axes.y_range[0] <= level <= axes.y_range[1]:
-            hidden.append(words)
             continue
         line = {"color": theme.LIMIT, "width": 1.2, "dash": "1.5px,2px"}
         ends = {"x": list(axes.x_range), "y": [level, level]}
         figure.add_trace(go.Scatter(**ends, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
-        if named:
-            figure.add_annotation(
-                xref="x domain", x=1.0, y=math.log10(level) if axes.log_y else level, text=words, showarrow=False,
-                xanchor="right", yanchor="bottom", yshift=-2, font={"size": 12, "color": theme.LIMIT}, **place,
-            )  # fmt: skip
-    if hidden and (panel.main or panel.row == panel.column == 1):
+        if not named:
+            continue
+        y = math.log10(level) if axes.log_y else level
+        at = (y - low) / (high - low) * height
+        right = min([end for pixel, end in taken if abs(pixel - at) < 15], default=1.0)
+        taken.append((at, right - (len(words) * 6.5 + 12) / (860 if panel.main else 410)))
         figure.add_annotation(
-            xref="x domain", yref="y domain", x=1.0, y=1.0, text="outside the view: " + ", ".join(hidden), showarrow=False,
-            xanchor="right", yanchor="bottom", font={"size": 12, "color": theme.LIMIT}, **place,
+            xref="x domain", x=right, y=y, text=theme.plain(words), showarrow=False, xanchor="right", yanchor="bottom",
+            yshift=-2, font={"size": 12, "color": theme.LIMIT}, **place,
+        )  # fmt: skip
+
+
+def _limit_levels(curves: Labelled, axes: Axes) -> list[tuple[float, str]]:
+    """Every level once (shown unit), with the names of all limits that lie there: "zone A/B, required 3"."""
+    names: dict[float, list[str]] = {}
+    for text, value in dict.fromkeys(limit for _, curve in curves for limit in curve.limits):
+        names.setdefault(value * axes.y_factor, []).append(text)
+    return [(level, f"{', '.join(texts)} {_amount(level, axes)}") for level, texts in sorted(names.items())]
+
+
+def _amount(level: float, axes: Axes) -> str:
+    return units.join(units.number(level), axes.y_unit)
+
+
+def _beyond(figure: Any, curves: Labelled, axes: Axes) -> None:
+    """One line, upper right, that names what lies outside the view: limits and parts of curves."""
+    outside = [item for item in _limit_levels(curves, axes) if not axes.y_range[0] <= item[0] <= axes.y_range[1]]
+    texts = [words for level, words in outside if level >= 0 or -level not in {other for other, _ in outside}]
+    texts += ["some curves"] if axes.cut else []
+    if texts:
+        figure.add_annotation(
+            xref="paper", yref="paper", x=1, y=1, xanchor="right", yanchor="bottom", showarrow=False,
+            text=theme.plain("beyond the view: " + ", ".join(texts)), font={"size": 12, "color": theme.MUTED},
         )  # fmt: skip
 
 
@@ -322,11 +287,4 @@ def _panel_title(figure: Any, panel: Panel, axes: Axes, *, many: bool) -> None:
         xref="x domain", yref="y domain", x=0, y=1, xanchor="left", yanchor="bottom", yshift=1, showarrow=False,
         text=f"<b>{words[0]}</b> {' '.join(words[1:])}" if many else " ".join(words),
         font={"size": 13, "color": theme.INK}, row=panel.row, col=panel.column,
-    )  # fmt: skip
-
-
-def _note(figure: Any, text: str) -> None:
-    figure.add_annotation(
-        xref="paper", yref="paper", x=1, y=0, xanchor="right", yanchor="top", yshift=-30, text=text, showarrow=False,
-        font={"size": 11, "color": theme.MUTED},
     )  # fmt: skip

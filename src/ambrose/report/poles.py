@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.report import theme, units
+from ambrose.report.axes import drawn
 from ambrose.verify.checks import Curve
 
 _FEWEST, _MOST = 4, 16  # the left picture ends at the widest gap after so many slow poles of an operating point
@@ -31,14 +32,16 @@ def pole_figure(curves: Sequence[tuple[str, Curve]], style: Mapping[str, theme.S
         hover = f"{theme.plain(label)}<br>%{{customdata[0]:.5g}} Hz, damping ratio %{{customdata[1]:.3g}}<extra></extra>"
         common: dict[str, Any] = {
             "mode": "markers", "marker": marker, "legendgroup": theme.plain(label), "hovertemplate": hover,
-            "customdata": np.column_stack([frequency, ratio]),
+            "customdata": drawn(np.column_stack([frequency, ratio])),
         }  # fmt: skip
         name = theme.plain(label) + _least_damped(frequency, ratio)
-        figure.add_trace(go.Scatter(x=poles.real, y=poles.imag / units.TWO_PI, name=name, **common), row=1, col=1)
+        figure.add_trace(go.Scatter(x=drawn(poles.real), y=drawn(poles.imag / units.TWO_PI), name=name, **common), row=1, col=1)
         away = frequency > 0
         common["customdata"] = common["customdata"][away]
         figure.add_trace(
-            go.Scatter(x=frequency[away], y=_fold(ratio[away]), name=name, showlegend=False, **common), row=1, col=2
+            go.Scatter(x=drawn(frequency[away]), y=drawn(_fold(ratio[away])), name=name, showlegend=False, **common),
+            row=1,
+            col=2,
         )
     theme.dress(figure, 310, legend=True)
     _axes(figure, everything, reach)

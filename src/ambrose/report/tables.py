@@ -19,7 +19,8 @@ def verdict(checks: Checks) -> Verdict:
     judged = [check for check in checks.checks if check.passed is not None]
     failed = [check for check in judged if not check.passed]
     if not checks.stable:
-        return Verdict(checks.label, False, "UNSTABLE; nothing else was evaluated" + _reasons(failed))
+        why = ", ".join(_reason(check) for check in failed).removeprefix("stability: ")
+        return Verdict(checks.label, False, f"UNSTABLE{': ' if why else ''}{why}; nothing else was evaluated")
     if not judged:
         return Verdict(checks.label, True, "stable; no limits were given to check against")
     counted = f"all {len(judged)}" if not failed else f"{len(judged) - len(failed)} of {len(judged)}"
@@ -65,7 +66,7 @@ def checks_table(checks: Checks) -> Table:
         words = Cell("for information", "muted") if check.passed is None else _verdict_cell(check.passed)
         rows.append((title, Cell(value, "number"), Cell(limit, "number"), words, check.zone or "", check.source, detail))
     columns = ("Quantity", "Value", "Limit", "Verdict", "Zone", "Standard, clause", "Where or why")
-    return Table(checks.label, columns, tuple(rows), widths=(28, 13, 11, 10, 5, 15, 18))
+    return Table(checks.label, columns, tuple(rows), " ".join(checks.notes), (28, 13, 11, 10, 5, 15, 18))
 
 
 def _verdict_cell(passed: bool) -> Cell:

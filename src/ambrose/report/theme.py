@@ -100,5 +100,5 @@ def decades(low: float, high: float) -> dict[str, Any]:
         "range": [math.log10(low), math.log10(high)],
         "nticks": max(3, math.ceil(span / (0.9 if span >= 3 else 0.5))),  # decades only on long axes, 1-2-5 on short ones
         "minor": {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1"},
-        "exponentformat": "none" if low > 1e-4 and high < 1e6 else "power",
+        "exponentformat": "SI" if low > 1e-2 and high >= 1e5 else "none" if low > 1e-5 and high < 1e6 else "power",
     }

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from ambrose.machine.description import Machine
-from ambrose.report import tables
+from ambrose.report import tables, units
 from ambrose.report.captions import caption
 from ambrose.report.document import Figure, Report, Section
 from ambrose.report.plots import figure, rotor_drawing
@@ -45,7 +45,10 @@ def verification_report(
         _machine(machine, node_positions, shapes, frequencies, models),
     ]
     if loops:
-        text = "Every operating point keeps its colour and dash in all figures. Drag to zoom, double-click to return."
+        text = (
+            "Every operating point keeps its colour and dash in all figures. Drag to zoom, double-click to see everything. "
+            "Peaks in the legends are read from the points drawn; the tables hold the refined ones."
+        )
         sections.append(Section("Closed loop", text, curve_figures(loops, order)))
     if responses:
         text = "Linear model: valid while currents and displacements stay well inside their limits."
@@ -64,7 +67,7 @@ def curve_figures(curves: Labelled, order: Sequence[str], *, overlay: bool = Fal
     for name in dict.fromkeys(curve.name for _, curve in curves):
         same = [(label, curve) for label, curve in curves if curve.name == name]
         words = "" if overlay else caption(same[0][1])
-        found.append(Figure(same[0][1].title, figure(same, order=order, overlay=overlay), words))
+        found.append(Figure(units.prose(same[0][1].title), figure(same, order=order, overlay=overlay), words))
     return tuple(found)
 
 

@@ -1,0 +1,104 @@
+"""Units, scales and visible ranges of the axes that a set of curves shares. Data are never changed, only the view is chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.report import units
+from ambrose.verify.checks import Curve
+
+# Decades of a logarithmic view below its top: of a curve, of one whose limits matter, of models (small values matter)
+_DECADES, _LIMITED_DECADES, _OVERLAY_DECADES = 4.0, 2.5, 7.0
+_RUNAWAY = 8.0  # a time response this much larger than all others (an unstable loop's) does not set the view
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """How x and y are shown: factors from SI, texts, logarithmic or not, and the visible ranges (shown units)."""
+
+    x_factor: float
+    x_text: str
+    y_factor: float
+    y_unit: str
+    log_x: bool
+    log_y: bool
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    cut: bool  # part of the data lies outside the view
+
+
+def drawn(values: np.ndarray) -> np.ndarray:
+    """Coordinates as the page carries them: every point, to seven digits (half the weight of sixteen)."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def is_map(curve: Curve) -> bool:
+    """Whether this is a Campbell map: frequencies over speed."""
+    return curve.kind == "speed" and curve.y_unit == "rad/s"
+
+
+def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False) -> Axes:
+    """The common axes of curves of one kind and unit."""
+    first = curves[0][1]
+    x = np.concatenate([curve.x for _, curve in curves])
+    rows = [row[np.isfinite(row)] for row in (curve.y.ravel() for _, curve in curves)]
+    y = np.concatenate(rows)
+    log = first.kind == "frequency"
+    log_x = log and x.size > 0 and float(x.min()) > 0
+    log_y = log and y.size > 0 and float(y.min()) > 0 and first.y_unit != "rad"
+    limits = [value for _, curve in curves for _, value in curve.limits]
+    if log_y:
+        low, high = _logarithmic(y, limits, _OVERLAY_DECADES if overlay else _LIMITED_DECADES if limits else _DECADES)
+    else:
+        low, high = _linear(_without_runaways(rows) if first.kind == "time" else y, limits)
+    cut = bool(y.size) and (float(y.min()) < low or float(y.max()) > high)
+    factor, y_unit = units.scale(first.y_unit, max(abs(low), abs(high)))
+    x_factor, x_text = _x_scale(first.kind, x)
+    ranges = _x_range(x * x_factor, log_x), (low * factor, high * factor)
+    return Axes(x_factor, x_text, factor, y_unit, log_x, log_y, *ranges, cut)
+
+
+def _x_scale(kind: str, x: np.ndarray) -> tuple[float, str]:
+    if kind == "time":
+        factor, unit = units.seconds_or_milliseconds(float(np.ptp(x)) if x.size else 0.0)
+        return factor, f"Time [{unit}]"
+    if kind == "speed":
+        return units.RPM, "Rotational speed [rpm]"
+    return units.scale("rad/s")[0], "Frequency [Hz]"
+
+
+def _x_range(x: np.ndarray, log: bool) -> tuple[float, float]:
+    low, high = (float(x.min()), float(x.max())) if x.size else (0.0, 1.0)
+    if low < high:
+        return low, high
+    return (low / 2, high * 2) if log else (low - 0.5, high + 0.5)
+
+
+def _logarithmic(y: np.ndarray, limits: Sequence[float], decades: float) -> tuple[float, float]:
+    """The upper decades of the data, and the limits that lie not far above them."""
+    top = float(y.max())
+    high = 1.5 * max([top, *(value for value in limits if value <= 30 * top)])
+    return max(float(y.min()) / 1.3, high / 10**decades), high
+
+
+def _linear(y: np.ndarray, limits: Sequence[float]) -> tuple[float, float]:
+    """The data from zero, and the limits that are not far beyond them."""
+    if y.size == 0:
+        return 0.0, 1.0
+    low, high = min(0.0, float(y.min())), max(0.0, float(y.max()))
+    reach = max(-low, high)
+    near = [value for value in limits if abs(value) <= 4 * reach]
+    low, high = min([low, *near]), max([high, *near])
+    margin = 0.06 * (high - low) or 1.0
+    return (low - margin if low < 0 else 0.0), (high + margin if high > 0 else 0.0)
+
+
+def _without_runaways(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """The responses but for those that are far larger than all the others."""
+    ordered = sorted((row for row in rows if row.size), key=lambda row: float(np.abs(row).max()))
+    while len(ordered) > 1 and np.abs(ordered[-1]).max() > _RUNAWAY * np.abs(ordered[-2]).max() > 0:
+        ordered.pop()
+    return np.concatenate(ordered) if ordered else np.zeros(0)
