@@ -168,6 +168,8 @@ def _document(machine: Machine) -> dict[str, Any]:
     document["amplifier"] = _changed(machine.amplifier)
     if machine.controller is not None:
         document["controller"] = _renamed(_changed(machine.controller), notches="notch")
+    if machine.weights is not None:
+        document["weights"] = _changed(machine.weights)
     rest = {"operation": _renamed(_changed(machine.operation), points="point"), "requirements": _changed(machine.requirements)}
     document.update({name: table for name, table in rest.items() if table})
     return document

@@ -265,6 +265,29 @@ class Requirements:
 
 
 @dataclass(frozen=True, slots=True)
+class DesignWeights:
+    """What a robust design aims at, in words (``synthesis/weights.py`` makes transfer functions of it).
+
+    error_scale D_e [m]: the largest acceptable error; current_scale D_u [A]: the largest control current. bandwidth w_B [rad/s],
+    peak M [-] and low_frequency_error A_w [-] of the sensitivity. control_level [-]: weight of the current; with
+    control_crossover [rad/s] it rises from there through 1 at the crossover to control_limit [-] (None: 30), with control_order.
+    current_disturbance, output_disturbance [-]: sizes of the disturbances in units of D_u and D_e.
+    """
+
+    error_scale: float
+    current_scale: float
+    bandwidth: float
+    control_level: float
+    peak: float = 3.0
+    low_frequency_error: float = 1e-3
+    control_crossover: float | None = None
+    control_order: int = 1
+    control_limit: float | None = None
+    current_disturbance: float = 1.0
+    output_disturbance: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class Machine:
     """A rotor on magnetic bearings, as written down.
 
@@ -284,6 +307,7 @@ class Machine:
     operation: Operation = field(default_factory=Operation)
     tolerances: tuple[Tolerance, ...] = ()
     requirements: Requirements = field(default_factory=Requirements)
+    weights: DesignWeights | None = None
     description: str = ""
     source: str = ""
     modal_damping: float = 0.005

@@ -327,6 +327,23 @@ class RequirementsTable(Table):
     max_current: Current = optional("largest control current")
 
 
+class WeightsTable(Table):
+    """What a robust design (H-infinity, mu) aims at; weights are the inverse of what is allowed."""
+
+    noun = nouns.DesignWeights
+    error_scale: Length = required("D_e, the largest acceptable control error")
+    current_scale: Current = required("D_u, the largest control current")
+    bandwidth: Rate = required("w_B, below which disturbances are reduced")
+    control_level: Ratio = required("W_u at low frequencies, weight of the current in units of current_scale")
+    peak: Ratio = optional("M, the largest sensitivity; default: 3")
+    low_frequency_error: Ratio = optional("A_w, what is left of a constant disturbance; default: 0.001")
+    control_crossover: Rate = optional("frequency above which W_u exceeds 1; default: W_u is constant")
+    control_order: Annotated[int, Count()] = optional("order of W_u's rise")
+    control_limit: Ratio = optional("W_u far above its crossover; default: 30")
+    current_disturbance: Ratio = optional("size of the disturbing current, in units of current_scale; default: 1")
+    output_disturbance: Ratio = optional("size of the disturbance of the measurement, in units of error_scale; default: 1")
+
+
 class MachineFile(Table):
     """A rotor on magnetic bearings."""
 
@@ -344,6 +361,7 @@ class MachineFile(Table):
     operation: OperationTable = optional("operating points and speed range")
     tolerance: list[ToleranceTable] = optional("uncertain parameters")
     requirements: RequirementsTable = optional("what verification demands")
+    weights: WeightsTable = optional("what a robust design aims at")
 
 
 def table_below(table: type[Table], key: str) -> type[Table] | None:

@@ -33,7 +33,7 @@ def problems(machine: Machine) -> tuple[str, ...]:
     """Everything that is wrong with a machine, one line each; numbers that are not finite hide all else."""
     checks = (
         *(_whole, parts.shaft, _names, _places, parts.discs, parts.bearings, parts.sensors, parts.amplifier, parts.couplings),
-        *(parts.seals, _controller, _operation, _tolerances, _requirements),
+        *(parts.seals, _controller, _operation, _tolerances, _requirements, _weights),
     )
     return tuple(_not_finite(machine, "")) or tuple(line for check in checks for line in check(machine))
 
@@ -208,3 +208,26 @@ def _requirements(machine: Machine) -> Iterator[str]:
             yield complaint(where, key, f"{least:g}", "at least 1", "it is a factor, not decibels")
     if demanded.phase_margin is not None and demanded.phase_margin >= math.pi:
         yield complaint(where, "phase_margin", f"{demanded.phase_margin:g} rad", "below pi", 'write degrees as "30 deg"')
+
+
+def _weights(machine: Machine) -> Iterator[str]:
+    where, weights = "[weights]", machine.weights
+    if weights is None:
+        return
+    remedy = "it is a size: leave the key out for its default"
+    yield from not_positive(where, remedy, *((field.name, getattr(weights, field.name), "") for field in fields(weights)))
+    if 0 < weights.peak <= 1:
+        yield complaint(where, "peak", f"{weights.peak:g}", "above 1", "it is a factor, not decibels; 3 is usual")
+    if weights.low_frequency_error >= 1:
+        yield complaint(where, "low_frequency_error", f"{weights.low_frequency_error:g}", "below 1", "0.001 is usual")
+    if weights.control_crossover is None:
+        if weights.control_limit is not None:
+            yield f"{where}: control_limit needs control_crossover; without it the weight is constant"
+        return
+    if weights.control_order > 8:
+        yield complaint(where, "control_order", weights.control_order, "from 1 to 8", "2 suits most machines")
+    if weights.control_level >= 1:
+        remedy = "the weight passes 1 at control_crossover"
+        yield complaint(where, "control_level", f"{weights.control_level:g}", "below 1 with a control_crossover", remedy)
+    if weights.control_limit is not None and 0 < weights.control_limit <= 1:
+        yield complaint(where, "control_limit", f"{weights.control_limit:g}", "above 1", "leave it out for 30")
