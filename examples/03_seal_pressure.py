@@ -1,0 +1,32 @@
+"""How much seal pressure does the reference PID survive? The cross-coupled stiffness as one uncertain parameter."""
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ambrose import load_machine
+from ambrose.core.statespace import spectral_abscissa
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.reduce import reduce
+from ambrose.plant.uncertainty import perturbed
+from ambrose.synthesis import pid
+
+machine = load_machine("seal-rig")
+full = assemble(machine)
+small = reduce(full)
+controller = pid.controller(machine.controller, machine)
+
+
+def abscissa(plant, delta):
+    """Largest real part of the closed-loop poles [rad/s] with k at (1 + delta) times its nominal value."""
+    return spectral_abscissa(closed_loop(perturbed(plant, {"seal.center.k": delta}), controller))
+
+
+limit = brentq(lambda delta: abscissa(small, delta), 0.0, 1.0, xtol=1e-6)
+limit_full = brentq(lambda delta: abscissa(full, delta), 0.0, 1.0, xtol=1e-4)
+pressure_bar = machine.seals[0].reference_pressure * (1 + limit_full) / 1e5
+
+if __name__ == "__main__":
+    for delta in np.linspace(-1, 1, 5):
+        print(f"k {1 + delta:4.0%} of nominal: largest real part {abscissa(small, delta):7.2f} rad/s")
+    print(f"stable up to {1 + limit_full:.1%} of nominal k ({1 + limit:.1%} on the reduced model), {pressure_bar:.2f} bar")

@@ -1,0 +1,165 @@
+"""The command line: exit status, one JSON object, one clear message and no traceback for bad input."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from ambrose.cli import main
+
+RIG = "seal-rig"
+
+
+def call(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory):
+    path = tmp_path_factory.mktemp("controller") / "controller.json"
+    done = call("synthesize", RIG, "-o", path, "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["status"] == "verified"
+    return path
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("study")
+    return directory, call("study", RIG, "-o", directory, "--json")
+
+
+def test_machines():
+    assert {"seal-rig", "turboexpander"} <= set(json.loads(call("machines", "--json").stdout))
+    assert "seal-rig" in call("machines").stdout
+
+
+def test_check_tells_the_printed_figures():
+    facts = json.loads(call("check", RIG, "--json").stdout)
+    assert facts["mass_kg"] == pytest.approx(69.0, rel=1e-3)
+    assert facts["bending_rad_s"][0] / 6.283185307179586 == pytest.approx(550.0, rel=1e-3)
+    assert (facts["rotor_states"], facts["reduced_rotor_states"]) == (320, 8)
+    assert "69 kg" in call("check", RIG).stdout
+
+
+def test_verify_fails_a_check_with_status_1(controller):
+    done = call("verify", RIG, "--controller", controller, "--json")
+    assert done.exit_code == 1
+    points = {point["label"]: point for point in json.loads(done.stdout)["points"]}
+    assert points["zero pressure"]["passed"]
+    assert not points["twice nominal pressure"]["stable"]
+    assert "UNSTABLE" in call("verify", RIG, "--controller", controller).stdout
+
+
+def test_simulate_writes_a_record(controller, tmp_path):
+    from ambrose.machine.record import read_record
+
+    path = tmp_path / "record.h5"
+    done = call("simulate", RIG, "--controller", controller, "--scenario", "impulse-parallel", "--linear", "-o", path, "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["outcome"] == "completed"
+    assert "y_A_zeta" in read_record(path).signals
+
+
+def test_simulate_reports_divergence_with_status_1(controller, tmp_path):
+    arguments = ["--scenario", "impulse-parallel", "--linear", "--point", "twice nominal pressure", "-o", tmp_path / "r.h5"]
+    done = call("simulate", RIG, "--controller", controller, *arguments, "--json")
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["outcome"] == "diverged"
+
+
+def test_study_leaves_controller_checks_and_report(study):
+    directory, done = study
+    assert done.exit_code == 1  # the PID fails at nominal and at twice nominal pressure
+    assert {path.name for path in directory.iterdir()} == {"controller.json", "checks.json", "report.html"}
+    assert not json.loads(done.stdout)["passed"]
+    page = (directory / "report.html").read_text()
+    for words in ("seal-rig", "nominal pressure", "UNSTABLE", "Chosen, not measured"):
+        assert words in page
+
+
+def test_study_resumes_with_the_kept_controller(study):
+    directory, _ = study
+    before = (directory / "controller.json").read_bytes()
+    assert call("study", RIG, "-o", directory, "--json").exit_code == 1
+    assert (directory / "controller.json").read_bytes() == before
+
+
+def test_study_designs_anew_when_the_controller_file_is_damaged(study):
+    directory, _ = study
+    path = directory / "controller.json"
+    path.write_text(path.read_text()[:100])
+    assert call("study", RIG, "-o", directory, "--json").exit_code == 1
+    assert json.loads(path.read_text())["format"] == "ambrose-controller"
+
+
+BAD = {
+    "unknown machine": (["check", "no-such-machine"], "seal-rig"),
+    "a directory": (["check", "."], "director"),
+    "machine file truncated": (["check", "{tmp}/cut.toml"], "cut.toml"),
+    "negative mass": (["check", "{tmp}/negative.toml"], "mass"),
+    "wrong unit": (["check", "{tmp}/unit.toml"], "kg"),
+    "controller missing": (["verify", RIG, "--controller", "{tmp}/none.json"], "none.json"),
+    "controller truncated": (["verify", RIG, "--controller", "{tmp}/cut.json"], "cut.json"),
+    "controller of the wrong size": (["verify", RIG, "--controller", "{tmp}/small.json"], "A_zeta"),
+    "unknown scenario": (
+        ["simulate", RIG, "--controller", "{controller}", "--scenario", "storm", "--linear", "-o", "{tmp}/x.h5"],
+        "impulse-parallel",
+    ),
+    "unknown operating point": (
+        ["simulate", RIG, "--controller", "{controller}", "--scenario", "run-up", "--linear", "--point", "mars"],
+        "nominal pressure",
+    ),
+    "the rig that does not exist yet": (["simulate", RIG, "--controller", "{controller}", "--scenario", "run-up"], "--linear"),
+    "unwritable target": (["synthesize", RIG, "-o", "{tmp}/no/such/folder/c.json"], "folder"),
+    "unknown method": (["synthesize", RIG, "--method", "magic"], "magic"),
+    "no controller given": (["verify", RIG], "--controller"),
+}
+
+
+@pytest.fixture
+def bad_files(tmp_path, controller):
+    import ambrose.machines as bundled
+
+    text = (Path(next(iter(bundled.__path__))) / "seal-rig.toml").read_text()
+    (tmp_path / "cut.toml").write_text(text[: text.index("[[bearing]]") + 20])
+    (tmp_path / "negative.toml").write_text(text + '\n[[disc]]\nname = "d"\nposition = 0.4\nmass = -1\n')
+    (tmp_path / "unit.toml").write_text(text.replace('"50 mm"', '"50 kg"', 1))
+    content = json.loads(controller.read_text())
+    (tmp_path / "cut.json").write_text(controller.read_text()[:300])
+    for key, keep in (("B", 3), ("D", 3)):
+        content[key] = [row[:keep] for row in content[key]]
+    content["inputs"] = content["inputs"][:3]
+    (tmp_path / "small.json").write_text(json.dumps(content))
+    return tmp_path
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_message_and_status_2(case, bad_files, controller):
+    arguments, words = BAD[case]
+    filled = [a.format(tmp=bad_files, controller=controller) for a in arguments]
+    before = sorted(path.name for path in bad_files.iterdir())
+    done = call(*filled)
+    assert done.exit_code == 2, (done.stdout, done.stderr)
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not done.stdout
+    assert sorted(path.name for path in bad_files.iterdir()) == before
+
+
+def test_import_is_light_and_fast():
+    """No plotting, solver or compiler package at import; the time itself is measured in benchmarks/."""
+    code = (
+        "import sys, ambrose; "
+        "heavy = {'plotly', 'matplotlib', 'numba', 'control', 'pint', 'h5py', 'jinja2', 'rich', 'scipy.optimize', 'clarabel'}; "
+        "sys.exit(', '.join(sorted(heavy & set(sys.modules))) or 0)"
+    )
+    begin = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=dict(os.environ))
+    assert done.returncode == 0, done.stderr
+    assert time.perf_counter() - begin < 5.0  # a hang, not a benchmark

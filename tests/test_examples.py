@@ -1,0 +1,46 @@
+"""Every example runs, and says what its text promises."""
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def example(name):
+    return runpy.run_path(str(EXAMPLES / name))
+
+
+def test_machine_to_verdict():
+    verdicts = example("01_machine_to_verdict.py")["verdicts"]
+    assert [checks.stable for checks in verdicts.values()] == [True, True, False]  # nominal, zero, twice nominal pressure
+    peak = verdicts["nominal pressure"]["sensitivity.output.max"]
+    assert peak.zone == "D"
+    assert verdicts["zero pressure"].passed
+
+
+def test_own_rotor():
+    found = example("02_own_rotor.py")
+    assert found["mass"] == pytest.approx(8 + 7850 * np.pi / 4 * 0.04**2 * 0.6, rel=1e-9)
+    assert found["result"].status == "verified"
+    # Free-free beam with a mass in the middle: the first mode falls below that of the bare shaft, 22.373 sqrt(EI/(rho A L^4)).
+    bare = 22.373 / (2 * np.pi) * np.sqrt(2.1e11 * 0.04**2 / 16 / 7850) / 0.6**2
+    assert 0.6 * bare < found["bending_hz"][0] < bare
+
+
+def test_seal_pressure():
+    found = example("03_seal_pressure.py")
+    assert 0 < found["limit_full"] < 1  # P5.5: stable at nominal, unstable at twice the nominal stiffness
+    assert found["limit"] == pytest.approx(found["limit_full"], abs=1e-3)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def test_prints_something_when_run(path):
+    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+    assert not done.stderr
