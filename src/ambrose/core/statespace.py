@@ -129,7 +129,7 @@ def static_gain(
     outputs: Sequence[str] | None = None,
     dt: float | None = None,
 ) -> StateSpace:
-    """The system y = D u without states; D (p, m)."""
+    """The system y = D u without states; D (p, m) or (): a scalar."""
     D = np.atleast_2d(check_finite(D, "D"))
     p, m = D.shape
     return StateSpace(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), D, inputs, outputs, dt)
@@ -380,8 +380,9 @@ def similarity(system: Any, T: ArrayLike) -> StateSpace:
     """The same system in the states z with x = T z; T (n, n)."""
     system = as_statespace(system)
     T = check_shape(T, "T", "(n, n)", n=system.n_states)
-    columns = np.maximum(np.linalg.norm(T, axis=0), np.finfo(float).tiny)
-    if np.linalg.matrix_rank(T / columns) < system.n_states:
+    scaled = T / np.maximum(np.linalg.norm(T, axis=1, keepdims=True), np.finfo(float).tiny)
+    scaled = scaled / np.maximum(np.linalg.norm(scaled, axis=0), np.finfo(float).tiny)
+    if np.linalg.matrix_rank(scaled) < system.n_states:
         raise invalid("T", "singular", "invertible", "use project() or a balanced truncation to reduce a system")
     A = np.linalg.solve(T, system.A @ T)
     return StateSpace(A, np.linalg.solve(T, system.B), system.C @ T, system.D, system.inputs, system.outputs, system.dt)
