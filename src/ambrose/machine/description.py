@@ -268,10 +268,10 @@ class Requirements:
 class DesignWeights:
     """What a robust design aims at, in words (``synthesis/weights.py`` makes transfer functions of it).
 
-    error_scale D_e [m]: the largest acceptable error; current_scale D_u [A]: the largest control current. bandwidth w_B [rad/s],
-    peak M [-] and low_frequency_error A_w [-] of the sensitivity. control_level [-]: weight of the current; with
-    control_crossover [rad/s] it rises from there through 1 at the crossover to control_limit [-] (None: 30), with control_order.
-    current_disturbance, output_disturbance [-]: sizes of the disturbances in units of D_u and D_e.
+    error_scale D_e [m]: the largest acceptable error; current_scale D_u [A]: the largest control current. bandwidth w_B
+    [rad/s], peak M [-] and low_frequency_error A_w [-] of the sensitivity. control_level [-]: weight of the current; with a
+    control_crossover [rad/s] it rises from there through 1 at the crossover to control_limit [-] (None: 30), with
+    control_order. current_disturbance, output_disturbance [-]: sizes of the disturbances in units of D_u and D_e.
     """
 
     error_scale: float

@@ -7,7 +7,6 @@ sec. 2.8.2). ``problem.py`` puts them around a plant.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import log
 from typing import Any

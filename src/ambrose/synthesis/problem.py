@@ -1,0 +1,175 @@
+"""The design problem: a plant, its uncertainty and the weights as one generalized plant (Lauridsen 2017, P5, figs. 8 and 9).
+
+::
+
+                     w_delta          z_delta
+                        |                ^
+               w1       v                |                         w2
+                |    +---------------------+                        |
+               D_u   |                     |                       D_e
+         u      v v  |  amplifiers, rotor, |  y                     v
+      ----+---->o--->|  seals, sensors     |----------------->o---->o----> (-1) ---+---> err [m] to the controller
+          |          +---------------------+                                       |
+          +--> 1/D_u --> W_u --> z2                                                +--> 1/D_e --> W_p --> z1
+
+    err = -(y + D_e w2)      v = u + D_u w1      z1 = W_p err / D_e      z2 = W_u u / D_u
+
+u [A] and err [m] are physical, so that K in u = K err is the controller itself; w1, w2, z1, z2 [-] are in units of the largest
+current D_u and the largest error D_e. The performance that is asked for is an H-infinity norm below 1 from (w1, w2) to
+(z1, z2): S_o below 1/W_p, K S_o below 1/W_u, and the same with the plant before it for disturbances of the current.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.lft import FullBlock, GeneralizedPlant
+from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
+from ambrose.machine.description import DesignWeights, Machine, OperatingPoint, Tolerance
+from ambrose.plant.assemble import assemble
+from ambrose.plant.model import Plant
+from ambrose.plant.published import published_p5, published_p5_data
+from ambrose.plant.reduce import reduce
+from ambrose.plant.uncertainty import uncertain as uncertain_plant
+from ambrose.synthesis.weights import Weights, machine_weights
+
+PERFORMANCE = "performance"
+
+
+def design_plant(
+    plant: Plant | GeneralizedPlant,
+    weights: Weights | None = None,
+    tolerances: Sequence[Tolerance] | None = None,
+    uncertain: bool = True,
+) -> GeneralizedPlant:
+    """The interconnection of this file's diagram around a plant.
+
+    plant: a Plant, usually reduced, bending modes kept or not; or a GeneralizedPlant with inputs u_<axis> [A] and outputs
+    y_<axis> [m], whose blocks are its uncertainty. weights: default those of the plant's machine. tolerances: default those of
+    the machine; ``uncertain`` False leaves the uncertainty out, and there are no blocks.
+
+    w: the blocks' signals, then w1_<axis>, w2_<axis>; z: the blocks' signals, then z1_<axis>, z2_<axis>; u: u_<axis> [A];
+    y: err_<axis> [m]. Raises InvalidInput for a plant that carries no uncertainty or no weights where they are asked for.
+    """
+    if weights is None:
+        if not isinstance(plant, Plant):
+            raise InvalidInput("no weights were given, and a generalized plant carries none; pass Weights")
+        weights = machine_weights(plant.machine)
+    model = _open_model(plant, tolerances, uncertain)
+    axes = [name.removeprefix("u_") for name in model.u]
+    w = list(model.w)
+    z = list(model.z)
+    w1, w2, z1, z2 = ([f"{letter}_{axis}" for axis in axes] for letter in ("w1", "w2", "z1", "z2"))
+    loop = rename(model.system, {f"u_{a}": f"v_{a}" for a in axes}, {f"y_{a}": f"g_{a}" for a in axes})
+    size = [weights.current_scale * weights.current_disturbance, weights.error_scale * weights.output_disturbance]
+    disturbances = static_gain(
+        np.diag(np.repeat(size, len(axes))), [*w1, *w2], [f"{kind}_{a}" for kind in ("current", "offset") for a in axes]
+    )
+    shaped = [
+        _weight(weight, scale, f"{source}_{axis}", f"{letter}_{axis}")
+        for weight, scale, source, letter in (
+            (weights.performance, weights.error_scale, "err", "z1"),
+            (weights.control, weights.current_scale, "u", "z2"),
+        )
+        for axis in axes
+    ]
+    system = connect(
+        [loop, disturbances, append(*shaped)],
+        inputs=[*w, *w1, *w2, *(f"u_{a}" for a in axes)],
+        outputs=[*z, *z1, *z2, *(f"err_{a}" for a in axes)],
+        sums={
+            **{f"v_{a}": [f"u_{a}", f"current_{a}"] for a in axes},
+            **{f"err_{a}": [f"-g_{a}", f"-offset_{a}"] for a in axes},
+        },
+    )
+    errors = [f"err_{a}" for a in axes]
+    return GeneralizedPlant(system, [*w, *w1, *w2], list(model.u), [*z, *z1, *z2], errors, model.blocks)
+
+
+def _weight(weight: StateSpace, scale: float, source: str, output: str) -> StateSpace:
+    return StateSpace(weight.A, weight.B, weight.C / scale, weight.D / scale, [source], [output])
+
+
+def _open_model(plant: Plant | GeneralizedPlant, tolerances: Sequence[Tolerance] | None, uncertain: bool) -> GeneralizedPlant:
+    """The blocks' signals and u_<axis> -> the blocks' signals and y_<axis>; nothing else."""
+    if isinstance(plant, Plant):
+        u, y = list(plant.named("u")), list(plant.named("y"))
+        if not uncertain:
+            return GeneralizedPlant(plant.system, [], u, [], y)
+        model = uncertain_plant(plant, tolerances)
+    else:
+        model = plant
+        if tolerances is not None:
+            raise InvalidInput("tolerances were given for a generalized plant, which has its blocks already; leave them out")
+        u = [name for name in model.system.inputs if name.startswith("u_")]
+        y = [f"y_{name.removeprefix('u_')}" for name in u]
+        if not u or not set(y) <= set(model.system.outputs):
+            known = ", ".join((*model.system.inputs, *model.system.outputs))
+            raise invalid("the plant's signals", known, "u_<axis> [A] and y_<axis> [m] among them", "rename() its system")
+        if uncertain and not model.blocks:
+            raise InvalidInput("the generalized plant has no blocks; give it some, or ask for uncertain=False")
+        if not uncertain:
+            return GeneralizedPlant(model.system, [], u, [], y)
+    w, z = model.w[: model.n_w_blocks], model.z[: model.n_z_blocks]
+    return GeneralizedPlant(select(model.system, [*w, *u], [*z, *y]), w, u, z, y, model.blocks)
+
+
+def with_performance_block(plant: GeneralizedPlant) -> GeneralizedPlant:
+    """The plant with a full block "performance" from its performance outputs back to its disturbances.
+
+    mu < 1 of the closed loop with this block is robust performance: the H-infinity norm from the remaining w to the remaining z
+    stays below 1 for every perturbation (main loop theorem; Zhou, Doyle & Glover 1996, thm 11.7). Raises InvalidInput when
+    there is no w or z beyond the blocks.
+    """
+    n_w, n_z = len(plant.w) - plant.n_w_blocks, len(plant.z) - plant.n_z_blocks
+    if n_w == 0 or n_z == 0:
+        raise invalid("the number of performance signals (w, z)", (n_w, n_z), "at least 1 each", "it has its block already")
+    blocks = [*plant.blocks, FullBlock(PERFORMANCE, n_w, n_z)]
+    return GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, blocks)
+
+
+def machine_problem(
+    machine: Machine,
+    point: OperatingPoint | None = None,
+    bending_modes: int = 0,
+    weights: Weights | None = None,
+    uncertain: bool = True,
+) -> GeneralizedPlant:
+    """The design problem of a machine: assembled at a point (default: its nominal one), reduced, with its own weights.
+
+    bending_modes: how many are kept per plane. Raises InvalidInput for a machine without tolerances or weights.
+    """
+    return design_plant(reduce(assemble(machine, point), bending_modes), weights, uncertain=uncertain)
+
+
+def operating_point(machine: Machine, label: str) -> OperatingPoint:
+    """The operating point whose label is, or else the only one that starts with, ``label``; raises InvalidInput."""
+    points = machine.operation.points
+    found = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]
+    if len(found) != 1:
+        known = ", ".join(repr(p.label) for p in points)
+        raise InvalidInput(f"operating point {label!r} is not one point of machine {machine.name!r}; it has {known}")
+    return found[0]
+
+
+def published_p5_weights() -> Weights:
+    """The weights of the published P5 plant, as printed or inferred: M = 3, A_w = 1e-3, w_B = 1.5 rad/s, W_u = 0.315."""
+    data = published_p5_data()["weights"]
+    return machine_weights(
+        DesignWeights(
+            error_scale=data["displacement_unit"],
+            current_scale=data["current_unit"],
+            bandwidth=data["w_B"],
+            control_level=data["control"],
+            peak=data["M"],
+            low_frequency_error=data["A_w"],
+        )
+    )
+
+
+def published_p5_problem(weights: Weights | None = None, uncertain: bool = True) -> GeneralizedPlant:
+    """The design problem of paper P5 on its published plant: 8 rotor, 8 actuator and 4 weight states."""
+    return design_plant(published_p5(), published_p5_weights() if weights is None else weights, uncertain=uncertain)

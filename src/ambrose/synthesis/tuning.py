@@ -1,0 +1,138 @@
+"""The weight of the current tuned so that a synthesised controller works as hard as a reference controller does.
+
+Controllers are only comparable at similar gain: paper P5 chooses W_u for each synthesis "to obtain similar gains of the direct
+terms" as the PID in the middle of the frequency range (Lauridsen 2017, P5, sec. 4.3, fig. 10).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
+from ambrose.core.frequency import frequency_response
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.statespace import as_statespace
+from ambrose.machine.description import Tolerance
+from ambrose.plant.model import Plant
+from ambrose.synthesis.problem import design_plant
+from ambrose.synthesis.result import Synthesis
+from ambrose.synthesis.weights import Weights, machine_weights, scale_control
+
+BAND = (0.0, 2 * np.pi * 200.0)  # [rad/s]
+_POINTS = 60
+_SPAN = 200.0  # the grid starts this factor below the band's end: both controllers integrate, at their own rates
+_LARGEST_STEP = np.log(30.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tuning:
+    """The tuned weights and the controller they gave.
+
+    mismatch: mean over axes and frequencies of ln(|K_ii| / |R_ii|), 0 when the direct gains agree on average; spread: its root
+    mean square, how far they differ at single frequencies; factor [-]: what W_u was multiplied by; converged: whether
+    |mismatch| is within the tolerance; history: factor and mismatch of every synthesis.
+    """
+
+    weights: Weights
+    synthesis: Synthesis
+    factor: float
+    mismatch: float
+    spread: float
+    converged: bool
+    history: tuple[Mapping[str, float], ...]
+
+
+def direct_gain_mismatch(controller: Any, reference: Any, band: tuple[float, float] = BAND) -> tuple[float, float]:
+    """Mean and root mean square of ln(|K_ii| / |R_ii|) over the axes and the band [rad/s], on a logarithmic grid.
+
+    The grid starts at the band's lower end, but not below 1/200 of the upper one. Raises InvalidInput for controllers of
+    different sizes, a reference without direct gain, or an empty band.
+    """
+    controller, reference = as_statespace(controller), as_statespace(reference)
+    if controller.D.shape != reference.D.shape or controller.D.shape[0] != controller.D.shape[1]:
+        raise invalid("the controller's size", controller.D.shape, f"square, like the reference's {reference.D.shape}", "match")
+    low, high = band
+    if not 0 <= low < high < np.inf:
+        raise invalid("band", band, "ascending, not negative and finite, in rad/s", "0 to 200 Hz is usual")
+    omega = np.geomspace(max(low, high / _SPAN), high, _POINTS)
+    gains = [np.abs(np.diagonal(frequency_response(item, omega).values, axis1=1, axis2=2)) for item in (controller, reference)]
+    if not (gains[1] > 0).all():
+        raise InvalidInput("the reference controller has an axis without direct gain; compare with a decentralised controller")
+    ratio = np.log(np.maximum(gains[0], 1e-300) / gains[1])
+    return float(ratio.mean()), float(np.sqrt((ratio**2).mean()))
+
+
+def tune_control_weight(
+    plant: Plant | GeneralizedPlant,
+    weights: Weights | None,
+    reference_controller: Any,
+    synthesize: Callable[[GeneralizedPlant], Synthesis],
+    *,
+    band: tuple[float, float] = BAND,
+    tolerances: Sequence[Tolerance] | None = None,
+    uncertain: bool = True,
+    tolerance: float = 0.02,
+    max_syntheses: int = 12,
+) -> Tuning:
+    """W_u multiplied by the factor at which the synthesised controller's direct gains match the reference's in the band.
+
+    plant, weights, tolerances, uncertain: as for ``design_plant``; weights None: the machine's. reference_controller: err_<axis>
+    -> u_<axis>, usually the PID. synthesize: design problem -> Synthesis (H-infinity, mu). band [rad/s]. tolerance [-]: of the
+    mean ln ratio, 0.02 is 2 % of gain. A bracketing secant search in ln(factor); where the gains cannot be matched the nearest
+    is returned with converged False. Raises InvalidInput, and what ``synthesize`` raises for the given weights.
+    """
+    if weights is None:
+        if not isinstance(plant, Plant):
+            raise InvalidInput("no weights were given, and a generalized plant carries none; pass Weights")
+        weights = machine_weights(plant.machine)
+    check_positive(tolerance, "tolerance", "0.02 is 2 % of gain")
+    start = weights
+    found: dict[float, tuple[Synthesis, float, float]] = {}
+
+    def mismatch(x: float) -> float:
+        problem = design_plant(plant, scale_control(start, float(np.exp(x))), tolerances, uncertain)
+        made = synthesize(problem)
+        found[x] = (made, *direct_gain_mismatch(made.controller, reference_controller, band))
+        return found[x][1]
+
+    _search(mismatch, tolerance, max_syntheses)
+    x = min(found, key=lambda key: abs(found[key][1]))
+    made, mean, spread = found[x]
+    history = tuple({"factor": float(np.exp(key)), "mismatch": value[1]} for key, value in found.items())
+    factor = float(np.exp(x))
+    return Tuning(scale_control(start, factor), made, factor, mean, spread, abs(mean) <= tolerance, history)
+
+
+def _search(function: Callable[[float], float], tolerance: float, most: int) -> None:
+    """Look for a root of a falling function from x = 0, whose slope is first taken as -1: secant steps until the root is
+    bracketed, then false position with halving (Illinois). A trial that fails numerically is retried half as far."""
+    x, f = 0.0, function(0.0)
+    low = high = None  # (x, f) with f > 0 and with f < 0
+    previous: tuple[float, float] | None = None
+    kept = 0
+    for _ in range(most - 1):
+        if abs(f) <= tolerance:
+            return
+        if f > 0:
+            low, kept = (x, f), max(kept, 0) + 1
+            if high is not None and kept > 1:
+                high = (high[0], high[1] / 2)
+        else:
+            high, kept = (x, f), min(kept, 0) - 1
+            if low is not None and kept < -1:
+                low = (low[0], low[1] / 2)
+        if low is not None and high is not None:
+            trial = low[0] + (high[0] - low[0]) * low[1] / (low[1] - high[1])
+        else:
+            slope = -1.0 if previous is None else (f - previous[1]) / (x - previous[0])
+            step = f / max(-slope, 0.1)
+            trial = x + float(np.clip(1.2 * step, -_LARGEST_STEP, _LARGEST_STEP))
+        previous = (x, f)
+        try:
+            x, f = trial, function(trial)
+        except NumericalFailure:
+            x, f = 0.5 * (previous[0] + trial), function(0.5 * (previous[0] + trial))
