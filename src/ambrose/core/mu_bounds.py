@@ -89,7 +89,7 @@ def mu_bounds(
     if max_iterations < 1 or restarts < 0:
         raise invalid("max_iterations, restarts", (max_iterations, restarts), "at least 1 and 0", "leave the defaults")
     batch = array.shape[:-2]
-    flat = array.reshape(-1, structure.n_z, structure.n_w)
+    flat = array.reshape(int(np.prod(batch)), structure.n_z, structure.n_w)
     # sizes near 1 whatever the units, so that nothing over- or underflows
     scale = np.abs(flat).max(axis=(1, 2), initial=0.0)
     scale = np.where(scale > 0, scale, 1.0)

@@ -105,7 +105,7 @@ def osborne(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray
             column = (N[:, :, g] * weight)[:, off[g]].sum(axis=1)
             floor = 1e-18 * (N[:, g, g] + row + column) + 1e-200
             log_d[:, g] -= 0.5 * np.log((row + floor) / (column + floor))
-        if np.abs(log_d - before).max() < 1e-2:
+        if np.abs(log_d - before).max(initial=0.0) < 1e-2:
             break
     log_d -= log_d.mean(axis=1, keepdims=True)
     d = np.exp(0.5 * np.clip(log_d, -400, 400))
