@@ -211,10 +211,24 @@ def test_verdicts_in_plain_words(verifications: list[Checks]) -> None:
 
 def test_overview_has_a_verdict_as_symbol_and_word_for_each_point(verifications: list[Checks]) -> None:
     unstable = Checks("burst seal", False, ())
-    table = tables.overview_table([*verifications, unstable])
+    (table,) = tables.overview_tables([*verifications, unstable])
     assert table.columns == ("Quantity", "Limit", *(c.label for c in verifications), "burst seal")
     stability, *rows = table.cells
     assert [cell.mark for cell in stability[2:]] == ["pass", "pass", "pass", "fail"]
     assert {row[-1].text for row in rows} == {"not evaluated"}
     assert not any("control sensitivity" in row[0].text for row in rows)  # it has no limit: only in the detailed table
     assert all(cell.symbol for row in table.cells for cell in row if cell.mark in {"pass", "fail"})
+
+
+def test_many_operating_points_are_cut_into_tables_that_fit(verifications: list[Checks]) -> None:
+    points = [replace(verifications[i % 3], label=f"point {i}") for i in range(8)]
+    first, second = tables.overview_tables(points)
+    assert first.columns[2:] + second.columns[2:] == tuple(point.label for point in points)
+    assert len(first.rows) == len(second.rows)
+    assert sum(first.widths) == sum(second.widths) == 100
+
+
+def test_limits_that_differ_stand_beside_the_values() -> None:
+    points = [Checks(f"p{limit}", True, (Check("o", "Orbit", 5e-6, "m", limit, "<=", True),)) for limit in (8e-6, 9e-6)]
+    (table,) = tables.overview_tables(points)
+    assert [cell.text.replace("\u00a0", " ") for cell in table.cells[1]] == ["Orbit", "", "5 µm (≤ 8 µm)", "5 µm (≤ 9 µm)"]

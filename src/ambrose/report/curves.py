@@ -235,7 +235,7 @@ def _limits(figure: Any, panel: Panel, curves: Labelled, axes: Axes, *, named: b
     place = {"row": panel.row, "col": panel.column}
     height = _SMALL_HEIGHT if not panel.main else _MAIN_HEIGHT
     low, high = (math.log10(v) for v in axes.y_range) if axes.log_y else axes.y_range
-    taken: list[tuple[float, float]] = []  # height [px] and left end (fraction of the panel's width) of the names so far
+    taken: list[tuple[float, float, float]] = []  # height [px], left and right end (fractions of the width) of the names so far
     for level, words in _limit_levels(curves, axes):
         if not axes.y_range[0] <= level <= axes.y_range[1]:
             continue
@@ -246,8 +246,11 @@ def _limits(figure: Any, panel: Panel, curves: Labelled, axes: Axes, *, named: b
             continue
         y = math.log10(level) if axes.log_y else level
         at = (y - low) / (high - low) * height
-        right = min([end for pixel, end in taken if abs(pixel - at) < 15], default=1.0)
-        taken.append((at, right - (len(words) * 6.5 + 12) / (860 if panel.main else 410)))
+        width, right = (len(words) * 6.5 + 12) / (860 if panel.main else 410), 1.0
+        for pixel, start, end in sorted(taken, key=lambda item: -item[2]):
+            if abs(pixel - at) < 15 and start < right and right - width < end:
+                right = start
+        taken.append((at, right - width, right))
         figure.add_annotation(
             xref="x domain", x=right, y=y, text=theme.plain(words), showarrow=False, xanchor="right", yanchor="bottom",
             yshift=-2, font={"size": 12, "color": theme.LIMIT}, **place,

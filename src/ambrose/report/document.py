@@ -8,8 +8,9 @@ The nouns are generic; a study fills them as it likes:
     Section   title, text (paragraphs separated by an empty line), figures, tables
     Figure    a plotly figure (plots.figure, plots.rotor_drawing) and a caption that says what to look at
     Table     title, columns, rows of text or Cell; Cell("4.1", "fail") carries a verdict as colour AND symbol
-``verification.verification_report`` builds the standard report of a verified loop from Checks. All text is plain text: it
-is escaped here. jinja2 and plotly are imported inside ``render``.
+``verification.verification_report`` builds the standard report of a verified loop from Checks, ``verification.curve_figures``
+the figures of many curves, ``traces.trace_curves`` the curves of a simulation, ``tables`` the tables. All text is plain text:
+it is escaped here. jinja2 and plotly are imported inside the functions.
 """
 
 from __future__ import annotations

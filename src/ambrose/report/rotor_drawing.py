@@ -241,12 +241,12 @@ def _layout(figure: Any, length: float, y_range: tuple[float, float], shares: tu
     figure.update_layout(margin={"l": 112, "r": 16, "t": 26, "b": 48})
     figure.update_xaxes(
         title_text="Axial position from the left end [mm]", range=[-0.04 * length, 1.04 * length], showgrid=False,
-        anchor=f"y{rows + 1}" if rows else "y",
+        anchor=f"y{rows + 1}" if rows else "y", constrain="domain",
     )  # fmt: skip
     bottom = 1 - shares[0]
-    figure.update_layout(
-        yaxis={"domain": [bottom, 1], "range": list(y_range), "scaleanchor": "x", "scaleratio": 1, "visible": False}
-    )
+    drawing = {"domain": [bottom, 1], "range": list(y_range), "visible": False}
+    # Room that the proportions leave over shrinks the drawing's place: ranges would grow at every change of the page's width.
+    figure.update_layout(yaxis={**drawing, "scaleanchor": "x", "scaleratio": 1, "constrain": "domain"})
     below = bottom - shares[1]
     step = below / max(rows, 1)
     for i in range(rows):

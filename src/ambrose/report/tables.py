@@ -10,6 +10,7 @@ from ambrose.report import units
 from ambrose.report.document import Cell, Table, Verdict
 from ambrose.verify.checks import Check, Checks
 
+_WIDEST = 6  # operating points side by side in one table
 _RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
 _VIOLATED = {"<=": ">", ">=": "<", "<": "≥", ">": "≤"}
 
@@ -46,15 +47,15 @@ def _unit(check: Check) -> str:
     return "1/s" if check.unit == "rad/s" and "abscissa" in check.name else check.unit
 
 
-def _value_and_limit(check: Check) -> tuple[str, str]:
+def _value_and_limit(check: Check, *, level: bool = True) -> tuple[str, str]:
     if check.limit is None:
         value, limit = units.quantity(check.value, _unit(check)), ""
     else:
         value, limit = units.pair(check.value, check.limit, _unit(check))
         limit = f"{_RELATION.get(check.relation, check.relation)} {limit}"
     ratio = check.unit in {"", "-", "1"} and any(word in check.name for word in ("sensitivity", "gain_margin"))
-    level = units.decibel(check.value) if ratio else ""
-    return value + (f" ({level})" if level else ""), limit
+    decibel = units.decibel(check.value) if ratio and level else ""
+    return value + (f" ({decibel})" if decibel else ""), limit
 
 
 def checks_table(checks: Checks) -> Table:
@@ -63,45 +64,59 @@ def checks_table(checks: Checks) -> Table:
     for check in checks.checks:
         value, limit = _value_and_limit(check)
         title, detail = units.prose(check.title), units.prose(check.detail)
-        words = Cell("for information", "muted") if check.passed is None else _verdict_cell(check.passed)
+        words = Cell("information", "muted") if check.passed is None else _verdict_cell(check.passed)
         rows.append((title, Cell(value, "number"), Cell(limit, "number"), words, check.zone or "", check.source, detail))
     columns = ("Quantity", "Value", "Limit", "Verdict", "Zone", "Standard, clause", "Where or why")
-    return Table(checks.label, columns, tuple(rows), " ".join(checks.notes), (28, 13, 11, 10, 5, 15, 18))
+    return Table(checks.label, columns, tuple(rows), " ".join(checks.notes), (23, 11, 10, 9, 4, 16, 27))
 
 
 def _verdict_cell(passed: bool) -> Cell:
     return Cell("pass", "pass") if passed else Cell("fail", "fail")
 
 
-def overview_table(verifications: Sequence[Checks]) -> Table:
-    """One row per check that has a limit somewhere, one column per operating point: the verification at a glance."""
+def overview_tables(verifications: Sequence[Checks]) -> tuple[Table, ...]:
+    """One row per check that has a limit somewhere, one column per operating point: the verification at a glance.
+
+    Many operating points are cut into several tables, so that each fits on paper.
+    """
+    names = _judged(verifications)
+    starts = range(0, len(verifications), _WIDEST)
+    parts = [verifications[i : i + _WIDEST] for i in starts]
+    return tuple(_overview_table(part, names, i + 1 if len(parts) > 1 else 0) for i, part in enumerate(parts))
+
+
+def _judged(verifications: Sequence[Checks]) -> list[str]:
+    """The names of the checks that have a verdict somewhere (of all checks where none has)."""
     every = [check for checks in verifications for check in checks.checks]
-    judged = dict.fromkeys(check.name for check in every if check.passed is not None)
-    names = list(judged or dict.fromkeys(check.name for check in every))
-    rows: list[tuple[str | Cell, ...]] = [
-        ("Stability", "", *(Cell("stable", "pass") if checks.stable else Cell("unstable", "fail") for checks in verifications))
-    ]
-    for name in names:
-        found = [next((check for check in checks.checks if check.name == name), None) for checks in verifications]
-        first = next(check for check in found if check is not None)
-        limits = {_value_and_limit(check)[1] for check in found if check is not None}
-        same = limits.pop() if len(limits) == 1 else "differs"
-        rows.append((units.prose(first.title), Cell(same, "number"), *(_overview_cell(check) for check in found)))
-    columns = ("Quantity", "Limit", *(checks.label for checks in verifications))
-    return Table(
-        "All operating points",
-        columns,
-        tuple(rows),
-        note="✓ pass, ✗ fail, – no limit. Quantities without any limit are in the detailed tables.",
+    return list(
+        dict.fromkeys(check.name for check in every if check.passed is not None) or dict.fromkeys(c.name for c in every)
     )
 
 
-def _overview_cell(check: Check | None) -> Cell:
+def _overview_table(verifications: Sequence[Checks], names: Sequence[str], part: int) -> Table:
+    stable = (Cell("stable", "pass") if checks.stable else Cell("unstable", "fail") for checks in verifications)
+    rows: list[tuple[str | Cell, ...]] = [("Stability", Cell("", "number"), *stable)]
+    for name in names:
+        found = [next((check for check in checks.checks if check.name == name), None) for checks in verifications]
+        first = next((check for check in found if check is not None), None)
+        limits = {_value_and_limit(check)[1] for check in found if check is not None}
+        if first is None:
+            continue
+        cells = (_overview_cell(check, with_limit=len(limits) > 1) for check in found)
+        rows.append((units.prose(first.title), Cell(limits.pop() if len(limits) == 1 else "", "number"), *cells))
+    columns = ("Quantity", "Limit", *(checks.label for checks in verifications))
+    note = "✓ pass, ✗ fail, – no limit. Quantities without any limit are in the detailed tables."
+    rest = 60 // max(len(verifications), 3)
+    widths = (100 - 12 - rest * len(verifications), 12, *(rest for _ in verifications))
+    return Table("All operating points" + (f", part {part}" if part else ""), columns, tuple(rows), note, widths)
+
+
+def _overview_cell(check: Check | None, *, with_limit: bool) -> Cell:
     if check is None:
         return Cell("not evaluated", "muted")
-    value, _ = _value_and_limit(check)
-    zone = f" · zone {check.zone}" if check.zone else ""
-    return Cell(value + zone, "none" if check.passed is None else "pass" if check.passed else "fail")
+    value, limit = _value_and_limit(check, level=False)
+    words = [value + (f" ({limit})" if with_limit and limit else ""), *([f"zone\u00a0{check.zone}"] if check.zone else [])]
+    return Cell(" · ".join(words), "none" if check.passed is None else "pass" if check.passed else "fail")
 
 
 def operating_points_table(points: Sequence[OperatingPoint]) -> Table:
@@ -150,13 +165,13 @@ def stations_table(machine: Machine) -> Table:
     for disc in machine.discs:
         inertias = (("polar", disc.polar_inertia), ("diametral", disc.diametral_inertia))
         words = [f"{name} inertia {units.quantity(value, 'kg m2')}" for name, value in inertias if value]
-        rows.append((disc.position, disc.name, ", ".join([f"mass {units.quantity(disc.mass, 'kg')}", *words])))
+        rows.append((disc.position, units.axis_name(disc.name), ", ".join([f"mass {units.quantity(disc.mass, 'kg')}", *words])))
     cells = tuple((what, Cell(units.number(x * 1e3, 4), "number"), text) for x, what, text in sorted(rows))
     return Table("Stations", ("Station", "Position [mm]", "Data"), cells)
 
 
 def _titled(kind: str, name: str) -> str:
-    return name if name.lower() == kind else f"{kind} {name}"
+    return name if name.lower() == kind else f"{kind} {units.axis_name(name)}"
 
 
 def _pair_of(name: str, values: tuple[float, float] | None, unit: str) -> list[str]:

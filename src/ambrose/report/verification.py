@@ -74,7 +74,7 @@ def curve_figures(curves: Labelled, order: Sequence[str], *, overlay: bool = Fal
 def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
     wanted = {checks.label for checks in verifications}
     points = [point for point in machine.operation.points if point.label in wanted]
-    found = [tables.overview_table(verifications)]
+    found = [*tables.overview_tables(verifications)]
     if points:
         found.append(tables.operating_points_table(points))
     return Section("Overview", "", (), tuple(found))
