@@ -141,6 +141,8 @@ SLIPS = {
     "margin in decibels": ("gain_margin = 2", "gain_margin = 0.5", "[requirements]", "gain_margin is 0.5", "not decibels"),
     "margin of degrees as radians": ('"30 deg"', "30", "[requirements]", "phase_margin is 30 rad", '"30 deg"'),
     "damping above critical": ('modal_damping = "1 %"', "modal_damping = 1", "[machine]", "modal_damping is 1", "0.005 is usual"),
+    "weight in decibels": ("peak = 2.5", "peak = 0.5", "[weights]", "peak is 0.5", "not decibels"),
+    "weight without its size": ('error_scale = "20 um"\n', "", "[weights]", "error_scale is missing", "a length [m]"),
 }  # fmt: skip
 
 
@@ -199,7 +201,7 @@ def test_all_problems_are_in_one_message():
     text = (
         SMALL.replace('"3 kg"', '"3 m"')
         .replace('"200 mm"', '"x"')
-        .replace("order = ", "ordr = ")
+        .replace('order = "', 'ordr = "')
         .replace("tilt_gain", "tiltgain")
     )
     with pytest.raises(InvalidInput) as caught:

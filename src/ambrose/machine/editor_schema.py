@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from dataclasses import MISSING, fields
+from pathlib import Path
 from typing import Any
 
 from ambrose.machine.description import SCHEMA_VERSION, Machine
@@ -53,3 +56,7 @@ def _add_defaults(table: dict[str, Any], model: type[Table]) -> None:
             table["properties"][field.name]["default"] = (
                 list(field.default) if isinstance(field.default, tuple) else field.default
             )
+
+
+if __name__ == "__main__":  # python -m ambrose.machine.editor_schema docs/machine.schema.json
+    Path(sys.argv[1]).write_text(json.dumps(editor_schema(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

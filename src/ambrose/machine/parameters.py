@@ -90,7 +90,7 @@ def find_parameter(machine: Machine, path: str) -> Parameter:
     if parameter.table == "amplifier":
         used = AMPLIFIER_PARAMETERS.get(machine.amplifier.order, ())
         if parameter.quantity not in used:
-            has = f"has {_list(used)}" if used else "has no parameter"
+            has = f"has only {' and '.join(used)}" if used else "has no parameter"
             raise _wrong(path, f'names nothing here; an amplifier of order "{machine.amplifier.order}" {has}')
         return parameter
     names = {

@@ -295,7 +295,7 @@ class ToleranceTable(Table):
     noun = nouns.Tolerance
     parameter: Annotated[str, Text("the path of a parameter, such as seal.center.k,")] = required("path of the parameter")
     relative: Ratio = optional("half-width as a fraction of the nominal value")
-    absolute: Annotated[float, Quantity("any")] = optional("half-width in the parameter's own unit")
+    absolute: float = optional("half-width in the parameter's own unit")
 
     @field_validator("absolute", mode="plain", json_schema_input_type=float | str)
     @classmethod

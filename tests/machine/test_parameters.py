@@ -1,0 +1,118 @@
+"""The grammar of parameter paths."""
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.config import load_machine
+from ambrose.machine.parameters import QUANTITIES, Parameter, find_parameter, parse_parameter
+from ambrose.machine.units import DIMENSIONS
+
+GOOD = {
+    "seal.c.K": ("seal", "c", "K", "", "stiffness"),
+    "seal.c.k": ("seal", "c", "k", "", "stiffness"),
+    "seal.c.C": ("seal", "c", "C", "", "damping"),
+    "seal.c.c": ("seal", "c", "c", "", "damping"),
+    "seal.c.M": ("seal", "c", "M", "", "mass"),
+    "seal.c.K_xx": ("seal", "c", "K", "xx", "stiffness"),
+    "seal.c.K_yy": ("seal", "c", "K", "yy", "stiffness"),
+    "seal.c.k_xy": ("seal", "c", "k", "xy", "stiffness"),
+    "seal.c.k_yx": ("seal", "c", "k", "yx", "stiffness"),
+    "seal.c.C_xx": ("seal", "c", "C", "xx", "damping"),
+    "seal.c.C_yy": ("seal", "c", "C", "yy", "damping"),
+    "seal.c.c_xy": ("seal", "c", "c", "xy", "damping"),
+    "seal.c.c_yx": ("seal", "c", "c", "yx", "damping"),
+    "bearing.A.force_per_current": ("bearing", "A", "force_per_current", "", "force per current"),
+    "bearing.A.force_per_current.zeta": ("bearing", "A", "force_per_current", "zeta", "force per current"),
+    "bearing.A.negative_stiffness.eta": ("bearing", "A", "negative_stiffness", "eta", "stiffness"),
+    "coupling.c_1.stiffness": ("coupling", "c_1", "stiffness", "", "stiffness"),
+    "coupling.c-1.damping.zeta": ("coupling", "c-1", "damping", "zeta", "damping"),
+    "amplifier.bandwidth": ("amplifier", "", "bandwidth", "", "angular rate"),
+    "amplifier.eddy_bandwidth": ("amplifier", "", "eddy_bandwidth", "", "angular rate"),
+    "amplifier.natural_frequency": ("amplifier", "", "natural_frequency", "", "angular rate"),
+    "amplifier.damping": ("amplifier", "", "damping", "", "angular rate"),
+}
+BAD = [
+    *("", ".", "seal", "seal.c", "seal..k", "seal.c.k.", "seal.c.k_", "seal.c.K_xy", "seal.c.k_xx", "seal.c.M_xx"),
+    *("seal.c.k.xy", "seal.c.Q", "rotor.modal_damping", "bearing.A", "bearing.A.gap", "bearing.A.negative_stiffness_zeta"),
+    *("bearing.A.negative_stiffness.x", "bearing.A.negative_stiffness.zeta.zeta", "bearing.A.negative_stiffness."),
+    *("coupling.c.mass", "amplifier", "amplifier.", "amplifier.order", "amplifier.bandwidth.zeta", "Seal.c.k", "seal.c. k"),
+]
+
+
+@pytest.mark.parametrize("path", GOOD)
+def test_good_paths(path):
+    parameter = parse_parameter(path)
+    assert parameter == Parameter(path, *GOOD[path])
+    assert parameter.dimension in DIMENSIONS
+
+
+@pytest.mark.parametrize("path", BAD)
+def test_bad_paths(path):
+    with pytest.raises(InvalidInput, match=r"known:|did you mean|possible:|incomplete; write"):
+        parse_parameter(path)
+
+
+@given(st.text("seal.bearing_kKA", max_size=20))
+def test_any_path_is_parsed_or_refused(path):
+    try:
+        assert parse_parameter(path).table in QUANTITIES
+    except InvalidInput as error:
+        assert path in str(error)
+
+
+def test_every_quantity_of_the_grammar_is_covered_above():
+    listed = {(p[0], p[2]) for p in GOOD.values()}
+    assert listed == {(table, quantity) for table, quantities in QUANTITIES.items() for quantity in quantities}
+
+
+def test_overlap():
+    """A parameter of both axes contains its single entries; entries and other quantities are apart."""
+    overlapping = {
+        frozenset(pair)
+        for pair in itertools.combinations(GOOD, 2)
+        if parse_parameter(pair[0]).overlaps(parse_parameter(pair[1]))
+    }
+    wanted = [
+        ("seal.c.K", "seal.c.K_xx"),
+        ("seal.c.K", "seal.c.K_yy"),
+        ("seal.c.k", "seal.c.k_xy"),
+        ("seal.c.k", "seal.c.k_yx"),
+    ]
+    wanted += [
+        ("seal.c.C", "seal.c.C_xx"),
+        ("seal.c.C", "seal.c.C_yy"),
+        ("seal.c.c", "seal.c.c_xy"),
+        ("seal.c.c", "seal.c.c_yx"),
+    ]
+    wanted += [("bearing.A.force_per_current", "bearing.A.force_per_current.zeta")]
+    assert overlapping == {frozenset(pair) for pair in wanted}
+    assert parse_parameter("seal.c.k").overlaps(parse_parameter("seal.c.k"))
+    assert not parse_parameter("seal.c.k").overlaps(parse_parameter("seal.d.k"))
+
+
+class TestOfAMachine:
+    def test_found(self):
+        machine = load_machine("seal-rig")
+        for tolerance in machine.tolerances:
+            assert find_parameter(machine, tolerance.parameter).name == "center"
+        assert find_parameter(machine, "amplifier.damping").quantity == "damping"
+
+    @pytest.mark.parametrize(
+        "path, reason",
+        [
+            ("seal.centre.k", 'unknown seal "centre"; did you mean "center"'),
+            ("bearing.C.negative_stiffness", 'unknown bearing "C"; known: A, B'),
+            ("amplifier.bandwidth", 'order "second" has only natural_frequency and damping'),
+        ],
+    )
+    def test_not_found(self, path, reason):
+        with pytest.raises(InvalidInput, match=reason):
+            find_parameter(load_machine("seal-rig"), path)
+
+    def test_no_such_table(self):
+        with pytest.raises(InvalidInput, match=r"the machine has no \[\[coupling\]\]"):
+            find_parameter(load_machine("turboexpander"), "coupling.x.stiffness")

@@ -1,0 +1,139 @@
+"""Quantities: against pint and the decimal definition of the units."""
+
+import subprocess
+import sys
+from fractions import Fraction
+
+import pint
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambrose.machine.units import DIMENSIONS, canonical_unit, read_quantity
+
+REGISTRY = pint.UnitRegistry()
+EVERYDAY = [(name, unit) for name, dimension in DIMENSIONS.items() for unit in dimension.units]
+PINT_SPELLING = {"N s/mm": "N*s/mm", "Ns/m": "N*s/m", "kNs/m": "kN*s/m", "Ns/mm": "N*s/mm", "°": "deg", "krpm": "kilorpm"}
+
+
+def spelled_for_pint(unit: str) -> str:
+    if unit in PINT_SPELLING:
+        return PINT_SPELLING[unit]
+    return "".join(f"**{c}" if c.isdigit() else c for c in unit).replace(" ", "*")
+
+
+@pytest.mark.parametrize("name, unit", EVERYDAY)
+def test_everyday_units_agree_with_pint(name, unit):
+    ours = read_quantity(f"1 {unit}", DIMENSIONS[name])
+    theirs = REGISTRY.Quantity(1.0, "percent" if unit == "%" else spelled_for_pint(unit)).to_base_units().magnitude
+    revolutions = "Hz" in unit and name == "angular rate"  # pint's hertz is 1/s
+    assert ours == pytest.approx(theirs * (2 * 3.141592653589793 if revolutions else 1), rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "text, name, value",
+    [
+        ("0.5 mm", "length", 0.0005),
+        ("20 um", "length", 20e-6),
+        ("20 µm", "length", 20e-6),
+        ("20μm", "length", 20e-6),
+        ("  -.5e1   mm ", "length", -0.005),
+        ("2.04 bar", "pressure", 204000.0),
+        ("31500 rpm", "angular rate", 3298.6722862692827),
+        ("216 Hz", "angular rate", 1357.1680263507906),
+        ("0.5 kHz", "angular rate", 3141.592653589793),
+        ("0.001 MHz", "angular rate", 6283.185307179586),
+        ("2 turn/s", "angular rate", 12.566370614359172),
+        ("45 deg", "angle", 0.7853981633974483),
+        ("2.5 mm/s", "velocity", 0.0025),
+        ("40 %", "ratio", 0.4),
+        ("0.0021 kg*m^2", "moment of inertia", 0.0021),
+        ("0.0021 kg·m²", "moment of inertia", 0.0021),
+        ("0.0021 kg m**2", "moment of inertia", 0.0021),
+        ("12 N/(mm)", "stiffness", 12000.0),
+        ("5 kg m s-2", "force", 5.0),
+    ],
+)
+def test_reading(text, name, value):
+    assert read_quantity(text, DIMENSIONS[name]) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "text, name, value",
+    [
+        ("1 ft", "length", 0.3048),
+        ("3 thou", "length", 3 * 0.0254e-3),
+        ("1 lbf/in", "stiffness", 4.4482216152605 / 0.0254),
+        ("1 lbf s/in", "damping", 4.4482216152605 / 0.0254),
+        ("30 psi", "pressure", 30 * 4.4482216152605 / 0.0254**2),
+        ("1 lb in2", "moment of inertia", 0.45359237 * 0.0254**2),
+        ("1 rad/minute", "angular rate", 1 / 60),
+    ],
+)
+def test_less_common_units_by_definition(text, name, value):
+    assert read_quantity(text, DIMENSIONS[name]) == pytest.approx(value, rel=1e-12)
+
+
+@given(st.decimals(allow_nan=False, allow_infinity=False, min_value=-(10**9), max_value=10**9, places=6))
+def test_decimal_units_are_correctly_rounded(number):
+    """1e-6 is not representable, yet "20 um" is the float nearest to 20e-6, as if it had been written in metres."""
+    assert read_quantity(f"{number:f} um", DIMENSIONS["length"]) == float(Fraction(number) / 10**6)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_plain_numbers_pass_unchanged(number):
+    assert read_quantity(number, DIMENSIONS["mass"]) == number
+
+
+@given(st.text(max_size=30), st.sampled_from(sorted(DIMENSIONS)))
+def test_any_text_is_read_or_refused_with_a_remedy(text, name):
+    try:
+        assert isinstance(read_quantity(text, DIMENSIONS[name]), float)
+    except ValueError as error:
+        assert "write a" in str(error)
+
+
+@given(st.integers(-9, 9), st.from_regex(r"[a-zA-Z/*^0-9 ()]{1,12}", fullmatch=True), st.sampled_from(sorted(DIMENSIONS)))
+def test_any_unit_is_read_or_refused_with_a_remedy(number, unit, name):
+    try:
+        assert isinstance(read_quantity(f"{number} {unit}", DIMENSIONS[name]), float)
+    except ValueError as error:
+        assert "write a" in str(error)
+
+
+@pytest.mark.parametrize("value", [True, None, [1.0], {"m": 1}, b"1 m", 1j])
+def test_other_kinds_of_value_are_refused(value):
+    with pytest.raises(ValueError, match="must be a length"):
+        read_quantity(value, DIMENSIONS["length"])
+
+
+@pytest.mark.parametrize(
+    "value", [float("nan"), float("inf"), 10**400, pytest.param(10**5000, id="unprintable"), "1e999 m", "-1e999 ft"]
+)
+def test_not_finite(value):
+    with pytest.raises(ValueError, match="must be finite"):
+        read_quantity(value, DIMENSIONS["length"])
+
+
+def test_dimensions_do_not_share_an_example_that_both_would_read():
+    """Each example is read by its own dimension; no closed dimension reads another one's."""
+    for name, dimension in DIMENSIONS.items():
+        if dimension.example:
+            assert read_quantity(dimension.example, dimension) > 0
+        for other in DIMENSIONS.values():
+            if other.closed and other.name != name and dimension.example:
+                with pytest.raises(ValueError, match="write"):
+                    read_quantity(dimension.example, other)
+
+
+def test_one_spelling():
+    assert {canonical_unit(u) for u in ("kg*m**2", "kg m^2", "kg·m²", " kg  m2 ")} == {"kg m2"}
+
+
+def test_pint_is_not_imported_for_everyday_units():
+    code = (
+        "import sys; from ambrose.machine.units import DIMENSIONS, read_quantity as r;"
+        "r('0.5 mm', DIMENSIONS['length']); r('20 µm', DIMENSIONS['length']); assert 'pint' not in sys.modules;"
+        "r('1 ft', DIMENSIONS['length']); assert 'pint' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
