@@ -61,7 +61,9 @@ def frequency_response(system: Any, omega: ArrayLike) -> FrequencyResponse:
     omega (w,) [rad/s]. Raises InvalidInput at a frequency that coincides with a pole, and above Nyquist when sampled.
     """
     system = as_statespace(system)
-    omega = check_shape(omega, "omega", "(w)").astype(float)
+    omega = check_shape(omega, "omega", "(w)")
+    if np.iscomplexobj(omega):
+        raise invalid("omega", "complex", "real", "give frequencies in rad/s, not points j omega")
     if system.dt is not None and omega.size and np.abs(omega).max() > np.pi / system.dt * (1 + 1e-9):
         nyquist = np.pi / system.dt
         raise invalid(
