@@ -10,8 +10,8 @@ import numpy as np
 from ambrose.report import units
 from ambrose.verify.checks import Curve
 
-# Decades of a logarithmic view below its top: of a curve, of one whose limits matter, of models (small values matter)
-_DECADES, _LIMITED_DECADES, _OVERLAY_DECADES = 4.0, 2.5, 7.0
+_DECADES, _OVERLAY_DECADES = 4.0, 7.0  # of a logarithmic view below its top; models differ where they are small
+_BELOW_LIMITS = 2.0  # decades below the lowest limit: what is read against limits needs the room around them
 _RUNAWAY = 8.0  # a time response this much larger than all others (an unstable loop's) does not set the view
 
 
@@ -51,7 +51,7 @@ def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False) -> Ax
     log_y = log and y.size > 0 and float(y.min()) > 0 and first.y_unit != "rad"
     limits = [value for _, curve in curves for _, value in curve.limits]
     if log_y:
-        low, high = _logarithmic(y, limits, _OVERLAY_DECADES if overlay else _LIMITED_DECADES if limits else _DECADES)
+        low, high = _logarithmic(y, limits, _OVERLAY_DECADES if overlay else _DECADES)
     else:
         low, high = _linear(_without_runaways(rows) if first.kind == "time" else y, limits)
     cut = bool(y.size) and (float(y.min()) < low or float(y.max()) > high)
@@ -81,7 +81,8 @@ def _logarithmic(y: np.ndarray, limits: Sequence[float], decades: float) -> tupl
     """The upper decades of the data, and the limits that lie not far above them."""
     top = float(y.max())
     high = 1.5 * max([top, *(value for value in limits if value <= 30 * top)])
-    return max(float(y.min()) / 1.3, high / 10**decades), high
+    below = min((value for value in limits if value > 0), default=0.0) / 10**_BELOW_LIMITS
+    return max(float(y.min()) / 1.3, high / 10**decades, min(below, high / 10)), high
 
 
 def _linear(y: np.ndarray, limits: Sequence[float]) -> tuple[float, float]:
