@@ -80,10 +80,11 @@ def tune_control_weight(
 ) -> Tuning:
     """W_u multiplied by the factor at which the synthesised controller's direct gains match the reference's in the band.
 
-    plant, weights, tolerances, uncertain: as for ``design_plant``; weights None: the machine's. reference_controller: err_<axis>
-    -> u_<axis>, usually the PID. synthesize: design problem -> Synthesis (H-infinity, mu). band [rad/s]. tolerance [-]: of the
-    mean ln ratio, 0.02 is 2 % of gain. A bracketing secant search in ln(factor); where the gains cannot be matched the nearest
-    is returned with converged False. Raises InvalidInput, and what ``synthesize`` raises for the given weights.
+    plant, weights, tolerances, uncertain: as for ``design_plant``; weights None: the machine's. reference_controller:
+    err_<axis> -> u_<axis>, usually the PID. synthesize: design problem -> Synthesis (H-infinity, mu). band [rad/s].
+    tolerance [-]: of the mean ln ratio, 0.02 is 2 % of gain. A bracketing secant search in ln(factor); where the gains cannot
+    be matched the nearest is returned with converged False. Raises InvalidInput, and what ``synthesize`` raises for the
+    weights it is first given.
     """
     if weights is None:
         if not isinstance(plant, Plant):
@@ -111,28 +112,25 @@ def _search(function: Callable[[float], float], tolerance: float, most: int) -> 
     """Look for a root of a falling function from x = 0, whose slope is first taken as -1: secant steps until the root is
     bracketed, then false position with halving (Illinois). A trial that fails numerically is retried half as far."""
     x, f = 0.0, function(0.0)
-    low = high = None  # (x, f) with f > 0 and with f < 0
+    ends: dict[bool, tuple[float, float]] = {}  # the newest point on either side, by f > 0
     previous: tuple[float, float] | None = None
-    kept = 0
     for _ in range(most - 1):
         if abs(f) <= tolerance:
             return
-        if f > 0:
-            low, kept = (x, f), max(kept, 0) + 1
-            if high is not None and kept > 1:
-                high = (high[0], high[1] / 2)
+        side = f > 0
+        if previous is not None and (previous[1] > 0) == side and (not side) in ends:
+            x_other, f_other = ends[not side]
+            ends[not side] = (x_other, f_other / 2)
+        ends[side] = (x, f)
+        if len(ends) == 2:
+            (a, fa), (b, fb) = ends[True], ends[False]
+            trial = a + (b - a) * fa / (fa - fb)
         else:
-            high, kept = (x, f), min(kept, 0) - 1
-            if low is not None and kept < -1:
-                low = (low[0], low[1] / 2)
-        if low is not None and high is not None:
-            trial = low[0] + (high[0] - low[0]) * low[1] / (low[1] - high[1])
-        else:
-            slope = -1.0 if previous is None else (f - previous[1]) / (x - previous[0])
-            step = f / max(-slope, 0.1)
-            trial = x + float(np.clip(1.2 * step, -_LARGEST_STEP, _LARGEST_STEP))
+            slope = -1.0 if previous is None else min((f - previous[1]) / (x - previous[0]), -0.1)
+            trial = x + float(np.clip(-1.2 * f / slope, -_LARGEST_STEP, _LARGEST_STEP))
         previous = (x, f)
         try:
             x, f = trial, function(trial)
         except NumericalFailure:
-            x, f = 0.5 * (previous[0] + trial), function(0.5 * (previous[0] + trial))
+            x = 0.5 * (x + trial)
+            f = function(x)
