@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, UnstableSystem, invalid
+from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import (
@@ -61,6 +63,24 @@ def certify(plant: Plant | StateSpace, controller: Any, label: str = "", axis_ma
         **(_axis_margins(loop, axes) if axis_margins else {}),
     }
     return Certificate(True, abscissa, peak, fastest, margins, label)
+
+
+def generalized_certificate(plant: GeneralizedPlant, controller: Any, label: str = "") -> Certificate:
+    """Stability and norm of z = F_l(P, K) w, recomputed from a generalized plant and its controller u = K y.
+
+    controller: its signals matched to y and u by place. ``closed_loop_norm`` is the H-infinity norm from all w to all z; an
+    unstable or marginal loop is a verdict: stable False, closed_loop_norm inf. Raises InvalidInput when sizes do not fit,
+    NumericalFailure for an algebraic loop.
+    """
+    controller = as_statespace(controller)
+    loop = lft(plant, controller)
+    abscissa = spectral_abscissa(loop)
+    label = label or f"generalized plant with {plant.system.n_states} states"
+    norm = float("inf")
+    if abscissa < 0:
+        with contextlib.suppress(UnstableSystem):
+            norm = hinf_norm(loop).value
+    return Certificate(norm < np.inf, abscissa, norm, fastest_pole(controller), {}, label)
 
 
 def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace, tuple[str, ...]]:

@@ -31,7 +31,8 @@ class Synthesis:
     """controller: StateSpace from sensor error ("err_A_zeta" [m]) to current ("u_A_zeta" [A]).
 
     gamma: the norm the method reached (NaN where it has none); status: "verified", or "unstable" (a reference controller
-    that does not hold this plant: a verdict, not a failure); history: one mapping per iteration.
+    that does not hold this plant: a verdict, not a failure); history: one mapping per iteration; notes: what the reader must
+    know of how it was reached (a regularisation, a wider back-off), a sentence each.
     """
 
     controller: StateSpace
@@ -40,3 +41,4 @@ class Synthesis:
     status: str
     certificate: Certificate
     history: tuple[Mapping[str, float], ...] = ()
+    notes: tuple[str, ...] = ()

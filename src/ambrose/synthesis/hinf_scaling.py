@@ -1,0 +1,129 @@
+"""The generalized plant made ready for computing: states, controls and measurements scaled, D22 taken out; and the way back.
+
+States, u and y may be measured in any unit without a change of gamma; the algorithms are not indifferent. Here the states are
+balanced, each u is given the size at which its direct effect on z (the column of D12) has norm 1, each y the size at which
+the direct effect of w on it (the row of D21) has norm 1. w and z stay as they are: their sizes are the specification.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ambrose.core.balancing import balance_system
+from ambrose.core.checks import NumericalFailure, invalid
+from ambrose.core.frequency import evaluate, schur_form
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.statespace import StateSpace
+
+_NEGLIGIBLE = 1e-10  # a direct term below this fraction of its channel's largest gain counts as zero
+Matrices = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaledPlant:
+    """x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u, y = C2 x + D21 w in scaled units, without D22.
+
+    A (n, n), B1 (n, q), B2 (n, m), C1 (r, n), C2 (p, n), D11 (r, q), D12 (r, m), D21 (p, q); u_scale (m,), y_scale (p,):
+    u = u_scale u_scaled, y_scaled = y_scale y; D22 (p, m) in original units; gain: the largest sampled gain from w to z.
+    """
+
+    A: np.ndarray
+    B1: np.ndarray
+    B2: np.ndarray
+    C1: np.ndarray
+    C2: np.ndarray
+    D11: np.ndarray
+    D12: np.ndarray
+    D21: np.ndarray
+    D22: np.ndarray
+    u_scale: np.ndarray
+    y_scale: np.ndarray
+    gain: float
+
+    def dual(self) -> ScaledPlant:
+        """The transposed plant: what holds for control there holds for estimation here."""
+        return ScaledPlant(
+            self.A.T, self.C1.T, self.C2.T, self.B1.T, self.B2.T, self.D11.T, self.D21.T, self.D12.T, self.D22.T,
+            self.y_scale, self.u_scale, self.gain,
+        )  # fmt: skip
+
+    def extended(self, rows: np.ndarray, columns: np.ndarray, epsilon: float) -> ScaledPlant:
+        """With the outputs z' = epsilon rows [x; u] and the inputs [x'; y] += epsilon columns w' added; the rest unchanged.
+
+        rows (k, n + m), columns (n + p, l). Every controller has a larger or equal norm on this plant than on the original.
+        """
+        n, more_z, more_w = len(self.A), len(rows), columns.shape[1]
+        rows, columns = epsilon * rows, epsilon * columns
+        q, r = self.B1.shape[1], len(self.C1)
+        return replace(
+            self,
+            B1=np.hstack([self.B1, columns[:n]]),
+            C1=np.vstack([self.C1, rows[:, :n]]),
+            D11=np.block([[self.D11, np.zeros((r, more_w))], [np.zeros((more_z, q + more_w))]]),
+            D12=np.vstack([self.D12, rows[:, n:]]),
+            D21=np.hstack([self.D21, columns[n:]]),
+        )
+
+
+def scale_plant(plant: GeneralizedPlant) -> ScaledPlant:
+    """``plant`` scaled. Raises InvalidInput for a sampled plant and for empty w, u, z or y."""
+    for side, what in zip("wuzy", ("disturbance", "control", "performance output", "measurement"), strict=True):
+        if not getattr(plant, side):
+            raise invalid(f"the number of {what} signals {side}", 0, "at least 1", f"name the plant's {side}")
+    system = plant.system
+    if system.dt is not None:
+        raise invalid(
+            "the plant's sample time", system.dt, "None (continuous time)", "design in continuous time, sample the controller"
+        )
+    q, r = len(plant.w), len(plant.z)
+    A, B, C, _ = balance_system(system.A, system.B, system.C)
+    gains = _gains(A, B, C, system.D)
+    u_scale = _channel_scale(np.linalg.norm(system.D[:r, q:], axis=0), gains[:, :r, q:], axis=1)
+    y_scale = _channel_scale(np.linalg.norm(system.D[r:, :q], axis=1), gains[:, r:, :q], axis=2)
+    B = np.hstack([B[:, :q], B[:, q:] * u_scale])
+    C = np.vstack([C[:r], C[r:] * y_scale[:, None]])
+    A, B, C, _ = balance_system(A, B, C)
+    D12, D21 = system.D[:r, q:] * u_scale, system.D[r:, :q] * y_scale[:, None]
+    D12[:, np.linalg.norm(D12, axis=0) < _NEGLIGIBLE] = 0.0
+    D21[np.linalg.norm(D21, axis=1) < _NEGLIGIBLE] = 0.0
+    gain = float(np.linalg.norm(gains[:, :r, :q], axis=(1, 2)).max())
+    return ScaledPlant(
+        A, B[:, :q], B[:, q:], C[:r], C[r:], system.D[:r, :q], D12, D21, system.D[r:, q:], u_scale, y_scale, gain
+    )  # fmt: skip
+
+
+def _gains(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """|P(s)| (w, r + p, q + m) at points near the imaginary axis with the moduli of the poles, and at infinity."""
+    form = schur_form(A, B, C, D)
+    moduli = np.abs(form.poles)
+    moduli = np.unique(moduli[moduli > 1e3 * form.pole_errors])
+    if not moduli.size:
+        moduli = np.array([max(1e-3, np.abs(A).max(initial=0.0))])
+    return np.abs(np.concatenate([evaluate(form, moduli * np.exp(1.3j)), D[None]]))
+
+
+def _channel_scale(direct: np.ndarray, gains: np.ndarray, axis: int) -> np.ndarray:
+    """1/direct (k,), or 1/(largest gain) where that is negligible, or 1 where there is no gain at all."""
+    largest = np.linalg.norm(gains, axis=axis).max(axis=0)
+    size = np.where(direct > _NEGLIGIBLE * largest, direct, largest)
+    return 1 / np.where(size > 0, size, 1.0)
+
+
+def original_controller(plant: ScaledPlant, matrices: Matrices, inputs: Sequence[str], outputs: Sequence[str]) -> StateSpace:
+    """The controller for the original plant from one for the scaled plant without D22; states balanced.
+
+    Raises NumericalFailure where the loop around D22 has no solution.
+    """
+    A, B, C, D = matrices
+    D22 = plant.D22 * plant.u_scale * plant.y_scale[:, None]
+    E = np.eye(len(D)) + D @ D22  # u = K0 (y - D22 u)
+    if np.linalg.svd(E, compute_uv=False).min(initial=1.0) < 1e-12 * max(1.0, float(np.abs(E).max())):
+        raise NumericalFailure("the controller and D22 form an algebraic loop; increase the back-off a little")
+    C, D = np.linalg.solve(E, C), np.linalg.solve(E, D)
+    A, B = A - B @ D22 @ C, B - B @ D22 @ D
+    B, C, D = B * plant.y_scale, C * plant.u_scale[:, None], D * plant.u_scale[:, None] * plant.y_scale
+    A, B, C, _ = balance_system(A, B, C)
+    return StateSpace(A, B, C, D, inputs, outputs)
