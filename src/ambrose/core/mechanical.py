@@ -55,32 +55,43 @@ class SecondOrder:
 def to_statespace(system: SecondOrder, speed: float = 0.0) -> StateSpace:
     """First-order form at a spin speed [rad/s], in mass-normalised coordinates z = L^T q (M = L L^T).
 
-    The states are z and z'/s with one scalar s; without these two scalings rigid-body poles lose four digits. Raises
-    InvalidInput when the mass matrix is not positive definite.
+    The states are z_i and z_i'/s_i with s_i^2 = |K_ii| of the mass-normalised stiffness (at least 1 rad/s): every coordinate
+    in its own time scale. Without the two scalings rigid-body poles lose four digits. Raises InvalidInput when the mass matrix
+    is not positive definite.
     """
     check_finite(speed, "speed")
-    L = _cholesky(system.mass)
-
-    def congruent(X: np.ndarray) -> np.ndarray:
-        half = sla.solve_triangular(L, X, lower=True)
-        return sla.solve_triangular(L, half.T, lower=True).T
-
-    K = congruent(system.stiffness)
-    D = congruent(system.damping + speed * system.gyroscopic)
-    s = float(np.sqrt(max(float(np.linalg.norm(K, 2)), 1.0)))
     n = system.n
-    B = sla.solve_triangular(L, system.B, lower=True)
-    C = sla.solve_triangular(L, system.C.T, lower=True).T
-    Cv = sla.solve_triangular(L, system.Cv.T, lower=True).T
-    A = np.block([[np.zeros((n, n)), s * np.eye(n)], [-K / s, -D]])
+    K, D = system.stiffness, system.damping + speed * system.gyroscopic
+    B, C, Cv = system.B, system.C, system.Cv
+    if not np.array_equal(system.mass, np.eye(n)):
+        L = _cholesky(system.mass)
+        K, D = (_congruent(L, X) for X in (K, D))
+        B, C, Cv = (sla.solve_triangular(L, X, lower=True) for X in (B, C.T, Cv.T))
+        C, Cv = C.T, Cv.T
+    s = velocity_scales(K)
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, n:] = np.diag(s)
+    A[n:, :n] = -K / s[:, None]
+    A[n:, n:] = -D / s[:, None] * s
     return StateSpace(
         A,
-        np.vstack([np.zeros_like(B), B / s]),
+        np.vstack([np.zeros_like(B), B / s[:, None]]),
         np.vstack([np.hstack([C, np.zeros_like(C)]), np.hstack([np.zeros_like(Cv), Cv * s])]),
         np.zeros((len(C) + len(Cv), B.shape[1])),
         system.inputs,
         system.outputs + system.velocity_outputs,
     )
+
+
+def _congruent(L: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """L^-1 X L^-T for lower triangular L."""
+    half = sla.solve_triangular(L, X, lower=True)
+    return sla.solve_triangular(L, half.T, lower=True).T
+
+
+def velocity_scales(stiffness: np.ndarray) -> np.ndarray:
+    """The scale s_i [rad/s] of each velocity state, (n,), from the mass-normalised stiffness (n, n)."""
+    return np.sqrt(np.maximum(np.abs(np.diag(stiffness)), 1.0))
 
 
 def _check_symmetric(matrix: np.ndarray, name: str) -> None:

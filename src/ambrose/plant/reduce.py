@@ -126,18 +126,14 @@ def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.nd
 def _lift(small: SecondOrder, full: SecondOrder) -> tuple[np.ndarray, np.ndarray]:
     """From the full rotor's state (mass-normalised modes, scaled velocities) to that of its leading coordinates, and back."""
     k, n = small.n, full.n
-    L = sla.cholesky(full.mass, lower=True)
-    R = L.T[:, :k] @ sla.inv(sla.cholesky(small.mass, lower=True)).T
-    ratio = _velocity_scale(small) / _velocity_scale(full)
+    R = np.eye(n)[:, :k]
+    if not np.array_equal(full.mass, np.eye(n)):  # a seal with inertia mixes the modes
+        R = sla.cholesky(full.mass, lower=True).T[:, :k] @ sla.inv(sla.cholesky(small.mass, lower=True)).T
+    s_small, s_full = (np.diag(to_statespace(system).A[: system.n, system.n :]) for system in (small, full))
     zero = np.zeros((n, k))
-    up = np.block([[R, zero], [zero, ratio * R]])
-    down = np.block([[R.T, zero.T], [zero.T, R.T / ratio]])
+    up = np.block([[R, zero], [zero, R * s_small / s_full[:, None]]])
+    down = np.block([[R.T, zero.T], [zero.T, R.T / s_small[:, None] * s_full]])
     return down, up
-
-
-def _velocity_scale(system: SecondOrder) -> float:
-    """The scalar s of ``to_statespace``'s states (z, z'/s), read off its upper right block."""
-    return float(to_statespace(system).A[0, system.n])
 
 
 def modal_sum_bound(A: np.ndarray, B: np.ndarray, C: np.ndarray, omega: np.ndarray, static: bool) -> np.ndarray:

@@ -1,0 +1,89 @@
+"""Assembly and reduction against the number of nodes; closed-loop frequency response; import time; the whole verification."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from ambrose import load_machine
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import select
+from ambrose.machine.description import Machine
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.reduce import modal_reduction
+from ambrose.synthesis import pid
+from ambrose.verify import nominal
+
+
+def seconds(action: Callable[[], Any], runs: int = 7) -> float:
+    """Median wall time of ``action`` after one warm-up."""
+    action()
+    times = []
+    for _ in range(runs):
+        begin = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - begin)
+    return median(times)
+
+
+def refined(machine: Machine, nodes: int) -> Machine:
+    """The machine with about ``nodes`` nodes, every section refined alike."""
+    factor = (nodes - 1) / sum(s.elements for s in machine.shaft)
+    return replace(machine, shaft=tuple(replace(s, elements=max(1, round(s.elements * factor))) for s in machine.shaft))
+
+
+def run() -> list[dict[str, Any]]:
+    rig = load_machine("seal-rig")
+    rows = []
+    for nodes in (40, 100, 200, 400):
+        machine = refined(rig, nodes)
+        runs = 7 if nodes < 200 else 3
+        rows.append(_row(f"assembly + reduction to 8 states, {nodes} nodes", seconds(lambda m=machine: both(m), runs)))
+    rows[0]["target"] = "< 0.05"
+    rows.append(_closed_loop_response(rig))
+    controller = pid.controller(rig.controller, rig)
+    plant = assemble(rig)
+    rows.append(_row("all nominal checks, full plant, 328 states", seconds(lambda: nominal.check(plant, controller), 3)))
+    command = [sys.executable, "-c", "import ambrose"]
+    bare = seconds(lambda: subprocess.run([sys.executable, "-c", "pass"], check=True))
+    rows.append({**_row("import ambrose", seconds(lambda: subprocess.run(command, check=True)) - bare), "target": "< 0.5"})
+    return rows
+
+
+def both(machine: Machine) -> None:
+    modal_reduction(assemble(machine))
+
+
+def _closed_loop_response(machine: Machine) -> dict[str, Any]:
+    plant = assemble(machine)
+    loop = closed_loop(plant, pid.controller(machine.controller, machine))
+    system = select(loop, [f"d_{a}" for a in plant.axes], [f"y_{a}" for a in plant.axes])
+    omega = np.geomspace(1, 2e4, 2000)
+    row = _row(
+        f"closed loop, {system.n_states} states, 4x4, 2000 frequencies",
+        seconds(lambda: frequency_response(system, omega), 3),
+    )
+    row["target"] = "< 0.5, >= 10x"
+    try:
+        import control
+    except ImportError:
+        return row
+    peer = system.to_control()
+    begin = time.perf_counter()
+    theirs = control.frequency_response(peer, omega).frdata
+    row |= {"peer": time.perf_counter() - begin, "peer_name": "python-control"}
+    ours = frequency_response(system, omega).values
+    row["error"] = float(np.abs(np.moveaxis(theirs, -1, 0) - ours).max() / np.abs(ours).max())
+    return row
+
+
+def _row(name: str, ours: float) -> dict[str, Any]:
+    return {"name": name, "ours": ours, "peer": None, "peer_name": None, "error": None}
