@@ -17,7 +17,7 @@ POINT = OperatingPoint(speed=3298.6722862692827, seal_pressure=2.04e5, bias_curr
 @pytest.fixture
 def record():
     values = np.random.default_rng(3).standard_normal((3, 40)) * [[1e-5], [0.1], [100.0]]
-    notes = (("operator", "J. Doe: second shift"),)
+    notes = (("operator", "J. Doe: zweite Schicht, 20 °C"), ("empty", ""))
     return Record("seal-rig", 9999.7, ("y_A_zeta", "e_B_eta", "f_center_x"), ("m", "A", "N"), values, POINT, 0.25, notes)
 
 
@@ -64,10 +64,10 @@ def test_round_trip_is_bit_exact(record, tmp_path, suffix):
 
 def test_hdf5_layout_is_the_published_one(record, tmp_path):
     with h5py.File(write_record(record, tmp_path / "r.h5")) as file:
-        assert (file.attrs["format"], file.attrs["version"], file.attrs["machine"]) == ("ambrose-record", 1, "seal-rig")
+        assert (file.attrs["format"], file.attrs["version"], file.attrs["machine"]) == (b"ambrose-record", 1, b"seal-rig")
         assert file.attrs["sample_rate_hz"] == 9999.7
         assert file.attrs["speed_rad_s"] == POINT.speed and file.attrs["seal_pressure_pa"] == 2.04e5
-        assert file["signals/y_A_zeta"].dtype == np.float64 and file["signals/y_A_zeta"].attrs["unit"] == "m"
+        assert file["signals/y_A_zeta"].dtype == np.float64 and file["signals/y_A_zeta"].attrs["unit"] == b"m"
 
 
 def test_csv_header_is_the_published_one(record, tmp_path):
@@ -222,6 +222,17 @@ def test_truncated_hdf5_is_refused(record, tmp_path, kept):
     with pytest.raises(InvalidInput, match=r"r\.h5: it cannot be read as HDF5"):
         read_record(path)
     assert path.read_bytes() == before
+
+
+def test_damaged_numbers_do_not_pass(record, tmp_path):
+    path = write_record(record, tmp_path / "r.h5")
+    data = path.read_bytes()
+    for place in (data.index(record["e_B_eta"].tobytes()) + 7, data.index(b"seal-rig")):
+        damaged = bytearray(data)
+        damaged[place] ^= 0x01
+        path.write_bytes(damaged)
+        with pytest.raises(InvalidInput, match=r"r\.h5: it cannot be read as HDF5"):
+            read_record(path)
 
 
 def set_attribute(name, value):
