@@ -269,6 +269,7 @@ def test_trace_goes_to_a_file(tmp_path):
         (Scenario("x", 1.0, sines=(Sine("e_A_zeta", 1.0, 1e4),)), {"dt": 1e-4}, "sample faster"),
         (Scenario("x", 1.0, unbalances=(Unbalance("A", 1.0),), speed=1e4), {"dt": 1e-4}, "sample faster"),
         (Scenario("x", 1.0), {"dt": 0.0}, "dt is 0"),
+        (Scenario("x", 1e300), {}, "shorten the scenario"),
         (Scenario("x", 1.0), {"displacement_limit": -1.0}, "displacement_limit"),
     ],
 )

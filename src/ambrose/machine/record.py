@@ -75,6 +75,7 @@ class Record:
             raise invalid(f"{self.signals[i]} at {at}", values[i, j], "finite", "cut the record before it, or measure again")
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
+        object.__setattr__(self, "notes", tuple(sorted(self.notes)))  # files do not keep their order
 
     @property
     def dt(self) -> float:
@@ -239,13 +240,18 @@ def _number(value: Any, name: str) -> float:
 
 
 def _write_hdf5(record: Record, path: Path) -> None:
+    """In the format of HDF5 1.10 with checksums on data and structure, and texts of fixed length: damage is always noticed."""
     import h5py
 
-    with h5py.File(path, "w") as file:
-        file.attrs.update(_attributes(record))
+    def fixed(value: Any) -> Any:
+        text = value.encode() if isinstance(value, str) else b""
+        return np.array(text, h5py.string_dtype("utf-8", len(text))) if text else value
+
+    with h5py.File(path, "w", libver=("v110", "v110")) as file:
+        file.attrs.update({key: fixed(value) for key, value in _attributes(record).items()})
         group = file.create_group("signals", track_order=True)
         for name, unit, values in zip(record.signals, record.units, record.values, strict=True):
-            group.create_dataset(name, data=values, dtype="f8", fletcher32=True).attrs["unit"] = unit
+            group.create_dataset(name, data=values, dtype="f8", chunks=True, fletcher32=True).attrs["unit"] = fixed(unit)
 
 
 def _read_hdf5(path: Path) -> Record:

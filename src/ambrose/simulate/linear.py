@@ -27,6 +27,7 @@ from ambrose.simulate.waveforms import FASTEST, waveforms
 LoopAt = Callable[[float], Any]
 _SAMPLE_TIME = 1e-4  # [s] unless the scenario, the loop or the caller says otherwise
 _ESCAPE = 1e-3  # [m] where an unstable loop is stopped when no displacement limit is given
+_LARGEST = 500_000_000  # numbers in one simulation: 4 GB
 _FROZEN = 5  # speeds of a run-up at which the poles are looked at
 _FEWEST, _MOST = 32, 1024  # intervals of constant speed in a run-up
 _CLOSE, _TOLERATED = 1e-3, 1e-2  # error of a run-up, as a fraction of the peak: aimed at, and refused
@@ -55,7 +56,11 @@ def run(
     """
     loop_at, first, speed = _resolve(loop, scenario, point)
     step = _sample_time(first, scenario, dt)
-    k = int(scenario.duration / step + 1e-6) + 1
+    k = int(min(scenario.duration / step, 1e15) + 1e-6) + 1
+    if k * (len(first.inputs) + len(first.outputs)) > _LARGEST:
+        raise invalid(
+            "the number of samples", f"{k:g}", f"at most {_LARGEST} values in all", "shorten the scenario or raise dt"
+        )
     names, c = waveforms(scenario, first.inputs, step, k, mass)
     shown = list(first.outputs if outputs is None else outputs)
     watched = [name for name in first.outputs if name.startswith("q_")] or [n for n in first.outputs if n.startswith("y_")]
