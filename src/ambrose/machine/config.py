@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import tomllib
-import uuid
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from importlib.resources import files
@@ -19,6 +18,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import SCHEMA_VERSION, Machine, Material, SealTable, ShaftSection
 from ambrose.machine.validate import check_machine
 from ambrose.machine.wording import meant
+from ambrose.machine.writing import write_text
 
 _LARGEST_FILE = 10_000_000  # bytes; a machine file has a few thousand
 
@@ -63,22 +63,7 @@ def save_machine(machine: Machine, path: str | os.PathLike[str]) -> Path:
     Raises InvalidInput for a machine that fails ``check_machine`` (nothing is written) and for a path that cannot be written.
     """
     check_machine(machine)
-    target = Path(path)
-    text = dumps_machine(machine)
-    draft = target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}.tmp") if target.name else target
-    try:
-        with draft.open("x", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(draft, target)
-    except OSError as error:
-        if target.name:
-            draft.unlink(missing_ok=True)
-        raise InvalidInput(
-            f"cannot write the machine file {target}: {error.strerror}; choose a file in an existing folder"
-        ) from error
-    return target
+    return write_text(path, dumps_machine(machine), "machine file")
 
 
 def dumps_machine(machine: Machine) -> str:
