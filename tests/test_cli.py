@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from ambrose.cli import main
+from ambrose.machine.config import bundled_machines
 
 RIG = "seal-rig"
 
@@ -124,9 +125,7 @@ BAD = {
 
 @pytest.fixture
 def bad_files(tmp_path, controller):
-    import ambrose.machines as bundled
-
-    text = (Path(next(iter(bundled.__path__))) / "seal-rig.toml").read_text()
+    text = Path(str(bundled_machines()["seal-rig"])).read_text()
     (tmp_path / "cut.toml").write_text(text[: text.index("[[bearing]]") + 20])
     (tmp_path / "negative.toml").write_text(text + '\n[[disc]]\nname = "d"\nposition = 0.4\nmass = -1\n')
     (tmp_path / "unit.toml").write_text(text.replace('"50 mm"', '"50 kg"', 1))

@@ -189,24 +189,10 @@ def model_comparison(plant: Plant, reduced: Plant) -> list[tuple[str, Curve]]:
     return pairs
 
 
-def response_curves(traces: tuple[tuple[str, Trace], ...]) -> list[tuple[str, Curve]]:
-    """Displacements and coil currents of every trace as curves for the report."""
-    curves = []
-    for label, trace in traces:
-        record = trace.record
-        for prefix, what, unit in (("y", "displacement", "m"), ("i", "current", "A")):
-            names = [signal for signal in record.signals if signal.startswith(f"{prefix}_")]
-            title = f"{what}, {trace.scenario}"
-            values = record.select(names).values
-            labels = tuple(name.removeprefix(f"{prefix}_") for name in names)
-            curve = Curve(f"{trace.scenario}.{what}", title, "time", record.time, values, labels, "s", unit)
-            curves.append((label, curve))
-    return curves
-
-
 def write_report(study: Study, path: Path) -> None:
     """report.html: one self-contained page."""
     from ambrose.report.document import write
+    from ambrose.report.traces import trace_curves
     from ambrose.report.verification import verification_report
 
     rotor = finite_element_rotor(study.machine)
@@ -224,7 +210,7 @@ def write_report(study: Study, path: Path) -> None:
             ("full model", f"{full.rotor.n_states} rotor states, {full.system.n_states} with amplifiers and sensors"),
             ("reduced model", f"{reduced.rotor.n_states} rotor states, {reduced.system.n_states} with amplifiers and sensors"),
         ),
-        responses=response_curves(study.traces),
+        responses=[(label, curve) for label, trace in study.traces for curve in trace_curves(trace, study.machine)],
         comparison=model_comparison(full, reduced),
         facts=(
             ("Controller", f"{study.synthesis.method}, {study.synthesis.controller.n_states} states, {study.synthesis.status}"),
