@@ -188,6 +188,36 @@ def test_two_real_parameters_alone():
     assert (result.lower[truth == 0] == 0).all()
 
 
+def three_real_parameters(m, limit):
+    """mu for three real scalars: one scanned, the other two exact; a few scans with each order of the parameters."""
+    best = np.inf
+    c = np.linspace(-limit, limit, 4001)
+    for order in ((0, 1, 2), (1, 2, 0), (0, 2, 1)):
+        p = m[np.ix_(order, order)]
+        F = p[:2, :2] + (c / (1 - p[2, 2] * c))[:, None, None] * (p[:2, 2:] @ p[2:, :2])
+        a, b, det = F[:, 0, 0], F[:, 1, 1], np.linalg.det(F)
+        A2, A1, A0 = (a * det.conj()).imag, (-det.conj() - a * b.conj()).imag, b.conj().imag
+        root = A1**2 - 4 * A2 * A0
+        for sign in (1, -1):
+            d = (-A1 + sign * np.sqrt(np.maximum(root, 0))) / (2 * A2)
+            e = ((1 - a * d) / (b - det * d)).real
+            size = np.maximum(np.maximum(np.abs(d), np.abs(e)), np.abs(c))
+            best = min(best, size[root >= 0].min(initial=np.inf))
+    return 1 / best
+
+
+def test_three_real_parameters_alone():
+    blocks = [RealBlock(name) for name in "abc"]
+    rng = np.random.default_rng(3)
+    M = rng.standard_normal((COUNT, 3, 3)) + 1j * rng.standard_normal((COUNT, 3, 3))
+    result = mu_bounds(M, blocks)
+    truth = np.array([three_real_parameters(m, 3 / max(upper, 1e-3)) for m, upper in zip(M, result.upper, strict=True)])
+    assert (result.upper >= truth * (1 - 1e-9)).all()
+    is_singular(M, blocks, result)
+    assert (result.lower >= truth * (1 - 1e-3)).mean() >= 0.9
+    assert (result.lower <= truth * (1 + 2e-3)).all()  # the scan's resolution
+
+
 def test_real_repeated_alone_is_the_largest_real_eigenvalue():
     M = random_matrices(12, [RealBlock("d", 3)]).real
     result = mu_bounds(M, [RealBlock("d", 3)])

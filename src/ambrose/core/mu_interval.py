@@ -261,18 +261,8 @@ def mu_certificate(
     matrices = _matrices(system)
     check_matrix(matrices.D, structure)
     gamma = check_positive(gamma, "gamma", "give the level mu must stay below")
-    first, last = (float(edge) for edge in interval)
-    if matrices.dt is not None:
-        last = min(last, np.pi / matrices.dt)
-    if not 0 <= first < last:
-        raise invalid("interval", interval, "0 <= from < to (and below Nyquist)", "give it in rad/s")
-    p = np.linalg.eigvals(matrices.A) if len(matrices.A) else np.zeros(0, complex)
+    first, last = _checked_interval(matrices, interval)
     low, high = matrices.warp(first), matrices.warp(last)
-    scale = np.abs(p).max(initial=1e-300)
-    bad = (np.abs(p.real) <= 1e-10 * np.abs(p) + 1e-14 * scale) & (np.abs(p.imag) >= low) & (np.abs(p.imag) <= high)
-    if bad.any():
-        where = matrices.unwarp(float(np.abs(p[bad][0].imag)))
-        raise InvalidInput(f"the system has a pole on the stability limit at {where:g} rad/s; leave it out of the interval")
     todo = [(low, high)]
     pieces: list[tuple[float, float, float]] = []
     open_ranges: list[tuple[float, float]] = []
@@ -302,6 +292,23 @@ def mu_certificate(
             todo.append((end, b))
     ordered = np.array(sorted(pieces)).reshape(-1, 3)
     return MuCertificate(not open_ranges, gamma, (first, last), ordered, tuple(sorted(open_ranges)), gap, open_frequency)
+
+
+def _checked_interval(matrices: _Matrices, interval: tuple[float, float]) -> tuple[float, float]:
+    """The interval, cut at the Nyquist frequency, without poles on the stability limit."""
+    first, last = (float(edge) for edge in interval)
+    if matrices.dt is not None:
+        last = min(last, np.pi / matrices.dt)
+    if not 0 <= first < last:
+        raise invalid("interval", interval, "0 <= from < to (and below Nyquist)", "give it in rad/s")
+    p = np.linalg.eigvals(matrices.A) if len(matrices.A) else np.zeros(0, complex)
+    low, high = matrices.warp(first), matrices.warp(last)
+    scale = np.abs(p).max(initial=1e-300)
+    bad = (np.abs(p.real) <= 1e-10 * np.abs(p) + 1e-14 * scale) & (np.abs(p.imag) >= low) & (np.abs(p.imag) <= high)
+    if bad.any():
+        where = matrices.unwarp(float(np.abs(p[bad][0].imag)))
+        raise InvalidInput(f"the system has a pole on the stability limit at {where:g} rad/s; leave it out of the interval")
+    return first, last
 
 
 def _trial(a: float, b: float) -> float:

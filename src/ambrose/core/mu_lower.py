@@ -225,7 +225,7 @@ def _real_only(
         found = np.abs(top) > 1e-12 * norm[:, 0]
         size[found], best[found, 0] = 1 / np.abs(top[found]), 1 / top[found]
         return size, best
-    low, high = goal.copy(), 8.0 * goal
+    low, high = goal.copy(), np.maximum(8.0 * goal, np.abs(q).max(axis=1))
     for _ in range(rounds):
         box = np.where(np.isinf(size), high, np.sqrt(low * np.minimum(high, size)))
         root, ok = _newton_in_box(M, parts.member, np.where(np.isinf(size)[:, None], q, best), box)
@@ -280,14 +280,28 @@ def _boxed_step(J: np.ndarray, target: np.ndarray, q: np.ndarray, edge: np.ndarr
 def _random_reals(M: np.ndarray, parts: _Parts, reach: np.ndarray, rng: np.random.Generator, *, corner: bool) -> np.ndarray:
     """Random parameters in the box +-reach (b,), or at its corners; with complex blocks the best of a few, by a quick look."""
     b, m = len(M), len(parts.member)
-    tries = _TRIES if parts.structure.complex and m else 1
+    tries = _TRIES if m > (0 if parts.structure.complex else 1) else 1
     spread = rng.uniform(-1, 1, (tries, b, m))
     q = reach[:, None] * (np.sign(spread) if corner else spread)
     if tries == 1:
         return q[0]
     q = np.concatenate([q, np.stack([_on_pole(M, parts, guess, reach) for guess in q])])
+    if not parts.structure.complex:
+        return _best_root(M, parts, q, reach)
     size = np.stack([_evaluate(M, parts, guess, None, 1).size for guess in q])
     return np.take_along_axis(q, size.argmin(axis=0)[None, :, None], axis=0)[0]
+
+
+def _best_root(M: np.ndarray, parts: _Parts, q: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Of several starts q (tries, b, m), the root of det(I - M Q) = 0 in the smallest box; the last start where none leads."""
+    M_rr = M[:, parts.real_z[:, None], parts.real_w[None, :]]
+    best, size = q[-1].copy(), np.full(len(M), np.inf)
+    for guess in q:
+        root, ok = _newton_in_box(M_rr, parts.member, guess, reach)
+        reached = np.where(ok, np.abs(root).max(axis=1), np.inf)
+        better = reached < size
+        best[better], size[better] = root[better], reached[better]
+    return best
 
 
 def _on_pole(M: np.ndarray, parts: _Parts, q: np.ndarray, reach: np.ndarray) -> np.ndarray:

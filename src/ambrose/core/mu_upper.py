@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.lft import FullBlock, RealBlock
+from ambrose.core.mu_scaling import Basis, scaling_basis
 from ambrose.core.mu_structure import Structure, osborne
 
 _SHRINK = (1.0, 0.98, 0.9, 0.7, 0.45, 0.2, 0.07, 0.02)  # fractions of the way to the dual bound that the predictor tries
@@ -39,97 +40,6 @@ class UpperBound:
     iterations: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Basis:
-    """S(x) = sum x_a S_a as sparse entries (row, column, coefficient, variable), and full blocks apart by their diagonal.
-
-    The rows of S are (w, z, x): the last part carries the barrier of X, one row per repeated channel and per full block.
-    """
-
-    n_w: int
-    n_z: int
-    n_x: int
-    count: int  # variables
-    row: np.ndarray
-    column: np.ndarray
-    mix: np.ndarray  # (entries, variables) complex
-    dense: np.ndarray  # (variables, N N) complex: every S_a, flat
-    full: tuple[tuple[int, np.ndarray], ...]  # (variable, diagonal of S_a)
-    trace: np.ndarray  # (variables,) tr X
-    start: np.ndarray  # (variables,) X = I, G = 0
-    is_g: np.ndarray
-
-    def assemble(self, x: np.ndarray) -> np.ndarray:
-        """S (b, N, N) for variables x (b, variables)."""
-        N = self.n_w + self.n_z + self.n_x
-        return (x @ self.dense).reshape(len(x), N, N)
-
-
-def _basis(structure: Structure, *, g_scaling: bool) -> _Basis:
-    n_w, n_z = structure.n_w, structure.n_z
-    entries: list[tuple[int, int, complex, int]] = []
-    full: list[tuple[int, FullBlock, int, int, int]] = []
-    trace: list[float] = []
-    is_g: list[bool] = []
-    n_x = 0
-    for place in structure.places:
-        w, z, x = place.w.start, n_w + place.z.start, n_w + n_z + n_x
-        if isinstance(place.block, FullBlock):
-            full.append((len(trace), place.block, w, z, x))
-            trace.append(1.0)
-            is_g.append(False)
-            n_x += 1
-            continue
-        r = place.block.repeat
-        hermitian = [[(p, p, 1.0 + 0j)] for p in range(r)]
-        for p in range(r):
-            for q in range(p + 1, r):
-                hermitian += [[(p, q, 1.0 + 0j), (q, p, 1.0 + 0j)], [(p, q, 1j), (q, p, -1j)]]
-        for matrix in hermitian:
-            for p, q, c in matrix:
-                entries += [(w + p, w + q, c, len(trace)), (z + p, z + q, -c, len(trace)), (x + p, x + q, c, len(trace))]
-            trace.append(1.0 if len(matrix) == 1 else 0.0)
-            is_g.append(False)
-        if g_scaling and isinstance(place.block, RealBlock):
-            for matrix in hermitian:
-                for p, q, c in matrix:
-                    entries += [(w + p, z + q, -1j * c, len(trace)), (z + p, w + q, 1j * c, len(trace))]
-                trace.append(0.0)
-                is_g.append(True)
-        n_x += r
-    diagonals = []
-    for variable, block, w, z, x in full:
-        diagonal = np.zeros(n_w + n_z + n_x)
-        diagonal[w : w + block.n_w] = 1.0
-        diagonal[z : z + block.n_z] = -1.0
-        diagonal[x] = 1.0
-        diagonals.append((variable, diagonal))
-    mix = np.zeros((len(entries), len(trace)), complex)
-    for k, (_, _, c, variable) in enumerate(entries):
-        mix[k, variable] = c
-    index = np.array([entry[:2] for entry in entries], int).reshape(-1, 2)
-    N = n_w + n_z + n_x
-    dense = np.zeros((len(trace), N, N), complex)
-    for p, q, c, variable in entries:
-        dense[variable, p, q] += c
-    for variable, diagonal in diagonals:
-        dense[variable, np.arange(N), np.arange(N)] = diagonal
-    return _Basis(
-        n_w,
-        n_z,
-        n_x,
-        len(trace),
-        index[:, 0],
-        index[:, 1],
-        mix,
-        dense.reshape(len(trace), N * N),
-        tuple(diagonals),
-        np.array(trace),
-        np.array(trace),
-        np.array(is_g),
-    )
-
-
 def positive_definite(F: np.ndarray) -> np.ndarray:
     """Which members of the Hermitian batch F (b, n, n) are positive definite, (b,) bool."""
     try:
@@ -144,7 +54,7 @@ class _Path:
 
     __slots__ = ("P", "S", "V", "basis", "gradient", "hessian", "kernel")
 
-    def __init__(self, basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> None:
+    def __init__(self, basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> None:
         n_w, n_z = basis.n_w, basis.n_z
         S = basis.assemble(x)
         V = np.concatenate([beta[:, None, None] * np.eye(n_w), M], axis=1)
@@ -209,7 +119,7 @@ def _solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
     return d * np.linalg.solve(scaled, (g * d)[..., None])[..., 0]
 
 
-def _inside(basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> np.ndarray:
+def _inside(basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """Whether F > 0 and X > 0, (b,)."""
     n = basis.n_w + basis.n_z
     S = basis.assemble(x)
@@ -246,7 +156,7 @@ def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
 
 
 def _lower_beta(
-    basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray, path: _Path, target: np.ndarray
+    basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray, path: _Path, target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The predictor: move along the tangent of the path of centres as far towards ``target`` as stays inside."""
     slope = _solve(path.hessian, path.tangent())
@@ -265,7 +175,7 @@ def _lower_beta(
     return new_x, new_beta
 
 
-def _drop_to_zero(basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _drop_to_zero(basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """With real blocks only, beta = 0 is reached when M^H X M + j (G M - M^H G) < 0; then G~ = G / beta at a tiny beta."""
     near = np.full(len(x), _ZERO / 10)
     dropped = np.where(basis.is_g, x * (beta / near)[:, None], x)
@@ -275,7 +185,7 @@ def _drop_to_zero(basis: _Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray)
 
 def _minimise(
     structure: Structure,
-    basis: _Basis,
+    basis: Basis,
     M: np.ndarray,
     beta: np.ndarray,
     level: np.ndarray,
@@ -389,7 +299,7 @@ def upper_bound(
     G = np.zeros((b, structure.n_w, structure.n_z), complex)
     value, worst, iterations = _verified_osborne(structure, unit, alive)
     if len(alive) and needs_scaling(structure):
-        basis = _basis(structure, g_scaling=g_scaling)
+        basis = scaling_basis(structure, g_scaling=g_scaling)
         low = (np.zeros(b) if level is None else level / scale)[alive]
         x, beta, direction, iterations = _minimise(
             structure, basis, unit[alive], np.maximum(1.05, np.minimum(low, 10.0)), low, tolerance, max_iterations
