@@ -31,10 +31,11 @@ from ambrose.simulate.trace import Trace
 from ambrose.synthesis import pid
 from ambrose.synthesis.certify import certify
 from ambrose.synthesis.result import Synthesis
-from ambrose.verify import nominal
+from ambrose.verify import campbell, nominal
 from ambrose.verify.checks import Checks, Curve
 
 Progress = Callable[[str], None]
+_CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10
 SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance patterns of P5
 
 
@@ -42,7 +43,7 @@ SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance pa
 class Study:
     """Everything that one run found; plants, checks and traces go by operating point, the nominal one first.
 
-    traces: (operating point, trace) pairs.
+    traces: (operating point, trace) pairs. speed_curves: the Campbell map, for machines that turn.
     """
 
     machine: Machine
@@ -51,6 +52,7 @@ class Study:
     synthesis: Synthesis
     checks: tuple[Checks, ...]
     traces: tuple[tuple[str, Trace], ...]
+    speed_curves: tuple[Curve, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -72,7 +74,7 @@ def run(machine: Machine, directory: Path, progress: Progress = lambda stage: No
     synthesis = kept_or_designed(plants[0], directory / "controller.json")
     checks = verification(plants, synthesis.controller, progress)
     traces = simulations(plants, synthesis.controller, progress)
-    study = Study(machine, plants, reduced, synthesis, checks, traces)
+    study = Study(machine, plants, reduced, synthesis, checks, traces, campbell_map(plants[0], synthesis.controller, progress))
     progress("writing the report")
     write_json(directory / "checks.json", {"machine": machine.name, "points": [checks_to_dict(c) for c in checks]})
     write_report(study, directory / "report.html")
@@ -148,6 +150,16 @@ def simulation(plant: Plant, controller: Any, scenario: str) -> Trace:
     )
 
 
+def campbell_map(plant: Plant, controller: Any, progress: Progress) -> tuple[Curve, ...]:
+    """Closed-loop natural frequencies and damping over the machine's speed range; empty for one that does not turn."""
+    low, high = plant.machine.operation.speed_range
+    if high <= low:
+        return ()
+    progress("following the modes over speed")
+    along = campbell.campbell(_plants_along_speed(plant), np.linspace(low, high, _CAMPBELL_SPEEDS), _CAMPBELL_MODES, controller)
+    return tuple(campbell.campbell_curves(along))
+
+
 def facts(machine: Machine) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies, open-loop poles, sizes."""
     rotor = finite_element_rotor(machine)
@@ -212,6 +224,7 @@ def write_report(study: Study, path: Path) -> None:
         ),
         responses=[(label, curve) for label, trace in study.traces for curve in trace_curves(trace, study.machine)],
         comparison=model_comparison(full, reduced),
+        over_speed=[(full.point.label, curve) for curve in study.speed_curves],
         facts=(
             ("Controller", f"{study.synthesis.method}, {study.synthesis.controller.n_states} states, {study.synthesis.status}"),
             ("Certified on", certificate.plant),

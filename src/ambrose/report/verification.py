@@ -26,6 +26,7 @@ def verification_report(
     models: Sequence[tuple[str, str]] = (),
     responses: Labelled = (),
     comparison: Labelled = (),
+    over_speed: Labelled = (),
     facts: Sequence[tuple[str, str]] = (),
     title: str = "Verification of the magnetic bearing loop",
     date: str = "",
@@ -35,7 +36,8 @@ def verification_report(
     verifications: one Checks per operating point, labelled as in ``machine.operation``; their curves of the same name share a
     figure. node_positions (n,) [m], shapes (n, k), frequencies (k,) [rad/s]: see plots.rotor_drawing. models: (name, size in
     words) such as ("full model", "320 states"). responses: (operating point, Curve) pairs of time responses; comparison:
-    (model, Curve) pairs, the reference model first; pairs whose curves share a name share a figure. facts: (name, text) for
+    (model, Curve) pairs, the reference model first; over_speed: (operating point, Curve) pairs of the Campbell map; pairs
+    whose curves share a name share a figure. facts: (name, text) for
     the head, e.g. the controller. date: ISO date, today if empty. Raises InvalidInput.
     """
     order = [checks.label for checks in verifications]
@@ -50,6 +52,9 @@ def verification_report(
             "Peaks in the legends are read from the points drawn; the tables hold the refined ones."
         )
         sections.append(Section("Closed loop", text, curve_figures(loops, order)))
+    if over_speed:
+        text = "The closed loop assembled anew at every speed; where a mode meets the line of the speed, unbalance drives it."
+        sections.append(Section("Over speed", text, curve_figures(over_speed, order)))
     if responses:
         text = "Linear model: valid while currents and displacements stay well inside their limits."
         sections.append(Section("Time responses", text, curve_figures(responses, order)))
