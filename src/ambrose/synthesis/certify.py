@@ -14,7 +14,6 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import (
     StateSpace,
     as_statespace,
-    close,
     feedback,
     poles,
     select,
@@ -24,11 +23,10 @@ from ambrose.core.statespace import (
 )
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
-from ambrose.synthesis.margins import loop_margins
 from ambrose.synthesis.result import Certificate
 
 
-def certify(plant: Plant | StateSpace, controller: Any, label: str = "", axis_margins: bool = True) -> Certificate:
+def certify(plant: Plant | StateSpace, controller: Any, label: str = "") -> Certificate:
     """Stability, output sensitivity and margins of the loop of core/lft.py, recomputed from plant and controller.
 
     plant: a Plant, or a StateSpace from currents u [A] to displacements y [m] (its signals matched to the controller's by
@@ -38,30 +36,22 @@ def certify(plant: Plant | StateSpace, controller: Any, label: str = "", axis_ma
     - ``sensitivity_peak``, ``complementary_peak`` [-]: H-infinity norms of S_o and T_o;
     - ``disk_gain_margin``, ``disk_gain_reduction`` [-], ``disk_phase_margin_rad``: what every axis at once may change, each
       by its own factor, the better of the bounds M_S/(M_S-1), M_S/(M_S+1), 2 asin(1/2M_S) and 1+1/M_T, 1-1/M_T,
-      2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981);
-    - ``gain_margin``, ``gain_reduction`` [-], ``phase_margin_rad``, and each with ``.<axis>``: one axis opened, the others
-      closed; the first three are the worst axis'. inf and 0 where no crossing exists. Left out with axis_margins False.
+      2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981). Margins of single axes: verify/margins.py.
 
     An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises InvalidInput when sizes do not fit.
     """
-    open_plant, controller, axes = _loop_parts(plant, controller)
+    open_plant, controller = _loop_parts(plant, controller)
     loop = series(controller, open_plant)
-    identity = static_gain(np.eye(len(axes)), [f"d_{a}" for a in axes], [f"y_{a}" for a in axes], loop.dt)
-    sensitivity = feedback(identity, loop)
-    abscissa = spectral_abscissa(sensitivity)
+    identity = np.eye(len(loop.outputs))
+    abscissa = spectral_abscissa(feedback(loop, static_gain(identity, dt=loop.dt)))
     fastest = fastest_pole(controller)
     label = label or _label(plant)
     if not abscissa < 0:
         return Certificate(False, abscissa, float("inf"), fastest, {}, label)
     loop = continuous_equivalent(loop)  # margins and norms do not change under the bilinear map
-    peak = float(hinf_norm(feedback(static_gain(np.eye(len(axes))), loop)).value)
-    complementary = float(hinf_norm(feedback(loop, static_gain(np.eye(len(axes))))).value)
-    margins = {
-        "sensitivity_peak": peak,
-        "complementary_peak": complementary,
-        **disk_margins(peak, complementary),
-        **(_axis_margins(loop, axes) if axis_margins else {}),
-    }
+    peak = float(hinf_norm(feedback(static_gain(identity), loop)).value)
+    complementary = float(hinf_norm(feedback(loop, static_gain(identity))).value)
+    margins = {"sensitivity_peak": peak, "complementary_peak": complementary, **disk_margins(peak, complementary)}
     return Certificate(True, abscissa, peak, fastest, margins, label)
 
 
@@ -83,12 +73,11 @@ def generalized_certificate(plant: GeneralizedPlant, controller: Any, label: str
     return Certificate(norm < np.inf, abscissa, norm, fastest_pole(controller), {}, label)
 
 
-def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace, tuple[str, ...]]:
-    """The plant from u to y (sampled like the controller), the controller, and the names of the axes."""
+def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace]:
+    """The plant from u to y (sampled like the controller), and the controller."""
     if isinstance(plant, Plant):
         system = select(plant.system, plant.named("u"), plant.named("y"))
         controller = named_controller(plant, controller)
-        axes = plant.axes
     else:
         system, controller = as_statespace(plant), as_statespace(controller)
         if controller.D.shape != system.D.shape[::-1] or system.D.shape[0] != system.D.shape[1]:
@@ -98,12 +87,11 @@ def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace,
                 f"{system.D.shape[::-1]} and square",
                 "select() the plant's currents and displacements",
             )
-        axes = tuple(name.removeprefix("y_") for name in system.outputs)
     if controller.dt is not None and system.dt is None:
         system = c2d(system, controller.dt)
     if controller.dt != system.dt and controller.n_states:
         raise invalid("the controller's sample time", controller.dt, f"the plant's {system.dt}", "resample one of them")
-    return system, controller, axes
+    return system, controller
 
 
 def _label(plant: Plant | StateSpace) -> str:
@@ -111,27 +99,6 @@ def _label(plant: Plant | StateSpace) -> str:
         return f"{plant.n_states} states"
     point = plant.point.label or f"{plant.point.speed:g} rad/s, {plant.point.seal_pressure:g} Pa"
     return f"{plant.machine.name}, {point}, {plant.system.n_states} states"
-
-
-def _axis_margins(loop: StateSpace, axes: tuple[str, ...]) -> dict[str, float]:
-    rows = [loop_margins(opened(loop, i)) for i in range(len(axes))]
-    worst = {
-        "gain_margin": min(row.gain_margin for row in rows),
-        "gain_reduction": max(row.gain_reduction for row in rows),
-        "phase_margin_rad": min(row.phase_margin for row in rows),
-    }
-    for axis, row in zip(axes, rows, strict=True):
-        worst[f"gain_margin.{axis}"] = row.gain_margin
-        worst[f"gain_reduction.{axis}"] = row.gain_reduction
-        worst[f"phase_margin_rad.{axis}"] = row.phase_margin
-    return worst
-
-
-def opened(loop: StateSpace, axis: int) -> StateSpace:
-    """The scalar loop seen at one output of a square ``loop`` with negative feedback while all other outputs stay closed."""
-    gain = -np.eye(len(loop.outputs))
-    gain[axis, axis] = 0.0
-    return select(close(loop, gain), loop.inputs[axis], loop.outputs[axis])
 
 
 def disk_margins(sensitivity_peak: float, complementary_peak: float) -> dict[str, float]:

@@ -39,7 +39,7 @@ def synthesize(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
     certificate = certify(plant, design)
     stable = certificate.stable
     if settings.sample_time is not None:
-        sampled = certify(plant, discrete(design, settings.sample_time, settings.delay), axis_margins=False)
+        sampled = certify(plant, discrete(design, settings.sample_time, settings.delay))
         stable = stable and sampled.stable
         extra = {"sampled_spectral_abscissa": sampled.spectral_abscissa, "sampled_sensitivity_peak": sampled.closed_loop_norm}
         certificate = replace(certificate, margins={**certificate.margins, **extra})

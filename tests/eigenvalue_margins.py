@@ -1,4 +1,5 @@
-"""Gain and phase margins of one scalar loop, from eigenvalues: no crossing is missed for falling between grid points."""
+"""Oracle of verify/margins.py: gain and phase margins of one scalar loop from eigenvalues, so that no crossing is missed for
+falling between grid points; slow on large plants."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
-from ambrose.core.statespace import StateSpace, balance
+from ambrose.core.statespace import StateSpace, balance, close, select
 
 _PER_DECADE = 20  # points added to the eigenvalues' frequencies, a second net for eigenvalues that rounding displaced
 _LARGEST = 1e9  # gain factors beyond this are rounding noise where the loop gain vanishes: no limit
@@ -50,6 +51,13 @@ def loop_margins(loop: StateSpace) -> LoopMargins:
         float(factors[(factors < 1) & (factors > 1 / _LARGEST)].max(initial=0.0)),
         float(np.abs(np.angle(-unit)).min(initial=np.pi)),
     )
+
+
+def opened(loop: StateSpace, axis: int) -> StateSpace:
+    """The scalar loop seen at one output of a square ``loop`` with negative feedback while all other outputs stay closed."""
+    gain = -np.eye(len(loop.outputs))
+    gain[axis, axis] = 0.0
+    return select(close(loop, gain), loop.inputs[axis], loop.outputs[axis])
 
 
 def _ends(form: SchurForm) -> np.ndarray:
