@@ -131,6 +131,8 @@ def _design(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
             A, B, C, D = central_controller(normal, gamma)
             controller = original_controller(scaled, (A, B @ T_y, T_u @ C, T_u @ D @ T_y), job.plant.y, job.plant.u)
             certificate = verified(job.plant, controller, gamma)
+        except _TimeOut:
+            raise
         except (AmbroseError, np.linalg.LinAlgError) as failure:
             reasons.append(f"back-off {1 + step:.4g}: {failure}")
             job.say(reasons[-1])
@@ -196,7 +198,12 @@ def _regularised(job: _Job, scaled: ScaledPlant, assumptions: Assumptions) -> Sy
 def _by_lmi(job: _Job, scaled: ScaledPlant) -> Synthesis:
     from ambrose.synthesis.hinf_lmi import lmi_controller, smallest_gamma
 
-    optimal = smallest_gamma(scaled, job.clock.left)
+    def time_left() -> float:
+        job.check_time()
+        return job.clock.left
+
+    prepared = smallest_gamma(scaled, time_left)
+    optimal = prepared.gamma
     job.say(f"the matrix inequalities give gamma {optimal:.6g}")
     reasons = []
     step = max(job.backoff - 1, job.tolerance)
@@ -205,9 +212,11 @@ def _by_lmi(job: _Job, scaled: ScaledPlant) -> Synthesis:
         gamma = optimal * (1 + step)
         try:
             controller = original_controller(
-                scaled, lmi_controller(scaled, gamma, job.clock.left), job.plant.y, job.plant.u
+                scaled, lmi_controller(prepared, gamma, time_left), job.plant.y, job.plant.u
             )  # fmt: skip
             certificate = verified(job.plant, controller, gamma)
+        except _TimeOut:
+            raise
         except (AmbroseError, np.linalg.LinAlgError) as failure:
             reasons.append(f"back-off {1 + step:.4g}: {failure}")
             job.say(reasons[-1])
