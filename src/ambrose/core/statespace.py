@@ -174,7 +174,7 @@ def _polynomial(coefficients: ArrayLike, name: str) -> np.ndarray:
 def poles(system: Any) -> np.ndarray:
     """Eigenvalues of A, (n,) complex [rad/s, or z-plane when sampled], sorted by modulus."""
     system = as_statespace(system)
-    values = np.linalg.eigvals(system.A) if system.n_states else np.zeros(0, complex)
+    values = np.linalg.eigvals(system.A).astype(complex) if system.n_states else np.zeros(0, complex)
     return values[np.lexsort((values.imag, values.real, np.abs(values)))]
 
 
