@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from ambrose.core.checks import InvalidInput, check_finite, check_positive, inva
 from ambrose.core.statespace import index_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
+from ambrose.machine.writing import draft_of
 
 FORMAT, VERSION = "ambrose-record", 1
 _PREFIXES = {
@@ -178,17 +178,11 @@ def read_record(path: str | Path) -> Record:
 
 
 def write_record(record: Record, path: str | Path) -> Path:
-    """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises InvalidInput, OSError."""
+    """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises InvalidInput."""
     path = Path(path)
     writer = _by_suffix(path, {".h5": _write_hdf5, ".hdf5": _write_hdf5, ".csv": _write_csv})
-    if not path.parent.is_dir():
-        raise InvalidInput(f"{path.parent} is not a directory; create it first")
-    draft = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.tmp")
-    try:
+    with draft_of(path, "record") as draft:
         writer(record, draft)
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)
     return path
 
 

@@ -20,6 +20,11 @@ def draft_of(path: str | os.PathLike[str], what: str) -> Iterator[Path]:
     target = Path(path)
     if not target.name or target.is_dir():
         raise invalid(f"the path of the {what}", repr(str(target)), "that of a file", "add a file name")
+    if not target.parent.is_dir():
+        raise InvalidInput(
+            f"cannot write the {what} {target}: {target.parent} is not a directory; "
+            "give a file in an existing folder, or create the folder first"
+        )
     draft = target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
         yield draft

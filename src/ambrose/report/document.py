@@ -15,8 +15,6 @@ it is escaped here. jinja2 and plotly are imported inside the functions.
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import dataclass
 from datetime import date as calendar
 from importlib.resources import files
@@ -26,6 +24,7 @@ from typing import Any
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
+from ambrose.machine.writing import write_text
 
 MARKS = {"": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": ""}
 
@@ -173,22 +172,4 @@ def write(report: Report, path: str | Path) -> Path:
 
     Returns the path. Raises InvalidInput when the folder does not exist or cannot be written to.
     """
-    target = Path(path)
-    text = render(report)
-    try:
-        descriptor, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
-    except OSError as error:
-        raise InvalidInput(
-            f"the report cannot be written to {target.parent} ({error.strerror}); create the folder first"
-        ) from error
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-    return target
+    return write_text(path, render(report), "report")
