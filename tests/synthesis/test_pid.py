@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from eigenvalue_margins import loop_margins, opened
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
@@ -26,6 +25,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis import pid
 from ambrose.synthesis.filters import lead, low_pass, notch
+from eigenvalue_margins import loop_margins, opened
 
 OMEGA = np.geomspace(1e-2, 1e5, 60)
 PLAIN = PidSettings(gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, derivative_filter=0.1)

@@ -14,8 +14,7 @@ class Certificate:
 
     closed_loop_norm [-]: H-infinity norm that the method minimises (for PID: the output sensitivity's); spectral_abscissa
     [rad/s] of the closed loop, negative when stable; fastest_pole [rad/s]: largest modulus among the controller's poles;
-    margins: named numbers such as {"sensitivity_peak": ..., "disk_gain_margin": ..., "disk_phase_margin_rad": ...}; plant: what it was
-    verified on.
+    margins: named numbers such as {"sensitivity_peak": ..., "disk_gain_margin": ...}; plant: what it was verified on.
     """
 
     stable: bool
