@@ -24,7 +24,7 @@ from ambrose.synthesis.hinf_scaling import Matrices, ScaledPlant
 _FLOOR = 1e-9  # gamma below this fraction of the plant's gain from w to z counts as zero
 _GROWTH = (1.02, 1.2, 2.0, 4.0, 10.0)  # successive factors above the lower bound, the last one repeated
 _LARGEST = 1e12  # how far above the lower bound a solution is looked for
-_STEPS = 100
+_STEPS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,9 +104,10 @@ def _solve(plant: ScaledPlant, gamma: float, name: str) -> tuple[np.ndarray, str
     X = solution.X
     values = np.linalg.eigvalsh(X)
     if values.size and values[0] < -1e-12 * max(values[-1], 0.0):
-        # X >= 0 exactly when A + B2 F2 is stable; this test does not depend on the states' units
-        F2 = _gains(plant, gamma, X)[len(plant.B1.T) :]
-        if np.linalg.eigvals(plant.A + plant.B2 @ F2).real.max() >= 0:
+        # X >= 0 exactly when u = -(C1' + B2^T X) x alone stabilises; a test that does not depend on the states' units
+        rows = len(plant.C1) - plant.B2.shape[1]
+        closed = plant.A - plant.B2 @ (plant.C1[rows:] + plant.B2.T @ X)
+        if np.linalg.eigvals(closed).real.max() >= 0:
             return X, f"{name}: not positive semidefinite"
     return X, ""
 
@@ -117,8 +118,6 @@ def _gains(plant: ScaledPlant, gamma: float, X: np.ndarray) -> np.ndarray:
     N, E = plant.D11[:k], plant.D11[k:]
     S = gamma**2 * np.eye(N.shape[1]) - N.T @ N
     F1 = np.linalg.solve(S, N.T @ plant.C1[:k] + (plant.B1 - plant.B2 @ E).T @ X)
-    if np.isinf(gamma):
-        F1 = np.zeros_like(F1)
     return np.vstack([F1, -(plant.C1[k:] + plant.B2.T @ X) - E @ F1])
 
 
@@ -170,7 +169,7 @@ def search_gamma(plant: ScaledPlant, tolerance: float, report: Callable[[Level],
         high = attempt(gamma)
         if high.feasible:
             break
-        if gamma > _LARGEST * low.gamma and gamma > _LARGEST * plant.gain:
+        if gamma > _LARGEST * max(start, plant.gain, floor):
             why = base.reason if not base.feasible else high.reason
             raise NumericalFailure(
                 f"no gamma up to {gamma:.3g} passes the Riccati conditions ({why}); look for weights or modes whose poles are "
