@@ -207,6 +207,9 @@ def test_verdicts_in_plain_words(verifications: list[Checks]) -> None:
     unstable = tables.verdict(Checks("p", False, ()))
     assert (unstable.passed, unstable.symbol) == (False, "✗")
     assert "UNSTABLE" in unstable.text
+    pole = replace(good, limit=0.0, passed=False, detail="pole at 49.2 Hz forward, damping ratio -0.171; pole at 7 Hz planar")
+    words = "UNSTABLE: pole at 49.2 Hz forward, damping ratio -0.171; nothing else was evaluated"
+    assert tables.verdict(Checks("p", False, (pole,))).text == words
 
 
 def test_overview_has_a_verdict_as_symbol_and_word_for_each_point(verifications: list[Checks]) -> None:

@@ -16,11 +16,14 @@ _VIOLATED = {"<=": ">", ">=": "<", "<": "≥", ">": "≤"}
 
 
 def verdict(checks: Checks) -> Verdict:
-    """The verdict in plain words: "stable, 14 of 16 checks passed; fails: output sensitivity 4.1 > 3 (at 41 Hz)"."""
+    """The verdict in plain words: "stable, 14 of 16 checks passed; fails: output sensitivity 4.1 > 3 (at 41 Hz)".
+
+    Of an unstable loop it names the rightmost pole.
+    """
     judged = [check for check in checks.checks if check.passed is not None]
     failed = [check for check in judged if not check.passed]
     if not checks.stable:
-        why = ", ".join(_reason(check) for check in failed).removeprefix("stability: ")
+        why = ", ".join(_place(check) or _reason(check) for check in failed)
         return Verdict(checks.label, False, f"UNSTABLE{': ' if why else ''}{why}; nothing else was evaluated")
     if not judged:
         return Verdict(checks.label, True, "stable; no limits were given to check against")
@@ -33,13 +36,18 @@ def _reasons(failed: Sequence[Check]) -> str:
 
 
 def _reason(check: Check) -> str:
-    detail = units.prose(check.detail.split(";")[0].strip().rstrip("."))
+    detail = _place(check)
     where = "" if not detail or len(detail) > 60 else f" {detail}" if detail.startswith("at ") else f" ({detail})"
     title = units.prose(check.title if check.title[:2].isupper() else check.title[:1].lower() + check.title[1:])
     if check.limit is None:
         return f"{title} {units.quantity(check.value, _unit(check))}{where}"
     value, limit = units.pair(check.value, check.limit, _unit(check))
     return f"{title} {value} {_VIOLATED.get(check.relation, '≠')} {limit}{where}"
+
+
+def _place(check: Check) -> str:
+    """The first clause of the detail."""
+    return units.prose(check.detail.split(";")[0].strip().rstrip("."))
 
 
 def _unit(check: Check) -> str:

@@ -121,7 +121,7 @@ def pole_checks(
     """The checks of this file's table.
 
     top_speed [rad/s]: modes up to it are held against the log decrement, whatever their direction; so is the first mode that
-    can ring and does not whirl backward. listed_to [rad/s]: the details name the five least damped modes up to there.
+    can ring and does not whirl backward. listed_to [rad/s]: a detail lists the five least damped modes up to there.
     """
     worst = int(np.argmax(found.poles.real))
     abscissa = float(found.poles[worst].real)
@@ -141,35 +141,36 @@ def pole_checks(
         checks.append(
             judge(
                 "poles.log_decrement.lowest",
-                f"Log decrement up to {ceiling / TWO_PI:.4g} Hz",
+                "Log decrement of the modes up to the top speed",
                 found.log_decrement[k],
                 "-",
                 demand("log decrement", requirements),
-                describe(found, k),
+                f"{describe(found, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one included",
             )
         )
     order = ringing[np.argsort(found.damping[ringing])]
     near = [k for k in order if found.frequency[k] <= listed_to][:5]
     least = order[0]
-    detail = f"{describe(found, least)}; least damped up to {listed_to / TWO_PI:.4g} Hz: " + (
-        "; ".join(describe(found, k) for k in near) or "none"
-    )
+    where = f"at {_place(found, least)}"
+    listed = ", ".join(f"{_place(found, k)} {found.damping[k]:.3g}" for k in near) or "none"
+    detail = f"{where}; least up to {listed_to / TWO_PI:.4g} Hz: {listed}"
     return [
         *checks,
-        information("poles.log_decrement.least", "Least log decrement of all poles", found.log_decrement[least], "-", detail),
+        information("poles.log_decrement.least", "Least log decrement of all poles", found.log_decrement[least], "-", where),
         information("poles.damping.least", "Least damping ratio of all poles", found.damping[least], "-", detail),
     ]
 
 
 def describe(found: Modes, k: int) -> str:
-    """One mode in words: frequency, direction, damping."""
+    """One pole in words: "pole at 49.2 Hz forward, damping ratio -0.171"."""
     pole = found.poles[k]
     if pole.imag == 0:
-        return f"real pole {pole.real:.4g} rad/s"
-    return (
-        f"{pole.imag / TWO_PI:.4g} Hz {direction(found.whirl[k])}, damping ratio {found.damping[k]:.4g}, "
-        f"log decrement {found.log_decrement[k]:.4g}"
-    )
+        return f"real pole at {pole.real:.4g} rad/s"
+    return f"pole at {_place(found, k)}, damping ratio {found.damping[k]:.3g}"
+
+
+def _place(found: Modes, k: int) -> str:
+    return f"{found.frequency[k] / TWO_PI:.4g} Hz {direction(found.whirl[k])}"
 
 
 def _stability_detail(found: Modes, worst: int) -> str:
@@ -177,8 +178,8 @@ def _stability_detail(found: Modes, worst: int) -> str:
     if not unstable.size:
         return f"rightmost: {describe(found, worst)}"
     unstable = unstable[np.argsort(-found.poles[unstable].real)]
-    named = "; ".join(f"pole {found.poles[k]:.4g} rad/s ({describe(found, k)})" for k in unstable[:4])
-    return f"unstable: {named}" + (f" and {unstable.size - 4} more" if unstable.size > 4 else "")
+    named = "; ".join(describe(found, k) for k in unstable[:4])
+    return named + (f"; and {unstable.size - 4} more" if unstable.size > 4 else "")
 
 
 def pole_curve(found: Modes) -> Curve:
