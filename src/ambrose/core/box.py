@@ -1,0 +1,212 @@
+"""A loop with real parameters in a box: its gain and the number of its unstable poles at any point of the box.
+
+The parameters are pulled out of a stable system: w = diag(delta) z, (z, e) = M (w, d), so that at every frequency
+
+    T(delta) = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12        d -> e
+
+costs a small matrix whatever the order of the system. ``box_search.py`` looks for the worst that can happen in the box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import UnstableSystem, check_shape, invalid
+from ambrose.core.frequency import SchurForm, evaluate, schur_form
+from ambrose.core.lft import Block, RealBlock
+from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectral_abscissa
+
+_CHUNK = 400_000  # matrices worked on at once
+_STEP = 0.8  # rad, largest turn of the determinant between two grid points that is trusted
+_ROUNDS = 12
+_WEAK = 0.1  # norm of M11 delta, over the channels, below which a frequency is left out unless its neighbour is not
+_ALL_CORNERS = 8  # parameters up to which every corner is visited
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxLoop:
+    """A stable continuous loop whose first inputs w and outputs z belong to ``blocks``, one real parameter each.
+
+    owner (n,): the parameter that channel belongs to; form: for evaluation; poles (s,) of the loop with delta = 0.
+    """
+
+    system: StateSpace
+    blocks: tuple[RealBlock, ...]
+    owner: np.ndarray
+    form: SchurForm
+    poles: np.ndarray
+
+    @property
+    def parameters(self) -> int:
+        return len(self.blocks)
+
+    def at(self, omega: np.ndarray) -> np.ndarray:
+        """M (w, n + p, n + m) at omega (w,) [rad/s], infinity allowed."""
+        values = np.broadcast_to(self.system.D, (len(omega), *self.system.D.shape)).astype(complex)
+        finite = np.isfinite(omega)
+        values[finite] = evaluate(self.form, 1j * omega[finite])
+        return values
+
+
+def box_loop(system: Any, blocks: Sequence[Block]) -> BoxLoop:
+    """Raises InvalidInput for blocks that are not real or do not fit, UnstableSystem when delta = 0 is unstable already."""
+    system = as_statespace(system)
+    other = [block.name for block in blocks if not isinstance(block, RealBlock)]
+    if other or not blocks:
+        raise invalid("the blocks", other or "none", "real parameters, at least one", "use mu_bounds for complex ones")
+    real = tuple(block for block in blocks if isinstance(block, RealBlock))
+    owner = np.repeat(np.arange(len(real)), [block.repeat for block in real])
+    if system.dt is not None or min(system.D.shape) < len(owner):
+        raise invalid("the loop", repr(system), f"continuous with {len(owner)} or more inputs and outputs", "list w, z first")
+    if not is_stable(system):
+        raise UnstableSystem(
+            f"the loop with all parameters nominal has a pole with real part {spectral_abscissa(system):.4g} rad/s; "
+            "robustness is a question about a stable loop: change the controller first"
+        )
+    form = schur_form(system.A, system.B, system.C, system.D)
+    return BoxLoop(system, real, owner, form, form.poles)
+
+
+def default_grid(loop: BoxLoop, per_decade: int = 60) -> np.ndarray:
+    """Frequencies (w,) [rad/s] from 0.01 times the slowest to 100 times the fastest pole, denser around resonances."""
+    modulus = np.abs(loop.poles)
+    if not modulus.size:
+        return np.array([1.0])
+    low, high = 0.01 * modulus.min(), 100 * modulus.max()
+    net = np.geomspace(low, high, int(per_decade * np.log10(high / low)) + 2)
+    light = loop.poles[(loop.poles.imag > 0) & (-loop.poles.real < 0.3 * modulus)]
+    beside = light.imag[:, None] + light.real[:, None] * np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
+    return np.unique(np.concatenate([net, beside[beside > low]]))
+
+
+def corners(parameters: int, seed: int = 0) -> np.ndarray:
+    """The corners (c, k) of the box for up to 8 parameters, 256 random ones beyond."""
+    if parameters <= _ALL_CORNERS:
+        return np.array(list(product((-1.0, 1.0), repeat=parameters)))
+    return np.random.default_rng(seed).choice((-1.0, 1.0), (256, parameters))
+
+
+def samples(parameters: int, count: int = 64, seed: int = 1) -> np.ndarray:
+    """Points (c, k) inside the box: evenly spaced for one parameter, random for several."""
+    if parameters == 1:
+        return np.linspace(-1, 1, count + 1)[:, None]
+    return np.random.default_rng(seed).uniform(-1, 1, (count, parameters))
+
+
+def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
+    """Largest singular value of T(delta), (d, w), for M (w, n + p, n + m) of ``loop.at`` and delta (d, k)."""
+    return np.linalg.norm(transfers(M, loop, delta), 2, axis=(2, 3))
+
+
+def transfers(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
+    """T(delta) (d, w, p, m)."""
+    n = len(loop.owner)
+    wide = delta[:, loop.owner][:, None, None, :]  # on the columns of M11 and M21
+    step = max(1, _CHUNK // max(1, len(M)))
+    parts = []
+    for start in range(0, len(delta), step):
+        D = wide[start : start + step]
+        right = np.broadcast_to(M[:, :n, n:], (len(D), len(M), n, M.shape[2] - n))
+        inner = np.linalg.solve(np.eye(n) - M[:, :n, :n] * D, right)
+        parts.append(M[:, n:, n:] + (M[:, n:, :n] * D) @ inner)
+    return np.concatenate(parts) if parts else np.zeros((0, len(M), M.shape[1] - n, M.shape[2] - n), complex)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """M11 at ascending frequencies, 0 and infinity included: omega (w,) [rad/s], M11 (w, n, n), its norms (w,)."""
+
+    omega: np.ndarray
+    M11: np.ndarray
+    norms: np.ndarray
+
+
+def sweep(loop: BoxLoop, grid: np.ndarray | None = None) -> Sweep:
+    """M11 on a grid (default: ``default_grid``), to be used for many perturbations."""
+    return _evaluated(loop, np.unique(np.concatenate([[0.0], default_grid(loop) if grid is None else grid, [np.inf]])))
+
+
+def _evaluated(loop: BoxLoop, omega: np.ndarray) -> Sweep:
+    n = len(loop.owner)
+    M11 = loop.at(omega)[:, :n, :n]
+    return Sweep(omega, M11, np.linalg.norm(M11, 2, axis=(1, 2)))
+
+
+def unstable_poles(loop: BoxLoop, delta: np.ndarray, start: Sweep | None = None) -> np.ndarray:
+    """How many poles of the loop lie in the right half plane for every delta (d, k), (d,).
+
+    By the turns of det(I - M11 diag(delta)) along the imaginary axis (argument principle): the sweep is refined until the
+    determinant turns by less than 0.8 rad between neighbours; where it does not come to rest, a pole is next to the axis, and
+    the eigenvalues decide. Raises InvalidInput.
+    """
+    delta = check_shape(delta, "delta", "(d, k)", k=loop.parameters)
+    return count_unstable(loop, delta, sweep(loop) if start is None else start)[0]
+
+
+def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.ndarray, Sweep]:
+    """``unstable_poles``, and the sweep with the frequencies that had to be added."""
+    # where the perturbation cannot turn the determinant noticeably only the neighbours of other points are needed
+    strong = start.norms * np.abs(delta).max(initial=0.0) > _WEAK / len(loop.owner)
+    near = strong.copy()
+    near[1:] |= strong[:-1]
+    near[:-1] |= strong[1:]
+    near[[0, -1]] = True
+    omega, values = start.omega[near], _determinants(start.M11[near], loop, delta)
+    for _ in range(_ROUNDS):
+        wild = (_turns(values) > _STEP).any(axis=0)
+        a, b = omega[:-1][wild], omega[1:][wild]
+        new = np.where(np.isinf(b), 4 * a + 1, np.where(a > 0, np.sqrt(a * b), b / 8))
+        new = np.unique(new[(new > a) & (new < b)])
+        if not new.size:
+            break
+        added = _evaluated(loop, new)
+        omega, order = _merged(omega, new)
+        values = np.hstack([values, _determinants(added.M11, loop, delta)])[:, order]
+        fresh = ~np.isin(new, start.omega)
+        whole, order = _merged(start.omega, new[fresh])
+        start = Sweep(
+            whole,
+            np.concatenate([start.M11, added.M11[fresh]])[order],
+            np.concatenate([start.norms, added.norms[fresh]])[order],
+        )
+    turns = np.angle(values[:, 1:] / values[:, :-1]).sum(axis=1) / np.pi
+    count = np.rint(-turns)
+    unclear = (_turns(values) > _STEP).any(axis=1) | (np.abs(-turns - count) > 0.1) | (count < 0)
+    for i in np.flatnonzero(unclear):
+        count[i] = (np.linalg.eigvals(perturbed_matrix(loop, delta[i])).real >= 0).sum()
+    return count.astype(int), start
+
+
+def _merged(old: np.ndarray, new: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    together = np.concatenate([old, new])
+    order = np.argsort(together)
+    return together[order], order
+
+
+def _turns(values: np.ndarray) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turns = np.abs(np.angle(values[:, 1:] / values[:, :-1]))
+    return np.where(np.isfinite(turns), turns, np.pi)
+
+
+def _determinants(M11: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
+    """det(I - M11 diag(delta)), (d, w)."""
+    eye = np.eye(len(loop.owner))
+    step = max(1, _CHUNK // max(1, len(M11)))
+    parts = [
+        np.linalg.det(eye - M11 * delta[start : start + step][:, loop.owner][:, None, None, :])
+        for start in range(0, len(delta), step)
+    ]
+    return np.concatenate(parts) if parts else np.zeros((0, len(M11)), complex)
+
+
+def perturbed_matrix(loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
+    """The state matrix of the loop at delta (k,)."""
+    n, s = len(loop.owner), loop.system
+    D = np.diag(delta[loop.owner])
+    return s.A + s.B[:, :n] @ D @ np.linalg.solve(np.eye(n) - s.D[:n, :n] @ D, s.C[:n])
