@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from tokenize import TokenError
 from typing import Any
 
 from ambrose.machine.wording import meant, shown
@@ -145,7 +146,7 @@ def _factor_by_pint(unit: str, dimension_name: str) -> float:
     registry, errors = _registry()
     try:
         given = registry.Unit(re.sub(r"([A-Za-z])(-?\d)", r"\1**\2", unit))
-    except (errors.PintError, AttributeError, TypeError, ValueError, KeyError, AssertionError) as error:
+    except (errors.PintError, TokenError, AttributeError, TypeError, ValueError, KeyError, AssertionError) as error:
         close = meant(unit, dimension.units)
         raise LookupError("its unit is unknown" + (f' (did you mean "{close}"?)' if close else "")) from error
     if dimension.closed or not given.is_compatible_with(canonical_for_pint(dimension.unit)):
