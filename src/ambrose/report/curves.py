@@ -253,7 +253,8 @@ def _limits(figure: Any, panel: Panel, curves: Labelled, axes: Axes, *, named: b
         taken.append((at, right - width, right))
         figure.add_annotation(
             xref="x domain", x=right, y=y, text=theme.plain(words), showarrow=False, xanchor="right", yanchor="bottom",
-            yshift=-2, font={"size": 12, "color": theme.LIMIT}, **place,
+            yshift=-1, bgcolor="rgba(255, 255, 255, 0.85)", borderpad=0,  # a line just above does not strike it through
+            font={"size": 12, "color": theme.LIMIT}, **place,
         )  # fmt: skip
 
 
