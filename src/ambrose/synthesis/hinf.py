@@ -15,7 +15,7 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.synthesis.certify import generalized_certificate
 from ambrose.synthesis.hinf_assumptions import Assumptions, check_assumptions, full_regularisation
-from ambrose.synthesis.hinf_riccati import GammaSearch, Level, central_controller, normal_form, search_gamma
+from ambrose.synthesis.hinf_riccati import Level, balanced, central_controller, normal_form, search_gamma
 from ambrose.synthesis.hinf_scaling import ScaledPlant, original_controller, scale_plant
 from ambrose.synthesis.result import Certificate, Synthesis
 
@@ -123,23 +123,27 @@ def _design(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
         job.check_time()
 
     search = search_gamma(normal, job.tolerance, report)
+    if search.inaccurate:
+        job.say("rounding spoiled some of these; searching again in states that balance X and Y")
+        normal = balanced(normal, search.best)
+        search = search_gamma(normal, job.tolerance, report)
     reasons = []
     step = max(job.backoff - 1, 0.0)
     for _ in range(_WIDER):
-        gamma = search.upper * (1 + step)
+        gamma = search.best.gamma * (1 + step)
         try:
             A, B, C, D = central_controller(normal, gamma)
             controller = original_controller(scaled, (A, B @ T_y, T_u @ C, T_u @ D @ T_y), job.plant.y, job.plant.u)
             certificate = verified(job.plant, controller, gamma)
-        except _TimeOut:
-            raise
         except (AmbroseError, np.linalg.LinAlgError) as failure:
             reasons.append(f"back-off {1 + step:.4g}: {failure}")
             job.say(reasons[-1])
         else:
             job.say(f"verified: norm {certificate.closed_loop_norm:.6g} at gamma {gamma:.6g}")
-            notes = _backoff_note(job, step)
-            return _Design(controller, certificate, search.lower, search.upper, gamma, epsilon, _rows(search, epsilon), notes)
+            rows = tuple({**row, "epsilon": epsilon} for row in search.history)
+            return _Design(
+                controller, certificate, search.lower, search.best.gamma, gamma, epsilon, rows, _backoff_note(job, step)
+            )
         job.check_time()
         step = max(2 * step, job.tolerance)
     raise NumericalFailure(
@@ -152,10 +156,6 @@ def _backoff_note(job: _Job, step: float) -> tuple[str, ...]:
     if step <= job.backoff - 1:
         return ()
     return (f"the back-off is {1 + step:.4g} instead of {job.backoff:g}: closer to the optimum verification failed",)
-
-
-def _rows(search: GammaSearch, epsilon: float) -> tuple[dict[str, float], ...]:
-    return tuple({**row, "epsilon": epsilon} for row in search.history)
 
 
 def verified(plant: GeneralizedPlant, controller: StateSpace, gamma: float) -> Certificate:

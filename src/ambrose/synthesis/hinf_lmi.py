@@ -25,7 +25,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.synthesis.hinf_scaling import Matrices, ScaledPlant
 
 _MARGINS = ((1e-3, 1e3), (1e-4, 1e4), (1e-6, 1e6))  # (strictness of the inequalities, largest R and S) when designing
-_ROUNDS = 3  # solved again in coordinates and units in which R, S and gamma are close to 1
+_ROUNDS = 4  # solved again in coordinates and units in which R, S and gamma are close to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepar
         if not gamma > 0:
             raise NumericalFailure(f"the matrix inequalities give gamma = {gamma:.3g}; w has no effect on z that matters")
         plant = _balanced(plant, solution.R, solution.S)
-        if 0.5 < gamma / last < 2:
+        if abs(gamma / last - 1) < 5e-4:
             break
     return Prepared(gamma, plant, rate)
 

@@ -44,11 +44,14 @@ class Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GammaSearch:
-    """The optimal gamma lies between ``lower`` and ``upper``, the latter reachable; ``limit`` is what fails below."""
+    """The optimal gamma lies between ``lower`` and ``best.gamma``, which can be reached.
+
+    inaccurate: whether rounding spoiled a level, so that ``lower`` may be too high; history: a row for each level.
+    """
 
     lower: float
-    upper: float
-    limit: str
+    best: Level
+    inaccurate: bool
     history: tuple[dict[str, float], ...]
 
 
@@ -150,10 +153,12 @@ def search_gamma(plant: ScaledPlant, tolerance: float, report: Callable[[Level],
     every level and may raise to end the search. Raises NumericalFailure when even large gammas fail.
     """
     history: list[dict[str, float]] = []
+    inaccurate: list[str] = []
 
     def attempt(gamma: float) -> Level:
         level = try_gamma(plant, gamma)
         history.append({"gamma": gamma, "feasible": float(level.feasible), "rho": level.rho})
+        inaccurate.extend([level.reason] if "inaccurate" in level.reason else [])
         report(level)
         return level
 
@@ -180,7 +185,7 @@ def search_gamma(plant: ScaledPlant, tolerance: float, report: Callable[[Level],
     while high.gamma > (1 + tolerance) * low.gamma and len(history) < _STEPS:
         level = attempt(_next(low, high, tolerance))
         low, high = (low, level) if level.feasible else (level, high)
-    return GammaSearch(low.gamma, high.gamma, low.reason, tuple(history))
+    return GammaSearch(low.gamma, high, bool(inaccurate), tuple(history))
 
 
 def _next(low: Level, high: Level, tolerance: float) -> float:
@@ -232,6 +237,27 @@ def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
     C1 = F2 + D @ np.linalg.solve(D21, C2)
     A = plant.A + plant.B1 @ F[:q] + plant.B2 @ F2 + B1 @ np.linalg.solve(D21, C2)
     return A, B1, C1, D
+
+
+def balanced(plant: ScaledPlant, level: Level) -> ScaledPlant:
+    """The plant in states in which X and Y of a feasible ``level`` are equal and diagonal, as far as they are not singular.
+
+    There the Riccati equations are solved to full accuracy where X or Y spans many decades. Source: Jonckheere & Silverman
+    1983, IEEE Trans. Automatic Control 28 (balancing for control), by the square-root method.
+    """
+    L_x, L_y = _root(level.X), _root(level.Y)
+    U, values, Vt = np.linalg.svd(L_y.T @ L_x)
+    root = np.sqrt(np.maximum(values, 1e-300))
+    T, inverse = L_y @ U / root, (L_x @ (Vt.T / root)).T
+    B1, B2, C1, C2 = inverse @ plant.B1, inverse @ plant.B2, plant.C1 @ T, plant.C2 @ T
+    return replace(plant, A=inverse @ plant.A @ T, B1=B1, B2=B2, C1=C1, C2=C2)
+
+
+def _root(X: np.ndarray) -> np.ndarray:
+    """L (n, n) with L L^T = X, nearly zero and negative eigenvalues raised to 1e-14 of the largest."""
+    values, U = np.linalg.eigh(X)
+    largest = float(np.abs(values).max(initial=0.0))
+    return U * np.sqrt(np.maximum(values, 1e-14 * largest if largest > 0 else 1.0))
 
 
 def _even(X: np.ndarray, Y: np.ndarray) -> np.ndarray:

@@ -145,16 +145,6 @@ def machine_problem(
     return design_plant(reduce(assemble(machine, point), bending_modes), weights, uncertain=uncertain)
 
 
-def operating_point(machine: Machine, label: str) -> OperatingPoint:
-    """The operating point whose label is, or else the only one that starts with, ``label``; raises InvalidInput."""
-    points = machine.operation.points
-    found = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]
-    if len(found) != 1:
-        known = ", ".join(repr(p.label) for p in points)
-        raise InvalidInput(f"operating point {label!r} is not one point of machine {machine.name!r}; it has {known}")
-    return found[0]
-
-
 def published_p5_weights() -> Weights:
     """The weights of the published P5 plant, as printed or inferred: M = 3, A_w = 1e-3, w_B = 1.5 rad/s, W_u = 0.315."""
     data = published_p5_data()["weights"]
