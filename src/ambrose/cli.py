@@ -133,7 +133,7 @@ def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
 @click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
 @click.option("--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario.")
 @click.option("--linear", is_flag=True, help="The linear model (the nonlinear rig is not there yet).")
-@click.option("--point", default=None, help="Label of an operating point; default: the nominal one.")
+@click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
 @AS_JSON
 def simulate(machine: str, path: Path, scenario: str, linear: bool, point: str | None, output: Path, as_json: bool) -> None:

@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.checks import AmbroseError
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles, select
 from ambrose.export.files import match_controller, read_controller, write_controller
 from ambrose.export.results import checks_to_dict, write_json
 from ambrose.machine.config import machine_hash
 from ambrose.machine.description import Machine
+from ambrose.machine.parameters import operating_point
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, free_modes, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
@@ -87,11 +88,11 @@ def full_plants(machine: Machine) -> tuple[Plant, ...]:
 
 
 def plant_at(machine: Machine, label: str | None) -> Plant:
-    """The full plant at the operating point of that label (None: the nominal one). Raises InvalidInput."""
-    points = {point.label: point for point in machine.operation.points}
-    if label is not None and label not in points:
-        raise InvalidInput(f"operating point {label!r} is unknown; machine {machine.name!r} has {', '.join(map(repr, points))}")
-    return assemble(machine, machine.operation.nominal if label is None else points[label])
+    """The full plant at the operating point of that label, or of which it is the beginning (None: the nominal one).
+
+    Raises InvalidInput.
+    """
+    return assemble(machine, machine.operation.nominal if label is None else operating_point(machine, label))
 
 
 def design(plant: Plant) -> Synthesis:

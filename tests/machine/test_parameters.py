@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.config import load_machine
-from ambrose.machine.parameters import QUANTITIES, Parameter, find_parameter, parse_parameter
+from ambrose.machine.parameters import QUANTITIES, Parameter, find_parameter, operating_point, parse_parameter
 from ambrose.machine.units import DIMENSIONS
 
 GOOD = {
@@ -116,3 +116,12 @@ class TestOfAMachine:
     def test_no_such_table(self):
         with pytest.raises(InvalidInput, match=r"the machine has no \[\[coupling\]\]"):
             find_parameter(load_machine("turboexpander"), "coupling.x.stiffness")
+
+
+def test_operating_point_by_label():
+    rig = load_machine("seal-rig")
+    assert operating_point(rig, "zero").seal_pressure == 0
+    with pytest.raises(InvalidInput, match="'nominal pressure'"):
+        operating_point(rig, "half")
+    with pytest.raises(InvalidInput, match="not one point"):
+        operating_point(rig, "")

@@ -13,6 +13,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.machine.description import Machine
+from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.published import published_p5, published_p5_data, published_p5_pid
@@ -22,7 +23,6 @@ from ambrose.synthesis import pid
 from ambrose.synthesis.problem import (
     design_plant,
     machine_problem,
-    operating_point,
     published_p5_problem,
     published_p5_weights,
     with_performance_block,
@@ -149,14 +149,6 @@ def test_performance_block_spans_what_is_left():
     assert (whole.n_w_blocks, whole.n_z_blocks) == (len(whole.w), len(whole.z))
     with pytest.raises(InvalidInput, match="block already"):
         with_performance_block(whole)
-
-
-def test_operating_point_by_label(rig):
-    assert operating_point(rig, "zero").seal_pressure == 0
-    with pytest.raises(InvalidInput, match="'nominal pressure'"):
-        operating_point(rig, "half")
-    with pytest.raises(InvalidInput, match="not one point"):
-        operating_point(rig, "")
 
 
 def test_refusals(rig, plant):

@@ -35,8 +35,8 @@ from ambrose.core.statespace import StateSpace, as_statespace, close, rename, se
 
 
 @dataclass(frozen=True, slots=True)
-class RealBlock:
-    """delta I_repeat with -1 <= delta <= 1, real: one physical parameter."""
+class _ScalarBlock:
+    """delta I_repeat; abstract."""
 
     name: str
     repeat: int = 1
@@ -54,22 +54,13 @@ class RealBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class ComplexBlock:
+class RealBlock(_ScalarBlock):
+    """delta I_repeat with -1 <= delta <= 1, real: one physical parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComplexBlock(_ScalarBlock):
     """delta I_repeat with |delta| <= 1, complex: unmodelled dynamics in one channel, possibly repeated."""
-
-    name: str
-    repeat: int = 1
-
-    def __post_init__(self) -> None:
-        _check_count(self.repeat, f"repeat of block {self.name!r}")
-
-    @property
-    def n_w(self) -> int:
-        return self.repeat
-
-    @property
-    def n_z(self) -> int:
-        return self.repeat
 
 
 @dataclass(frozen=True, slots=True)

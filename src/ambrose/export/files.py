@@ -27,6 +27,7 @@ from ambrose.export.parsing import (
     parse_text,
     read_json,
 )
+from ambrose.export.results import certificate_to_dict, plain
 from ambrose.machine.config import machine_hash
 from ambrose.machine.description import Machine
 from ambrose.machine.writing import write_text
@@ -105,13 +106,13 @@ def _content(
         "version": VERSION,
         "method": method,
         "status": status,
-        "gamma": _scalar(gamma),
+        "gamma": plain(float(gamma)),
         "inputs": _signals(controller.inputs, *INPUT_UNIT, "inputs"),
         "outputs": _signals(controller.outputs, *OUTPUT_UNIT, "outputs"),
         "sample_time": controller.dt,
         **{letter: getattr(controller, letter).tolist() for letter in "ABCD"},
         "scheduling": None,
-        "certificate": None if certificate is None else _certificate(certificate),
+        "certificate": None if certificate is None else certificate_to_dict(certificate),
         "provenance": {
             "package": "ambrose",
             "package_version": __version__,
@@ -120,23 +121,6 @@ def _content(
             "date": moment.isoformat(timespec="seconds"),
         },
     }
-
-
-def _certificate(certificate: Certificate) -> dict[str, Any]:
-    return {
-        "stable": bool(certificate.stable),
-        "spectral_abscissa": _scalar(certificate.spectral_abscissa),
-        "closed_loop_norm": _scalar(certificate.closed_loop_norm),
-        "fastest_pole": _scalar(certificate.fastest_pole),
-        "margins": {name: _scalar(value) for name, value in certificate.margins.items()},
-        "plant": certificate.plant,
-    }
-
-
-def _scalar(value: float) -> float | str:
-    """A number as JSON has it; "nan", "inf" and "-inf" as text, since JSON has no such numbers."""
-    value = float(value)
-    return value if math.isfinite(value) else str(value)
 
 
 def _signals(names: Sequence[str], prefix: str, unit: str, side: str) -> list[dict[str, str]]:

@@ -1,4 +1,4 @@
-"""Names of single parameters of a machine, as tolerances use them: ``seal.center.k``, ``bearing.A.negative_stiffness.zeta``.
+"""Names in a machine: operating points by label, and single parameters as tolerances name them.
 
 seal.<name>.K | k | C | c | M                    one parameter for both axes (k also as -k), a repeated real block
 seal.<name>.K_xx | K_yy | k_xy | k_yx | C_xx | C_yy | c_xy | c_yx     one entry of the matrix alone
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Machine
+from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.machine.wording import suggestion
 
 _TILTED = ("zeta", "eta")
@@ -104,6 +104,16 @@ def find_parameter(machine: Machine, path: str) -> Parameter:
             path, f'names the unknown {parameter.table} "{parameter.name}"; {suggestion(parameter.name, names, nothing)}'
         )
     return parameter
+
+
+def operating_point(machine: Machine, label: str) -> OperatingPoint:
+    """The operating point whose label is, or else the only one that starts with, ``label``; raises InvalidInput."""
+    points = machine.operation.points
+    found = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]
+    if len(found) != 1:
+        known = ", ".join(repr(p.label) for p in points)
+        raise InvalidInput(f"operating point {label!r} is not one point of machine {machine.name!r}; it has {known}")
+    return found[0]
 
 
 def _wrong(path: str, problem: str) -> InvalidInput:

@@ -19,7 +19,7 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.verify.checks import Check, Curve
 from ambrose.verify.criteria import Demand, judge
-from ambrose.verify.rotor_modes import OSCILLATORY, TWO_PI, Modes, direction, modes
+from ambrose.verify.rotor_modes import OSCILLATORY, TWO_PI, Modes, damping_ratio, direction, modes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ def campbell(plant_at: Callable[[float], Plant], speeds: np.ndarray, count: int,
         whirl.append(candidates.whirl[order])
         shapes = candidates.shapes[:, order]
     p = np.array(poles).T
-    return CampbellMap(speeds, p.imag, -p.real / np.abs(p), np.array(whirl).T)
+    return CampbellMap(speeds, p.imag, damping_ratio(p), np.array(whirl).T)
 
 
 def _ringing(plant: Plant, controller: Any) -> Modes:
