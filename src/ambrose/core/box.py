@@ -23,7 +23,9 @@ from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectr
 
 _CHUNK = 400_000  # matrices worked on at once
 _STEP = 0.8  # rad, largest turn of the determinant between two grid points that is trusted
-_ROUNDS = 12
+_HIDDEN = 1.2  # distance between grid points over the distance of the nearest zero or pole of the determinant (about)
+_BESIDE = 1e-6  # relative step of the derivative in frequency
+_ROUNDS = 14
 _WEAK = 0.1  # norm of M11 delta, over the channels, below which a frequency is left out unless its neighbour is not
 _ALL_CORNERS = 8  # parameters up to which every corner is visited
 
@@ -119,30 +121,40 @@ def transfers(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """M11 at ascending frequencies, 0 and infinity included: omega (w,) [rad/s], M11 (w, n, n), its norms (w,)."""
+    """M11 at ascending frequencies, 0 and infinity included: omega (w,) [rad/s], M11 and slope = dM11/d(ln omega) (w, n, n)."""
 
     omega: np.ndarray
     M11: np.ndarray
-    norms: np.ndarray
+    slope: np.ndarray
+
+    def __getitem__(self, kept: np.ndarray) -> Sweep:
+        return Sweep(self.omega[kept], self.M11[kept], self.slope[kept])
+
+    def joined(self, other: Sweep) -> tuple[Sweep, np.ndarray]:
+        """Both in one, and the order that sorts (self, other)."""
+        omega = np.concatenate([self.omega, other.omega])
+        order = np.argsort(omega)
+        M11, slope = np.concatenate([self.M11, other.M11]), np.concatenate([self.slope, other.slope])
+        return Sweep(omega[order], M11[order], slope[order]), order
 
 
-def sweep(loop: BoxLoop, grid: np.ndarray | None = None) -> Sweep:
-    """M11 on a grid (default: ``default_grid``), to be used for many perturbations."""
-    return _evaluated(loop, np.unique(np.concatenate([[0.0], default_grid(loop) if grid is None else grid, [np.inf]])))
+def sweep(loop: BoxLoop) -> Sweep:
+    """M11 on the default grid, to be used for many perturbations."""
+    return _evaluated(loop, np.concatenate([[0.0], default_grid(loop), [np.inf]]))
 
 
 def _evaluated(loop: BoxLoop, omega: np.ndarray) -> Sweep:
     n = len(loop.owner)
-    M11 = loop.at(omega)[:, :n, :n]
-    return Sweep(omega, M11, np.linalg.norm(M11, 2, axis=(1, 2)))
+    M11, beside = np.split(loop.at(np.concatenate([omega, omega * (1 + _BESIDE)]))[:, :n, :n], 2)
+    return Sweep(omega, M11, (beside - M11) / _BESIDE)
 
 
 def unstable_poles(loop: BoxLoop, delta: np.ndarray, start: Sweep | None = None) -> np.ndarray:
     """How many poles of the loop lie in the right half plane for every delta (d, k), (d,).
 
-    By the turns of det(I - M11 diag(delta)) along the imaginary axis (argument principle): the sweep is refined until the
-    determinant turns by less than 0.8 rad between neighbours; where it does not come to rest, a pole is next to the axis, and
-    the eigenvalues decide. Raises InvalidInput.
+    By the turns of h = det(I - M11 diag(delta)) along the imaginary axis (argument principle). The sweep is refined until h
+    turns by less than 0.8 rad between neighbours and its logarithm changes slowly enough there for no zero to hide between
+    them; where it does not come to rest, a pole is next to the axis, and the eigenvalues decide. Raises InvalidInput.
     """
     delta = check_shape(delta, "delta", "(d, k)", k=loop.parameters)
     return count_unstable(loop, delta, sweep(loop) if start is None else start)[0]
@@ -151,58 +163,58 @@ def unstable_poles(loop: BoxLoop, delta: np.ndarray, start: Sweep | None = None)
 def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.ndarray, Sweep]:
     """``unstable_poles``, and the sweep with the frequencies that had to be added."""
     # where the perturbation cannot turn the determinant noticeably only the neighbours of other points are needed
-    strong = start.norms * np.abs(delta).max(initial=0.0) > _WEAK / len(loop.owner)
+    strong = np.linalg.norm(start.M11, 2, axis=(1, 2)) * np.abs(delta).max(initial=0.0) > _WEAK / len(loop.owner)
     near = strong.copy()
     near[1:] |= strong[:-1]
     near[:-1] |= strong[1:]
     near[[0, -1]] = True
-    omega, values = start.omega[near], _determinants(start.M11[near], loop, delta)
+    used = start[near]
+    h, rate = _determinants(used, loop, delta)
     for _ in range(_ROUNDS):
-        wild = (_turns(values) > _STEP).any(axis=0)
-        a, b = omega[:-1][wild], omega[1:][wild]
+        wild = _restless(used.omega, h, rate).any(axis=0)
+        a, b = used.omega[:-1][wild], used.omega[1:][wild]
         new = np.where(np.isinf(b), 4 * a + 1, np.where(a > 0, np.sqrt(a * b), b / 8))
         new = np.unique(new[(new > a) & (new < b)])
         if not new.size:
             break
         added = _evaluated(loop, new)
-        omega, order = _merged(omega, new)
-        values = np.hstack([values, _determinants(added.M11, loop, delta)])[:, order]
-        fresh = ~np.isin(new, start.omega)
-        whole, order = _merged(start.omega, new[fresh])
-        start = Sweep(
-            whole,
-            np.concatenate([start.M11, added.M11[fresh]])[order],
-            np.concatenate([start.norms, added.norms[fresh]])[order],
-        )
-    turns = np.angle(values[:, 1:] / values[:, :-1]).sum(axis=1) / np.pi
+        used, order = used.joined(added)
+        more, more_rate = _determinants(added, loop, delta)
+        h, rate = np.hstack([h, more])[:, order], np.hstack([rate, more_rate])[:, order]
+        start = start.joined(added[~np.isin(new, start.omega)])[0]
+    turns = np.angle(h[:, 1:] / h[:, :-1]).sum(axis=1) / np.pi
     count = np.rint(-turns)
-    unclear = (_turns(values) > _STEP).any(axis=1) | (np.abs(-turns - count) > 0.1) | (count < 0)
+    unclear = _restless(used.omega, h, rate).any(axis=1) | (np.abs(-turns - count) > 0.1) | (count < 0)
     for i in np.flatnonzero(unclear):
         count[i] = (np.linalg.eigvals(perturbed_matrix(loop, delta[i])).real >= 0).sum()
     return count.astype(int), start
 
 
-def _merged(old: np.ndarray, new: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    together = np.concatenate([old, new])
-    order = np.argsort(together)
-    return together[order], order
-
-
-def _turns(values: np.ndarray) -> np.ndarray:
+def _restless(omega: np.ndarray, h: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Between which neighbours (d, w - 1) h turns far, or has a zero or pole closer than the distance between them."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        turns = np.abs(np.angle(values[:, 1:] / values[:, :-1]))
-    return np.where(np.isfinite(turns), turns, np.pi)
+        turns = np.abs(np.angle(h[:, 1:] / h[:, :-1]))
+        width = np.log(omega[1:] / omega[:-1])
+    width[~np.isfinite(width)] = 0.0
+    hidden = np.maximum(rate[:, 1:], rate[:, :-1]) * width
+    return ~(turns <= _STEP) | (hidden > _HIDDEN)
 
 
-def _determinants(M11: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
-    """det(I - M11 diag(delta)), (d, w)."""
+def _determinants(part: Sweep, loop: BoxLoop, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """h = det(I - M11 diag(delta)) and |dh/d(ln omega)| / |h|, (d, w) each (Jacobi's formula); the latter is 0 at 0 and inf."""
     eye = np.eye(len(loop.owner))
-    step = max(1, _CHUNK // max(1, len(M11)))
-    parts = [
-        np.linalg.det(eye - M11 * delta[start : start + step][:, loop.owner][:, None, None, :])
-        for start in range(0, len(delta), step)
-    ]
-    return np.concatenate(parts) if parts else np.zeros((0, len(M11)), complex)
+    step = max(1, _CHUNK // max(1, len(part.omega)))
+    h, rate = np.empty((len(delta), len(part.omega)), complex), np.empty((len(delta), len(part.omega)))
+    for start in range(0, len(delta), step):
+        wide = delta[start : start + step][:, loop.owner][:, None, None, :]
+        X = eye - part.M11 * wide
+        h[start : start + step] = np.linalg.det(X)
+        singular = h[start : start + step] == 0
+        X[singular] = eye
+        traces = np.einsum("dwii->dw", np.linalg.solve(X, part.slope * wide))
+        rate[start : start + step] = np.where(singular, np.inf, np.abs(traces))
+    rate[:, (part.omega == 0) | np.isinf(part.omega)] = 0.0
+    return h, rate
 
 
 def perturbed_matrix(loop: BoxLoop, delta: np.ndarray) -> np.ndarray:

@@ -1,0 +1,272 @@
+"""Robust verification of one closed loop: what holds for every value of the uncertain parameters within their tolerances.
+
+| check                     | what                                                                                     | unit |
+|---------------------------|------------------------------------------------------------------------------------------|------|
+| robust.stability.box      | corners and samples of the box at which the loop is unstable                              | -    |
+| robust.stability.margin   | factor on all tolerances at which a perturbation was found that destabilises              | -    |
+| robust.stability.proved   | factor on all tolerances up to which stability is proved (mixed mu, all frequencies)      | -    |
+| robust.sensitivity.worst  | largest singular value of S_o over the box, found by search                               | -    |
+| robust.sensitivity.bound  | upper bound of the same by mixed mu, on a frequency grid                                  | -    |
+| robust.sensitivity.input  | largest singular value of S_i over the box, found by search                               | -    |
+| robust.sensitivity.at...  | one parameter only: largest singular value of S_o at delta = -1, -0.5, 0, 0.5, 1          | -    |
+| robust.performance        | mixed mu of the weighted loop (with weights): below 1 they are met all over the box       | -    |
+
+Curves: "robust.sensitivity" and "robust.sensitivity.input" (families over delta), "robust.mu". Give it the reduced plant AND
+the full one: the proof needs the reduced one (it solves eigenproblems of twice the order), spillover shows on the full one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.box import BoxLoop, box_loop, corners, default_grid, gains, samples, unstable_poles
+from ambrose.core.box import sweep as box_sweep
+from ambrose.core.box_search import BoxGain, BoxMargin, box_margin, gain_bound, peak_at, proved_margin, worst_gain
+from ambrose.core.checks import check_shape, invalid
+from ambrose.core.frequency import evaluate, schur_form
+from ambrose.core.lft import GeneralizedPlant, lft
+from ambrose.core.mu_bounds import mu_peak
+from ambrose.core.statespace import StateSpace, as_statespace, is_stable, select, spectral_abscissa, static_gain
+from ambrose.machine.description import Requirements, Tolerance
+from ambrose.plant.model import Plant
+from ambrose.synthesis.problem import design_plant, with_performance_block
+from ambrose.synthesis.weights import Weights
+from ambrose.verify.checks import Check, Checks, Curve
+from ambrose.verify.criteria import SENSITIVITY, Demand, demand, information, judge, zone_lines
+
+TWO_PI = 2 * np.pi
+FAMILY = (-1.0, -0.5, 0.0, 0.5, 1.0)
+_PROOF_STATES = 150  # largest closed loop whose stability is proved: the proof solves eigenproblems of twice the order
+_LOWEST, _HIGHEST = 0.1 * TWO_PI, 5e3 * TWO_PI  # rad/s, of the curves
+_BOUND_POINTS = 60
+
+Progress = Callable[[str, float], None]
+
+
+def check(
+    plant: Plant | GeneralizedPlant,
+    controller: Any,
+    tolerances: Sequence[Tolerance] | None = None,
+    weights: Weights | None = None,
+    *,
+    requirements: Requirements | None = None,
+    omega: ArrayLike | None = None,
+    progress: Progress | None = None,
+) -> Checks:
+    """The verdict on ``controller`` (err -> u, continuous) over the whole box of tolerances.
+
+    plant: full or reduced, or a GeneralizedPlant with u_<axis>, y_<axis> and real blocks; tolerances: default the machine's.
+    weights: with them robust performance is evaluated too. requirements: default the machine's; sensitivity_peak is the limit
+    of the worst case. omega (w,) [rad/s]: grid of the curves (default 0.1 Hz to 5 kHz, dense around resonances).
+    progress(stage, fraction) is called between stages. An unstable nominal loop yields stable=False.
+    Raises InvalidInput: sampled controllers, wrong sizes, no tolerances.
+    """
+    tell = progress or (lambda stage, fraction: None)
+    machine = plant.machine if isinstance(plant, Plant) else None
+    if requirements is None:
+        requirements = machine.requirements if machine is not None else Requirements()
+    controller = as_statespace(controller)
+    if controller.dt is not None:
+        remedy = "give the continuous controller it was made from; nominal.check takes the sampled one"
+        raise invalid("the controller", repr(controller), "continuous", remedy)
+    tell("closed loop", 0.0)
+    label = _label(plant)
+    unit = _unit_problem(plant, tolerances)
+    closed = lft(unit, controller)
+    if not is_stable(closed):
+        abscissa = spectral_abscissa(closed)
+        found = judge("stability.abscissa", "Spectral abscissa", abscissa, "rad/s", Demand(0.0, "<", ""), "nominal parameters")
+        return Checks(label, False, (found,), (), ("Nothing about robustness was evaluated: the nominal loop is unstable.",))
+    output, input_ = _sensitivity_loops(closed, unit)
+    grid = _grid(output, omega)
+    checks, notes = _stability(output, tell)
+    box_holds = checks[0].value == 0
+    tell("sensitivity over the box", 0.4)
+    more, curves = _sensitivity(output, input_, grid, requirements, box_holds)
+    checks += more
+    if not box_holds:
+        notes.append("The loop is unstable somewhere in the box: the worst-case gains are infinite.")
+    if weights is not None:
+        tell("robust performance", 0.7)
+        found, curve = _performance(design_plant(plant, weights, tolerances), controller, grid)
+        checks.append(found)
+        curves.append(curve)
+    tell("done", 1.0)
+    return Checks(label, True, tuple(checks), tuple(curves), tuple(notes))
+
+
+def _label(plant: Plant | GeneralizedPlant) -> str:
+    if not isinstance(plant, Plant):
+        return f"{plant.system.n_states} states"
+    point = plant.point.label or f"{plant.point.speed / TWO_PI:.4g} Hz"
+    size = "full model" if plant.bending_modes is None else f"{plant.bending_modes} bending modes"
+    return f"{point}, {size}"
+
+
+def _unit_problem(plant: Plant | GeneralizedPlant, tolerances: Sequence[Tolerance] | None) -> GeneralizedPlant:
+    """The design problem with all weights and scales 1: its closed loop holds the bare transfer functions."""
+    one = static_gain([[1.0]])
+    return design_plant(plant, Weights(one, one, 1.0, 1.0), tolerances)
+
+
+def _sensitivity_loops(closed: StateSpace, unit: GeneralizedPlant) -> tuple[BoxLoop, BoxLoop]:
+    """(w_delta, w2) -> (z_delta, -S_o w2), and (w_delta, w1) -> (z_delta, S_i w1): v = u + w1."""
+    n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
+    w, z = list(unit.w), list(unit.z)
+    output = select(closed, w[:n_w] + w[n_w + a :], z[: n_z + a])
+    drive = select(closed, w[: n_w + a], z[:n_z] + z[n_z + a :])
+    D = drive.D.copy()
+    D[n_z:, n_w:] += np.eye(a)
+    drive = StateSpace(drive.A, drive.B, drive.C, D, drive.inputs, drive.outputs)
+    return box_loop(output, unit.blocks), box_loop(drive, unit.blocks)
+
+
+def _grid(loop: BoxLoop, omega: ArrayLike | None) -> np.ndarray:
+    if omega is None:
+        grid = default_grid(loop, 100)
+        return grid[(grid >= _LOWEST) & (grid <= _HIGHEST)]
+    grid = check_shape(omega, "omega", "(w)").astype(float)
+    if len(grid) < 3 or grid[0] <= 0 or not (np.diff(grid) > 0).all():
+        raise invalid("omega", f"{len(grid)} values", "three or more, ascending and positive, in rad/s", "sort them")
+    return grid
+
+
+def _named(loop: BoxLoop, delta: np.ndarray) -> str:
+    """delta (k,) in words: "seal.center.k +1"."""
+    return ", ".join(f"{block.name} {value:+.3g}" for block, value in zip(loop.blocks, delta, strict=True))
+
+
+def _stability(loop: BoxLoop, tell: Progress) -> tuple[list[Check], list[str]]:
+    around = box_sweep(loop)
+    tell("stability over the box", 0.1)
+    points = np.vstack([corners(loop.parameters), samples(loop.parameters)])
+    unstable = unstable_poles(loop, points, around) > 0
+    where = f"; for one, {_named(loop, points[np.argmax(unstable)])}" if unstable.any() else ""
+    checks = [
+        judge(
+            "robust.stability.box", "Unstable points of the tolerance box", int(unstable.sum()), "-",
+            Demand(0.0, "<=", "every tolerance"), f"{len(points)} corners and samples{where}",
+        )
+    ]  # fmt: skip
+    tell("stability margin", 0.2)
+    margin = box_margin(loop, around)
+    checks.append(_margin_check(loop, margin))
+    if loop.system.n_states > _PROOF_STATES:
+        note = (
+            f"Stability over the box is not proved on this model of {loop.system.n_states} states: prove it on the reduced one."
+        )
+        return checks, [note]
+    proved = proved_margin(loop, margin.factor)
+    verdict = "every point within the tolerances is proved stable" if proved >= 1 else "not proved for the whole tolerances"
+    checks.append(
+        information("robust.stability.proved", "Tolerances times this are proved stable", proved, "-", f"{verdict}; mixed mu")
+    )
+    return checks, []
+
+
+def _margin_check(loop: BoxLoop, margin: BoxMargin) -> Check:
+    detail = "no destabilising perturbation found up to 20 times the tolerances"
+    if np.isfinite(margin.factor):
+        detail = f"unstable at {_named(loop, margin.delta)}, {margin.frequency / TWO_PI:.4g} Hz (in tolerances)"
+    title = "Smallest destabilising factor on the tolerances"
+    return judge("robust.stability.margin", title, margin.factor, "-", Demand(1.0, ">=", "every tolerance"), detail)
+
+
+def _sensitivity(
+    output: BoxLoop, input_: BoxLoop, grid: np.ndarray, requirements: Requirements, box_holds: bool
+) -> tuple[list[Check], list[Curve]]:
+    rule = demand("maximum singular value of a sensitivity", requirements)
+    worst = worst_gain(output) if box_holds else None
+    value = worst.value if worst is not None else np.inf
+    detail = "the loop is unstable in the box"
+    if worst is not None:
+        detail = f"{_named(output, worst.delta)}, {worst.frequency / TWO_PI:.4g} Hz, by search"
+    checks = [judge("robust.sensitivity.worst", "Worst-case output sensitivity over the box", value, "-", rule, detail)]
+    if worst is not None:
+        checks.append(_bound(output, grid, worst))
+        drive = worst_gain(input_)
+        detail = f"{_named(input_, drive.delta)}, {drive.frequency / TWO_PI:.4g} Hz, by search"
+        title = "Worst-case input sensitivity over the box"
+        checks.append(information("robust.sensitivity.input", title, drive.value, "-", detail))
+    if output.parameters == 1:
+        checks += [
+            information(f"robust.sensitivity.at{d:+g}", f"Output sensitivity at {_named(output, np.array([d]))}", v, "-", where)
+            for d, (v, where) in zip(FAMILY, _at_family(output), strict=True)
+        ]
+    curves = [
+        _family(loop, grid, worst, f"robust.sensitivity{suffix}", title, limits)
+        for loop, suffix, title, limits in (
+            (output, "", "Output sensitivity over the tolerances", zone_lines(SENSITIVITY, requirements.sensitivity_peak)),
+            (input_, ".input", "Input sensitivity over the tolerances", zone_lines(SENSITIVITY)),
+        )
+    ]
+    return checks, curves
+
+
+def _at_family(loop: BoxLoop) -> list[tuple[float, str]]:
+    """Peak gain of a loop with one parameter at every delta of FAMILY, and where it is; infinite where it is unstable."""
+    grid, points = default_grid(loop), np.array(FAMILY)[:, None]
+    stable = unstable_poles(loop, points) == 0
+    result = []
+    for point, row, holds in zip(points, gains(loop.at(grid), loop, points), stable, strict=True):
+        i = int(np.clip(row.argmax(), 1, len(grid) - 2))
+        at, value = peak_at(loop, point, grid[i - 1], grid[i], grid[i + 1])
+        result.append((max(value, float(row.max())), f"{at / TWO_PI:.4g} Hz") if holds else (np.inf, "unstable"))
+    return result
+
+
+def _bound(loop: BoxLoop, grid: np.ndarray, worst: BoxGain) -> Check:
+    """The mu bound where the gain comes near its worst: a coarse net and a fine one around the peak."""
+    net = grid[:: max(1, len(grid) // _BOUND_POINTS)]
+    near = worst.frequency * np.linspace(0.9, 1.1, 21)
+    bound = gain_bound(loop, np.unique(np.concatenate([net, near])), worst.value)
+    gap = bound / worst.value - 1
+    detail = (
+        f"{gap:.2%} above the search, on a frequency grid" if np.isfinite(bound) else "the bound does not exclude instability"
+    )
+    return information("robust.sensitivity.bound", "Upper bound of the worst-case output sensitivity", bound, "-", detail)
+
+
+def _family(
+    loop: BoxLoop, grid: np.ndarray, worst: BoxGain | None, name: str, title: str, limits: tuple[tuple[str, float], ...]
+) -> Curve:
+    """Largest singular value against frequency: over delta for one parameter; else nominal, worst and the corners' envelope.
+
+    Rows of unstable loops are left out."""
+    M = loop.at(grid)
+    if loop.parameters == 1:
+        points = np.array(FAMILY)[:, None]
+        stable = unstable_poles(loop, points) == 0
+        labels = tuple(f"{loop.blocks[0].name} {d:+g}" for d, holds in zip(FAMILY, stable, strict=True) if holds)
+        rows = [gains(M, loop, points[stable])]
+    else:
+        points = corners(loop.parameters)
+        stable = unstable_poles(loop, points) == 0
+        rows = [gains(M, loop, np.zeros((1, loop.parameters)))]
+        labels = ("nominal",)
+        if stable.any():
+            rows.append(gains(M, loop, points[stable]).max(axis=0, keepdims=True))
+            labels += ("largest of the stable corners",)
+        if worst is not None:
+            rows.append(gains(M, loop, worst.delta[None]))
+            labels += ("worst case",)
+    return Curve(name, title, "frequency", grid, np.vstack(rows), labels, "rad/s", "-", limits)
+
+
+def _performance(problem: GeneralizedPlant, controller: StateSpace, grid: np.ndarray) -> tuple[Check, Curve]:
+    whole = with_performance_block(problem)
+    closed = lft(whole, controller)
+    form = schur_form(closed.A, closed.B, closed.C, closed.D)
+    start = grid[:: max(1, len(grid) // 120)]
+    peak = mu_peak(lambda omega: evaluate(form, 1j * omega), whole.blocks, start, tolerance=1e-3, max_points=600)
+    holds = "performance holds all over the box" if peak.upper < 1 else f"it holds for {1 / peak.upper:.3g} of box and weights"
+    detail = f"lower bound {peak.lower:.4g}, {peak.frequency / TWO_PI:.4g} Hz, refined grid; {holds}"
+    curve = Curve(
+        "robust.mu", "Structured singular value of the weighted loop", "frequency", peak.omega, peak.values[None],
+        ("upper bound",), "rad/s", "-", (("robust performance", 1.0),),
+    )  # fmt: skip
+    return information("robust.performance", "Mixed mu of the weighted loop", peak.upper, "-", detail), curve

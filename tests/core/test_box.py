@@ -1,0 +1,237 @@
+"""Real parameters in a box, against eigenvalues, closed forms and scans."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ambrose.core.box import box_loop, corners, count_unstable, gains, perturbed_matrix, samples, sweep, unstable_poles
+from ambrose.core.box_search import _log_gain, box_margin, gain_bound, peak_at, proved_margin, worst_gain
+from ambrose.core.checks import InvalidInput, UnstableSystem
+from ambrose.core.lft import ComplexBlock, GeneralizedPlant, RealBlock, close_uncertainty
+from ambrose.core.norms import hinf_norm
+from ambrose.core.statespace import StateSpace
+
+
+def lag(rate: float = 1.0) -> StateSpace:
+    """x' = -x + delta rate x + d, e = x: stable for delta rate < 1, peak gain 1/(1 - delta rate) at zero frequency."""
+    return StateSpace([[-1.0]], [[rate, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+
+
+def whirl(stiffness: float, damping: float, cross: float) -> StateSpace:
+    """A unit mass, q'' + c q' + K q = -delta k [[0, 1], [-1, 0]] q + d: stable for |delta| k < c sqrt(K)."""
+    J = np.array([[0.0, -1.0], [1.0, 0.0]])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness * np.eye(2), -damping * np.eye(2)]])
+    B = np.block([[np.zeros((2, 4))], [np.eye(2), np.eye(2)]])
+    C = np.block([[cross * J, np.zeros((2, 2))], [np.eye(2), np.zeros((2, 2))]])
+    return StateSpace(A, B, C, np.zeros((4, 4)))
+
+
+def random_loop(rng: np.random.Generator, parameters: int, states: int = 6, direct: float = 0.0):
+    """A stable loop whose parameters are strong enough to destabilise it now and then."""
+    repeats = rng.integers(1, 3, parameters)
+    n = int(repeats.sum())
+    A = rng.normal(size=(states, states))
+    A -= (np.linalg.eigvals(A).real.max() + rng.uniform(0.05, 0.5)) * np.eye(states)
+    B, C = rng.normal(size=(states, n + 2)), rng.normal(size=(n + 2, states))
+    B[:, :n] *= 0.3
+    D = np.zeros((n + 2, n + 2))
+    D[:n, :n] = direct * rng.normal(size=(n, n))
+    blocks = [RealBlock(f"p{i}", int(r)) for i, r in enumerate(repeats)]
+    return box_loop(StateSpace(A, B, C, D), blocks)
+
+
+def eigenvalue_count(loop, delta: np.ndarray) -> np.ndarray:
+    return np.array([(np.linalg.eigvals(perturbed_matrix(loop, d)).real > 0).sum() for d in delta])
+
+
+@pytest.mark.parametrize("direct", [0.0, 0.1])
+def test_unstable_poles_equal_the_eigenvalues(direct):
+    rng = np.random.default_rng(4)
+    seen: list[int] = []
+    for _ in range(40):
+        loop = random_loop(rng, int(rng.integers(1, 5)), direct=direct)
+        delta = np.vstack([corners(loop.parameters), samples(loop.parameters, 20), 2.5 * samples(loop.parameters, 10)])
+        expected = eigenvalue_count(loop, delta)
+        np.testing.assert_array_equal(unstable_poles(loop, delta), expected)
+        seen += expected.tolist()
+    assert {0, 1, 2} <= set(seen)  # the loops do lose stability, by real poles and by pairs
+
+
+def test_unstable_poles_next_to_the_axis():
+    """A lightly damped whirl on either side of its limit, 1e-6 of it away."""
+    loop = box_loop(whirl(400.0, 0.02, 1.0), [RealBlock("k", 2)])
+    limit = 0.02 * 20.0
+    delta = limit * np.array([[1 - 1e-6], [1 + 1e-6], [-1 - 1e-6], [-1 + 1e-6], [0.0]])
+    assert unstable_poles(loop, delta).tolist() == [0, 2, 2, 0, 0]
+
+
+def test_perturbed_matrix_is_the_upper_lft():
+    rng = np.random.default_rng(1)
+    loop = random_loop(rng, 2, direct=0.2)
+    n, p = len(loop.owner), loop.system.D.shape[0]
+    plant = GeneralizedPlant(
+        loop.system,
+        loop.system.inputs[:n],
+        loop.system.inputs[n:],
+        loop.system.outputs[:n],
+        loop.system.outputs[n:],
+        loop.blocks,
+    )
+    closed = close_uncertainty(plant, {"p0": 0.7, "p1": -0.4})
+    delta = np.array([0.7, -0.4])
+    np.testing.assert_allclose(perturbed_matrix(loop, delta), closed.A, atol=1e-12)
+    omega = np.array([0.1, 1.3, 20.0])
+    expected = [
+        np.linalg.norm(closed.C @ np.linalg.solve(1j * w * np.eye(6) - closed.A, closed.B) + closed.D, 2) for w in omega
+    ]
+    np.testing.assert_allclose(gains(loop.at(omega), loop, delta[None])[0], expected, rtol=1e-10)
+    assert p == n + 2
+
+
+def test_modes_that_lose_stability_in_pairs():
+    """Two equal modes, away from the nominal poles and hardly unstable: their full turn hides between grid points."""
+    for shift in (0.21, 0.34, 0.5):  # delta moves the frequency, and takes the damping away
+        K, c = 400.0, 0.3
+        A = np.array([[0.0, 1.0], [-K, -c]])
+        B, C = np.array([[0.0], [1.0]]), np.array([[-shift * K, 1.00002 * c]])
+        eye = np.eye(2)
+        loop = box_loop(StateSpace(np.kron(eye, A), np.kron(eye, B), np.kron(eye, C), np.zeros((2, 2))), [RealBlock("p", 2)])
+        damping = np.linalg.eigvals(perturbed_matrix(loop, np.ones(1))).real
+        assert (damping > 0).all() and (damping < 1e-5).all()
+        assert unstable_poles(loop, np.array([[1.0], [0.9999], [-1.0]])).tolist() == [4, 0, 0]
+
+
+def test_sweep_grows_with_what_was_added():
+    loop = box_loop(whirl(400.0, 0.02, 1.0), [RealBlock("k", 2)])
+    coarse = sweep(loop)
+    count, fine = count_unstable(loop, np.array([[0.4001]]), coarse)
+    assert count[0] == 2
+    assert len(fine.omega) > len(coarse.omega)
+    assert (np.diff(fine.omega) > 0).all()
+    np.testing.assert_allclose(fine.M11[:-1], loop.at(fine.omega)[:-1, :2, :2], atol=1e-12)
+    again = count_unstable(loop, np.array([[0.4001]]), fine)[1]
+    assert len(again.omega) == len(fine.omega)
+
+
+@pytest.mark.parametrize("rate", [0.3, -1.7, 4.0])
+def test_margin_of_a_lag(rate):
+    margin = box_margin(box_loop(lag(rate), [RealBlock("p")]))
+    assert margin.factor == pytest.approx(1 / abs(rate), rel=2e-5)
+    assert margin.delta[0] == pytest.approx(1 / rate, rel=2e-5)
+    assert margin.frequency == pytest.approx(0, abs=1e-9)
+
+
+def test_margin_of_a_whirl():
+    """c sqrt(K) / k, at the frequency sqrt(K), for either sign."""
+    loop = box_loop(whirl(900.0, 0.5, 3.0), [RealBlock("k", 2)])
+    margin = box_margin(loop)
+    assert margin.factor == pytest.approx(0.5 * 30 / 3.0, rel=2e-5)
+    assert margin.frequency == pytest.approx(30, rel=1e-4)
+    proved = proved_margin(loop, margin.factor)
+    assert 0.93 * margin.factor < proved < margin.factor
+
+
+def test_margin_beyond_all_bounds():
+    loop = box_loop(lag(1e-3), [RealBlock("p")])
+    margin = box_margin(loop)
+    assert np.isinf(margin.factor) and np.isnan(margin.delta).all()
+    assert proved_margin(loop, margin.factor) > 19
+
+
+def test_margins_of_random_loops_enclose_the_truth():
+    """proved <= the smallest unstable scale of many random directions, and the search finds no larger one."""
+    rng = np.random.default_rng(9)
+    compared = 0
+    for _ in range(8):
+        loop = random_loop(rng, 2)
+        margin = box_margin(loop)
+        if not np.isfinite(margin.factor):
+            continue
+        compared += 1
+        assert eigenvalue_count(loop, 1.0001 * margin.delta[None])[0] > 0  # it does destabilise
+        angle = np.linspace(0, 2 * np.pi, 361)
+        directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        directions /= np.abs(directions).max(axis=1, keepdims=True)
+        assert (eigenvalue_count(loop, 0.97 * margin.factor * directions) == 0).all()
+        assert proved_margin(loop, margin.factor) <= margin.factor
+    assert compared >= 6
+
+
+def test_worst_gain_of_a_lag():
+    loop = box_loop(lag(0.5), [RealBlock("p")])
+    worst = worst_gain(loop)
+    assert worst.value == pytest.approx(2.0, rel=1e-3)  # at zero frequency, which a logarithmic grid only approaches
+    assert worst.delta[0] == pytest.approx(1.0)
+
+
+def test_gradient_of_the_gain():
+    rng = np.random.default_rng(2)
+    loop = random_loop(rng, 3, direct=0.1)
+    M = loop.at(np.array([0.8]))[0]
+    delta, step = rng.uniform(-0.5, 0.5, 3), 1e-6
+    gradient = _log_gain(M, loop, delta)[1]
+    for i in range(3):
+        e = step * np.eye(3)[i]
+        numeric = (_log_gain(M, loop, delta + e)[0] - _log_gain(M, loop, delta - e)[0]) / (2 * step)
+        assert gradient[i] == pytest.approx(numeric, rel=1e-6, abs=1e-9)
+
+
+def test_worst_gain_against_a_scan_and_its_bound():
+    rng = np.random.default_rng(7)
+    compared = 0
+    while compared < 3:
+        loop = random_loop(rng, 2)
+        if unstable_poles(loop, 1.1 * np.vstack([corners(2), samples(2, 300)])).any():
+            continue
+        compared += 1
+        axis = np.linspace(-1, 1, 15)
+        delta = np.array([[a, b] for a in axis for b in axis])
+        omega = np.geomspace(1e-2, 1e3, 300)
+        scan = gains(loop.at(omega), loop, delta).max()
+        worst = worst_gain(loop)
+        assert worst.value >= scan * (1 - 1e-6)
+        closed = loop.system
+        n = len(loop.owner)
+        at = StateSpace(perturbed_matrix(loop, worst.delta), closed.B[:, n:], closed.C[n:], np.zeros((2, 2)))
+        assert worst.value <= hinf_norm(at).value * (1 + 1e-6)  # what is claimed is attained by that plant
+        near = np.unique(np.append(omega[::5], worst.frequency))
+        bound = gain_bound(loop, near, worst.value)
+        assert bound >= worst.value
+        assert bound <= 1.3 * worst.value
+
+
+def test_bound_for_one_parameter_is_tight():
+    loop = box_loop(whirl(100.0, 2.0, 8.0), [RealBlock("k", 2)])
+    worst = worst_gain(loop)
+    bound = gain_bound(loop, np.append(np.geomspace(1, 100, 40), worst.frequency), worst.value)
+    assert worst.value <= bound <= 1.005 * worst.value
+    assert abs(worst.delta[0]) == pytest.approx(1.0)
+    axis = 1 / abs(100 - 8j - worst.frequency**2 + 2j * worst.frequency)  # one whirl direction at delta = 1
+    assert worst.value == pytest.approx(axis, rel=1e-6)
+
+
+def test_bound_is_infinite_where_the_box_is_unstable():
+    loop = box_loop(lag(2.0), [RealBlock("p")])
+    assert np.isinf(gain_bound(loop, np.array([1e-4, 1e-2, 1.0]), 1.0))
+
+
+def test_peak_between_grid_points():
+    loop = box_loop(whirl(100.0, 0.4, 0.0), [RealBlock("k", 2)])
+    resonance = np.sqrt(100 - 0.4**2 / 2)
+    omega, value = peak_at(loop, np.zeros(1), 8.0, 9.3, 13.0)
+    assert omega == pytest.approx(resonance, rel=1e-5)
+    assert value == pytest.approx(1 / (0.4 * np.sqrt(100 - 0.4**2 / 4)), rel=1e-8)
+
+
+def test_refusals():
+    with pytest.raises(InvalidInput, match="real parameters"):
+        box_loop(lag(), [ComplexBlock("p")])
+    with pytest.raises(InvalidInput, match="real parameters"):
+        box_loop(lag(), [])
+    with pytest.raises(InvalidInput, match="3 or more inputs"):
+        box_loop(lag(), [RealBlock("p", 3)])
+    with pytest.raises(UnstableSystem, match="change the controller"):
+        box_loop(StateSpace([[0.5]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealBlock("p")])
+    with pytest.raises(InvalidInput, match="delta"):
+        unstable_poles(box_loop(lag(), [RealBlock("p")]), np.zeros((1, 2)))
