@@ -1,0 +1,177 @@
+"""The D-step: mu's upper bound over a frequency grid that follows the loop, and D(s) of the order that suffices for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ambrose.core.frequency import frequency_response
+from ambrose.core.lft import Block, ComplexBlock, FullBlock, GeneralizedPlant
+from ambrose.core.mu_bounds import mu_bounds
+from ambrose.core.mu_structure import Structure, structure_of
+from ambrose.core.statespace import StateSpace, poles
+from ambrose.synthesis.mu_fit import RealRational, fit_magnitude
+from ambrose.synthesis.mu_matrix_fit import fit_matrix, matrix_scaling
+from ambrose.synthesis.mu_refine import peak_gain, refine
+from ambrose.synthesis.mu_scaling import BlockScaling, Scaling, scalar_scaling, scaled_gain
+
+HIGHEST_ORDER = 5  # tried by order="auto"
+_PER_DECADE = 9
+_MARGIN = 10.0  # the grid reaches this factor beyond the slowest and fastest pole of the plant
+_WEIGHT = 6  # power of mu/peak with which a frequency counts in the fit
+_FIRST = 12  # frequencies at which mixed mu is computed first; their peak spares most of the others
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DStep:
+    """The complex upper bound of a loop: omega (w,) [rad/s], M (w, n_z, n_w), upper (w,), D_w (w, n_w, n_w) Hermitian.
+
+    blocks: those of the bound, with repeated blocks as full ones where D is to be scalar.
+    """
+
+    omega: np.ndarray
+    M: np.ndarray
+    upper: np.ndarray
+    D_w: np.ndarray
+    structure: Structure
+
+    @property
+    def peak(self) -> float:
+        return float(self.upper.max())
+
+
+def design_grid(plant: GeneralizedPlant) -> np.ndarray:
+    """Logarithmic frequencies [rad/s] from a decade below the plant's slowest pole to one above the fastest."""
+    size = np.abs(poles(plant.system))
+    size = size[size > 1e-9 * size.max(initial=0.0)]
+    low, high = (size.min() / _MARGIN, size.max() * _MARGIN) if size.size else (1e-2, 1e2)
+    return np.geomspace(low, high, max(20, int(np.ceil(_PER_DECADE * np.log10(high / low))) + 1))
+
+
+def d_blocks(blocks: Sequence[Block], structure: Literal["scalar", "full"]) -> list[Block]:
+    """The blocks whose scalings the D-step may use: d I for a repeated block ("scalar"), or a matrix D ("full")."""
+    result: list[Block] = []
+    for block in blocks:
+        if isinstance(block, FullBlock):
+            result.append(block)
+        elif structure == "scalar":
+            result.append(FullBlock(block.name, block.n_w, block.n_z))
+        else:
+            result.append(ComplexBlock(block.name, block.repeat))
+    return result
+
+
+def d_step(loop: StateSpace, blocks: Sequence[Block], grid: np.ndarray, rounds: int = 2) -> DStep:
+    """The complex upper bound on the grid, on the loop's resonances and between the neighbours of its high peaks."""
+    p = poles(loop)
+    p = p[(p.imag > 0) & (np.abs(p.real) < 0.7 * np.abs(p))]
+    extra = np.abs(p.imag)
+    omega = np.unique(np.concatenate([grid, extra[(extra > grid[0]) & (extra < grid[-1])]]))
+    M, upper, D = _bound(loop, blocks, omega)
+    for _ in range(rounds):
+        padded = np.concatenate([[-np.inf], upper, [-np.inf]])
+        high = (upper >= padded[:-2]) & (upper >= padded[2:]) & (upper > 0.9 * upper.max())
+        chosen = high[:-1] | high[1:]
+        new = np.sqrt(omega[:-1] * omega[1:])[chosen & (omega[1:] > 1.01 * omega[:-1])]
+        if not len(new):
+            break
+        more = _bound(loop, blocks, new)
+        order = np.argsort(np.concatenate([omega, new]))
+        omega = np.concatenate([omega, new])[order]
+        M, upper, D = (np.concatenate([a, b])[order] for a, b in zip((M, upper, D), more, strict=True))
+    return DStep(omega, M, upper, D, structure_of(blocks))
+
+
+def _bound(loop: StateSpace, blocks: Sequence[Block], omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    M = frequency_response(loop, omega).values
+    bound = mu_bounds(M, blocks, g_scaling=False, lower=False, tolerance=1e-3)
+    return M, bound.upper, bound.D_w
+
+
+def peak_below(
+    step: DStep, blocks: Sequence[Block], ceiling: np.ndarray, g_scaling: bool
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """The largest upper bound of another structure on the step's grid, given that it nowhere exceeds ``ceiling`` (w,).
+
+    Only frequencies whose ceiling is above what was found elsewhere are computed. Returns the peak, the values (the ceiling
+    where it was not needed) and which were computed.
+    """
+    values, known, best = ceiling.copy(), np.zeros(len(ceiling), bool), 0.0
+    while True:
+        open_ = np.flatnonzero(~known & (ceiling > best))
+        if not len(open_):
+            return best, values, known
+        chosen = open_[np.argsort(-ceiling[open_])[: _FIRST if best == 0 else None]]
+        found = mu_bounds(step.M[chosen], blocks, g_scaling=g_scaling, lower=False, tolerance=1e-3).upper
+        values[chosen], known[chosen] = np.minimum(found, ceiling[chosen]), True
+        best = max(best, float(values[chosen].max()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedScaling:
+    """scaling: D(s); peak: of sigma_max(D M D^-1) on the step's grid."""
+
+    scaling: Scaling
+    peak: float
+
+
+def fit_scaling(step: DStep, order: int | Literal["auto"], tolerance: float) -> FittedScaling:
+    """D(s) for the step's blocks, last block D = 1 where its scaling is a scalar.
+
+    order: of every D per channel; or "auto": the smallest one with a peak of sigma_max(D M D^-1) at most 1 + tolerance times
+    that of the bound, block by block. Scalar D are fitted in magnitude, then moved to lower that peak (mu_refine).
+    """
+    if order != "auto":
+        return _fit(step, [order] * len(step.structure.places))
+    goal = (1 + tolerance) * step.peak
+    found = []
+    for n in range(HIGHEST_ORDER + 1):
+        found.append(_fit(step, [n] * len(step.structure.places)))
+        if found[-1].peak <= goal:
+            return _fewer(step, found[-1], goal)
+    lowest = min(item.peak for item in found)
+    return next(item for item in found if item.peak <= (1 + tolerance) * lowest)
+
+
+def _fewer(step: DStep, fitted: FittedScaling, goal: float) -> FittedScaling:
+    """Lower orders of single blocks, as long as the goal is met; the largest blocks first."""
+    orders = list(fitted.scaling.orders)
+    places = step.structure.places
+    scaled = [i for i in range(len(places)) if orders[i] > 0]
+    if len(scaled) < 2:
+        return fitted
+    for i in sorted(scaled, key=lambda k: -places[k].block.n_w):
+        while orders[i] > 0:
+            trial = _fit(step, [*orders[:i], orders[i] - 1, *orders[i + 1 :]])
+            if trial.peak > goal:
+                break
+            fitted, orders[i] = trial, orders[i] - 1
+    return fitted
+
+
+def _fit(step: DStep, orders: Sequence[int]) -> FittedScaling:
+    places = step.structure.places
+    weight = (step.upper / step.peak) ** _WEIGHT if step.peak > 0 else np.ones(len(step.omega))
+    nothing = np.zeros(0)
+    if any(isinstance(place.block, ComplexBlock) and place.block.repeat > 1 for place in places):
+        parts: list[BlockScaling] = []
+        for place, n in zip(places, orders, strict=True):
+            D = step.D_w[:, place.w, place.w]
+            if isinstance(place.block, ComplexBlock) and place.block.repeat > 1:
+                parts.append(matrix_scaling(fit_matrix(step.omega, D @ D, n, weight)))
+            elif place is places[-1]:
+                parts.append(scalar_scaling(place.block, RealRational(1.0, nothing, nothing)))
+            else:
+                parts.append(scalar_scaling(place.block, fit_magnitude(step.omega, D[:, 0, 0].real, n, weight)))
+        scaling = Scaling(tuple(parts))
+        return FittedScaling(scaling, float(scaled_gain(step.M, step.omega, scaling).max()))
+    fits = [
+        fit_magnitude(step.omega, step.D_w[:, place.w.start, place.w.start].real, n, weight)
+        for place, n in zip(places[:-1], orders, strict=False)
+    ]
+    best = refine(step.M, step.omega, step.structure, [*fits, RealRational(1.0, nothing, nothing)])
+    scaling = Scaling(tuple(scalar_scaling(place.block, d) for place, d in zip(places, best, strict=True)))
+    return FittedScaling(scaling, float(peak_gain(step.M, step.omega, step.structure, best).max()))
