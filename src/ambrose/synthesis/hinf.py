@@ -15,11 +15,11 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.synthesis.certify import generalized_certificate
 from ambrose.synthesis.hinf_assumptions import Assumptions, check_assumptions, full_regularisation
-from ambrose.synthesis.hinf_riccati import Level, balanced, central_controller, normal_form, search_gamma
+from ambrose.synthesis.hinf_riccati import GammaSearch, Level, balanced, central_controller, normal_form, search_gamma
 from ambrose.synthesis.hinf_scaling import ScaledPlant, original_controller, scale_plant
 from ambrose.synthesis.result import Certificate, Synthesis
 
-_WIDER = 7  # times the back-off is doubled before giving up
+_WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
 _EPSILONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the regularisation, in the scaled plant's units
 
 
@@ -47,9 +47,8 @@ def synthesize(
     Raises InvalidInput (no controller can stabilise the plant, with the mode; sampled plants; bad arguments) and
     NumericalFailure (no verified controller, with the reason). Sources: see hinf_riccati, hinf_lmi.
     """
-    check_positive(backoff, "backoff", "1.02 to 1.05 suits most uses")
-    if backoff < 1:
-        raise invalid("backoff", backoff, "at least 1", "1.02 to 1.05 suits most uses")
+    if not 1 <= check_positive(backoff, "backoff", "1.02 to 1.05 suits most uses") < 1 + _WIDEST:
+        raise invalid("backoff", backoff, f"at least 1 and below {1 + _WIDEST:g}", "1.02 to 1.05 suits most uses")
     if not 1e-10 <= check_positive(tolerance, "tolerance", "1e-3 suits most uses") < 1:
         raise invalid("tolerance", tolerance, "between 1e-10 and 1", "1e-3 suits most uses")
     if method not in ("riccati", "lmi"):
@@ -122,33 +121,40 @@ def _design(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
         job.say(f"gamma {level.gamma:.6g}: {level.reason}{rho}")
         job.check_time()
 
-    search = search_gamma(normal, job.tolerance, report)
+    def in_balanced_states(why: str) -> tuple[ScaledPlant, GammaSearch]:
+        job.say(f"{why}; searching again in states that balance X and Y")
+        plant = balanced(normal, search.best)
+        return plant, search_gamma(plant, job.tolerance, report)
+
+    search, fresh = search_gamma(normal, job.tolerance, report), True
     if search.inaccurate:
-        job.say("rounding spoiled some of these; searching again in states that balance X and Y")
-        normal = balanced(normal, search.best)
-        search = search_gamma(normal, job.tolerance, report)
-    reasons = []
-    step = max(job.backoff - 1, 0.0)
-    for _ in range(_WIDER):
+        normal, search = in_balanced_states("rounding spoiled some of these levels")
+        fresh = False
+    step, reason = max(job.backoff - 1, 0.0), ""
+    while step < _WIDEST:
         gamma = search.best.gamma * (1 + step)
         try:
             A, B, C, D = central_controller(normal, gamma)
             controller = original_controller(scaled, (A, B @ T_y, T_u @ C, T_u @ D @ T_y), job.plant.y, job.plant.u)
             certificate = verified(job.plant, controller, gamma)
         except (AmbroseError, np.linalg.LinAlgError) as failure:
-            reasons.append(f"back-off {1 + step:.4g}: {failure}")
-            job.say(reasons[-1])
+            reason = f"back-off {1 + step:.4g}: {failure}"
+            job.check_time()
+            if fresh:
+                normal, search = in_balanced_states(reason)
+                fresh = False
+                continue
+            job.say(reason)
         else:
             job.say(f"verified: norm {certificate.closed_loop_norm:.6g} at gamma {gamma:.6g}")
             rows = tuple({**row, "epsilon": epsilon} for row in search.history)
             return _Design(
                 controller, certificate, search.lower, search.best.gamma, gamma, epsilon, rows, _backoff_note(job, step)
             )
-        job.check_time()
         step = max(2 * step, job.tolerance)
     raise NumericalFailure(
-        f"no controller at {_WIDER} back-offs up to {1 + step / 2:.3g} passed its verification on the original plant ("
-        f'{reasons[-1]}); scale the plant, bring its poles closer together, or use method="lmi"'
+        f"no controller at back-offs up to {1 + step / 2:.3g} passed its verification on the original plant ({reason}); "
+        'scale the plant, bring its poles closer together, or use method="lmi"'
     )
 
 
@@ -205,28 +211,25 @@ def _by_lmi(job: _Job, scaled: ScaledPlant) -> Synthesis:
     prepared = smallest_gamma(scaled, time_left)
     optimal = prepared.gamma
     job.say(f"the matrix inequalities give gamma {optimal:.6g}")
-    reasons = []
-    step = max(job.backoff - 1, job.tolerance)
-    for _ in range(_WIDER):
-        job.check_time()
+    step, reason = max(job.backoff - 1, job.tolerance), ""
+    while step < _WIDEST:
         gamma = optimal * (1 + step)
         try:
-            controller = original_controller(
-                scaled, lmi_controller(prepared, gamma, time_left), job.plant.y, job.plant.u
-            )  # fmt: skip
+            matrices = lmi_controller(prepared, gamma, time_left)
+            controller = original_controller(scaled, matrices, job.plant.y, job.plant.u)
             certificate = verified(job.plant, controller, gamma)
         except _TimeOut:
             raise
         except (AmbroseError, np.linalg.LinAlgError) as failure:
-            reasons.append(f"back-off {1 + step:.4g}: {failure}")
-            job.say(reasons[-1])
+            reason = f"back-off {1 + step:.4g}: {failure}"
+            job.say(reason)
         else:
             row = {"gamma": optimal, "feasible": 1.0, "rho": float("nan"), "epsilon": 0.0}
             notes = _backoff_note(job, step)
             return _finish(job, _Design(controller, certificate, float("nan"), optimal, gamma, 0.0, (row,), notes))
         step *= 2
     raise NumericalFailure(
-        f"no controller from the matrix inequalities passed its verification ({reasons[-1]}); scale the plant, or bring its "
+        f"no controller from the matrix inequalities passed its verification ({reason}); scale the plant, or bring its "
         "poles closer together"
     )
 

@@ -101,10 +101,11 @@ def _riccati(plant: ScaledPlant, gamma: float) -> tuple[np.ndarray, np.ndarray, 
 def _solve(plant: ScaledPlant, gamma: float, name: str) -> tuple[np.ndarray, str]:
     """X (n, n) and "", or the reason why there is no positive semidefinite one."""
     A, G, Q = _riccati(plant, gamma)
-    solution = solve_riccati(A, G, Q)
+    size = float(np.linalg.norm(A) / np.linalg.norm(G)) if A.any() and G.any() else 1.0
+    solution = solve_riccati(A, size * G, Q / size)  # in units of X in which G is as large as A
     if not solution.solved:
         return solution.X, f"{name}: {solution.status}"
-    X = solution.X
+    X = size * solution.X
     values = np.linalg.eigvalsh(X)
     if values.size and values[0] < -1e-12 * max(values[-1], 0.0):
         # X >= 0 exactly when u = -(C1' + B2^T X) x alone stabilises; a test that does not depend on the states' units
