@@ -1,4 +1,4 @@
-"""Reproducible random plants for H-infinity synthesis, of every unpleasant kind, for tests and runs of other codes (numpy only).
+"""Reproducible random plants for H-infinity synthesis, of every unpleasant kind, for tests and other codes (numpy only).
 
 ``random_plant(kind, seed)`` returns (A, B, C, D, m, p): the last m inputs are controls, the last p outputs measurements.
 """
