@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
+# Matrices here have some hundred rows: BLAS threads cost more than they bring.
+export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: demo test lint bench clean
 .DEFAULT_GOAL := demo

@@ -6,6 +6,7 @@ Results go to standard output (with --json exactly one JSON object), progress an
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,7 +16,6 @@ from typing import Any
 import click
 
 from ambrose import __version__
-from ambrose.core.checks import AmbroseError
 
 ALL = click.option("--all", "everything", is_flag=True, help="Show the quantities without a limit as well.")
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
@@ -26,6 +26,10 @@ class AmbroseCommand(click.Group):
     """Turns every refusal of the package, and every file that cannot be used, into one message and exit status 2."""
 
     def invoke(self, ctx: click.Context) -> Any:
+        # Before numpy is loaded: at these sizes (some hundred states) BLAS threads cost more than they bring.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        from ambrose.core.checks import AmbroseError
+
         try:
             return super().invoke(ctx)
         except AmbroseError as error:
