@@ -56,17 +56,18 @@ def synthesize(
     job = _Job(plant, backoff, tolerance, _Clock(check_positive(time_limit, "time_limit", "give seconds")), progress)
     scaled = scale_plant(plant)
     assumptions = check_assumptions(scaled)
-    if method == "lmi":
-        return _by_lmi(job, scaled)
+    design = _by_riccati if method == "riccati" else _by_lmi
     if not assumptions.hold:
-        return _regularised(job, scaled, assumptions)
+        return _regularised(job, scaled, assumptions, design)
     try:
-        return _finish(job, _design(job, scaled, 0.0))
+        return _finish(job, design(job, scaled, 0.0))
     except _TimeOut:
         raise
     except NumericalFailure as failure:
+        if method == "lmi":
+            raise
         job.say(f"{failure}; trying again with everything weighted and disturbed a little")
-        return _regularised(job, scaled, full_regularisation(scaled))
+        return _regularised(job, scaled, full_regularisation(scaled), design)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +113,7 @@ class _Design:
     notes: tuple[str, ...]
 
 
-def _design(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
+def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
     """Gamma iteration, then the first verified controller at growing back-offs."""
     normal, T_u, T_y = normal_form(scaled)
 
@@ -158,50 +159,8 @@ def _design(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
     )
 
 
-def _backoff_note(job: _Job, step: float) -> tuple[str, ...]:
-    if step <= job.backoff - 1:
-        return ()
-    return (f"the back-off is {1 + step:.4g} instead of {job.backoff:g}: closer to the optimum verification failed",)
-
-
-def verified(plant: GeneralizedPlant, controller: StateSpace, gamma: float) -> Certificate:
-    """The certificate on the original plant; raises NumericalFailure unless stable with a norm below ``gamma``."""
-    certificate = generalized_certificate(plant, controller)
-    if not certificate.stable:
-        raise NumericalFailure(f"the loop is unstable (spectral abscissa {certificate.spectral_abscissa:.4g} rad/s)")
-    if not certificate.closed_loop_norm <= gamma * (1 + 1e-5):
-        raise NumericalFailure(f"the norm is {certificate.closed_loop_norm:.6g}, above gamma = {gamma:.6g}")
-    return certificate
-
-
-def _regularised(job: _Job, scaled: ScaledPlant, assumptions: Assumptions) -> Synthesis:
-    """Designs with falling epsilon, until gamma no longer gains; the best verified one."""
-    for finding in assumptions.findings:
-        job.say(finding)
-    best: _Design | None = None
-    history: tuple[dict[str, float], ...] = ()
-    reason = ""
-    enough = max(job.tolerance, (job.backoff - 1) / 3)
-    for epsilon in _EPSILONS:
-        job.say(f"regularisation with epsilon = {epsilon:g}")
-        try:
-            design = _design(job, scaled.extended(assumptions.rows, assumptions.columns, epsilon), epsilon)
-        except NumericalFailure as failure:
-            reason = str(failure)
-            if best is not None or isinstance(failure, _TimeOut):
-                break
-            continue
-        history += design.history
-        previous, best = best, design if best is None or design.designed < best.designed else best
-        if previous is not None and design.optimal > (1 - enough) * previous.optimal:
-            break
-    if best is None:
-        raise NumericalFailure(f"{'; '.join(assumptions.findings)}; but even so: {reason}")
-    notes = tuple(f"{finding}, epsilon = {best.epsilon:g}" for finding in assumptions.findings)
-    return _finish(job, best, notes, history)
-
-
-def _by_lmi(job: _Job, scaled: ScaledPlant) -> Synthesis:
+def _by_lmi(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
+    """The smallest gamma of the matrix inequalities, then the first verified controller at growing back-offs."""
     from ambrose.synthesis.hinf_lmi import lmi_controller, smallest_gamma
 
     def time_left() -> float:
@@ -224,14 +183,59 @@ def _by_lmi(job: _Job, scaled: ScaledPlant) -> Synthesis:
             reason = f"back-off {1 + step:.4g}: {failure}"
             job.say(reason)
         else:
-            row = {"gamma": optimal, "feasible": 1.0, "rho": float("nan"), "epsilon": 0.0}
-            notes = _backoff_note(job, step)
-            return _finish(job, _Design(controller, certificate, float("nan"), optimal, gamma, 0.0, (row,), notes))
+            row = {"gamma": optimal, "feasible": 1.0, "rho": float("nan"), "epsilon": epsilon}
+            return _Design(controller, certificate, optimal, optimal, gamma, epsilon, (row,), _backoff_note(job, step))
         step *= 2
     raise NumericalFailure(
         f"no controller from the matrix inequalities passed its verification ({reason}); scale the plant, or bring its "
         "poles closer together"
     )
+
+
+_Method = Callable[[_Job, ScaledPlant, float], _Design]
+
+
+def _backoff_note(job: _Job, step: float) -> tuple[str, ...]:
+    if step <= job.backoff - 1:
+        return ()
+    return (f"the back-off is {1 + step:.4g} instead of {job.backoff:g}: closer to the optimum verification failed",)
+
+
+def verified(plant: GeneralizedPlant, controller: StateSpace, gamma: float) -> Certificate:
+    """The certificate on the original plant; raises NumericalFailure unless stable with a norm below ``gamma``."""
+    certificate = generalized_certificate(plant, controller)
+    if not certificate.stable:
+        raise NumericalFailure(f"the loop is unstable (spectral abscissa {certificate.spectral_abscissa:.4g} rad/s)")
+    if not certificate.closed_loop_norm <= gamma * (1 + 1e-5):
+        raise NumericalFailure(f"the norm is {certificate.closed_loop_norm:.6g}, above gamma = {gamma:.6g}")
+    return certificate
+
+
+def _regularised(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, method: _Method) -> Synthesis:
+    """Designs with falling epsilon, until gamma no longer gains; the best verified one."""
+    for finding in assumptions.findings:
+        job.say(finding)
+    best: _Design | None = None
+    history: tuple[dict[str, float], ...] = ()
+    reason = ""
+    enough = max(job.tolerance, (job.backoff - 1) / 3)
+    for epsilon in _EPSILONS:
+        job.say(f"regularisation with epsilon = {epsilon:g}")
+        try:
+            design = method(job, scaled.extended(assumptions.rows, assumptions.columns, epsilon), epsilon)
+        except NumericalFailure as failure:
+            reason = str(failure)
+            if best is not None or isinstance(failure, _TimeOut):
+                break
+            continue
+        history += design.history
+        previous, best = best, design if best is None or design.designed < best.designed else best
+        if previous is not None and design.optimal > (1 - enough) * previous.optimal:
+            break
+    if best is None:
+        raise NumericalFailure(f"{'; '.join(assumptions.findings)}; but even so: {reason}")
+    notes = tuple(f"{finding}, epsilon = {best.epsilon:g}" for finding in assumptions.findings)
+    return _finish(job, best, notes, history)
 
 
 def _finish(
