@@ -1,0 +1,86 @@
+"""A controller by the name of its method: designed on the reduced plant, then certified on the full one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from ambrose.core.checks import invalid
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
+from ambrose.synthesis import hinf, mu, pid
+from ambrose.synthesis.certify import certify
+from ambrose.synthesis.problem import design_plant
+from ambrose.synthesis.result import Synthesis
+from ambrose.synthesis.tuning import tune_control_weight
+
+METHODS = ("pid", "hinf", "mu")
+SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
+
+Progress = Callable[[str], None]
+
+
+def methods_for(plant: Plant) -> tuple[str, ...]:
+    """What the machine file allows: "pid" with [controller], "hinf" with [weights], "mu" with [[tolerance]] as well."""
+    machine = plant.machine
+    possible = {
+        "pid": machine.controller is not None,
+        "hinf": machine.weights is not None,
+        "mu": machine.weights is not None and bool(machine.tolerances),
+    }
+    return tuple(method for method in METHODS if possible[method])
+
+
+def design(
+    plant: Plant,
+    method: str,
+    *,
+    bending_modes: int = 0,
+    match_reference: bool | None = None,
+    progress: Progress = lambda text: None,
+) -> Synthesis:
+    """One controller for a full plant.
+
+    method: "pid" (the machine's reference controller), "hinf" (H-infinity for the nominal plant), "mu" (D-K iteration over the
+    machine's tolerances). bending_modes: how many the design model keeps per plane. match_reference: scale the control weight
+    until the direct gains below 200 Hz match the reference controller's, so that controllers are comparable (P5); default:
+    where the machine has a reference controller and a constant control weight. The certificate's margins gain
+    "full_spectral_abscissa" and "full_sensitivity_peak", recomputed on ``plant``; a controller that does not hold it has the
+    status "unstable". Raises InvalidInput for an unknown method or a machine file that lacks what the method needs.
+    """
+    if method not in METHODS:
+        raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", "choose one of them")
+    if method == "pid":
+        return pid.synthesize(plant)
+    small = reduce(plant, bending_modes)
+    machine = plant.machine
+    uncertain = method == "mu"
+    synthesize = hinf.synthesize if method == "hinf" else lambda problem: mu.synthesize(problem, order=SCALING_ORDER)
+    if match_reference is None:
+        constant = machine.weights is not None and machine.weights.control_crossover is None
+        match_reference = machine.controller is not None and constant
+    if match_reference:
+        if machine.controller is None:
+            raise invalid("match_reference", True, "False without a [controller] table", "add the reference controller")
+        reference = pid.controller(machine.controller, machine)
+        tuned = tune_control_weight(small, None, reference, synthesize, uncertain=uncertain)
+        progress(f"control weight times {tuned.factor:.3g}: direct gains {100 * tuned.mismatch:+.1f} % of the reference's")
+        result = tuned.synthesis
+        extra = {"control_weight_factor": tuned.factor, "direct_gain_mismatch": tuned.mismatch}
+    else:
+        result, extra = synthesize(design_plant(small, uncertain=uncertain)), {}
+    return on_full_plant(plant, result, extra)
+
+
+def on_full_plant(plant: Plant, result: Synthesis, extra: dict[str, float]) -> Synthesis:
+    """The synthesis with what ``plant`` says about its controller added to the certificate."""
+    full = certify(plant, result.controller)
+    margins = {
+        **result.certificate.margins,
+        **extra,
+        "full_spectral_abscissa": full.spectral_abscissa,
+        "full_sensitivity_peak": full.closed_loop_norm,
+    }
+    stable = result.certificate.stable and full.stable
+    certificate = replace(result.certificate, stable=stable, margins=margins, plant=f"{result.certificate.plant}; {full.plant}")
+    return replace(result, certificate=certificate, status=result.status if stable else "unstable")
