@@ -180,6 +180,8 @@ def _sensitivity(
     output: BoxLoop, input_: BoxLoop, grid: np.ndarray, requirements: Requirements, box_holds: bool
 ) -> tuple[list[Check], list[Curve]]:
     rule = demand("maximum singular value of a sensitivity", requirements)
+    members = _members(output)
+    stable = np.ones(len(members), bool) if box_holds else unstable_poles(output, members) == 0
     worst = worst_gain(output) if box_holds else None
     value = worst.value if worst is not None else np.inf
     detail = "the loop is unstable in the box"
@@ -195,10 +197,10 @@ def _sensitivity(
     if output.parameters == 1:
         checks += [
             information(f"robust.sensitivity.at{d:+g}", f"Output sensitivity at {_named(output, np.array([d]))}", v, "-", where)
-            for d, (v, where) in zip(FAMILY, _at_family(output), strict=True)
+            for d, (v, where) in zip(FAMILY, _at_family(output, stable), strict=True)
         ]
     curves = [
-        _family(loop, grid, worst, f"robust.sensitivity{suffix}", title, limits)
+        _family(loop, grid, stable, worst, f"robust.sensitivity{suffix}", title, limits)
         for loop, suffix, title, limits in (
             (output, "", "Output sensitivity over the tolerances", zone_lines(SENSITIVITY, requirements.sensitivity_peak)),
             (input_, ".input", "Input sensitivity over the tolerances", zone_lines(SENSITIVITY)),
@@ -207,10 +209,14 @@ def _sensitivity(
     return checks, curves
 
 
-def _at_family(loop: BoxLoop) -> list[tuple[float, str]]:
+def _members(loop: BoxLoop) -> np.ndarray:
+    """The points of the box (d, k) that the curves show: FAMILY for one parameter, the corners for several."""
+    return np.array(FAMILY)[:, None] if loop.parameters == 1 else corners(loop.parameters)
+
+
+def _at_family(loop: BoxLoop, stable: np.ndarray) -> list[tuple[float, str]]:
     """Peak gain of a loop with one parameter at every delta of FAMILY, and where it is; infinite where it is unstable."""
-    grid, points = default_grid(loop), np.array(FAMILY)[:, None]
-    stable = unstable_poles(loop, points) == 0
+    grid, points = default_grid(loop), _members(loop)
     result = []
     for point, row, holds in zip(points, gains(loop.at(grid), loop, points), stable, strict=True):
         i = int(np.clip(row.argmax(), 1, len(grid) - 2))
@@ -232,20 +238,22 @@ def _bound(loop: BoxLoop, grid: np.ndarray, worst: BoxGain) -> Check:
 
 
 def _family(
-    loop: BoxLoop, grid: np.ndarray, worst: BoxGain | None, name: str, title: str, limits: tuple[tuple[str, float], ...]
+    loop: BoxLoop,
+    grid: np.ndarray,
+    stable: np.ndarray,
+    worst: BoxGain | None,
+    name: str,
+    title: str,
+    limits: tuple[tuple[str, float], ...],
 ) -> Curve:
     """Largest singular value against frequency: over delta for one parameter; else nominal, worst and the corners' envelope.
 
     Rows of unstable loops are left out."""
-    M = loop.at(grid)
+    M, points = loop.at(grid), _members(loop)
     if loop.parameters == 1:
-        points = np.array(FAMILY)[:, None]
-        stable = unstable_poles(loop, points) == 0
         labels = tuple(f"{loop.blocks[0].name} {d:+g}" for d, holds in zip(FAMILY, stable, strict=True) if holds)
         rows = [gains(M, loop, points[stable])]
     else:
-        points = corners(loop.parameters)
-        stable = unstable_poles(loop, points) == 0
         rows = [gains(M, loop, np.zeros((1, loop.parameters)))]
         labels = ("nominal",)
         if stable.any():
