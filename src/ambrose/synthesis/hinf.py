@@ -149,9 +149,9 @@ def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
         else:
             job.say(f"verified: norm {certificate.closed_loop_norm:.6g} at gamma {gamma:.6g}")
             rows = tuple({**row, "epsilon": epsilon} for row in search.history)
-            return _Design(
-                controller, certificate, search.lower, search.best.gamma, gamma, epsilon, rows, _backoff_note(job, step)
-            )
+            zero = ("gamma can be made as small as wanted: w can be cancelled completely",) if search.vanishing else ()
+            notes = (*_backoff_note(job, step), *zero)
+            return _Design(controller, certificate, search.lower, search.best.gamma, gamma, epsilon, rows, notes)
         step = max(2 * step, job.tolerance)
     raise NumericalFailure(
         f"no controller at back-offs up to {1 + step / 2:.3g} passed its verification on the original plant ({reason}); "

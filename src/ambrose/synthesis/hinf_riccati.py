@@ -46,12 +46,14 @@ class Level:
 class GammaSearch:
     """The optimal gamma lies between ``lower`` and ``best.gamma``, which can be reached.
 
-    inaccurate: whether rounding spoiled a level, so that ``lower`` may be too high; history: a row for each level.
+    inaccurate: whether rounding spoiled a level, so that ``lower`` may be too high; vanishing: whether gamma fell to a part in
+    1e9 of the plant's gain, where the search ends; history: a row for each level.
     """
 
     lower: float
     best: Level
     inaccurate: bool
+    vanishing: bool
     history: tuple[dict[str, float], ...]
 
 
@@ -186,7 +188,7 @@ def search_gamma(plant: ScaledPlant, tolerance: float, report: Callable[[Level],
     while high.gamma > (1 + tolerance) * low.gamma and len(history) < _STEPS:
         level = attempt(_next(low, high, tolerance))
         low, high = (low, level) if level.feasible else (level, high)
-    return GammaSearch(low.gamma, high, bool(inaccurate), tuple(history))
+    return GammaSearch(low.gamma, high, bool(inaccurate), low.gamma == floor, tuple(history))
 
 
 def _next(low: Level, high: Level, tolerance: float) -> float:
