@@ -24,7 +24,10 @@ DATE = datetime(2026, 1, 31, 12, 0, 0, tzinfo=UTC)
 MACHINE = Machine(
     name="small",
     shaft=(ShaftSection(start=0.0, length=0.8, outer_diameter=0.1),),
-    bearings=(MagneticBearing("A", 0.2, 6.0), MagneticBearing("B", 0.6, 6.0)),
+    bearings=tuple(
+        MagneticBearing(name, z, 6.0, force_per_current=(150.0, 150.0), negative_stiffness=(1e6, 1e6))
+        for name, z in (("A", 0.2), ("B", 0.6))
+    ),
     sensors=(Sensor("A", 0.2), Sensor("B", 0.6)),
 )
 

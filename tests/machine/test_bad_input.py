@@ -107,6 +107,7 @@ SLIPS = {
     "poles at a right angle": ('"22.5 deg"', '"90 deg"', "[bearing.geometry]", "pole_half_angle is 90 deg", "below 90 deg"),
     "dead sensor": ('gain = [1.0, "98 %"]', "gain = [1.0, 0]", "[[sensor]] A", "gain (eta) is 0", "different from zero"),
     "amplifier lacks a parameter": ('eddy_bandwidth = "3 kHz"\n', "", "[amplifier]", "eddy_bandwidth is missing", '"twice-first" needs it'),
+    "amplifier without order": ('order = "twice-first"\n', "", "[amplifier]", "order is missing", '"none", "first", "twice-first", "second"'),
     "amplifier has one too many": ('order = "twice-first"', 'order = "first"', "[amplifier]", "eddy_bandwidth is 18849.6 rad/s", '"first" does not use it', "remove it"),
     "negative coupling": ('damping = "10 N s/m"', 'damping = "-10 N s/m"', "[[coupling]] coupling", "damping (zeta) is -10 N s/m", "holds back"),
     # seals
@@ -133,6 +134,7 @@ SLIPS = {
     "tolerance of an impossible entry": ('"seal.center.K"', '"seal.center.K_xy"', "[[tolerance]] 1", '"seal.center.K_xy"', "K_xx"),
     "incomplete tolerance": ('"seal.center.K"', '"seal.center"', "[[tolerance]] 1", '"seal.center" is incomplete', "seal.<name>."),
     "tolerance of an unused parameter": ('"bearing.A.negative_stiffness.zeta"', '"amplifier.damping"', "[[tolerance]] 2", "names nothing", '"twice-first"'),
+    "tolerance of the added mass": ('"bearing.A.negative_stiffness.zeta"', '"seal.center.M"', "[[tolerance]] 2", '"seal.center.M" cannot be uncertain', "acceleration", 'give "seal.center.K" or "seal.center.C" a tolerance'),
     "tolerance without width": ('relative = "20 %"\n', "", "[[tolerance]] 2 bearing.A.negative_stiffness.zeta", "neither relative nor absolute"),
     "tolerance with two widths": ('relative = "20 %"', 'relative = "20 %"\nabsolute = 5', "[[tolerance]] 2", "both relative and absolute"),
     "tolerance without extent": ('relative = "20 %"', "relative = 0", "[[tolerance]] 2", "relative is 0", "positive"),
@@ -207,9 +209,9 @@ def test_all_problems_are_in_one_message():
     with pytest.raises(InvalidInput) as caught:
         loads_machine(text)
     lines = str(caught.value).splitlines()
-    assert lines[0] == "machine file has 4 problems:"
+    assert lines[0] == "machine file has 5 problems:"  # "ordr" is unknown, and order is missing
     assert all(line.startswith("  - [") for line in lines[1:])
-    assert [key for key in ("length", "mass", "tiltgain", "ordr") if key not in str(caught.value)] == []
+    assert [key for key in ("length", "mass", "tiltgain", "ordr", "order is missing") if key not in str(caught.value)] == []
 
 
 def test_all_physical_problems_are_in_one_message():
@@ -217,6 +219,9 @@ def test_all_physical_problems_are_in_one_message():
     with pytest.raises(InvalidInput) as caught:
         loads_machine(text)
     message = str(caught.value)
+    lines = message.splitlines()
+    assert lines[0] == f"machine file has {len(lines) - 1} problems:"
+    assert all(line.startswith("  - [[") for line in lines[1:])
     assert "mass is -3 kg" in message
     assert "[[bearing]] B: position is 0.5 m" in message
     assert "[[seal]] center: position is 0.3 m" in message

@@ -146,7 +146,7 @@ def test_axes_of_a_seal_table_in_another_order():
 def test_absolute_tolerance_is_in_the_unit_of_its_parameter():
     for path, text, value in (
         ("seal.center.C", "2 kN s/m", 2000.0),
-        ("seal.center.M", "20 g", 0.02),
+        ("coupling.coupling.stiffness", "2 N/um", 2e6),
         ("bearing.A.force_per_current", "5 N/A", 5.0),
         ("amplifier.bandwidth", "100 Hz", 200 * math.pi),
         ("coupling.coupling.damping.eta", 3, 3.0),

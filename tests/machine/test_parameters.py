@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.config import load_machine
-from ambrose.machine.parameters import QUANTITIES, Parameter, find_parameter, operating_point, parse_parameter
+from ambrose.machine.parameters import QUANTITIES, Parameter, find_parameter, find_uncertain, operating_point, parse_parameter
 from ambrose.machine.units import DIMENSIONS
 
 GOOD = {
@@ -112,6 +112,13 @@ class TestOfAMachine:
     def test_not_found(self, path, reason):
         with pytest.raises(InvalidInput, match=reason):
             find_parameter(load_machine("seal-rig"), path)
+
+    def test_the_added_mass_is_a_parameter_but_not_an_uncertain_one(self):
+        machine = load_machine("seal-rig")
+        assert find_parameter(machine, "seal.center.M").quantity == "M"
+        with pytest.raises(InvalidInput, match=r'"seal.center.M" cannot be uncertain.*give "seal.center.K" or "seal.center.C"'):
+            find_uncertain(machine, "seal.center.M")
+        assert find_uncertain(machine, "seal.center.K") == find_parameter(machine, "seal.center.K")
 
     def test_no_such_table(self):
         with pytest.raises(InvalidInput, match=r"the machine has no \[\[coupling\]\]"):

@@ -1,5 +1,7 @@
-"""Machines made in code: the same physical checks as for a file."""
+"""Machines made in code: the same physical checks as for a file, when they are made."""
 
+import pickle
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +10,8 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.config import load_machine
-from ambrose.machine.description import Amplifier, Machine, SealTable, ShaftSection
-from ambrose.machine.validate import check_machine, problems
+from ambrose.machine.description import Amplifier, Machine, SealTable, ShaftSection, Tolerance
+from ambrose.machine.validate import InvalidMachine, check_machine, problems
 
 SMALL = load_machine(Path(__file__).with_name("small.toml"))
 NAN, INF = float("nan"), float("inf")
@@ -23,6 +25,13 @@ def with_seal(**changes) -> Machine:
     return replace(SMALL, seals=(replace(SMALL.seals[0], **changes),), tolerances=())
 
 
+def refused(make: Callable[[], Machine]) -> tuple[str, ...]:
+    """The problems for which a machine cannot be made."""
+    with pytest.raises(InvalidMachine) as caught:
+        make()
+    return caught.value.problems
+
+
 def test_a_good_machine_has_no_problems():
     assert problems(SMALL) == ()
     check_machine(SMALL)
@@ -30,7 +39,9 @@ def test_a_good_machine_has_no_problems():
 
 def test_the_least_machine():
     """A free rotor is a machine, too."""
-    check_machine(Machine("free", (ShaftSection(0.0, 1.0, 0.1),), (), (), Amplifier("none")))
+    free = Machine("free", (ShaftSection(0.0, 1.0, 0.1),), (), ())
+    assert free.amplifier == Amplifier("none")
+    assert problems(free) == ()
 
 
 @pytest.mark.parametrize("value", [NAN, INF, -INF, np.float64("nan")])
@@ -46,18 +57,18 @@ def test_the_least_machine():
     ],
 )
 def test_not_finite(change, place, value):
-    found = problems(change(value))
+    found = refused(lambda: change(value))
     assert len(found) == 1
     assert found[0].startswith(f"{place} is {float(value)}")
 
 
 def test_not_finite_in_an_array():
     table = SealTable((("pressure", (0.0, 1.0)),), (("k", np.array([0.0, NAN])),))
-    assert problems(with_seal(table=table))[0].startswith("seals center: table: values 1 2 has an element")
+    assert refused(lambda: with_seal(table=table))[0].startswith("seals center: table: values 1 2 has an element")
 
 
 def test_no_section():
-    found = problems(replace(SMALL, shaft=()))
+    found = refused(lambda: replace(SMALL, shaft=()))
     assert len(found) == 1
     assert found[0].startswith("[[shaft]]: there is no section")
 
@@ -66,21 +77,22 @@ def test_sections_may_touch_within_rounding():
     """0.1 + 0.2 is not 0.3."""
     sections = (ShaftSection(0.0, 0.1, 0.1), ShaftSection(0.1, 0.2, 0.1), ShaftSection(0.3, 0.3, 0.1))
     assert sections[1].start + sections[1].length != sections[2].start
-    check_machine(replace(SMALL, shaft=sections))
+    assert replace(SMALL, shaft=sections).length == pytest.approx(0.6)
 
 
 def test_an_attachment_may_sit_on_the_last_millimetre():
-    check_machine(with_bearing(position=SMALL.length))
-    check_machine(with_bearing(position=SMALL.length * (1 + 1e-15)))
-    assert problems(with_bearing(position=SMALL.length * 1.000001))
+    for place in (SMALL.length, SMALL.length * (1 + 1e-15)):
+        assert with_bearing(position=place).bearings[0].position == place
+    (found,) = refused(lambda: with_bearing(position=SMALL.length * 1.000001))
+    assert "on the shaft, from 0 to 0.6 m" in found
 
 
 @pytest.mark.parametrize("kind", ["discs", "bearings", "seals", "couplings"])
 def test_names_are_unique_over_all_attachments(kind):
     entries = getattr(SMALL, kind)
     other = "B" if kind != "bearings" else "wheel"
-    changed = replace(SMALL, **{kind: (replace(entries[0], name=other), *entries[1:])}, tolerances=())
-    assert any(f'"{other}" is taken' in line for line in problems(changed))
+    changed = (replace(entries[0], name=other), *entries[1:])
+    assert any(f'"{other}" is taken' in line for line in refused(lambda: replace(SMALL, **{kind: changed}, tolerances=())))
 
 
 @pytest.mark.parametrize(
@@ -98,27 +110,48 @@ def test_names_are_unique_over_all_attachments(kind):
     ],
 )
 def test_seals(changes, wanted):
-    assert any(wanted in line for line in problems(with_seal(**changes)))
+    assert any(wanted in line for line in refused(lambda: with_seal(**changes)))
 
 
 def test_tolerances_must_not_name_the_same_number():
     first, second = SMALL.tolerances
     for path in ("seal.center.K", "seal.center.K_xx"):
-        changed = replace(SMALL, tolerances=(first, replace(second, parameter=path)))
-        assert any("are the same number" in line for line in problems(changed))
-    apart = replace(
-        SMALL, tolerances=(replace(first, parameter="seal.center.K_yy"), replace(second, parameter="seal.center.K_xx"))
-    )
-    check_machine(apart)
+        both = (first, replace(second, parameter=path))
+        (found,) = refused(lambda both=both: replace(SMALL, tolerances=both))
+        assert "are the same number" in found
+    apart = (replace(first, parameter="seal.center.K_yy"), replace(second, parameter="seal.center.K_xx"))
+    assert replace(SMALL, tolerances=apart).tolerances == apart
+
+
+def test_a_tolerance_goes_with_its_seal():
+    """What belongs together is replaced together."""
+    (found,) = refused(lambda: replace(SMALL, seals=()))
+    assert found.startswith("[[tolerance]] 1: ")
+    assert 'names the unknown seal "center"; the machine has no [[seal]]' in found
+    assert replace(SMALL, seals=(), tolerances=()).seals == ()
+
+
+def test_the_added_mass_takes_no_tolerance():
+    (found,) = refused(lambda: replace(SMALL, tolerances=(Tolerance("seal.center.M", relative=0.2),)))
+    assert found.startswith("[[tolerance]] 1: ")
+    assert 'give "seal.center.K" or "seal.center.C" a tolerance' in found
+
+
+def test_a_bearing_goes_with_its_sensor():
+    (found,) = refused(lambda: replace(SMALL, sensors=SMALL.sensors[:1]))
+    assert found == '[[bearing]] B: no [[sensor]] serves it; add one with bearing = "B" and its position'
 
 
 def test_tilting_needs_two_bearings():
-    one = replace(SMALL, bearings=SMALL.bearings[:1], sensors=SMALL.sensors[:1])
-    assert any("tilting needs two bearings, there are 1" in line for line in problems(one))
+    found = refused(lambda: replace(SMALL, bearings=SMALL.bearings[:1], sensors=SMALL.sensors[:1]))
+    assert any("tilting needs two bearings, there are 1" in line for line in found)
 
 
 def test_the_exception_lists_all_of_it():
     with pytest.raises(InvalidInput) as caught:
-        check_machine(replace(SMALL, modal_damping=-1.0, beam_theory="euler", discs=(replace(SMALL.discs[0], mass=0.0),)))
-    assert str(caught.value).splitlines()[0] == 'machine "small" has 3 problems:'
+        replace(SMALL, modal_damping=-1.0, beam_theory="euler", discs=(replace(SMALL.discs[0], mass=0.0),))
+    lines = str(caught.value).splitlines()
+    assert lines[0] == 'machine "small" has 3 problems:'
+    assert len(lines) == 4
     assert "mass is 0 kg" in str(caught.value)
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)

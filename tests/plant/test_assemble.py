@@ -36,7 +36,7 @@ def test_high_frequency_compliance_is_the_inverse_mass(machine, plant):
 
     1/m_eff = 1/m + l^2/J; J includes no rotary inertia of the sections in the Bernoulli-Euler model.
     """
-    stiff = replace(machine, seals=(), couplings=(), modal_damping=1e-6)
+    stiff = replace(machine, seals=(), tolerances=(), couplings=(), modal_damping=1e-6)
     stiff = replace(stiff, bearings=tuple(replace(b, negative_stiffness=(1.0, 1.0)) for b in machine.bearings))
     w = 2 * np.pi * 20.0
     G = frequency_response(select(assemble(stiff).system, "f_A_zeta", "q_A_zeta"), [w]).values[0, 0, 0]
@@ -53,6 +53,7 @@ def test_static_compliance_of_a_coupling(machine):
     held = replace(
         machine,
         seals=(),
+        tolerances=(),
         couplings=(Coupling("left", 0.162, (1e5, 1e5), angle=0.7), Coupling("right", 0.698, (1e5, 1e5))),
         bearings=tuple(replace(b, negative_stiffness=(1e-6, 1e-6)) for b in machine.bearings),
     )
@@ -81,7 +82,11 @@ def test_zero_pressure_removes_only_k(machine):
 def test_modal_damping_ratio(machine):
     """Every bending mode of the free rotor gets the stated ratio, rigid-body modes none."""
     free = replace(
-        machine, seals=(), couplings=(), bearings=tuple(replace(b, negative_stiffness=(1e-9, 1e-9)) for b in machine.bearings)
+        machine,
+        seals=(),
+        tolerances=(),
+        couplings=(),
+        bearings=tuple(replace(b, negative_stiffness=(1e-9, 1e-9)) for b in machine.bearings),
     )
     values = poles(assemble(free).rotor)
     bending = values[np.abs(values) > 100.0]

@@ -46,7 +46,7 @@ def sample_machine() -> Machine:
         discs=(Disc("thrust_disc", 0.81, 6.0, 0.02, 0.0105), Disc("hub", 0.02, 0.5)),
         seals=(Seal("center", 0.43, K=0.43e6, k=3.2e6, C=2524.0, c=-2554.0, reference_pressure=2.04e5),),
         couplings=(Coupling("coupling", 0.0, (0.40e6, 0.42e6)),),
-        amplifier=Amplifier(bandwidth=1360.0),
+        amplifier=Amplifier("first", bandwidth=1360.0),
         operation=Operation(points),
         description="69 kg rotor & air seal",
         source="made up for the tests",

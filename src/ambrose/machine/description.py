@@ -1,8 +1,8 @@
 """What the user writes down about a machine. Data only: no matrices, no units but SI, no files.
 
 Positions are axial coordinates from the rotor's left end [m]. ``zeta``/``eta`` pairs are in the actuator axes, tilted by
-``angle`` from the global x, y. Reading and writing a file check all of it (``machine/validate.py``);
-a Machine made in code is checked by ``validate.check_machine``.
+``angle`` from the global x, y. A Machine is checked as a whole when it is made, from a file, in code or with ``replace``
+(``machine/validate.py``); its parts are checked with it.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class Amplifier:
     "second": natural_frequency^2/(s^2 + damping s + natural_frequency^2), damping [rad/s]; "none": ideal. All [rad/s].
     """
 
-    order: str = "first"
+    order: str = "none"
     bandwidth: float | None = None
     eddy_bandwidth: float | None = None
     natural_frequency: float | None = None
@@ -293,6 +293,8 @@ class Machine:
 
     modal_damping [-] is the damping ratio given to every bending mode; beam_theory "bernoulli-euler", "rayleigh" or
     "timoshenko"; ``assumed`` lists the parameters that were chosen, not measured or published, each with its reason.
+    Making one raises InvalidInput with a line for each problem: what belongs together (a seal and its tolerance, a bearing
+    and its sensor) is replaced together.
     """
 
     name: str
@@ -313,6 +315,11 @@ class Machine:
     modal_damping: float = 0.005
     beam_theory: str = "bernoulli-euler"
     assumed: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        from ambrose.machine.validate import check_machine  # which imports the nouns from here
+
+        check_machine(self)
 
     @property
     def length(self) -> float:

@@ -46,13 +46,14 @@ def _tidy(node: Any) -> Any:
 
 
 def _add_defaults(table: dict[str, Any], model: type[Table]) -> None:
-    """Enter the defaults of the noun (numbers and strings) into the table's properties."""
+    """Enter the defaults of the noun (numbers and strings) into the table's properties that may be left out."""
     noun: Any = Machine if model.__name__ == "MachineTable" else model.noun
     if noun is None:
         return
+    optional = table["properties"].keys() - table.get("required", ())
     for field in fields(noun):
         simple = field.default is not MISSING and isinstance(field.default, (int, float, str, tuple)) and field.default != ()
-        if simple and field.name in table["properties"]:
+        if simple and field.name in optional:
             table["properties"][field.name]["default"] = (
                 list(field.default) if isinstance(field.default, tuple) else field.default
             )

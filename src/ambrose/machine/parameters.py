@@ -1,6 +1,7 @@
 """Names in a machine: operating points by label, and single parameters as tolerances name them.
 
-seal.<name>.K | k | C | c | M                    one parameter for both axes (k also as -k), a repeated real block
+seal.<name>.K | k | C | c                        one parameter for both axes (k also as -k), a repeated real block
+seal.<name>.M                                    of both axes; it takes no tolerance
 seal.<name>.K_xx | K_yy | k_xy | k_yx | C_xx | C_yy | c_xy | c_yx     one entry of the matrix alone
 bearing.<name>.force_per_current | negative_stiffness [.zeta | .eta]
 coupling.<name>.stiffness | damping [.zeta | .eta]
@@ -103,6 +104,15 @@ def find_parameter(machine: Machine, path: str) -> Parameter:
         raise _wrong(
             path, f'names the unknown {parameter.table} "{parameter.name}"; {suggestion(parameter.name, names, nothing)}'
         )
+    return parameter
+
+
+def find_uncertain(machine: Machine, path: str) -> Parameter:
+    """``find_parameter`` for a tolerance. Raises InvalidInput for a parameter of the machine that cannot be uncertain, too."""
+    parameter = find_parameter(machine, path)
+    if (parameter.table, parameter.quantity) == ("seal", "M"):
+        remedy = f'remove it and give "seal.{parameter.name}.K" or "seal.{parameter.name}.C" a tolerance'
+        raise _wrong(path, f"cannot be uncertain: it acts on the acceleration, which no port of the plant carries; {remedy}")
     return parameter
 
 

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine, Material, ShaftSection
 from ambrose.machine.schema import MachineFile, ShaftTable, Table, table_below
-from ambrose.machine.validate import problems
+from ambrose.machine.validate import InvalidMachine
 from ambrose.machine.wording import listed, shown, suggestion
 
 _ENTRIES = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")  # the tables of which a machine has several
@@ -34,11 +34,10 @@ def machine_from_document(document: Mapping[str, Any], name: str) -> Machine:
     if unclear or unknown:
         raise InvalidInput(listed(name, [*unclear, *unknown]))
     parts = {f"{key}s" if key in _ENTRIES else key: value for key, value in file.given().items()}
-    machine = Machine(shaft=shaft, assumed=assumed, **whole, **parts)
-    found = problems(machine)
-    if found:
-        raise InvalidInput(listed(name, found))
-    return machine
+    try:
+        return Machine(shaft=shaft, assumed=assumed, **whole, **parts)
+    except InvalidMachine as error:
+        raise InvalidMachine(name, error.problems) from None  # named by its file
 
 
 def _named(name: str, table: Table) -> Material:

@@ -170,7 +170,7 @@ class AmplifierTable(Table):
     """Current amplifier and coil of every axis, unit gain at standstill."""
 
     noun = nouns.Amplifier
-    order: Annotated[str, Choice(tuple(AMPLIFIER_PARAMETERS))] = optional("the model's form")
+    order: Annotated[str, Choice(tuple(AMPLIFIER_PARAMETERS))] = required("the model's form")
     bandwidth: Rate = optional('corner frequency, for "first" and "twice-first"')
     eddy_bandwidth: Rate = optional('second corner frequency, for "twice-first"')
     natural_frequency: Rate = optional('natural frequency, for "second"')

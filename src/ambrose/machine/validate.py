@@ -1,4 +1,4 @@
-"""What a machine must fulfil: checked when a file is read and before one is written, and on demand for one made in code.
+"""What a machine must fulfil: checked whenever one is made.
 
 Every check yields complaints, so that all problems of a machine are reported together. Places are named as in the file.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import combinations
 
@@ -16,17 +16,28 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import validate_parts as parts
 from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, Machine, PidSettings
-from ambrose.machine.parameters import Parameter, find_parameter
+from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.wording import complaint, listed, not_positive, number, shown
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
+class InvalidMachine(InvalidInput):
+    """A machine that cannot be: where it stands (its name or its file), and ``problems``, one line for each."""
+
+    def __init__(self, where: str, problems: Sequence[str]) -> None:
+        super().__init__(where, tuple(problems))
+        self.problems = tuple(problems)
+
+    def __str__(self) -> str:
+        return listed(self.args[0], self.problems)
+
+
 def check_machine(machine: Machine) -> None:
-    """Raises InvalidInput with one line per problem, if there is any."""
+    """Raises InvalidMachine, an InvalidInput with one line per problem, if there is any."""
     found = problems(machine)
     if found:
-        raise InvalidInput(listed(f'machine "{machine.name}"', found))
+        raise InvalidMachine(f'machine "{machine.name}"', found)
 
 
 def problems(machine: Machine) -> tuple[str, ...]:
@@ -181,7 +192,7 @@ def _tolerances(machine: Machine) -> Iterator[str]:
     for i, tolerance in enumerate(machine.tolerances):
         where = f"[[tolerance]] {i + 1}"
         try:
-            found.append(find_parameter(machine, tolerance.parameter))
+            found.append(find_uncertain(machine, tolerance.parameter))
         except InvalidInput as error:
             yield f"{where}: {error}"
         named = f"{where} {tolerance.parameter}"

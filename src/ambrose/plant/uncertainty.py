@@ -17,7 +17,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
 from ambrose.machine.description import Amplifier, Tolerance
-from ambrose.machine.parameters import Parameter, find_parameter
+from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.physics import magnet, sensor
 from ambrose.plant.assemble import force_sums, magnets, plant_inputs, plant_outputs, seal_coefficients
 from ambrose.plant.model import Plant
@@ -95,7 +95,7 @@ def _half_widths(tolerance: Tolerance, found: Sequence[Channel]) -> list[float]:
 
 def channels(plant: Plant, path: str) -> list[Channel]:
     """Every place where the parameter at ``path`` acts; raises InvalidInput naming the part of the path that is unknown."""
-    parameter = find_parameter(plant.machine, path)
+    parameter = find_uncertain(plant.machine, path)
     return _FORMS[parameter.table](plant, parameter)
 
 
@@ -105,8 +105,6 @@ _SEAL_ENTRIES = {"xx": ("x", "x", -1.0), "yy": ("y", "y", -1.0), "xy": ("x", "y"
 
 def _seal_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     letter, name = parameter.quantity, parameter.name
-    if letter == "M":
-        raise InvalidInput(f"{parameter.path} acts on the acceleration, which no port carries; give K or C a tolerance instead")
     item = next(item for item in plant.machine.seals if item.name == name)
     nominal = float(getattr(seal_coefficients(item, plant.point), letter))
     entries = [parameter.component] if parameter.component else ["xx", "yy"] if letter in {"K", "C"} else ["xy", "yx"]

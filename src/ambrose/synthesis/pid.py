@@ -111,10 +111,7 @@ def tilt_translate(machine: Machine, tilt_gain: float) -> np.ndarray:
 
 
 def _sensor_position(machine: Machine, bearing: MagneticBearing) -> float:
-    for sensor in machine.sensors:
-        if sensor.bearing == bearing.name:
-            return sensor.position
-    raise InvalidInput(f"bearing {bearing.name!r} has no sensor; add one, tilt-translate coordinates need its position")
+    return next(sensor.position for sensor in machine.sensors if sensor.bearing == bearing.name)  # every machine has it
 
 
 def _directions(bearing: MagneticBearing) -> np.ndarray:
