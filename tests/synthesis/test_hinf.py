@@ -75,9 +75,11 @@ def test_static_plant_is_parrott():
     rng = np.random.default_rng(5)
     D11 = rng.standard_normal((5, 4))
     D = np.block([[D11, np.eye(5, 2, -3)], [np.eye(2, 4, 2), rng.standard_normal((2, 2))]])
-    result = hinf.synthesize(parted([], np.zeros((0, 6)), np.zeros((7, 0)), D, 2, 2), tolerance=1e-6)
+    result = hinf.synthesize(parted([], np.zeros((0, 6)), np.zeros((7, 0)), D, 2, 2), tolerance=1e-6, backoff=1.0001)
     exact = max(np.linalg.norm(D11[:3], 2), np.linalg.norm(D11[:, :2], 2))
     np.testing.assert_allclose(bracket(result), exact, rtol=2e-6)
+    assert result.gamma <= 1.0002 * exact
+    assert result.notes == ()
     assert result.controller.n_states == 0
 
 
@@ -217,6 +219,14 @@ def test_a_wrong_controller_does_not_pass(monkeypatch):
     monkeypatch.setattr(hinf, "original_controller", turned)
     with pytest.raises(NumericalFailure, match=r"passed its verification on the original plant.*the loop is unstable"):
         hinf.synthesize(scalar(1.0))
+
+
+def test_a_norm_above_gamma_does_not_pass():
+    plant = scalar(1.0)
+    result = hinf.synthesize(plant)
+    assert hinf.verified(plant, result.controller, result.gamma).stable
+    with pytest.raises(NumericalFailure, match=r"the norm is 2\.81\d*, above gamma"):
+        hinf.verified(plant, result.controller, 0.999 * result.gamma)
 
 
 def test_wider_backoff_is_tried_and_announced(monkeypatch):

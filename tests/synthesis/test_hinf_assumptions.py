@@ -103,6 +103,14 @@ def test_axis_zeros_are_found_at_their_frequency():
     assert "w = 2 rad/s" in result.notes[0]
 
 
+@pytest.mark.parametrize("coupling", [1e-3, 1e-8])
+def test_weakly_reached_modes_are_not_refused(coupling):
+    """The same modes, reached and shown a little: regular, whatever gamma that costs."""
+    for block in ([[0.5]], OSCILLATOR):
+        weak = [coupling] * len(block)
+        assert check_assumptions(scale_plant(with_mode(block, weak, weak, 1.0, hide=False))).rows.shape[0] <= 2
+
+
 @pytest.mark.parametrize("kind", [k for k in KINDS if k != "singular"])
 def test_no_false_alarm(kind):
     """None of 40 plants of any regular kind is found wanting, slow weight poles and 1e-9 .. 1e9 units included."""
