@@ -40,12 +40,13 @@ def is_map(curve: Curve) -> bool:
     return curve.kind == "speed" and curve.y_unit == "rad/s"
 
 
-def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False) -> Axes:
-    """The common axes of curves of one kind and unit."""
+def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False, view: Sequence[tuple[str, Curve]] = ()) -> Axes:
+    """The common axes of curves of one kind and unit; ``view``: those that choose the range of y (default: all)."""
     first = curves[0][1]
     x = np.concatenate([curve.x for _, curve in curves])
-    rows = [row[np.isfinite(row)] for row in (curve.y.ravel() for _, curve in curves)]
-    y = np.concatenate(rows)
+    everything = _finite(curves)
+    rows = _finite(view) if view else everything
+    y, whole = np.concatenate(rows), np.concatenate(everything)
     log = first.kind == "frequency"
     log_x = log and x.size > 0 and float(x.min()) > 0
     log_y = log and y.size > 0 and float(y.min()) > 0 and first.y_unit != "rad"
@@ -54,11 +55,15 @@ def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False) -> Ax
         low, high = _logarithmic(y, limits, _OVERLAY_DECADES if overlay else _DECADES)
     else:
         low, high = _linear(_without_runaways(rows) if first.kind == "time" else y, limits)
-    cut = bool(y.size) and (float(y.min()) < low or float(y.max()) > high)
+    cut = bool(whole.size) and (float(whole.min()) < low or float(whole.max()) > high)
     factor, y_unit = units.scale(first.y_unit, max(abs(low), abs(high)))
     x_factor, x_text = _x_scale(first.kind, x)
     ranges = _x_range(x * x_factor, log_x), (low * factor, high * factor)
     return Axes(x_factor, x_text, factor, y_unit, log_x, log_y, *ranges, cut)
+
+
+def _finite(curves: Sequence[tuple[str, Curve]]) -> list[np.ndarray]:
+    return [row[np.isfinite(row)] for row in (curve.y.ravel() for _, curve in curves)]
 
 
 def _x_scale(kind: str, x: np.ndarray) -> tuple[float, str]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ambrose.report import theme, units
 from ambrose.report.axes import Axes, axes_of, drawn, is_map
+from ambrose.report.limits import amount, beyond, draw_limits, limit_levels
 from ambrose.verify.checks import Curve
 
 Labelled = Sequence[tuple[str, Curve]]
@@ -48,8 +49,11 @@ def line_figure(curves: Labelled, style: Mapping[str, theme.Style], *, overlay: 
         _draw(figure, panel, curves, axes, style, first=panel is panels[0], overlay=overlay)
     theme.dress(figure, total, legend=legend)
     _scale_axes(figure, panels, axes, len(heights))
+    levels = limit_levels(curves, axes)
     for panel in panels:
-        _limits(figure, panel, curves, axes, named=panel.main or not panels[0].main)
+        size = (860, _MAIN_HEIGHT) if panel.main else (410, _SMALL_HEIGHT)
+        named = panel.main or not panels[0].main
+        draw_limits(figure, {"row": panel.row, "col": panel.column}, levels, axes, size=size, named=named)
         _panel_title(figure, panel, axes, many=len(panels) > 1)
     _beyond(figure, curves, axes)
     return figure
@@ -105,7 +109,7 @@ def _draw(
             )  # fmt: skip
             shown.add(label)
             if panel.main and len(panel.names) == 1 and _peaked(curve) and not overlay:
-                _mark_peak(figure, panel, x, y, look)
+                mark_peak(figure, {"row": panel.row, "col": panel.column}, x, y, look)
     if is_map(curves[0][1]):
         _map_furniture(figure, panel, curves, axes)
 
@@ -145,16 +149,17 @@ def _peak_text(rows: np.ndarray, curve: Curve, axes: Axes) -> str:
         return ""
     size = np.where(np.isfinite(rows), np.abs(rows), -1.0).max(axis=0)
     largest = int(size.argmax())
-    amount = _amount(float(size[largest]) * axes.y_factor, axes)
+    text = amount(float(size[largest]) * axes.y_factor, axes)
     if curve.kind == "time":
-        return f" · largest {amount}"
+        return f" · largest {text}"
     if largest == 0 < len(size) - 1:
         return ""
     where = units.join(units.number(float(curve.x[largest]) * axes.x_factor), "rpm" if curve.kind == "speed" else "Hz")
-    return f" · {'peak' if largest < len(size) - 1 else 'up to'} {amount} at {where}"
+    return f" · {'peak' if largest < len(size) - 1 else 'up to'} {text} at {where}"
 
 
-def _mark_peak(figure: Any, panel: Panel, x: np.ndarray, y: np.ndarray, look: theme.Style) -> None:
+def mark_peak(figure: Any, place: dict[str, int], x: np.ndarray, y: np.ndarray, look: theme.Style) -> None:
+    """A circle at the maximum of a line, unless it lies at one of its ends; x, y (n,) in shown units."""
     import plotly.graph_objects as go
 
     if not np.isfinite(y).any():
@@ -163,10 +168,7 @@ def _mark_peak(figure: Any, panel: Panel, x: np.ndarray, y: np.ndarray, look: th
     if i in {0, len(y) - 1}:
         return
     marker = {"color": "white", "size": 7, "line": {"color": look.colour, "width": 1.6}}
-    figure.add_trace(
-        go.Scatter(x=[x[i]], y=[y[i]], mode="markers", marker=marker, showlegend=False, hoverinfo="skip"),
-        row=panel.row, col=panel.column,
-    )  # fmt: skip
+    figure.add_trace(go.Scatter(x=[x[i]], y=[y[i]], mode="markers", marker=marker, showlegend=False, hoverinfo="skip"), **place)
 
 
 def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> None:
@@ -228,57 +230,13 @@ def _scale_axes(figure: Any, panels: Sequence[Panel], axes: Axes, rows: int) -> 
         figure.update_layout(margin={"r": 125})
 
 
-def _limits(figure: Any, panel: Panel, curves: Labelled, axes: Axes, *, named: bool) -> None:
-    """Limits inside the view as thin lines with their names on them, side by side where they would overprint."""
-    import plotly.graph_objects as go
-
-    place = {"row": panel.row, "col": panel.column}
-    height = _SMALL_HEIGHT if not panel.main else _MAIN_HEIGHT
-    low, high = (math.log10(v) for v in axes.y_range) if axes.log_y else axes.y_range
-    taken: list[tuple[float, float, float]] = []  # height [px], left and right end (fractions of the width) of the names so far
-    for level, words in _limit_levels(curves, axes):
-        if not axes.y_range[0] <= level <= axes.y_range[1]:
-            continue
-        line = {"color": theme.LIMIT, "width": 1.2, "dash": "1.5px,2px"}
-        ends = {"x": list(axes.x_range), "y": [level, level]}
-        figure.add_trace(go.Scatter(**ends, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
-        if not named:
-            continue
-        y = math.log10(level) if axes.log_y else level
-        at = (y - low) / (high - low) * height
-        width, right = (len(words) * 6.5 + 12) / (860 if panel.main else 410), 1.0
-        for pixel, start, end in sorted(taken, key=lambda item: -item[2]):
-            if abs(pixel - at) < 15 and start < right and right - width < end:
-                right = start
-        taken.append((at, right - width, right))
-        figure.add_annotation(
-            xref="x domain", x=right, y=y, text=theme.plain(words), showarrow=False, xanchor="right", yanchor="bottom",
-            yshift=-1, bgcolor="rgba(255, 255, 255, 0.85)", borderpad=0,  # a line just above does not strike it through
-            font={"size": 12, "color": theme.LIMIT}, **place,
-        )  # fmt: skip
-
-
-def _limit_levels(curves: Labelled, axes: Axes) -> list[tuple[float, str]]:
-    """Every level once (shown unit), with the names of all limits that lie there: "zone A/B, required 3"."""
-    names: dict[float, list[str]] = {}
-    for text, value in dict.fromkeys(limit for _, curve in curves for limit in curve.limits):
-        names.setdefault(value * axes.y_factor, []).append(text)
-    return [(level, f"{', '.join(texts)} {_amount(level, axes)}") for level, texts in sorted(names.items())]
-
-
-def _amount(level: float, axes: Axes) -> str:
-    return units.join(units.number(level), axes.y_unit)
-
-
 def _beyond(figure: Any, curves: Labelled, axes: Axes) -> None:
-    """One line, upper right, that names what lies outside the view: limits and parts of curves."""
-    outside = [item for item in _limit_levels(curves, axes) if not axes.y_range[0] <= item[0] <= axes.y_range[1]]
-    texts = [words for level, words in outside if level >= 0 or -level not in {other for other, _ in outside}]
-    texts += ["some curves"] if axes.cut else []
-    if texts:
+    """One line, upper right, that names what lies outside the view."""
+    words = beyond(curves, axes)
+    if words:
         figure.add_annotation(
             xref="paper", yref="paper", x=1, y=1, xanchor="right", yanchor="bottom", showarrow=False,
-            text=theme.plain("beyond the view: " + ", ".join(texts)), font={"size": 12, "color": theme.MUTED},
+            text=theme.plain(words), font={"size": 12, "color": theme.MUTED},
         )  # fmt: skip
 
 

@@ -26,15 +26,21 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
 from ambrose.machine.writing import write_text
 
-MARKS = {"": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": ""}
+MARKS = {"": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": "", "heading": ""}
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One entry of a table; mark: "pass", "fail", "none" (information only), "number" (right-aligned), "muted" or ""."""
+    """One entry of a table; mark: "pass", "fail", "none" (information only), "number" (right-aligned), "muted" or "".
+
+    A first cell marked "heading" makes its row a heading across the table. best: the best of its kind, set off quietly;
+    detail: more words, small, on a line of their own.
+    """
 
     text: str
     mark: str = ""
+    best: bool = False
+    detail: str = ""
 
     def __post_init__(self) -> None:
         if self.mark not in MARKS:
@@ -50,7 +56,8 @@ class Cell:
 class Table:
     """A table with its heading; every row as long as ``columns``; ``note`` stands beneath it. Raises InvalidInput.
 
-    widths: of the columns [%], where tables are to line up with each other.
+    widths: of the columns [%], where tables are to line up with each other. groups: (heading, number of columns) from left to
+    right, above the columns' own headings. by_cell: a failure tints its cell, not its row.
     """
 
     title: str
@@ -58,8 +65,15 @@ class Table:
     rows: tuple[tuple[str | Cell, ...], ...]
     note: str = ""
     widths: tuple[int, ...] = ()
+    groups: tuple[tuple[str, int], ...] = ()
+    by_cell: bool = False
 
     def __post_init__(self) -> None:
+        if self.groups and sum(span for _, span in self.groups) != len(self.columns):
+            raise InvalidInput(
+                f"the groups of table {self.title!r} span {sum(span for _, span in self.groups)} columns, "
+                f"but must span {len(self.columns)}; give the columns without heading a group named ''"
+            )
         for i, row in enumerate(self.rows):
             if len(row) != len(self.columns):
                 raise InvalidInput(
@@ -70,6 +84,12 @@ class Table:
     def cells(self) -> tuple[tuple[Cell, ...], ...]:
         """The rows with every entry a Cell."""
         return tuple(tuple(entry if isinstance(entry, Cell) else Cell(entry) for entry in row) for row in self.rows)
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """The columns at which a group begins, the first one left out."""
+        found = [sum(span for _, span in self.groups[:i]) for i in range(1, len(self.groups))]
+        return tuple(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,13 +103,17 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """A heading, some paragraphs, then figures and tables (tables first if ``tables_first``)."""
+    """A heading, some paragraphs, then figures and tables (tables first if ``tables_first``).
+
+    folded: the tables stand closed on the screen, each under its title, and open in print.
+    """
 
     title: str
     text: str = ""
     figures: tuple[Figure, ...] = ()
     tables: tuple[Table, ...] = ()
     tables_first: bool = False
+    folded: bool = False
 
     @property
     def paragraphs(self) -> tuple[str, ...]:
@@ -118,7 +142,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the end."""
+    """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the end.
+
+    result: how it all turned out (None: whether every verdict is good, in words of the page).
+    """
 
     title: str
     machine: Machine
@@ -127,6 +154,7 @@ class Report:
     facts: tuple[tuple[str, str], ...] = ()
     date: str = ""
     signatures: tuple[str, ...] = ("Prepared", "Checked", "Released")
+    result: Verdict | None = None
 
     @property
     def passed(self) -> bool | None:

@@ -11,7 +11,7 @@ from ambrose.report.document import Cell, Table, Verdict
 from ambrose.verify.checks import Check, Checks
 
 _WIDEST = 6  # operating points side by side in one table
-_RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
+RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
 _VIOLATED = {"<=": ">", ">=": "<", "<": "≥", ">": "≤"}
 
 
@@ -23,7 +23,7 @@ def verdict(checks: Checks) -> Verdict:
     judged = [check for check in checks.checks if check.passed is not None]
     failed = [check for check in judged if not check.passed]
     if not checks.stable:
-        why = ", ".join(_place(check) or _reason(check) for check in failed)
+        why = ", ".join(place(check) or reason(check) for check in failed)
         return Verdict(checks.label, False, f"UNSTABLE{': ' if why else ''}{why}; nothing else was evaluated")
     if not judged:
         return Verdict(checks.label, True, "stable; no limits were given to check against")
@@ -32,11 +32,12 @@ def verdict(checks: Checks) -> Verdict:
 
 
 def _reasons(failed: Sequence[Check]) -> str:
-    return "; fails: " + ", ".join(_reason(check) for check in failed) if failed else ""
+    return "; fails: " + ", ".join(reason(check) for check in failed) if failed else ""
 
 
-def _reason(check: Check) -> str:
-    detail = _place(check)
+def reason(check: Check) -> str:
+    """Why a check fails, as a clause: "output sensitivity 4.1 > 3 at 41 Hz"."""
+    detail = place(check)
     where = "" if not detail or len(detail) > 60 else f" {detail}" if detail.startswith("at ") else f" ({detail})"
     title = units.prose(check.title if check.title[:2].isupper() else check.title[:1].lower() + check.title[1:])
     if check.limit is None:
@@ -45,8 +46,8 @@ def _reason(check: Check) -> str:
     return f"{title} {value} {_VIOLATED.get(check.relation, '≠')} {limit}{where}"
 
 
-def _place(check: Check) -> str:
-    """The first clause of the detail."""
+def place(check: Check) -> str:
+    """Where a check has its value: the first clause of its detail."""
     return units.prose(check.detail.split(";")[0].strip().rstrip("."))
 
 
@@ -60,7 +61,7 @@ def _value_and_limit(check: Check, *, level: bool = True) -> tuple[str, str]:
         value, limit = units.quantity(check.value, _unit(check)), ""
     else:
         value, limit = units.pair(check.value, check.limit, _unit(check))
-        limit = f"{_RELATION.get(check.relation, check.relation)} {limit}"
+        limit = f"{RELATION.get(check.relation, check.relation)} {limit}"
     ratio = check.unit in {"", "-", "1"} and any(word in check.name for word in ("sensitivity", "gain_margin"))
     decibel = units.decibel(check.value) if ratio and level else ""
     return value + (f" ({decibel})" if decibel else ""), limit

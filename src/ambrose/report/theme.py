@@ -19,6 +19,9 @@ LIMIT = "#a3341f"
 FONT = "Helvetica Neue, Helvetica, Arial, Liberation Sans, sans-serif"
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#000000", "#cc79a7", "#56b4e9", "#e69f00")
+_CANDIDATES = (("#4a545d", "solid"), ("#b07d00", "8px,3px"), ("#b0307a", "10px,3px,2px,3px"), ("#4b2a8c", "2px,2px"))
+_FAMILY = ("#cdbbdf", "#a98cc8", "#8259ae", "#5a2d8a", "#300a52")
+_FAMILY_DASHES = ("2px,2px", "6px,3px", "solid", "10px,3px,2px,3px", "12px,3px")
 _DASHES = ("solid", "7px,3px", "2px,2px", "10px,3px,2px,3px", "solid", "7px,3px", "2px,2px")
 _SYMBOLS = ("x-thin", "circle-open", "triangle-up-open", "square-open", "diamond-open", "cross-thin", "star-open")
 
@@ -38,6 +41,23 @@ def styles(labels: Sequence[str]) -> dict[str, Style]:
     unique = list(dict.fromkeys(labels))
     size = len(_COLOURS)
     return {label: Style(_COLOURS[i % size], _DASHES[i % size], _SYMBOLS[i % size]) for i, label in enumerate(unique)}
+
+
+def candidate_styles(labels: Sequence[str]) -> dict[str, Style]:
+    """One style per controller where several are overlaid: other colours than those of the operating points."""
+    unique = list(dict.fromkeys(labels))
+    size = len(_CANDIDATES)
+    return {label: Style(*_CANDIDATES[i % size], _SYMBOLS[i % size], 1.9) for i, label in enumerate(unique)}
+
+
+def family_styles(labels: Sequence[str]) -> dict[str, Style]:
+    """Styles of a family over a parameter, in its order: from pale to dark in one hue, every dash its own."""
+    unique = list(dict.fromkeys(labels))
+    last = max(len(unique) - 1, 1)
+    return {
+        label: Style(_FAMILY[round(i * (len(_FAMILY) - 1) / last)], _FAMILY_DASHES[i % len(_FAMILY_DASHES)], "x-thin", 1.7)
+        for i, label in enumerate(unique)
+    }
 
 
 def overlay_styles(labels: Sequence[str]) -> dict[str, Style]:

@@ -44,7 +44,7 @@ def verification_report(
     loops = [(checks.label, curve) for checks in verifications for curve in checks.curves]
     sections = [
         _overview(machine, verifications),
-        _machine(machine, node_positions, shapes, frequencies, models),
+        machine_section(machine, node_positions, shapes, frequencies, models),
     ]
     if loops:
         text = (
@@ -85,13 +85,14 @@ def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
     return Section("Overview", "", (), tuple(found))
 
 
-def _machine(
+def machine_section(
     machine: Machine,
     node_positions: ArrayLike,
     shapes: ArrayLike | None,
     frequencies: ArrayLike | None,
     models: Sequence[tuple[str, str]],
 ) -> Section:
+    """The rotor drawing, the stations, the sizes of the models and what was chosen; arguments as for the whole report."""
     words = (
         "To scale: shaft, bores (dashed), laminations that add mass but no stiffness (hatched), discs as the cylinder with "
         "their mass and inertias. Symbols at their true positions: bearings, sensors, seals, couplings; dots on the axis "
