@@ -38,6 +38,20 @@ def test_seal_pressure():
     assert found["limit"] == pytest.approx(found["limit_full"], abs=1e-3)
 
 
+def test_three_controllers():
+    verdicts = example("04_three_controllers.py")["verdicts"]
+    margin = {method: checks["robust.stability.margin"].value for method, checks in verdicts.items()}
+    assert margin["pid"] < 1 < margin["hinf"] < margin["mu"]
+    assert verdicts["mu"]["robust.sensitivity.worst"].value < verdicts["hinf"]["robust.sensitivity.worst"].value
+
+
+def test_own_uncertain_plant():
+    peaks = example("05_own_uncertain_plant.py")["peaks"]
+    for peak in peaks.values():
+        assert peak.lower == pytest.approx(peak.upper, rel=1e-3)
+    assert peaks["mu"].upper < 0.8 * peaks["H-infinity"].upper
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
 def test_prints_something_when_run(path):
     done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=120, check=False)
