@@ -24,19 +24,26 @@ from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.synthesis import hinf
 from ambrose.synthesis.certify import generalized_certificate
 from ambrose.synthesis.mu_dstep import (
+    HIGHEST_ORDER,
     DStep,
     FittedScaling,
     d_blocks,
     d_step,
     design_grid,
+    extrapolate,
     fit_scaling,
+    of_scalars,
     peak_below,
 )
-from ambrose.synthesis.mu_scaling import scaled_loop, scaled_plant
+from ambrose.synthesis.mu_fit import RealRational
+from ambrose.synthesis.mu_scaling import Scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.problem import with_performance_block
 from ambrose.synthesis.result import Certificate, Synthesis
 
 _GAIN = 1e-3  # a step that lowers the best bound by less than this fraction ends the iteration
+_STRIDES = (4.0, 16.0, 64.0)  # how much further than the D-step says D may be moved
+_FACTOR = 2.0  # of one step in the search for the first D's level
+_FURTHEST = 40  # steps
 _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof is tried
 
 
@@ -47,7 +54,7 @@ def synthesize(
     order: int | Literal["auto"] = "auto",
     structure: Literal["scalar", "full"] = "scalar",
     backoff: float = 1.03,
-    fit_tolerance: float = 0.03,
+    fit_tolerance: float = 0.02,
     omega: ArrayLike | None = None,
     time_limit: float = 120.0,
     progress: Callable[[str], None] | None = None,
@@ -75,11 +82,15 @@ def synthesize(
     reason = ""
     try:
         iterates.append(_evaluate(job, _start(job), None, 0))
+        lowest = 0
         for _ in range(iterations):
             job.check_time()
-            iterates.append(_step(job, iterates))
-            if _settled(iterates):
-                break
+            iterates.append(_step(job, iterates, lowest))
+            if _settled(job, iterates):
+                orders = iterates[-1].orders
+                if order != "auto" or max(orders) < lowest or lowest >= HIGHEST_ORDER:
+                    break
+                lowest = 1 + max(orders)
     except (KeyboardInterrupt, AmbroseError, np.linalg.LinAlgError) as stop:
         reason = "interrupted" if isinstance(stop, KeyboardInterrupt) else str(stop)
         if not iterates:
@@ -118,7 +129,7 @@ class _Job:
             raise invalid("order", repr(order), 'a whole number from 0 to 10, or "auto"', "1 or 2 is usual")
         if structure not in ("scalar", "full"):
             raise invalid("structure", repr(structure), '"scalar" or "full"', "it says how repeated blocks are scaled")
-        check_positive(fit_tolerance, "fit_tolerance", "0.03 suits most problems")
+        check_positive(fit_tolerance, "fit_tolerance", "0.02 suits most problems")
         check_positive(time_limit, "time_limit", "give seconds")
         if not plant.blocks:
             raise InvalidInput("the plant has no blocks; without uncertainty hinf.synthesize is the method")
@@ -150,10 +161,15 @@ class _Job:
 class _Iterate:
     controller: StateSpace
     gamma: float  # certified bound of complex mu
+    used: FittedScaling | None  # D of the K-step that made it
     fitted: FittedScaling  # from this controller's own loop: for the next K-step
     step: DStep
     stable_abscissa: float
     row: dict[str, float]
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        return (0,) if self.used is None else self.used.scaling.orders
 
 
 def _start(job: _Job) -> StateSpace:
@@ -172,14 +188,93 @@ def _performance_only(plant: GeneralizedPlant) -> GeneralizedPlant:
     return GeneralizedPlant(plant.system, plant.w[-last.n_w :], plant.u, plant.z[-last.n_z :], plant.y)
 
 
-def _step(job: _Job, iterates: Sequence[_Iterate]) -> _Iterate:
+def _step(job: _Job, iterates: Sequence[_Iterate], lowest: int) -> _Iterate:
     """One K-step with the last D, then the evaluation of its controller."""
     last = iterates[-1]
-    scaled = scaled_plant(job.plant, last.fitted.scaling)
-    made = hinf.synthesize(scaled, backoff=job.backoff, time_limit=max(job.left, 1e-3))
+    if len(iterates) == 1:
+        used = _first_scaling(job, last)
+    else:
+        fitted = fit_scaling(last.step, job.order, job.fit_tolerance, lowest) if lowest else last.fitted
+        used = _further(job, last, fitted)
+    made = hinf.synthesize(scaled_plant(job.plant, used.scaling), backoff=job.backoff, time_limit=max(job.left, 1e-3))
     for note in made.notes:
         job.say(f"K-step: {note}")
-    return _evaluate(job, made.controller, last.fitted, len(iterates))
+    return _evaluate(job, made.controller, used, len(iterates))
+
+
+def _gamma(job: _Job, scaling: Scaling, tolerance: float = 1e-2) -> float:
+    """The smallest gamma of a K-step; inf where there is none."""
+    job.check_time()
+    try:
+        made = hinf.synthesize(
+            scaled_plant(job.plant, scaling), backoff=1.1, tolerance=tolerance, time_limit=max(job.left, 1e-3)
+        )  # fmt: skip
+    except NumericalFailure:
+        return float("inf")
+    return made.certificate.margins["gamma_optimal"]
+
+
+def _further(job: _Job, last: _Iterate, fitted: FittedScaling) -> FittedScaling:
+    """D as fitted, or some times as far from the D used last, whichever the K-step likes best.
+
+    Where the loop is flat the new D lies close to the old one, and D-K crawls along a long valley; steps of several times the
+    length cost one H-infinity synthesis each.
+    """
+    if last.used is None:
+        return fitted
+    best, value, taken = fitted, _gamma(job, fitted.scaling, _GAIN), 1.0
+    for factor in _STRIDES:
+        trial = extrapolate(last.step, last.used, fitted, factor)
+        gamma = np.inf if trial is None else _gamma(job, trial.scaling, _GAIN)
+        if trial is not None and gamma < value * (1 - _GAIN):
+            best, value, taken = trial, gamma, factor
+    if taken > 1:
+        job.say(f"D moved {taken:g} times as far")
+    return best
+
+
+def _first_scaling(job: _Job, start: _Iterate) -> FittedScaling:
+    """The first D: constants in the ratios of the nominal controller's loop, at the level that promises most.
+
+    Where gamma is smallest over the level, D and K may be optimal for each other, with the optimum far away and no way to it
+    but a crawl; off this point the D-step sees which way to go. So the best level and its neighbours are followed one step.
+    """
+    peak, nothing = int(np.argmax(start.step.upper)), np.zeros(0)
+    size = [start.step.D_w[peak, place.w.start, place.w.start].real for place in start.step.structure.places]
+    tried: dict[int, float] = {}
+
+    def at(k: int) -> FittedScaling:
+        d = [RealRational(float(x) * _FACTOR**k, nothing, nothing) for x in size[:-1]]
+        return of_scalars(start.step, [*d, RealRational(1.0, nothing, nothing)])
+
+    def gamma(k: int) -> float:
+        if k not in tried:
+            tried[k] = _gamma(job, at(k).scaling)
+        return tried[k]
+
+    best = 0
+    for stride in (4, 1):
+        while abs(best) < _FURTHEST:
+            move = min((best, best - stride, best + stride), key=gamma)
+            if move == best:
+                break
+            best = move
+    if not np.isfinite(gamma(best)):
+        return start.fitted
+
+    def ahead(k: int) -> float:
+        job.check_time()
+        try:
+            made = hinf.synthesize(scaled_plant(job.plant, at(k).scaling), backoff=1.05, tolerance=1e-2, time_limit=job.left)
+        except NumericalFailure:
+            return float("inf")
+        step = d_step(lft(job.plant, made.controller), job.blocks, job.grid[::2], rounds=0)
+        return _gamma(job, fit_scaling(step, job.order, job.fit_tolerance).scaling, _GAIN)
+
+    follow = {k: ahead(k) for k in (best, best - 1, best + 1)}
+    chosen = min(follow, key=lambda k: follow[k] * (1.0 if k == best else 1.01))  # no detour for nothing
+    job.say(f"first D: constant, gamma {gamma(chosen):.4g} and {follow[chosen]:.4g} one step on")
+    return at(chosen)
 
 
 def _evaluate(job: _Job, controller: StateSpace, used: FittedScaling | None, number: int) -> _Iterate:
@@ -210,7 +305,7 @@ def _evaluate(job: _Job, controller: StateSpace, used: FittedScaling | None, num
         f"{row['mu_mixed_lower']:.4f} to {row['mu_mixed']:.4f} at {row['mu_frequency']:.4g} rad/s, order "
         f"{controller.n_states}, D of order {int(row['d_order'])}, {row['seconds']:.1f} s"
     )
-    return _Iterate(controller, gamma, fitted, step, abscissa, row)
+    return _Iterate(controller, gamma, used, fitted, step, abscissa, row)
 
 
 def _mu(job: _Job, step: DStep) -> dict[str, float]:
@@ -231,13 +326,24 @@ def _mu(job: _Job, step: DStep) -> dict[str, float]:
     }
 
 
-def _settled(iterates: Sequence[_Iterate]) -> bool:
+def _settled(job: _Job, iterates: Sequence[_Iterate]) -> bool:
     """Whether the last step brought nothing; the first one is never the last."""
-    return len(iterates) > 2 and iterates[-1].gamma > (1 - _GAIN) * min(item.gamma for item in iterates[:-1])
+    least = _GAIN if job.order != "auto" else max(_GAIN, 0.25 * job.fit_tolerance)
+    return len(iterates) > 2 and iterates[-1].gamma > (1 - least) * min(item.gamma for item in iterates[:-1])
+
+
+def _best(job: _Job, iterates: Sequence[_Iterate]) -> _Iterate:
+    """The smallest gamma; with automatic order the fewest states within ``fit_tolerance`` of it."""
+    best = min(iterates, key=lambda item: item.gamma)
+    if job.order == "auto":
+        near = [item for item in iterates if item.gamma <= best.gamma * (1 + job.fit_tolerance)]
+        fewest = min(item.controller.n_states for item in near)
+        best = min((item for item in near if item.controller.n_states == fewest), key=lambda item: item.gamma)
+    return best
 
 
 def _result(job: _Job, iterates: Sequence[_Iterate], reason: str) -> Synthesis:
-    best = min(iterates, key=lambda item: item.gamma)
+    best = _best(job, iterates)
     row = best.row
     found = generalized_certificate(_performance_only(job.plant), best.controller)
     names = ("mu_complex", "mu_mixed", "mu_mixed_lower", "mu_frequency", "scaling_states")

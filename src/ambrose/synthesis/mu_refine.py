@@ -1,9 +1,12 @@
-"""Scalar D scalings moved to where they are wanted: the lowest peak of sigma_max(D M D^-1), not the nearest magnitude.
+"""Scalar D scalings where they are wanted: the lowest peak of sigma_max(D M D^-1), not the nearest magnitude.
 
-A fit of low order cannot follow the optimal D at every frequency, and least squares does not know where an error costs most.
-Starting from the fit, the gains, poles and zeros of all blocks are moved together by L-BFGS to lower the p-norm over frequency
-of the largest singular value, whose derivative is exact: d ln sigma = sum_i (|left_i|^2 - |right_i|^2) d ln |d_i|, with the
-parts of the singular vectors that belong to block i. Only the magnitude of d_i matters, its phase is unitary.
+A fit of low order cannot follow the optimal D at every frequency, and need not: around the optimum is a whole tube of D with
+almost the same sigma_max. ``tube`` finds it, for a fit to its middle with its width as the weight.
+
+Least squares still does not know where an error costs most. Starting from the fit, the gains, poles and zeros of all blocks are
+moved together by L-BFGS to lower the p-norm over frequency of the largest singular value, whose derivative is exact: d ln sigma
+= sum_i (|left_i|^2 - |right_i|^2) d ln |d_i|, with the parts of the singular vectors that belong to block i. Only the magnitude
+of d_i matters, its phase is unitary.
 """
 
 from __future__ import annotations
@@ -16,6 +19,8 @@ from ambrose.core.mu_structure import Structure
 from ambrose.synthesis.mu_fit import RealRational
 
 _POWER = 40.0
+_REACH = 6.0  # largest half-width of a tube, in ln d
+_HALVINGS = 7
 _ITERATIONS = 40
 
 
@@ -29,6 +34,27 @@ def _scaled(M: np.ndarray, structure: Structure, log_d: np.ndarray) -> np.ndarra
     w = np.repeat(log_d, [place.block.n_w for place in structure.places], axis=1)
     z = np.repeat(log_d, [place.block.n_z for place in structure.places], axis=1)
     return np.exp(z)[:, :, None] * M * np.exp(-w)[:, None, :]
+
+
+def tube(M: np.ndarray, structure: Structure, log_d: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where ln d_i may lie, one block at a time, with sigma_max(D M D^-1) <= level: middle and half-width, (w, blocks - 1).
+
+    M (w, n_z, n_w); log_d (w, blocks): the optimal ones; level (w,): above their sigma_max. Half-widths are at most 6.
+    """
+    S = _scaled(M, structure, log_d)
+    count = log_d.shape[1] - 1
+    ends = np.zeros((2, len(M), count))
+    for i in range(count):
+        for side, sign in enumerate((-1.0, 1.0)):
+            inside, outside = np.zeros(len(M)), np.full(len(M), _REACH)
+            for halving in range(_HALVINGS):
+                trial = outside if halving == 0 else 0.5 * (inside + outside)
+                change = np.zeros_like(log_d)
+                change[:, i] = sign * trial
+                below = np.linalg.norm(_scaled(S, structure, change), 2, axis=(1, 2)) <= level
+                inside, outside = np.where(below, trial, inside), np.where(below, outside, trial)
+            ends[side, :, i] = log_d[:, i] + sign * inside
+    return 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
 
 
 def refine(M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[RealRational]) -> list[RealRational]:

@@ -68,17 +68,6 @@ def scalar_scaling(block: Block, d: RealRational) -> BlockScaling:
     return BlockScaling(_side([d.system()] * block.n_z), _side([inverse.system()] * block.n_w), d.order)
 
 
-def no_scaling(blocks: Sequence[Block]) -> Scaling:
-    """D = I."""
-    return constant_scaling(blocks, np.ones(len(blocks)))
-
-
-def constant_scaling(blocks: Sequence[Block], d: Sequence[float] | np.ndarray) -> Scaling:
-    """D_i = d_i I, one number per block."""
-    nothing = np.zeros(0)
-    return Scaling(tuple(scalar_scaling(b, RealRational(float(x), nothing, nothing)) for b, x in zip(blocks, d, strict=True)))
-
-
 def scaled_loop(loop: StateSpace, scaling: Scaling) -> StateSpace:
     """D_z M D_w^-1 for a system M from w to z, both with the signals of the blocks only."""
     system = series(series(scaling.right, loop), scaling.left)
