@@ -1,4 +1,4 @@
-"""Robust control without a machine: a levitated mass with uncertain stiffness, mu analysis and D-K iteration on your own model."""
+"""Robust control without a machine file: a levitated mass with uncertain stiffness, mu analysis and D-K iteration."""
 
 import numpy as np
 

@@ -177,9 +177,9 @@ def simulate(machine: str, path: Path, scenario: str, linear: bool, point: str |
 @ALL
 @AS_JSON
 def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
-    """The whole chain, from the machine file to report.html."""
+    """The whole chain: every controller the machine file allows, verified, simulated and compared in report.html."""
     from ambrose import study
-    from ambrose.export.results import checks_to_dict
+    from ambrose.report.tables import verdict
 
     description = _load(machine)
     directory = output or Path(f"study-{description.name}")
@@ -187,12 +187,18 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
         result = study.run(description, directory, progress)
     report = directory / "report.html"
     if as_json:
-        points = [checks_to_dict(c) for c in result.checks]
-        click.echo(json.dumps({"machine": description.name, "passed": result.passed, "report": str(report), "points": points}))
+        click.echo(json.dumps({**study.results(result), "report": str(report)}))
     else:
-        for checks in result.checks:
-            _print_checks(checks, everything)
-        click.echo(f"\nReport: {report}")
+        rows, marks = [], []
+        for candidate in result.candidates:
+            for checks in [*candidate.checks, *([candidate.robust] if candidate.robust else [])]:
+                label = "over all tolerances" if checks is candidate.robust else checks.label
+                rows.append((candidate.name, label, verdict(checks).text))
+                marks.append("" if checks.passed else "red")
+                if everything:
+                    _print_checks(checks, everything)
+        _table(f"{description.name}: {len(result.candidates)} controllers", ("controller", "at", "verdict"), rows, marks)
+        click.echo(f"Most checks are met by {result.best.name}. Report: {report}")
     sys.exit(0 if result.passed else 1)
 
 

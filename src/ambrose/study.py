@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import AmbroseError
+from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles, select
 from ambrose.export.files import match_controller, read_controller, write_controller
-from ambrose.export.results import checks_to_dict, write_json
+from ambrose.export.results import certificate_to_dict, checks_to_dict, write_json
 from ambrose.machine.config import machine_hash
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import operating_point
@@ -26,17 +26,18 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.report.candidate import Candidate
 from ambrose.simulate import linear
 from ambrose.simulate.scenario import load_scenario
 from ambrose.simulate.trace import Trace
-from ambrose.synthesis import pid
-from ambrose.synthesis.certify import certify
+from ambrose.synthesis.design import design, methods_for, on_full_plant
 from ambrose.synthesis.result import Synthesis
-from ambrose.verify import campbell, nominal
+from ambrose.verify import campbell, nominal, robust
 from ambrose.verify.checks import Checks, Curve
 
 Progress = Callable[[str], None]
 _CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10
+TITLES = {"pid": "PID", "hinf": "H-infinity", "mu": "mu"}
 SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance patterns of P5
 
 
@@ -44,42 +45,85 @@ SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance pa
 class Study:
     """Everything that one run found; plants, checks and traces go by operating point, the nominal one first.
 
-    traces: (operating point, trace) pairs. speed_curves: the Campbell map, for machines that turn.
+    candidates: the controllers that the machine file allows (PID, H-infinity, mu), each with its checks and traces.
+    speed_curves: the Campbell map with the first of them, for machines that turn.
     """
 
     machine: Machine
     plants: tuple[Plant, ...]
     reduced: Plant
-    synthesis: Synthesis
-    checks: tuple[Checks, ...]
-    traces: tuple[tuple[str, Trace], ...]
+    candidates: tuple[Candidate, ...]
     speed_curves: tuple[Curve, ...] = ()
 
     @property
+    def best(self) -> Candidate:
+        """The candidate that meets most checks, robust ones included; unstable points count against it."""
+        return max(self.candidates, key=lambda candidate: -_failures(candidate))
+
+    @property
     def passed(self) -> bool:
-        """Whether every check at every operating point is met."""
-        return all(checks.passed for checks in self.checks)
+        """Whether one controller meets every check at every operating point and over the tolerances."""
+        return _failures(self.best) == 0
+
+
+def _failures(candidate: Candidate) -> int:
+    verifications = [*candidate.checks, *([candidate.robust] if candidate.robust else [])]
+    return sum(100 if not v.stable else sum(check.passed is False for check in v.checks) for v in verifications)
 
 
 def run(machine: Machine, directory: Path, progress: Progress = lambda stage: None) -> Study:
-    """All stages in order; leaves controller.json, checks.json and report.html in ``directory``.
+    """All stages in order; leaves controller-<method>.json, checks.json and report.html in ``directory``.
 
-    Raises InvalidInput for a machine without controller settings, OSError where the directory cannot be written.
+    Raises InvalidInput for a machine with neither controller settings nor weights, and where ``directory`` cannot be written.
     """
     directory.mkdir(parents=True, exist_ok=True)
     progress("assembling the finite-element plant at every operating point")
     plants = full_plants(machine)
     progress("reducing it")
     reduced = reduce(plants[0])
-    progress("controller")
-    synthesis = kept_or_designed(plants[0], directory / "controller.json")
-    checks = verification(plants, synthesis.controller, progress)
-    traces = simulations(plants, synthesis.controller, progress)
-    study = Study(machine, plants, reduced, synthesis, checks, traces, campbell_map(plants[0], synthesis.controller, progress))
+    candidates = []
+    for method in methods_for(plants[0]):
+        progress(f"{TITLES[method]}: controller")
+        synthesis = kept_or_designed(plants[0], method, directory / f"controller-{method}.json", progress)
+        candidates.append(examined(plants, method, synthesis, progress))
+    if not candidates:
+        raise InvalidInput(f"machine {machine.name!r} has no [controller] and no [weights]; add one of the tables")
+    speed_curves = campbell_map(plants[0], candidates[0].synthesis.controller, progress)
+    study = Study(machine, plants, reduced, tuple(candidates), speed_curves)
     progress("writing the report")
-    write_json(directory / "checks.json", {"machine": machine.name, "points": [checks_to_dict(c) for c in checks]})
+    write_json(directory / "checks.json", results(study))
     write_report(study, directory / "report.html")
     return study
+
+
+def examined(plants: tuple[Plant, ...], method: str, synthesis: Synthesis, progress: Progress) -> Candidate:
+    """A controller with all that verification and simulation say about it."""
+    name = TITLES[method]
+    checks = verification(plants, synthesis.controller, lambda stage: progress(f"{name}: {stage}"))
+    over_box = None
+    if plants[0].machine.tolerances and checks[0].stable:
+        progress(f"{name}: verifying over all tolerances")
+        over_box = robust.check(plants[0], synthesis.controller)
+    traces = simulations(plants, synthesis.controller, lambda stage: progress(f"{name}: {stage}"))
+    return Candidate(name, synthesis, checks, over_box, traces)
+
+
+def results(study: Study) -> dict[str, Any]:
+    """The study as plain data: certificates and checks of every candidate."""
+    return {
+        "machine": study.machine.name,
+        "passed": study.passed,
+        "best": study.best.name,
+        "controllers": {
+            c.name: {
+                "status": c.synthesis.status,
+                "certificate": certificate_to_dict(c.synthesis.certificate),
+                "points": [checks_to_dict(checks) for checks in c.checks],
+                "robust": checks_to_dict(c.robust) if c.robust else None,
+            }
+            for c in study.candidates
+        },
+    }
 
 
 def full_plants(machine: Machine) -> tuple[Plant, ...]:
@@ -95,21 +139,16 @@ def plant_at(machine: Machine, label: str | None) -> Plant:
     return assemble(machine, machine.operation.nominal if label is None else operating_point(machine, label))
 
 
-def design(plant: Plant) -> Synthesis:
-    """The reference PID controller of the machine file, certified on the full plant."""
-    return pid.synthesize(plant)
-
-
-def kept_or_designed(plant: Plant, path: Path) -> Synthesis:
+def kept_or_designed(plant: Plant, method: str, path: Path, progress: Progress) -> Synthesis:
     """The controller at ``path`` if it was made for exactly this machine (certified again), else a new one, written there."""
     try:
         kept = read_controller(path)
-        if kept.provenance.machine_hash == machine_hash(plant.machine):
-            certificate = certify(plant, kept.controller)
-            return Synthesis(kept.controller, kept.method, kept.gamma, kept.status, certificate)
+        if kept.certificate and (kept.provenance.machine_hash, kept.method) == (machine_hash(plant.machine), method):
+            old = Synthesis(kept.controller, kept.method, kept.gamma, kept.status, kept.certificate)
+            return on_full_plant(plant, old, {})
     except AmbroseError:
         pass  # absent, or not readable any more: designed anew
-    synthesis = design(plant)
+    synthesis = design(plant, method, progress=progress)
     write_controller(path, synthesis, plant.machine)
     return synthesis
 
@@ -203,19 +242,17 @@ def model_comparison(plant: Plant, reduced: Plant) -> list[tuple[str, Curve]]:
 
 
 def write_report(study: Study, path: Path) -> None:
-    """report.html: one self-contained page."""
+    """report.html: one self-contained page that compares the candidates."""
+    from ambrose.report.comparison import comparison_report
     from ambrose.report.document import write
-    from ambrose.report.traces import trace_curves
-    from ambrose.report.verification import verification_report
 
     rotor = finite_element_rotor(study.machine)
     modes = free_modes(rotor, 2)
     plane = slice(0, None, 2)  # the modes come in x/y pairs; the drawing shows x
     full, reduced = study.plants[0], study.reduced
-    certificate = study.synthesis.certificate
-    report = verification_report(
+    report = comparison_report(
         study.machine,
-        study.checks,
+        study.candidates,
         node_positions=rotor.positions,
         shapes=modes.shapes[0::4, plane],
         frequencies=modes.frequencies[plane],
@@ -223,12 +260,8 @@ def write_report(study: Study, path: Path) -> None:
             ("full model", f"{full.rotor.n_states} rotor states, {full.system.n_states} with amplifiers and sensors"),
             ("reduced model", f"{reduced.rotor.n_states} rotor states, {reduced.system.n_states} with amplifiers and sensors"),
         ),
-        responses=[(label, curve) for label, trace in study.traces for curve in trace_curves(trace, study.machine)],
         comparison=model_comparison(full, reduced),
         over_speed=[(full.point.label, curve) for curve in study.speed_curves],
-        facts=(
-            ("Controller", f"{study.synthesis.method}, {study.synthesis.controller.n_states} states, {study.synthesis.status}"),
-            ("Certified on", certificate.plant),
-        ),
+        facts=(("Verified on", f"the full model at {len(study.plants)} operating points, and over all tolerances"),),
     )
     write(report, path)
