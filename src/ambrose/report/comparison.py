@@ -167,6 +167,5 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
             where = checks.label if checks is not candidate.robust else f"whole tolerance box ({checks.label})"
             table = tables.checks_table(checks)
             found.append(replace(table, title=f"{candidate.name}, {where}: {tables.verdict(checks).text.partition(';')[0]}"))
-    return Section(
-        "All checks in detail", "Click on a line to unfold its table; on paper all are open.", (), tuple(found), folded=True
-    )
+    words = "Click on a line to unfold its table; paper shows those that are open."
+    return Section("All checks in detail", words, (), tuple(found), folded=True)

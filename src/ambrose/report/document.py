@@ -105,7 +105,7 @@ class Figure:
 class Section:
     """A heading, some paragraphs, then figures and tables (tables first if ``tables_first``).
 
-    folded: the tables stand closed on the screen, each under its title, and open in print.
+    folded: the tables stand closed, each under its title, until the reader opens them; paper shows those that are open.
     """
 
     title: str
