@@ -125,7 +125,7 @@ def synthesize(
 @ALL
 @AS_JSON
 def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
-    """Check a controller on the full plant at every operating point of the machine."""
+    """Check a controller on the full plant: at every operating point of the machine, and over all its tolerances."""
     from ambrose import study
     from ambrose.export.files import read_controller
     from ambrose.export.results import checks_to_dict
@@ -133,13 +133,16 @@ def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
     description = _load(machine)
     controller = read_controller(path).controller
     with _progress(as_json) as progress:
-        results = study.verification(study.full_plants(description), controller, progress)
+        plants = study.full_plants(description)
+        points = study.verification(plants, controller, progress)
+        over_box = study.over_tolerances(plants[0], controller, points[0].stable, progress)
     if as_json:
-        click.echo(json.dumps({"machine": description.name, "points": [checks_to_dict(r) for r in results]}))
+        found = {"points": [checks_to_dict(r) for r in points], "robust": checks_to_dict(over_box) if over_box else None}
+        click.echo(json.dumps({"machine": description.name, **found}))
     else:
-        for result in results:
+        for result in [*points, *([over_box] if over_box else [])]:
             _print_checks(result, everything)
-    sys.exit(0 if all(result.passed for result in results) else 1)
+    sys.exit(0 if all(r.passed for r in points) and (over_box is None or over_box.passed) else 1)
 
 
 @main.command()

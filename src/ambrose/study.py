@@ -100,10 +100,7 @@ def examined(plants: tuple[Plant, ...], method: str, synthesis: Synthesis, progr
     """A controller with all that verification and simulation say about it."""
     name = TITLES[method]
     checks = verification(plants, synthesis.controller, lambda stage: progress(f"{name}: {stage}"))
-    over_box = None
-    if plants[0].machine.tolerances and checks[0].stable:
-        progress(f"{name}: verifying over all tolerances")
-        over_box = robust.check(plants[0], synthesis.controller)
+    over_box = over_tolerances(plants[0], synthesis.controller, checks[0].stable, lambda stage: progress(f"{name}: {stage}"))
     traces = simulations(plants, synthesis.controller, lambda stage: progress(f"{name}: {stage}"))
     return Candidate(name, synthesis, checks, over_box, traces)
 
@@ -162,6 +159,14 @@ def verification(plants: tuple[Plant, ...], controller: Any, progress: Progress)
         along = _plants_along_speed(plant) if turning else None
         results.append(nominal.check(plant, match_controller(controller, plant), plant_at=along))
     return tuple(results)
+
+
+def over_tolerances(plant: Plant, controller: Any, stable: bool, progress: Progress) -> Checks | None:
+    """The checks over the machine's tolerances; None without tolerances, for an unstable nominal loop or a sampled controller."""
+    if not plant.machine.tolerances or not stable or controller.dt is not None:
+        return None
+    progress("verifying over all tolerances")
+    return robust.check(plant, controller)
 
 
 def _plants_along_speed(plant: Plant) -> Callable[[float], Plant]:
