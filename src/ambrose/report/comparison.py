@@ -164,8 +164,9 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
     for candidate in candidates:
         ordered = [checks for point in points if (checks := candidate.at(point)) is not None]
         for checks in [*ordered, *([candidate.robust] if candidate.robust is not None else [])]:
-            where = checks.label if checks is not candidate.robust else f"whole tolerance box ({checks.label})"
-            table = tables.checks_table(checks)
-            found.append(replace(table, title=f"{candidate.name}, {where}: {tables.verdict(checks).text.partition(';')[0]}"))
+            where, words = checks.label, tables.verdict(checks).text.partition(";")[0]
+            if checks is candidate.robust:  # "stable" would be said of the nominal loop only
+                where, words = f"whole tolerance box ({checks.label})", words.removeprefix("stable, ")
+            found.append(replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}"))
     words = "Click on a line to unfold its table; paper shows those that are open."
     return Section("All checks in detail", words, (), tuple(found), folded=True)
