@@ -1,0 +1,72 @@
+"""L-BFGS whose line search never leaves the set of stabilising controllers (Nocedal & Wright 2006, alg. 7.4, 3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+_MEMORY = 25
+_HALVINGS = 25
+
+
+def descend(
+    cost: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    allowed: Callable[[np.ndarray], bool],
+    x: np.ndarray,
+    iterations: int,
+    tolerance: float,
+    proceed: Callable[[], bool],
+) -> tuple[np.ndarray, int]:
+    """x (k,) with a lower cost, reached through allowed points only, and the iterations used.
+
+    x (k,): allowed. Ends after ``iterations``, when ten of them gain less than ``tolerance``, or when ``proceed`` says no.
+    """
+    value, g = cost(x)
+    pairs: list[tuple[np.ndarray, np.ndarray]] = []
+    values = [value]
+    used = 0
+    while used < iterations:
+        used += 1
+        if not proceed():
+            break
+        direction = _direction(g, pairs)
+        slope = float(g @ direction)
+        if slope >= 0:
+            pairs.clear()
+            direction, slope = -g, -float(g @ g)
+        step = 1.0 if pairs else min(1.0, 1e-2 * max(1.0, float(np.linalg.norm(x))) / max(float(np.linalg.norm(g)), 1e-300))
+        for _ in range(_HALVINGS):
+            trial = x + step * direction
+            new, g_new = cost(trial)
+            if new <= value + 1e-4 * step * slope and allowed(trial):
+                break
+            step *= 0.5 if np.isfinite(new) and new < value + 1 else 0.1
+        else:
+            if not pairs:
+                break
+            pairs.clear()
+            continue
+        s, y = trial - x, g_new - g
+        if s @ y > 1e-10 * np.linalg.norm(s) * np.linalg.norm(y):
+            pairs = [*pairs[-_MEMORY + 1 :], (s, y)]
+        x, value, g = trial, new, g_new
+        values.append(value)
+        if len(values) > 10 and values[-11] - value < tolerance:
+            break
+    return x, used
+
+
+def _direction(g: np.ndarray, pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """-H g by the two-loop recursion."""
+    q, alphas = g.copy(), []
+    for s, y in reversed(pairs):
+        alpha = float(s @ q) / float(s @ y)
+        q -= alpha * y
+        alphas.append(alpha)
+    if pairs:
+        s, y = pairs[-1]
+        q *= float(s @ y) / float(y @ y)
+    for (s, y), alpha in zip(pairs, reversed(alphas), strict=True):
+        q += s * (alpha - float(y @ q) / float(s @ y))
+    return -q
