@@ -32,6 +32,7 @@ from ambrose.simulate.scenario import load_scenario
 from ambrose.simulate.trace import Trace
 from ambrose.synthesis.design import design, methods_for, on_full_plant
 from ambrose.synthesis.result import Synthesis
+from ambrose.synthesis.weights import machine_weights
 from ambrose.verify import campbell, nominal, robust
 from ambrose.verify.checks import Checks, Curve
 
@@ -169,7 +170,8 @@ def over_tolerances(plant: Plant, controller: Any, stable: bool, progress: Progr
     if not plant.machine.tolerances or not stable or controller.dt is not None:
         return None
     progress("verifying over all tolerances")
-    found = robust.check(plant, controller)
+    weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
+    found = robust.check(plant, controller, weights=weights)
     proof = [
         replace(check, detail=f"{check.detail}; on the reduced model with one bending mode per plane")
         for check in robust.check(reduce(plant, 1), controller).checks
