@@ -43,8 +43,8 @@ def synthesize(
     *,
     order: int | None = None,
     deltas: Sequence[float] = (-1.0, -0.5, 0.0, 0.5, 1.0),
-    iterations: int = 600,
-    rounds: int = 4,
+    iterations: int = 1200,
+    rounds: int = 6,
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
