@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import NumericalFailure, check_positive, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
 from ambrose.core.response import sample_polynomial, simulate_piecewise
 from ambrose.core.statespace import StateSpace, as_statespace, index_of, poles, select
 from ambrose.machine.description import OperatingPoint
@@ -54,6 +54,11 @@ def run(
     divided as the fastest sine demands. A sampled loop sees the mean of a smooth disturbance over each sample.
     Raises InvalidInput, and NumericalFailure where a run-up does not converge.
     """
+    if scenario.only_for_the_rig:
+        what = ", ".join(scenario.only_for_the_rig)
+        raise InvalidInput(
+            f"scenario {scenario.name} has {what}, which a linear model does not know; run it on the virtual rig"
+        )
     loop_at, first, speed = _resolve(loop, scenario, point)
     step = _sample_time(first, scenario, dt)
     k = int(min(scenario.duration / step, 1e15) + 1e-6) + 1
@@ -132,10 +137,7 @@ def _sample_time(loop: StateSpace, scenario: Scenario, dt: float | None) -> floa
         return loop.dt
     if given is not None:
         return given
-    fastest = max([sine.frequency for sine in scenario.sines], default=0.0)
-    if scenario.unbalances:
-        fastest = max(fastest, abs(scenario.speed_at(0.0)), abs(scenario.speed_at(scenario.duration)))
-    return _SAMPLE_TIME / max(1.0, np.ceil(fastest * _SAMPLE_TIME / FASTEST))
+    return _SAMPLE_TIME / max(1.0, np.ceil(scenario.fastest * _SAMPLE_TIME / FASTEST))
 
 
 def _constant_speed(task: _Task, pole: complex | None) -> np.ndarray:

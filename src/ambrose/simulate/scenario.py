@@ -1,7 +1,7 @@
 """Scenario: what is done to a closed loop during a simulation; its TOML files, and the bundled ones.
 
-Disturbances act on the loop's input signals by name: current excitation e_<axis> [A], output disturbance d_<axis> [m],
-reference r_<axis> [m], force f_<port>_<direction> [N]. Unbalance acts at a port, in both of its directions.
+Its parts are in disturbances.py. Disturbances act on the loop's input signals by name: current excitation e_<axis> [A], output
+disturbance d_<axis> [m], reference r_<axis> [m], force f_<port>_<direction> [N]; unbalance acts at a port, in both directions.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,96 +19,85 @@ from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.record import signal_dimension
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.machine.wording import suggestion
+from ambrose.simulate.disturbances import (
+    Chirp,
+    Disturbance,
+    Failure,
+    Prbs,
+    PressureChange,
+    Pulse,
+    Sine,
+    SteppedSine,
+    Unbalance,
+    check_disturbance,
+)  # fmt: skip
 
+__all__ = [
+    "Chirp",
+    "Failure",
+    "Prbs",
+    "PressureChange",
+    "Pulse",
+    "Scenario",
+    "Sine",
+    "SteppedSine",
+    "Unbalance",
+    "bundled_scenarios",
+    "load_scenario",
+    "read_scenario",
+]  # fmt: skip
 
-@dataclass(frozen=True, slots=True)
-class Pulse:
-    """A rectangular disturbance: ``amplitude`` (SI unit of ``signal``) from ``start`` [s] for ``duration`` [s].
-
-    Without a duration it is a step that lasts to the end. ``every`` [s] repeats it.
-    """
-
-    signal: str
-    amplitude: float
-    start: float = 0.0
-    duration: float | None = None
-    every: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Sine:
-    """amplitude sin(frequency (t - start) + phase) from ``start`` [s] for ``duration`` [s] (None: to the end); [rad/s]."""
-
-    signal: str
-    amplitude: float
-    frequency: float
-    phase: float = 0.0
-    start: float = 0.0
-    duration: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Unbalance:
-    """A mass off centre at ``port`` ("A", "center", ...), turning with the rotor; ``phase`` [rad] from the first direction.
-
-    Either ``amount`` [kg m], or ``grade`` [m/s] at ``grade_speed`` [rad/s] (ISO 21940-11, G2.5: 2.5e-3 m/s), of which this
-    port carries the fraction ``share``: amount = share grade mass / grade_speed with the rotor's mass.
-    """
-
-    port: str
-    amount: float | None = None
-    grade: float | None = None
-    grade_speed: float | None = None
-    share: float = 1.0
-    phase: float = 0.0
-
-    def __post_init__(self) -> None:
-        graded = self.grade is not None and self.grade_speed is not None
-        if graded == (self.amount is not None) or (self.grade is None) != (self.grade_speed is None):
-            raise InvalidInput(
-                f"the unbalance at {self.port} needs either amount, or grade and grade_speed; give one of the two"
-            )
-
-    def mass_times_radius(self, mass: float | None) -> float:
-        """The amount [kg m]; ``mass`` of the rotor [kg] is needed for a grade. Raises InvalidInput."""
-        if self.amount is not None:
-            return self.amount
-        if self.grade is None or self.grade_speed is None or mass is None:
-            raise InvalidInput(f"the unbalance at {self.port} is a grade, which needs the rotor's mass; pass mass=... in kg")
-        return self.share * self.grade * check_positive(mass, "mass", "give it in kg") / self.grade_speed
+LEVITATED = "levitated"
+INITIAL_STATES = (LEVITATED, "resting")
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """All disturbances of one simulation, which starts at rest and lasts ``duration`` [s].
+    """All disturbances of one simulation, which lasts ``duration`` [s].
 
     speed [rad/s] (None: that of the loop) goes linearly to ``to_speed`` over ``ramp`` [s] (None: the whole duration) and
-    stays there. sample_time [s]: None leaves it to the simulation. Raises InvalidInput.
+    stays there. sample_time [s]: None leaves it to the simulation. For the virtual rig alone: ``initial`` state, "levitated" in
+    equilibrium or "resting" in the touchdown bearings; changes of pressure; failures; switch_at [s], where a second controller
+    takes over. Raises InvalidInput.
     """
 
     name: str
     duration: float
     pulses: tuple[Pulse, ...] = ()
     sines: tuple[Sine, ...] = ()
+    stepped_sines: tuple[SteppedSine, ...] = ()
+    chirps: tuple[Chirp, ...] = ()
+    sequences: tuple[Prbs, ...] = ()
     unbalances: tuple[Unbalance, ...] = ()
+    pressures: tuple[PressureChange, ...] = ()
+    failures: tuple[Failure, ...] = ()
     speed: float | None = None
     to_speed: float | None = None
     ramp: float | None = None
     sample_time: float | None = None
+    initial: str = LEVITATED
+    switch_at: float | None = None
     description: str = ""
 
     def __post_init__(self) -> None:
         check_positive(self.duration, "the scenario's duration", "give it in seconds")
         if self.sample_time is not None:
             check_positive(self.sample_time, "sample_time", "give it in seconds")
-        windows: list[Pulse | Sine] = [*self.pulses, *self.sines]
-        for item in windows:
-            self._check_window(item)
-        for pulse in self.pulses:
-            if pulse.every is not None and (pulse.duration is None or not pulse.duration <= pulse.every):
-                raise invalid(f"every of the pulse on {pulse.signal}", pulse.every, "at least its duration", "lengthen it")
-        for sine in self.sines:
-            check_positive(sine.frequency, f"the frequency of the sine on {sine.signal}", "give it in rad/s")
+        for item in self.all_windows:
+            check_disturbance(item, self.duration)
+        starts = [("the time of a change of pressure", item.time) for item in self.pressures]
+        starts += [("the time of a failure", item.time) for item in self.failures]
+        if self.switch_at is not None:
+            starts.append(("switch_at", self.switch_at))
+        for what, start in starts:
+            if not 0 <= start < self.duration:
+                raise invalid(what, start, f"within 0 to {self.duration:g} s", "move it")
+        if self.initial not in INITIAL_STATES:
+            raise invalid("initial", repr(self.initial), " or ".join(INITIAL_STATES), "correct it")
+        for earlier, later in pairwise(self.pressures):
+            if later.time < earlier.time + earlier.ramp:
+                requirement = f"after the one before is over, at {earlier.time + earlier.ramp:g} s"
+                raise invalid("the time of a change of pressure", later.time, requirement, "move it")
         if self.to_speed is not None and self.speed is None:
             raise InvalidInput("to_speed is given without speed; give the speed at the start")
         if self.ramp is not None and (self.to_speed is None or not 0 < self.ramp <= self.duration):
@@ -115,13 +105,33 @@ class Scenario:
         if self.unbalances and self.speed is None:
             raise InvalidInput("an unbalance is given without speed; give the speed at which the rotor turns")
 
-    def _check_window(self, item: Pulse | Sine) -> None:
-        if not math.isfinite(item.amplitude):
-            raise invalid(f"the amplitude on {item.signal}", item.amplitude, "finite", "correct it")
-        if not 0 <= item.start < self.duration:
-            raise invalid(f"the start on {item.signal}", item.start, f"within 0 to {self.duration:g} s", "move it")
-        if item.duration is not None:
-            check_positive(item.duration, f"the duration on {item.signal}", "give it in seconds")
+    @property
+    def all_sines(self) -> tuple[Sine, ...]:
+        """The sines and the steps of the stepped sines that begin within the duration."""
+        steps = [sine for item in self.stepped_sines for sine in item.sines if sine.start < self.duration]
+        return (*self.sines, *steps)
+
+    @property
+    def all_windows(self) -> tuple[Disturbance, ...]:
+        """Everything that acts on one signal for a time."""
+        return (*self.pulses, *self.all_sines, *self.chirps, *self.sequences)
+
+    @property
+    def fastest(self) -> float:
+        """The highest frequency [rad/s] of a sine, chirp or unbalance; 0 without any."""
+        found = [sine.frequency for sine in self.all_sines]
+        found += [frequency for item in self.chirps for frequency in (item.frequency, item.to_frequency)]
+        if self.unbalances:
+            found += [abs(self.speed_at(0.0)), abs(self.speed_at(self.duration))]
+        return max(found, default=0.0)
+
+    @property
+    def only_for_the_rig(self) -> tuple[str, ...]:
+        """What of this scenario a linear model at one operating point cannot follow, in words."""
+        found = ["the start from rest"] if self.initial != LEVITATED else []
+        found += ["changes of pressure"] if self.pressures else []
+        found += ["failures"] if self.failures else []
+        return (*found, *(["the switch of controllers"] if self.switch_at is not None else []))
 
     @property
     def runs_up(self) -> bool:
@@ -140,14 +150,20 @@ class Scenario:
 _TABLES: dict[str, tuple[str, type[Any]]] = {
     "pulse": ("pulses", Pulse),
     "sine": ("sines", Sine),
+    "stepped_sine": ("stepped_sines", SteppedSine),
+    "chirp": ("chirps", Chirp),
+    "prbs": ("sequences", Prbs),
     "unbalance": ("unbalances", Unbalance),
+    "pressure": ("pressures", PressureChange),
+    "failure": ("failures", Failure),
 }
 _KINDS = {
-    **dict.fromkeys(("duration", "start", "every", "ramp", "sample_time"), "time"),
-    **dict.fromkeys(("speed", "to_speed", "frequency", "grade_speed"), "angular rate"),
-    "phase": "angle", "grade": "velocity", "share": "ratio",
+    **dict.fromkeys(("duration", "start", "every", "ramp", "sample_time", "dwell", "bit_time", "time", "switch_at"), "time"),
+    **dict.fromkeys(("speed", "to_speed", "frequency", "to_frequency", "frequencies", "grade_speed"), "angular rate"),
+    "phase": "angle", "grade": "velocity", "share": "ratio", "pressure": "pressure",
 }  # fmt: skip
-_TEXTS = {"name", "description", "signal", "port"}
+_TEXTS = {"name", "description", "signal", "port", "initial", "spacing", "axis"}
+_COUNTS = {"order", "seed"}
 _AMOUNT = {"kg m": 1.0, "g mm": 1e-6, "g m": 1e-3, "kg mm": 1e-3}
 
 
@@ -211,10 +227,20 @@ def _value(key: str, value: Any, table: Mapping[str, Any]) -> Any:
         return value
     if key == "amount":
         return _amount(value)
+    if key in _COUNTS:
+        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            raise invalid(key, repr(value), "a whole number, not negative", "correct it")
+        return value
     signal = str(table.get("signal", ""))
     dimension = signal_dimension(signal) if key == "amplitude" else DIMENSIONS[_KINDS[key]]
     try:
+        if key == "frequencies":
+            if not isinstance(value, list):
+                raise invalid(key, repr(value), "a list of frequencies", "write it in square brackets")
+            return tuple(read_quantity(item, dimension) for item in value)
         return read_quantity(value, dimension)
+    except InvalidInput:
+        raise
     except ValueError as error:
         raise InvalidInput(f"{key} {error}") from error
 

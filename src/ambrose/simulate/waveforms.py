@@ -1,26 +1,27 @@
-"""A scenario's disturbances as cubics between the samples: exact for pulses, to (w dt)^4/384 for sines and unbalance."""
+"""A scenario's disturbances as cubics between the samples: exact for pulses, to (w dt)^4/384 for all that turns."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.response import hermite
 from ambrose.core.statespace import index_of
-from ambrose.simulate.scenario import Pulse, Scenario, Sine, Unbalance
+from ambrose.simulate.disturbances import Chirp, Disturbance, Prbs, Pulse, Unbalance
+from ambrose.simulate.scenario import Scenario
 
 FASTEST = 0.32  # largest (w dt) of a sine between samples: an error of 3e-5
 
 
 def waveforms(
-    scenario: Scenario, inputs: Sequence[str], dt: float, k: int, mass: float | None = None
+    scenario: Scenario, inputs: Sequence[str], dt: float, k: int, mass: float | None = None, first: int = 0
 ) -> tuple[list[str], np.ndarray]:
     """The driven inputs' names, and the cubics c (4, m, k) they follow from sample to sample (core/response.py: hermite).
 
-    inputs: the names that the loop has. dt [s], k samples; mass [kg] of the rotor. Raises InvalidInput for an unknown signal
-    (listing the known ones), an edge that is no multiple of dt, or a sine too fast for dt.
+    inputs: the names that the loop has. dt [s], k samples from number ``first`` on; mass [kg] of the rotor. Raises InvalidInput
+    for an unknown signal (listing the known ones), an edge that is no multiple of dt, or a sine too fast for dt.
     """
     rows: dict[str, np.ndarray] = {}
 
@@ -28,49 +29,47 @@ def waveforms(
         index_of(name, inputs, "input")
         return rows.setdefault(name, np.zeros((4, k)))
 
+    def smooth(item: Disturbance, angle_and_rate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]) -> None:
+        for start, stop, offset in _windows(item, dt, first, k):
+            angle, rate = angle_and_rate(np.arange(offset, offset + stop - start + 1) * dt)
+            value, slope = item.amplitude * np.sin(angle), item.amplitude * rate * np.cos(angle)
+            row(item.signal)[:, start:stop] += hermite(value[None], slope[None], dt)[:, 0]
+
+    for item in scenario.all_windows:
+        row(item.signal)
     for pulse in scenario.pulses:
-        for first, last in _windows(pulse, dt, k):
-            row(pulse.signal)[0, first:last] += pulse.amplitude
-    for sine in scenario.sines:
+        for start, stop, _ in _windows(pulse, dt, first, k):
+            row(pulse.signal)[0, start:stop] += pulse.amplitude
+    for prbs in scenario.sequences:
+        for start, stop, offset in _windows(prbs, dt, first, k):
+            row(prbs.signal)[0, start:stop] += prbs.amplitude * _levels(prbs, dt, offset, stop - start)
+    for sine in scenario.all_sines:
         _check_smooth(sine.frequency, dt, f"the sine on {sine.signal}")
-        for first, last in _windows(sine, dt, k):
-            angle = sine.frequency * np.arange(last - first + 1) * dt + sine.phase
-            value, slope = sine.amplitude * np.sin(angle), sine.amplitude * sine.frequency * np.cos(angle)
-            row(sine.signal)[:, first:last] += hermite(value[None], slope[None], dt)[:, 0]
+        w, phase = sine.frequency, sine.phase
+        smooth(sine, lambda t, w=w, phase=phase: (w * t + phase, np.full_like(t, w)))  # type: ignore[misc]
+    for chirp in scenario.chirps:
+        _check_smooth(max(chirp.frequency, chirp.to_frequency), dt, f"the chirp on {chirp.signal}")
+        smooth(chirp, _sweep(chirp, scenario.duration))
     for unbalance in scenario.unbalances:
-        names = _directions(unbalance.port, inputs)
-        for first, last, force, rate in _turning(scenario, unbalance, dt, k, mass):
+        names = directions(unbalance.port, inputs)
+        for start, stop, force, rate in _turning(scenario, unbalance, dt, first, k, mass):
             for name, part in zip(names, (np.real, np.imag), strict=True):
-                row(name)[:, first:last] += hermite(part(force)[None], part(rate)[None], dt)[:, 0]
+                row(name)[:, start:stop] += hermite(part(force)[None], part(rate)[None], dt)[:, 0]
     driven = [name for name in inputs if name in rows]
     return driven, np.stack([rows[name] for name in driven], axis=1) if driven else np.zeros((4, 0, k))
 
 
-def _windows(item: Pulse | Sine, dt: float, k: int) -> Iterator[tuple[int, int]]:
-    """First and past-the-last sample of a disturbance and of its repetitions."""
-
-    def sample(time: float) -> int:
-        index = round(time / dt)
-        if abs(index - time / dt) > 1e-6 * max(1.0, index):
-            remedy = "move it or choose another sample time"
-            raise invalid(f"an edge of the disturbance on {item.signal}", f"{time:g} s", f"a multiple of dt = {dt:g} s", remedy)
-        return index
-
-    first = sample(item.start)
-    length = k if item.duration is None else sample(item.duration)
-    every = sample(item.every) if isinstance(item, Pulse) and item.every is not None else k
-    while first < k:
-        yield first, min(first + length, k)
-        first += every
+def sample_of(time: float, dt: float, what: str) -> int:
+    """The sample number of an edge at a time [s]; raises InvalidInput where it falls between samples."""
+    index = round(time / dt)
+    if abs(index - time / dt) > 1e-6 * max(1.0, index):
+        remedy = "move it or choose another sample time"
+        raise invalid(what, f"{time:g} s", f"a multiple of dt = {dt:g} s", remedy)
+    return index
 
 
-def _check_smooth(frequency: float, dt: float, what: str) -> None:
-    if frequency * dt > FASTEST * (1 + 1e-9):
-        requirement = f"at most {FASTEST / dt:g} rad/s at dt = {dt:g} s"
-        raise invalid(f"the frequency of {what}", f"{frequency:g} rad/s", requirement, "sample faster")
-
-
-def _directions(port: str, inputs: Sequence[str]) -> tuple[str, str]:
+def directions(port: str, inputs: Sequence[str]) -> tuple[str, str]:
+    """The two force inputs of a port; raises InvalidInput where there are none."""
     for first, second in (("zeta", "eta"), ("x", "y")):
         if f"f_{port}_{first}" in inputs and f"f_{port}_{second}" in inputs:
             return f"f_{port}_{first}", f"f_{port}_{second}"
@@ -78,10 +77,54 @@ def _directions(port: str, inputs: Sequence[str]) -> tuple[str, str]:
     raise InvalidInput(f"the unbalance is at port {port!r}, which the loop has not; it has {', '.join(known) or 'none'}")
 
 
+def _windows(item: Disturbance, dt: float, first: int, k: int) -> Iterator[tuple[int, int, int]]:
+    """First and past-the-last column of a disturbance and of its repetitions, and how long it then has been on [samples]."""
+    what = f"an edge of the disturbance on {item.signal}"
+    begin, end = sample_of(item.start, dt, what), first + k
+    length = end if item.duration is None else sample_of(item.duration, dt, what)
+    every = sample_of(item.every, dt, what) if isinstance(item, Pulse) and item.every is not None else 0
+    if every and begin < first:
+        begin += (first - begin) // every * every
+    while begin < end:
+        start, stop = max(begin, first), min(begin + length, end)
+        if start < stop:
+            yield start - first, stop - first, start - begin
+        if not every:
+            break
+        begin += every
+
+
+def _levels(prbs: Prbs, dt: float, offset: int, count: int) -> np.ndarray:
+    """+-1 for ``count`` samples of a sequence that has been on for ``offset`` samples."""
+    from scipy.signal import max_len_seq
+
+    held = sample_of(prbs.bit_time, dt, f"the bit_time on {prbs.signal}")
+    if held < 1:
+        raise invalid(f"the bit_time on {prbs.signal}", f"{prbs.bit_time:g} s", f"at least dt = {dt:g} s", "lengthen it")
+    bits = np.roll(2.0 * max_len_seq(prbs.order)[0] - 1.0, prbs.shift)
+    return bits[(np.arange(offset, offset + count) // held) % len(bits)]
+
+
+def _sweep(chirp: Chirp, end: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Angle and frequency over the time [s] since its start."""
+    T = end - chirp.start if chirp.duration is None else chirp.duration
+    a, b = chirp.frequency, chirp.to_frequency
+    if chirp.spacing == "linear" or a == b:
+        return lambda t: (a * t + (b - a) / T * t**2 / 2, a + (b - a) / T * t)
+    g = np.log(b / a) / T
+    return lambda t: (a / g * np.expm1(g * t), a * np.exp(g * t))
+
+
+def _check_smooth(frequency: float, dt: float, what: str) -> None:
+    if float(check_finite(frequency, f"the frequency of {what}")) * dt > FASTEST * (1 + 1e-9):
+        requirement = f"at most {FASTEST / dt:g} rad/s at dt = {dt:g} s"
+        raise invalid(f"the frequency of {what}", f"{frequency:g} rad/s", requirement, "sample faster")
+
+
 def _turning(
-    scenario: Scenario, unbalance: Unbalance, dt: float, k: int, mass: float | None
+    scenario: Scenario, unbalance: Unbalance, dt: float, first: int, k: int, mass: float | None
 ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-    """Stretches of constant angular acceleration a: first and past-the-last sample, force and its rate (complex) at all ends.
+    """Stretches of constant angular acceleration a: first and past-the-last column, force and its rate (complex) at all ends.
 
     F = U (W^2 - j a) exp(j phi), real part in the first direction and imaginary part in the second: minus the mass times the
     acceleration of a point that turns with phi'' = a.
@@ -89,14 +132,16 @@ def _turning(
     amount = unbalance.mass_times_radius(mass)
     to_speed = scenario.speed_at(scenario.duration)
     _check_smooth(max(abs(scenario.speed_at(0.0)), abs(to_speed)), dt, f"the unbalance at {unbalance.port}")
-    turn = min(round((scenario.ramp or scenario.duration) / dt), k) if scenario.runs_up else 0
+    turn = round((scenario.ramp or scenario.duration) / dt) if scenario.runs_up else 0
     a = (scenario.speed_at(turn * dt) - scenario.speed_at(0.0)) / (turn * dt) if turn else 0.0
     start, angle = scenario.speed_at(0.0), unbalance.phase
-    for first, last, acceleration in ((0, turn, a), (turn, k, 0.0)):
-        if first < last:
-            t = np.arange(last - first + 1) * dt
+    for begin, end, acceleration in ((0, turn, a), (turn, first + k, 0.0)):
+        low, high = max(begin, first), min(end, first + k)
+        if low < high:
+            t = np.arange(low - begin, high - begin + 1) * dt
             W, phi = start + acceleration * t, angle + start * t + acceleration * t**2 / 2
             size = W**2 - 1j * acceleration
             turned = amount * np.exp(1j * phi)
-            yield first, last, turned * size, turned * (2 * W * acceleration + 1j * W * size)
-            start, angle = W[-1], phi[-1]
+            yield low - first, high - first, turned * size, turned * (2 * W * acceleration + 1j * W * size)
+        length = (end - begin) * dt
+        start, angle = start + acceleration * length, angle + start * length + acceleration * length**2 / 2

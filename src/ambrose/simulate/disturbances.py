@@ -1,0 +1,188 @@
+"""What a scenario is made of: one small class per table of its file, all quantities in SI and rad/s.
+
+A ``signal`` is an input of the loop: current excitation e_<axis> [A], output disturbance d_<axis> [m], reference r_<axis> [m],
+force f_<port>_<direction> [N].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+
+SPACINGS = ("linear", "logarithmic")
+_ORDERS = (2, 20)  # bits of a shift register
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """A rectangular disturbance: ``amplitude`` (SI unit of ``signal``) from ``start`` [s] for ``duration`` [s].
+
+    Without a duration it is a step that lasts to the end. ``every`` [s] repeats it.
+    """
+
+    signal: str
+    amplitude: float
+    start: float = 0.0
+    duration: float | None = None
+    every: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """amplitude sin(frequency (t - start) + phase) from ``start`` [s] for ``duration`` [s] (None: to the end); [rad/s]."""
+
+    signal: str
+    amplitude: float
+    frequency: float
+    phase: float = 0.0
+    start: float = 0.0
+    duration: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SteppedSine:
+    """A sine of one frequency [rad/s] after the other, each for ``dwell`` [s] and beginning at angle zero."""
+
+    signal: str
+    amplitude: float
+    frequencies: tuple[float, ...]
+    dwell: float
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_positive(self.dwell, f"the dwell on {self.signal}", "give it in seconds")
+        if not self.frequencies:
+            raise InvalidInput(f"the stepped sine on {self.signal} has no frequencies; list at least one")
+
+    @property
+    def sines(self) -> tuple[Sine, ...]:
+        """The same as single sines."""
+        return tuple(
+            Sine(self.signal, self.amplitude, frequency, 0.0, self.start + i * self.dwell, self.dwell)
+            for i, frequency in enumerate(self.frequencies)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Chirp:
+    """A sine whose frequency goes from ``frequency`` to ``to_frequency`` [rad/s] within ``duration`` [s] (None: to the end).
+
+    spacing "linear" passes equal frequency ranges in equal times, "logarithmic" equal ratios.
+    """
+
+    signal: str
+    amplitude: float
+    frequency: float
+    to_frequency: float
+    start: float = 0.0
+    duration: float | None = None
+    spacing: str = "linear"
+
+    def __post_init__(self) -> None:
+        for frequency in (self.frequency, self.to_frequency):
+            check_positive(frequency, f"a frequency of the chirp on {self.signal}", "give it in rad/s")
+        if self.spacing not in SPACINGS:
+            raise invalid(f"the spacing of the chirp on {self.signal}", repr(self.spacing), " or ".join(SPACINGS), "correct it")
+
+
+@dataclass(frozen=True, slots=True)
+class Prbs:
+    """A pseudo-random binary sequence of +-amplitude: a maximum-length sequence of 2^order - 1 bits, each ``bit_time`` [s].
+
+    It repeats to the end of ``duration`` [s] (None: of the scenario). Sequences with different ``seed`` are the same shifted
+    far apart, and so nearly uncorrelated.
+    """
+
+    signal: str
+    amplitude: float
+    bit_time: float
+    order: int = 10
+    seed: int = 0
+    start: float = 0.0
+    duration: float | None = None
+
+    def __post_init__(self) -> None:
+        check_positive(self.bit_time, f"the bit_time on {self.signal}", "give it in seconds")
+        if not _ORDERS[0] <= self.order <= _ORDERS[1]:
+            requirement = f"from {_ORDERS[0]} to {_ORDERS[1]}"
+            raise invalid(f"the order of the sequence on {self.signal}", self.order, requirement, "10 repeats after 1023 bits")
+
+    @property
+    def shift(self) -> int:
+        """Bits by which the sequence is shifted: multiples of the golden section of its length."""
+        length = 2**self.order - 1
+        return round(self.seed * 0.6180339887498949 * length) % length
+
+
+@dataclass(frozen=True, slots=True)
+class Unbalance:
+    """A mass off centre at ``port`` ("A", "center", ...), turning with the rotor; ``phase`` [rad] from the first direction.
+
+    Either ``amount`` [kg m], or ``grade`` [m/s] at ``grade_speed`` [rad/s] (ISO 21940-11, G2.5: 2.5e-3 m/s), of which this
+    port carries the fraction ``share``: amount = share grade mass / grade_speed with the rotor's mass.
+    """
+
+    port: str
+    amount: float | None = None
+    grade: float | None = None
+    grade_speed: float | None = None
+    share: float = 1.0
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        graded = self.grade is not None and self.grade_speed is not None
+        if graded == (self.amount is not None) or (self.grade is None) != (self.grade_speed is None):
+            raise InvalidInput(
+                f"the unbalance at {self.port} needs either amount, or grade and grade_speed; give one of the two"
+            )
+
+    def mass_times_radius(self, mass: float | None) -> float:
+        """The amount [kg m]; ``mass`` of the rotor [kg] is needed for a grade. Raises InvalidInput."""
+        if self.amount is not None:
+            return self.amount
+        if self.grade is None or self.grade_speed is None or mass is None:
+            raise InvalidInput(f"the unbalance at {self.port} is a grade, which needs the rotor's mass; pass mass=... in kg")
+        return self.share * self.grade * check_positive(mass, "mass", "give it in kg") / self.grade_speed
+
+
+@dataclass(frozen=True, slots=True)
+class PressureChange:
+    """The differential pressure of every seal goes to ``pressure`` [Pa] at ``time`` [s], linearly within ``ramp`` [s]."""
+
+    time: float
+    pressure: float
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("time", "pressure", "ramp"):
+            check_positive(getattr(self, name), f"{name} of the change of pressure", "correct it", zero_allowed=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """From ``time`` [s] on the amplifier of ``axis`` ("A_zeta") has no power; without an axis, none has."""
+
+    time: float
+    axis: str | None = None
+
+    def __post_init__(self) -> None:
+        check_positive(self.time, "the time of the failure", "give it in seconds", zero_allowed=True)
+
+
+Disturbance = Pulse | Sine | Chirp | Prbs
+
+
+def check_disturbance(item: Disturbance, end: float) -> None:
+    """Refuse what cannot act in a scenario that lasts until ``end`` [s]. Raises InvalidInput."""
+    if not math.isfinite(item.amplitude):
+        raise invalid(f"the amplitude on {item.signal}", item.amplitude, "finite", "correct it")
+    if not 0 <= item.start < end:
+        raise invalid(f"the start on {item.signal}", item.start, f"within 0 to {end:g} s", "move it")
+    if item.duration is not None:
+        check_positive(item.duration, f"the duration on {item.signal}", "give it in seconds")
+    if isinstance(item, Pulse) and item.every is not None and (item.duration is None or not item.duration <= item.every):
+        raise invalid(f"every of the pulse on {item.signal}", item.every, "at least its duration", "lengthen it")
+    if isinstance(item, Sine):
+        check_positive(item.frequency, f"the frequency of the sine on {item.signal}", "give it in rad/s")
