@@ -146,14 +146,15 @@ class _Job:
 
     @property
     def left(self) -> float:
-        return self.time_limit - (time.monotonic() - self.start)
+        """Seconds for a step; never below a millisecond, so that the step itself reports the time limit."""
+        return max(self.time_limit - (time.monotonic() - self.start), 1e-3)
 
     def say(self, text: str) -> None:
         if self.progress is not None:
             self.progress(text)
 
     def check_time(self) -> None:
-        if self.left <= 0:
+        if time.monotonic() - self.start >= self.time_limit:
             raise NumericalFailure(f"the time limit of {self.time_limit:g} s was reached; raise time_limit")
 
 
@@ -179,7 +180,7 @@ def _start(job: _Job) -> StateSpace:
             return hinf.synthesize(_performance_only(job.plant), backoff=job.backoff, time_limit=job.left).controller
         except NumericalFailure as failure:
             job.say(f"no start from the nominal plant ({failure}); starting from the whole plant without scaling")
-    return hinf.synthesize(job.plant, backoff=job.backoff, time_limit=max(job.left, 1e-3)).controller
+    return hinf.synthesize(job.plant, backoff=job.backoff, time_limit=job.left).controller
 
 
 def _performance_only(plant: GeneralizedPlant) -> GeneralizedPlant:
@@ -196,7 +197,7 @@ def _step(job: _Job, iterates: Sequence[_Iterate], lowest: int) -> _Iterate:
     else:
         fitted = fit_scaling(last.step, job.order, job.fit_tolerance, lowest) if lowest else last.fitted
         used = _further(job, last, fitted)
-    made = hinf.synthesize(scaled_plant(job.plant, used.scaling), backoff=job.backoff, time_limit=max(job.left, 1e-3))
+    made = hinf.synthesize(scaled_plant(job.plant, used.scaling), backoff=job.backoff, time_limit=job.left)
     for note in made.notes:
         job.say(f"K-step: {note}")
     return _evaluate(job, made.controller, used, len(iterates))
@@ -207,7 +208,7 @@ def _gamma(job: _Job, scaling: Scaling, tolerance: float = 1e-2) -> float:
     job.check_time()
     try:
         made = hinf.synthesize(
-            scaled_plant(job.plant, scaling), backoff=1.1, tolerance=tolerance, time_limit=max(job.left, 1e-3)
+            scaled_plant(job.plant, scaling), backoff=1.1, tolerance=tolerance, time_limit=job.left
         )  # fmt: skip
     except NumericalFailure:
         return float("inf")
