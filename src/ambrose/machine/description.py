@@ -72,6 +72,34 @@ class MagnetGeometry:
 
 
 @dataclass(frozen=True, slots=True)
+class MagnetIron:
+    """Iron in series with the air gaps; the flux density levels off smoothly (used by the virtual rig, and with geometry).
+
+    turns [-] of one horseshoe, both poles together; flux_density [T] in the air gap that is never passed; equivalent_gap [m]
+    of the unsaturated iron, its path length/(2 mu_r), which also sets how round the knee is.
+    """
+
+    turns: float
+    flux_density: float
+    equivalent_gap: float
+
+
+@dataclass(frozen=True, slots=True)
+class Touchdown:
+    """Contact in the touchdown bearing, for the virtual rig; the defaults are assumed, not measured.
+
+    stiffness [N/m], damping [N s/m], Coulomb friction [-]; radius [m] of the contact (None: the shaft's there);
+    sliding_speed [m/s] below which friction fades to zero.
+    """
+
+    stiffness: float = 1e8
+    damping: float = 1e4
+    friction: float = 0.2
+    radius: float | None = None
+    sliding_speed: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
 class BiasPoint:
     """Coefficients measured at one bias current [A]: force_per_current k_i [N/A], negative_stiffness k_s [N/m] > 0."""
 
@@ -86,7 +114,9 @@ class MagneticBearing:
 
     position [m], angle [rad] of zeta from x, bias_current [A]. Either force_per_current [N/A] and negative_stiffness [N/m]
     are given, or ``geometry``. ``measured`` holds coefficients at other bias currents. gap and touchdown_gap [m],
-    max_current [A] (control current amplitude) and max_force [N] are limits used in verification.
+    max_current [A] (control current amplitude) and max_force [N] are limits used in verification. For the virtual rig alone:
+    ``iron``, ``touchdown``, cross_coupling [-] (the part of the other axis' control current that acts on an axis) and
+    magnetic_offset [m] of the magnetic centre from the sensors' zero.
     """
 
     name: str
@@ -101,19 +131,37 @@ class MagneticBearing:
     touchdown_gap: float | None = None
     max_current: float | None = None
     max_force: float | None = None
+    iron: MagnetIron | None = None
+    touchdown: Touchdown | None = None
+    cross_coupling: float = 0.0
+    magnetic_offset: Pair = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Runout:
+    """One harmonic of a sensor track's profile: amplitude cos(order (angle - axis) + phase), amplitude [m], phase [rad]."""
+
+    order: int
+    amplitude: float
+    phase: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
     """A radial displacement sensor pair that serves a bearing, in that bearing's axes.
 
-    position [m], gain [-] (1 = calibrated), bandwidth [rad/s] of a first-order lag (None: none).
+    position [m], gain [-] (1 = calibrated), bandwidth [rad/s] of a first-order lag (None: none). For the virtual rig alone:
+    noise [m] rms per sample, offset [m], resolution [m] of the quantisation (0: none), runout of the sensor track.
     """
 
     bearing: str
     position: float
     gain: Pair = (1.0, 1.0)
     bandwidth: float | None = None
+    noise: float = 0.0
+    offset: Pair = (0.0, 0.0)
+    resolution: float = 0.0
+    runout: tuple[Runout, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +170,7 @@ class Amplifier:
 
     order "first": bandwidth/(s + bandwidth); "twice-first": that times eddy_bandwidth/(s + eddy_bandwidth);
     "second": natural_frequency^2/(s^2 + damping s + natural_frequency^2), damping [rad/s]; "none": ideal. All [rad/s].
+    For the virtual rig alone: max_voltage [V] and the coil's inductance [H], which limit the slope of the current.
     """
 
     order: str = "none"
@@ -129,6 +178,8 @@ class Amplifier:
     eddy_bandwidth: float | None = None
     natural_frequency: float | None = None
     damping: float | None = None
+    max_voltage: float | None = None
+    inductance: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,7 +343,8 @@ class Machine:
     """A rotor on magnetic bearings, as written down.
 
     modal_damping [-] is the damping ratio given to every bending mode; beam_theory "bernoulli-euler", "rayleigh" or
-    "timoshenko"; ``assumed`` lists the parameters that were chosen, not measured or published, each with its reason.
+    "timoshenko"; gravity_direction [rad] from x towards y (-pi/2: down along y; None: no weight), for the virtual rig;
+    ``assumed`` lists the parameters that were chosen, not measured or published, each with its reason.
     Making one raises InvalidInput with a line for each problem: what belongs together (a seal and its tolerance, a bearing
     and its sensor) is replaced together.
     """
@@ -314,6 +366,7 @@ class Machine:
     source: str = ""
     modal_damping: float = 0.005
     beam_theory: str = "bernoulli-euler"
+    gravity_direction: float | None = None
     assumed: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:

@@ -1,13 +1,24 @@
-"""Magnetic bearing force, linear view: f = k_i i + k_s x per axis, k_s > 0 destabilising."""
+"""Magnetic bearing force: linear, f = k_i i + k_s x per axis with k_s > 0 destabilising, and nonlinear (``force``).
+
+One horseshoe with coil current I at a gap s carries the flux b = B 2/(mu_0 N) [A/m] that solves
+
+    I = s b + l b b_s/(b_s - b),
+
+air gap and iron in series: without iron b = I/s; with iron, l is the equivalent gap of the unsaturated iron and b_s the flux
+it never passes (B of the iron's H as Froehlich's hyperbola, H ~ B/(B_s - B)). A pair pulls with f = c (b_1^2 - b_2^2),
+which without iron is the usual c ((i_0 + i)^2/(s_0 - x)^2 - (i_0 - i)^2/(s_0 + x)^2). Of every pair, k_s/k_i = b_0: the ratio
+of the two coefficients is the bias flux whatever the iron does, which is how ``parameters`` finds c and s_0 from them.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.machine.description import BiasPoint, MagnetGeometry, MagneticBearing, Pair
+from ambrose.machine.description import BiasPoint, MagnetGeometry, MagneticBearing, MagnetIron, Pair
 
 VACUUM_PERMEABILITY = 4e-7 * np.pi  # mu_0 [V s/(A m)]; the measured value differs by 1e-10
 
@@ -35,7 +46,7 @@ def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> M
         rows = [row for row in bearing.measured if given is None or not _same(row.bias_current, given.bias_current)]
         return _interpolated(bearing.name, [*rows, *([given] if given else [])], bias)
     if bearing.geometry is not None:
-        return _from_geometry(bearing.geometry, bias)
+        return _from_geometry(bearing.geometry, bearing.iron, bias)
     if given is not None:
         raise invalid(
             f"the bias current of bearing {bearing.name}",
@@ -53,11 +64,106 @@ def force_constant(geometry: MagnetGeometry) -> float:
     return VACUUM_PERMEABILITY * geometry.turns**2 * geometry.pole_area / 4
 
 
-def _from_geometry(geometry: MagnetGeometry, bias: float) -> MagnetCoefficients:
-    """k_i = 4 k i_0 cos(a)/s_0^2, k_s = 4 k i_0^2 cos(a)/s_0^3, no iron, no leakage (Schweitzer & Maslen 2009, chapter 4)."""
-    k = force_constant(geometry) * np.cos(geometry.pole_half_angle)
-    k_i, k_s = float(4 * k * bias / geometry.gap**2), float(4 * k * bias**2 / geometry.gap**3)
-    return MagnetCoefficients((k_i, k_i), (k_s, k_s))
+def parameters(bearing: MagneticBearing, bias_current: float | None = None) -> tuple[float, ...]:
+    """What ``force`` needs, at a bias current [A] (None: the bearing's own): the magnet whose derivatives are ``linearised``.
+
+    (i_0 [A], cross-coupling [-], b_s [A/m], l [m], then for zeta and for eta: c [N m2/A2], s_0 [m], offset [m]); b_s is 0
+    without iron. s_0 is an effective gap: without iron s_0 = k_s i_0/k_i. Raises InvalidInput as ``linearised`` does, and
+    where the iron cannot carry the flux k_s/k_i that the coefficients imply.
+    """
+    bias = bearing.bias_current if bias_current is None else bias_current
+    at = linearised(bearing, bias)
+    limit, path = _iron(bearing.iron)
+    fitted: list[float] = []
+    for axis, k_i, k_s, offset in zip(
+        ("zeta", "eta"), at.force_per_current, at.negative_stiffness, bearing.magnetic_offset, strict=True
+    ):
+        c, gap = _fitted(f"{bearing.name}_{axis}", bias, k_i, k_s, limit, path)
+        fitted += [c, gap, offset]
+    return (float(bias), float(bearing.cross_coupling), limit, path, *fitted)
+
+
+def force(i_zeta: float, i_eta: float, x_zeta: float, x_eta: float, p: tuple[float, ...]) -> tuple[float, float]:
+    """Force (zeta, eta) [N] on the rotor at control currents [A] and displacements [m]; p from ``parameters``.
+
+    Coil currents i_0 +- i stop at zero. A gap below 2 % of the effective one is held there: the rotor is then far inside
+    the touchdown bearing. Compiles with numba as it stands.
+    """
+    i_0, cross, b_s, path = p[0], p[1], p[2], p[3]
+    f_zeta, f_eta = 0.0, 0.0
+    for axis in range(2):
+        if axis == 0:
+            i, x, c, s_0 = i_zeta + cross * i_eta, x_zeta - p[6], p[4], p[5]
+        else:
+            i, x, c, s_0 = i_eta + cross * i_zeta, x_eta - p[9], p[7], p[8]
+        total = 0.0
+        for side in (1.0, -1.0):
+            coil = max(i_0 + side * i, 0.0)
+            s = max(s_0 - side * x, 0.02 * s_0)
+            if b_s > 0.0:
+                q = coil + (s + path) * b_s
+                b = 2.0 * coil * b_s / (q + math.sqrt(max(q * q - 4.0 * s * coil * b_s, 0.0)))
+            else:
+                b = coil / s
+            total += side * c * b * b
+        if axis == 0:
+            f_zeta = total
+        else:
+            f_eta = total
+    return f_zeta, f_eta
+
+
+def flux_density(current: float, gap: float, iron: MagnetIron) -> float:
+    """Flux density B [T] in the air gap [m] of a horseshoe at a coil current [A], with its iron."""
+    limit, path = _iron(iron)
+    return VACUUM_PERMEABILITY * iron.turns / 2 * _flux(current, gap, limit, path)[0]
+
+
+def _iron(iron: MagnetIron | None) -> tuple[float, float]:
+    """b_s [A/m] and l [m]; (0, 0) without iron."""
+    return (0.0, 0.0) if iron is None else (2 * iron.flux_density / (VACUUM_PERMEABILITY * iron.turns), iron.equivalent_gap)
+
+
+def _flux(current: float, gap: float, limit: float, path: float) -> tuple[float, float]:
+    """Flux b [A/m] of a horseshoe and its derivative db/dI [1/m]; -db/ds is b times that."""
+    if limit <= 0.0:
+        return current / gap, 1 / gap
+    q = current + (gap + path) * limit
+    b = 2 * current * limit / (q + math.sqrt(q * q - 4 * gap * current * limit))
+    return b, (limit - b) / (gap * (limit - b) + current - gap * b + path * limit)
+
+
+def _fitted(name: str, bias: float, k_i: float, k_s: float, limit: float, path: float) -> tuple[float, float]:
+    """c and s_0 of the pair whose derivatives at zero are k_i = 4 c b_0 db/dI and k_s = b_0 k_i."""
+    b_0 = k_s / k_i
+    if b_0 <= 0.0:
+        raise invalid(
+            f"the negative stiffness of {name}", f"{k_s:g} N/m", "positive", "the nonlinear force follows from its ratio to k_i"
+        )
+    if limit <= 0.0:
+        gap = bias / b_0
+    elif b_0 < limit:
+        gap = bias / b_0 - path * limit / (limit - b_0)
+    else:
+        gap = 0.0
+    if gap <= 0.0:
+        raise invalid(
+            f"the bias flux k_s/k_i of {name}",
+            f"{b_0:g} A/m at {bias:g} A",
+            f"one that the iron carries: below {limit:g} A/m, its equivalent gap below {bias / b_0:g} m",
+            "correct bearing.iron or the coefficients",
+        )
+    return k_i / (4 * b_0 * _flux(bias, gap, limit, path)[1]), gap
+
+
+def _from_geometry(geometry: MagnetGeometry, iron: MagnetIron | None, bias: float) -> MagnetCoefficients:
+    """k_i = 4 k b db/dI cos(a), k_s = b k_i; without iron 4 k i_0 cos(a)/s_0^2 and 4 k i_0^2 cos(a)/s_0^3.
+
+    No leakage. Source: Schweitzer & Maslen 2009, chapter 4; the iron as above.
+    """
+    b, slope = _flux(bias, geometry.gap, *_iron(iron))
+    k_i = float(4 * force_constant(geometry) * np.cos(geometry.pole_half_angle) * b * slope)
+    return MagnetCoefficients((k_i, k_i), (k_i * b, k_i * b))
 
 
 def _given(bearing: MagneticBearing) -> BiasPoint | None:

@@ -17,6 +17,8 @@ from ambrose.core.mechanical import undamped_modes
 from ambrose.machine.description import Disc, Machine
 from ambrose.physics.beam import BeamElement, beam_element, shape
 
+STANDARD_GRAVITY = 9.80665  # [m/s2]
+
 # plane -> index of the deflection and of the rotation within a node, sign of the rotation (y' = -alpha)
 _PLANES = {"x": (0, 3, 1.0), "y": (1, 2, -1.0)}
 
@@ -146,6 +148,19 @@ def mass_properties(rotor: Rotor) -> MassProperties:
         float(tilt @ rotor.plane_mass @ tilt),
         float(tilt @ rotor.plane_gyroscopic @ tilt),
     )
+
+
+def gravity_load(rotor: Rotor, direction: float | None, acceleration: float = STANDARD_GRAVITY) -> np.ndarray:
+    """The rotor's weight (4N,) [N, N m] on its coordinates: M times the acceleration of free fall [m/s2].
+
+    direction [rad] from x towards y, -pi/2 for down along y; None: no weight. In modes: shapes.T times it.
+    """
+    load = np.zeros(4 * rotor.n_nodes)
+    if direction is not None:
+        translation, _ = _rigid_motions(rotor.positions, 0.0)
+        for plane, part in (("x", np.cos(direction)), ("y", np.sin(direction))):
+            load += acceleration * part * (rotor.mass @ to_plane(translation, plane))
+    return load
 
 
 def free_bending_frequencies(rotor: Rotor, count: int) -> np.ndarray:

@@ -1,7 +1,11 @@
-"""Displacement sensors, linear view: displacement at the sensor's position to the measured signal."""
+"""Displacement sensors: displacement at the sensor's position to the measured signal; linear, and as the rig's.
+
+The rig's signal: gain (displacement + run-out) + offset, then the lag, then noise, then the converter's steps.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,3 +46,48 @@ def linearised(sensors: Sequence[Sensor], axes: Sequence[str]) -> StateSpace:
 
 
 _INDEX = {"zeta": 0, "eta": 1}
+
+
+def parameters(sensor: Sensor, direction: str) -> tuple[float, ...]:
+    """What the functions below need of one axis, "zeta" or "eta".
+
+    (gain [-], offset [m], bandwidth [rad/s] or 0 for none, resolution [m] or 0 for none, noise [m] rms, angle of the axis
+    from zeta [rad]).
+    """
+    axis = _INDEX[direction]
+    bandwidth = 0.0 if sensor.bandwidth is None else sensor.bandwidth
+    return (sensor.gain[axis], sensor.offset[axis], bandwidth, sensor.resolution, sensor.noise, axis * math.pi / 2)
+
+
+def harmonics(sensor: Sensor) -> np.ndarray:
+    """The run-out as an array (h, 3): order [-], amplitude [m], phase [rad]; (0, 3) for a perfect sensor track."""
+    return np.array([(r.order, r.amplitude, r.phase) for r in sensor.runout], dtype=float).reshape(-1, 3)
+
+
+def runout(angle: float, profile: np.ndarray, p: tuple[float, ...]) -> float:
+    """Run-out [m] that an axis sees at a spin angle [rad] measured from its bearing's zeta; profile from ``harmonics``.
+
+    An axis a quarter turn ahead sees the same surface a quarter turn later. Compiles with numba as it stands.
+    """
+    total = 0.0
+    for k in range(profile.shape[0]):
+        total += profile[k, 1] * math.cos(profile[k, 0] * (angle - p[5]) + profile[k, 2])
+    return total
+
+
+def indicated(displacement: float, p: tuple[float, ...]) -> float:
+    """The signal [m] before the lag, from the displacement plus run-out [m]. Compiles with numba as it stands."""
+    return p[0] * displacement + p[1]
+
+
+def lag(signal: float, state: float, p: tuple[float, ...]) -> float:
+    """Derivative [m/s] of the lag's state [m], which is its output; without a lag 0, and the output is ``signal`` itself.
+
+    Compiles with numba as it stands.
+    """
+    return p[2] * (signal - state)
+
+
+def sampled(signal: float, p: tuple[float, ...]) -> float:
+    """What the converter gives [m] for a signal [m] (noise included): the nearest step. Compiles with numba as it stands."""
+    return p[3] * math.floor(signal / p[3] + 0.5) if p[3] > 0.0 else signal
