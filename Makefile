@@ -19,7 +19,7 @@ demo: $(BIN)/.installed  ## the main job: machine file -> verdict -> report (exi
 	$(BIN)/ambrose study seal-rig -o $(OUT)/seal-rig || test $$? -eq 1
 
 test: $(BIN)/.installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(BIN)/.installed
 	$(BIN)/ruff check .
