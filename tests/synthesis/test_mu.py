@@ -32,6 +32,7 @@ from ambrose.synthesis import hinf, mu
 from ambrose.synthesis.mu_dstep import d_blocks, d_step, design_grid, fit_scaling
 from ambrose.synthesis.mu_fit import RealRational, fit_magnitude
 from ambrose.synthesis.mu_matrix_fit import fit_error, fit_matrix
+from ambrose.synthesis.mu_proof import proved_below
 from ambrose.synthesis.mu_refine import peak_gain, refine
 from ambrose.synthesis.mu_scaling import Scaling, scalar_scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.problem import machine_problem, published_p5_problem, with_performance_block
@@ -179,7 +180,7 @@ def toy(alpha: float, beta: float) -> GeneralizedPlant:
     return GeneralizedPlant(system, ["w1", "w2"], ["u"], ["z1", "z2"], ["y"], [ComplexBlock("delta")])
 
 
-@pytest.mark.parametrize(("alpha", "beta"), [(1.0, 1.0), (30.0, 0.2), (1e-4, 400.0)])
+@pytest.mark.parametrize(("alpha", "beta"), [(1.0, 1.0), (30.0, 0.2), (1e-4, 400.0), (1e9, 1e-9)])
 def test_known_optimum_whatever_the_scale_of_the_block(alpha, beta):
     result = mu.synthesize(toy(alpha, beta), order=2, backoff=1.01, fit_tolerance=0.01)
     optimum = np.sqrt(alpha * beta)
@@ -306,6 +307,22 @@ def test_automatic_order_is_the_smallest_within_the_tolerance():
     assert chosen.excess <= 0.1 * step.peak
     lower = fit_scaling(step, n - 1, 0.02)
     assert lower.peak > 1.02 * step.peak or lower.excess > 0.1 * step.peak
+
+
+# proofs
+
+
+def test_proof_over_all_frequencies_holds_above_the_peak_only():
+    rng = np.random.default_rng(5)
+    A = np.array([[-1.0, 4.0, 0], [-4.0, -1.0, 0], [0, 0, -30.0]])
+    D = np.zeros((4, 4))
+    D[2:, 2:] = 0.3 * np.eye(2)
+    loop = StateSpace(A, rng.normal(size=(3, 4)), rng.normal(size=(4, 3)), D)
+    blocks = [RealBlock("a"), RealBlock("b"), FullBlock("p", 2, 2)]
+    omega = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 1500)])
+    peak = mu_bounds(frequency_response(loop, omega).values, blocks, lower=False).upper.max()
+    assert proved_below(loop, blocks, 1.02 * peak)
+    assert not proved_below(loop, blocks, 0.98 * peak)
 
 
 # eight independent reals

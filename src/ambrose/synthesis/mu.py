@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive, check_shape, invalid
 from ambrose.core.lft import Block, FullBlock, GeneralizedPlant, lft
-from ambrose.core.mu_bounds import mu_bounds, mu_certificate
+from ambrose.core.mu_bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.synthesis import hinf
@@ -36,6 +36,7 @@ from ambrose.synthesis.mu_dstep import (
     peak_below,
 )
 from ambrose.synthesis.mu_fit import RealRational
+from ambrose.synthesis.mu_proof import proved_below
 from ambrose.synthesis.mu_scaling import Scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.problem import with_performance_block
 from ambrose.synthesis.result import Certificate, Synthesis
@@ -63,7 +64,8 @@ def synthesize(
 
     plant: its blocks are the uncertainty; remaining w and z are the performance, and get a full block. iterations: K-steps
     after the starting controller (H-infinity for the nominal plant). order: of every D(s) per channel, or "auto": the smallest
-    with which sigma_max(D M D^-1) peaks at most ``fit_tolerance`` [-] above the upper bound of mu. structure: d(s) I
+    with which sigma_max(D M D^-1) peaks at most ``fit_tolerance`` [-] above the upper bound of mu; of the iterates within that
+    tolerance of the best, the one with the fewest states is then returned. structure: d(s) I
     ("scalar") or a matrix D(s) ("full") for repeated blocks; a D of order n costs 2 r n states of the controller for a block of
     size r either way. backoff [-]: see hinf.synthesize. omega (w,) [rad/s]: grid of the D-step, default: the plant's poles and
     a decade around them; resonances and peaks are added. time_limit [s]; progress: called with one line of text per step.
@@ -377,6 +379,6 @@ def _proved(job: _Job, best: _Iterate) -> float:
         level = factor * best.row["mu_mixed"]
         if level >= best.gamma:
             break
-        if mu_certificate(loop, job.plant.blocks, level, (0.0, np.inf), max_pieces=60).proved:
+        if proved_below(loop, job.plant.blocks, level):
             return level
     return best.gamma

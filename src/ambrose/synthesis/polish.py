@@ -18,12 +18,12 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, check_shape, invalid
 from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
-from ambrose.core.mu_bounds import mu_certificate
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa
 from ambrose.synthesis.certify import fastest_pole
 from ambrose.synthesis.controller_reduction import reduce_controller
 from ambrose.synthesis.mu_dstep import design_grid
+from ambrose.synthesis.mu_proof import proved_below
 from ambrose.synthesis.polish_cost import Cost, Form, block_form
 from ambrose.synthesis.polish_descent import descend
 from ambrose.synthesis.problem import PERFORMANCE, with_performance_block
@@ -33,7 +33,7 @@ _POWERS = (15.0, 40.0, 100.0, 250.0)
 _SLOWEST = 0.1  # the least decay that is kept, as a fraction of the start's
 _SCALES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the parameter values, when the start does not stabilise all models
 _CORNERS = 6  # models of several parameters: corners tried in random order and kept when bad
-_PROOF = (1.01, 1.05, 1.25)  # levels, in worst norms, at which a proof is tried
+_PROOF = (1.01, 1.05, 1.1, 1.25)  # levels, in worst norms, at which a proof is tried
 Delta = tuple[float, ...]
 
 
@@ -296,7 +296,7 @@ def _proved(job: _Job, best: _Point) -> float:
         gain = np.concatenate([np.ones(n), np.full(len(job.plant.z) - n, 1 / level)])
         scaled = StateSpace(loop.A, loop.B, gain[:, None] * loop.C, gain[:, None] * loop.D)
         blocks = with_performance_block(job.plant).blocks
-        if mu_certificate(scaled, blocks, 1.0, (0.0, np.inf), max_pieces=100).proved:
+        if proved_below(scaled, blocks, 1.0):
             return level
     return float("inf")
 
