@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -124,6 +124,14 @@ class Scenario:
         if self.unbalances:
             found += [abs(self.speed_at(0.0)), abs(self.speed_at(self.duration))]
         return max(found, default=0.0)
+
+    @property
+    def quiet(self) -> Scenario:
+        """The same without anything that disturbs: its speeds and pressures."""
+        nothing: dict[str, Any] = dict.fromkeys(
+            ("pulses", "sines", "stepped_sines", "chirps", "sequences", "unbalances", "failures"), ()
+        )
+        return replace(self, **nothing)
 
     @property
     def only_for_the_rig(self) -> tuple[str, ...]:

@@ -15,10 +15,13 @@ from ambrose.machine.record import Record
 class Trace:
     """A simulated record and its outcome; an unstable loop is an outcome, not an error.
 
-    stable: whether all poles lie to the left (at every speed looked at). outcome: "completed", "limit exceeded" (a stable loop
-    driven beyond the displacement limit) or "diverged". text: the outcome in words. pole [rad/s]: the rightmost one, None
-    without states. stopped_at [s]: the time at which the displacement limit was passed; the record ends there. scenario: its
-    name. speed_error: estimated error of holding the speed over short intervals during a run-up, as a fraction of the peak.
+    stable: whether all poles of the linear loop lie to the left (at every speed looked at; for the rig, at the start and at the
+    end). outcome: "completed", "limit exceeded" (a stable loop driven beyond the displacement limit) or "diverged"; on the rig
+    also "touchdown" and "not levitated". text: the outcome in words. pole [rad/s]: the rightmost one, None without states.
+    stopped_at [s]: where the record ends early, because the displacement limit was passed or the state overflowed. scenario:
+    its name. speed_error: estimated error of holding the speed over short intervals during a run-up, as a fraction of the peak.
+    touchdown_at [s]: first contact with a touchdown bearing after levitation. run_time, compile_time [s]: of the computer; the
+    second includes all that precedes the first sample.
     """
 
     record: Record
@@ -29,6 +32,9 @@ class Trace:
     pole: complex | None = None
     stopped_at: float | None = None
     speed_error: float = 0.0
+    touchdown_at: float | None = None
+    run_time: float = 0.0
+    compile_time: float = 0.0
 
 
 def peaks(trace: Trace) -> dict[str, float]:

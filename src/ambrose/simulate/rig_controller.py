@@ -1,0 +1,104 @@
+"""The controller as it runs on the rig: sampled, delayed by its computing time, limited; and the change to another one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ambrose.core.checks import check_positive, invalid
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import StateSpace, as_statespace
+from ambrose.machine.description import Machine
+
+DEFAULT_SAMPLE_TIME = 1e-4  # [s]
+ControllerAt = Callable[[float], Any]  # speed [rad/s] -> controller, always in the same states
+
+
+class Law(NamedTuple):
+    """x+ = A x + B e, u = C x + D e within +-limit (a,) [A], which acts ``delay`` samples later (0 or 1)."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    limit: np.ndarray
+    delay: int
+
+
+def sample_time(controller: Any | ControllerAt, machine: Machine, wanted: float | None) -> float:
+    """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms. Raises InvalidInput."""
+    own = None if _scheduled(controller) else as_statespace(controller).dt
+    if own is not None:
+        if wanted is not None and abs(own - wanted) > 1e-9 * own:
+            raise invalid("the sample time", f"{wanted:g} s", f"the controller's own {own:g} s", "leave it out")
+        return own
+    if wanted is not None:
+        return check_positive(wanted, "the sample time", "give it in seconds")
+    settings = machine.controller
+    return settings.sample_time if settings is not None and settings.sample_time is not None else DEFAULT_SAMPLE_TIME
+
+
+def deployed(controller: Any | ControllerAt, machine: Machine, dt: float, speed: float, delay: int) -> Law:
+    """The law at a sample time [s] and speed [rad/s]: Tustin's map of a continuous controller, a sampled one as it is.
+
+    Inputs and outputs are matched to the machine's axes by place. Raises InvalidInput where the sizes differ.
+    """
+    if delay not in {0, 1}:
+        raise invalid("computing_delay", delay, "0 or 1 sample", "put longer delays into the controller")
+    system = as_statespace(controller(speed) if _scheduled(controller) else controller)
+    a = len(machine.axes)
+    if system.D.shape != (a, a):
+        requirement = f"({a}, {a}) for the axes {', '.join(machine.axes)}"
+        raise invalid("the controller's size (outputs, inputs)", system.D.shape, requirement, "design it for this machine")
+    if system.dt is None:
+        system = c2d(system, dt, method="tustin")
+    limits = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
+    A, B, C, D = (np.ascontiguousarray(X, dtype=float) for X in (system.A, system.B, system.C, system.D))
+    return Law(A, B, C, D, np.array(limits, dtype=float), delay)
+
+
+def taking_over(law: Law, errors: np.ndarray, outputs: np.ndarray) -> np.ndarray:
+    """The state x (n,) with which a law continues what another one did: it would have given the same last outputs.
+
+    errors (a, k) [m] and outputs (a, k) [A] of the last k samples. The least-squares state k samples ago, of smallest size in
+    what the samples do not tell, followed to the present.
+    """
+    n, k = len(law.A), errors.shape[1]
+    if n == 0 or k == 0:
+        return np.zeros(n)
+    free, power = np.zeros(n), np.eye(n)
+    observed, missing = [], []
+    for i in range(k):
+        observed.append(law.C @ power)
+        missing.append(outputs[:, i] - law.C @ free - law.D @ errors[:, i])
+        free = law.A @ free + law.B @ errors[:, i]
+        power = law.A @ power
+    matrix = np.vstack(observed)
+    scale = np.linalg.norm(matrix, axis=0)
+    scale[scale == 0] = 1.0
+    start = np.linalg.lstsq(matrix / scale, np.concatenate(missing), rcond=1e-8)[0] / scale
+    return free + power @ start
+
+
+def closed_loop_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, law: Law, dt: float) -> np.ndarray:
+    """Poles [rad/s] of the linear loop around z' = A z + B u, y = C z with the law as it runs."""
+    a = B.shape[1]
+    sampled = c2d(StateSpace(A, B, C, np.zeros((len(C), a))), dt)
+    Ad, Bd, Cd, n, m = sampled.A, sampled.B, sampled.C, len(A), len(law.A)
+    loop = np.zeros((n + m + a, n + m + a))
+    loop[:n, :n] = Ad
+    loop[n : n + m, :n], loop[n : n + m, n : n + m] = -law.B @ Cd, law.A
+    out = np.hstack([-law.D @ Cd, law.C])  # u from (z, x)
+    if law.delay:
+        loop[:n, n + m :], loop[n + m :, : n + m] = Bd, out
+    else:
+        loop[:n, : n + m] += Bd @ out
+        loop = loop[: n + m, : n + m]
+    values = np.linalg.eigvals(loop)
+    return np.log(np.where(np.abs(values) < 1e-12, 1e-12, values).astype(complex)) / dt
+
+
+def _scheduled(controller: Any) -> bool:
+    return callable(controller) and not hasattr(controller, "A")

@@ -1,0 +1,171 @@
+"""What a scenario does to the virtual rig, one stretch of control samples after the other, so that memory does not grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ambrose.core.checks import invalid
+from ambrose.machine.wording import suggestion
+from ambrose.physics import seal
+from ambrose.simulate.rig_state import Rig
+from ambrose.simulate.scenario import Scenario
+from ambrose.simulate.waveforms import directions, sample_of, waveforms
+
+_SEAL_GRID = 10  # samples between the points at which a varying operating point is looked up
+
+
+class Drive(NamedTuple):
+    """K control samples; nodes are their K + 1 ends. a axes, p modes per plane."""
+
+    dt: float  # control sample time [s]
+    speed: np.ndarray  # (K + 1,) [rad/s]
+    angle: np.ndarray  # (K + 1,) [rad]
+    seal: np.ndarray  # (K + 1 or 1, seals, 5) K, k, C, c, M
+    mass_inverse: np.ndarray  # (K or 1, p, p) with the seals' added mass, (0, p, p) where there is none
+    unbalance: np.ndarray  # (p, 2) modal, along x and y at angle zero [kg m/sqrt(kg)]; (0, 2) where there is none
+    force: np.ndarray  # (4, m, K) cubics of the driven forces [N]
+    force_at: np.ndarray  # (m, 2) station and axis of each
+    powered: np.ndarray  # (a, K) 1 with power, 0 without
+    excitation: np.ndarray  # (a, K) [A]
+    reference: np.ndarray  # (a, K) [m]
+    disturbance: np.ndarray  # (a, K) of the measurement [m]
+    noise: np.ndarray  # (a, K) [m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A scenario on a rig: dt [s] of the control samples, how many of them, the source of noise."""
+
+    rig: Rig
+    scenario: Scenario
+    dt: float
+    samples: int
+    noise: np.random.Generator
+
+    @property
+    def inputs(self) -> list[str]:
+        """All signals that a scenario may drive."""
+        return [f"{kind}_{a}" for kind in "edr" for a in self.rig.axes] + [f"f_{p}" for p in self.rig.port_names]
+
+    @property
+    def driven(self) -> list[str]:
+        """Those that this one does drive, other than by unbalance."""
+        named = {item.signal for item in self.scenario.all_windows}
+        return [name for name in self.inputs if name in named]
+
+    def speeds(self, time: np.ndarray) -> np.ndarray:
+        """Speed [rad/s] at times (n,) [s]."""
+        s = self.scenario
+        if s.speed is None or s.to_speed is None:
+            return np.full_like(time, self.rig.point.speed if s.speed is None else s.speed)
+        return s.speed + (s.to_speed - s.speed) * np.minimum(time / (s.ramp or s.duration), 1.0)
+
+    def angles(self, time: np.ndarray) -> np.ndarray:
+        """Spin angle [rad] at times (n,) [s]."""
+        s = self.scenario
+        start = float(self.speeds(np.zeros(1))[0])
+        if s.to_speed is None:
+            return start * time
+        ramp = s.ramp or s.duration
+        inside = np.minimum(time, ramp)
+        return start * inside + (s.to_speed - start) * inside**2 / (2 * ramp) + s.to_speed * (time - inside)
+
+    def pressures(self, time: np.ndarray) -> np.ndarray:
+        """Seal pressure [Pa] at times (n,) [s]; a change without ramp takes one sample."""
+        knots, values = [0.0], [self.rig.point.seal_pressure]
+        for change in self.scenario.pressures:
+            knots += [max(change.time, knots[-1]), change.time + max(change.ramp, self.dt)]
+            values += [values[-1], change.pressure]
+        return np.interp(time, knots, values)
+
+
+def plan(rig: Rig, scenario: Scenario, dt: float, seed: int) -> Plan:
+    """The scenario on the rig at a control sample time [s]. Raises InvalidInput for signals, ports or axes it has not."""
+    result = Plan(rig, scenario, dt, int(scenario.duration / dt + 1e-6) + 1, np.random.default_rng(seed))
+    for item in scenario.all_windows:
+        if item.signal not in result.inputs:
+            raise invalid(f"the signal {item.signal!r}", "unknown", "an input", suggestion(item.signal, result.inputs))
+    for failure in scenario.failures:
+        if failure.axis is not None and failure.axis not in rig.axes:
+            raise invalid("the axis of a failure", repr(failure.axis), "a control axis", suggestion(failure.axis, rig.axes))
+    return result
+
+
+def stretch(plan: Plan, first: int, count: int) -> Drive:
+    """The control samples first .. first + count - 1; call them in order, for the noise's sake. Raises InvalidInput."""
+    rig, scenario, dt = plan.rig, plan.scenario, plan.dt
+    a = len(rig.axes)
+    nodes = np.arange(first, first + count + 1) * dt
+    speed = plan.speeds(nodes)
+    names, c = waveforms(replace(scenario, unbalances=()), plan.inputs, dt, count, first=first)
+    rows = {name: c[:, i] for i, name in enumerate(names)}
+
+    def held(kind: str) -> np.ndarray:
+        return np.array([rows[f"{kind}_{axis}"][0] if f"{kind}_{axis}" in rows else np.zeros(count) for axis in rig.axes])
+
+    forces = [i for i, port in enumerate(rig.port_names) if f"f_{port}" in rows]
+    sigma = rig.constants.sensor[:, 4]
+    noise = plan.noise.standard_normal((count, a)).T * sigma[:, None] if sigma.any() else np.zeros((a, count))
+    coefficients = _seals(plan, nodes, speed)
+    return Drive(
+        dt, speed, plan.angles(nodes), coefficients, _mass_inverse(rig, coefficients), _unbalance(plan),
+        np.ascontiguousarray(np.stack([rows[f"f_{rig.port_names[i]}"] for i in forces], axis=1))
+        if forces else np.zeros((4, 0, count)),
+        np.array([divmod(i, 2) for i in forces], dtype=np.int64).reshape(-1, 2),
+        _powered(plan, first, count), held("e"), held("r"), held("d"), np.ascontiguousarray(noise),
+    )  # fmt: skip
+
+
+def _powered(plan: Plan, first: int, count: int) -> np.ndarray:
+    powered = np.ones((len(plan.rig.axes), count))
+    for failure in plan.scenario.failures:
+        since = max(sample_of(failure.time, plan.dt, "the time of a failure") - first, 0)
+        powered[slice(None) if failure.axis is None else plan.rig.axes.index(failure.axis), since:] = 0.0
+    return powered
+
+
+def _unbalance(plan: Plan) -> np.ndarray:
+    rig = plan.rig
+    if not plan.scenario.unbalances:
+        return np.zeros((0, 2))
+    total = np.zeros((rig.modes, 2))
+    for item in plan.scenario.unbalances:
+        station = rig.port_names.index(directions(item.port, plan.inputs)[0].removeprefix("f_")) // 2
+        phase = item.phase + rig.constants.angle[station]
+        amount = item.mass_times_radius(rig.mass)
+        total += amount * np.outer(rig.constants.shape[station], [np.cos(phase), np.sin(phase)])
+    return total
+
+
+def _seals(plan: Plan, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Coefficients (nodes or 1, seals, 5), looked up on a grid of some samples and linear between."""
+    machine, whirl = plan.rig.machine, plan.rig.point.whirl_frequency
+    pressure = plan.pressures(nodes)
+    constant = np.ptp(pressure) == 0 and (np.ptp(speed) == 0 or all(item.table is None for item in machine.seals))
+    if constant or not machine.seals:
+        at = [seal.parameters(seal.coefficients(s, pressure[0], speed[0], whirl)) for s in machine.seals]
+        return np.array(at, dtype=float).reshape(1, -1, 5)
+    kinks = np.flatnonzero(np.abs(np.diff(pressure, 2)) > 1e-9 * np.abs(pressure).max()) + 1
+    grid = np.unique([*range(0, len(nodes), _SEAL_GRID), len(nodes) - 1, *kinks])
+    frequency = None if whirl is None else [whirl] * len(grid)
+    result = np.empty((len(nodes), len(machine.seals), 5))
+    for i, item in enumerate(machine.seals):
+        values = seal.path(item, pressure[grid].tolist(), speed[grid].tolist(), frequency)
+        for j in range(5):
+            result[:, i, j] = np.interp(np.arange(len(nodes)), grid, values[:, j])
+    return result
+
+
+def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
+    """(I + sum M phi phi^T)^-1 in the middle of every sample; M the seals' added masses."""
+    p = rig.modes
+    added = coefficients[:, :, 4]
+    if not added.any():
+        return np.zeros((0, p, p))
+    first = len(rig.machine.bearings) + len(rig.machine.couplings)
+    shape = rig.constants.shape[first : first + added.shape[1]]
+    middle = added if len(added) == 1 else (added[1:] + added[:-1]) / 2
+    return np.ascontiguousarray(np.linalg.inv(np.eye(p) + np.einsum("ks,sp,sq->kpq", middle, shape, shape)))

@@ -1,0 +1,351 @@
+"""The virtual rig's compiled part: one function per stage of the machine, and a fixed-step Runge-Kutta method around them.
+
+State z (n,): modal displacements, then modal velocities, x and y in turn (q_1x, q_1y, q_2x, ...), then two amplifier states
+[A] per axis, the bias currents [A], the sensors' lagged signals [m]. The forces are those of ``physics``, compiled as they
+stand. This module imports numba: import it only inside functions. What the arrays hold is said in rig_state.py.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ambrose.physics import amplifier, coupling, magnet, seal, sensor, touchdown, unbalance
+
+_FLAGS = {"reassoc", "contract", "nsz", "arcp"}  # sums may be vectorised, but NaN and infinity stay what they are
+
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    return njit(fastmath=_FLAGS)(inspect.unwrap(function))
+
+
+_magnet_force = _compiled(magnet.force)
+_amplifier_derivative = _compiled(amplifier.derivative)
+_coil_current = _compiled(amplifier.coil_current)
+_effective_current = _compiled(amplifier.effective_current)
+_contact_force = _compiled(touchdown.force)
+_coupling_force = _compiled(coupling.force)
+_seal_force = _compiled(seal.force)
+_turning_force = _compiled(unbalance.force)
+_runout = _compiled(sensor.runout)
+_indicated = _compiled(sensor.indicated)
+_lag = _compiled(sensor.lag)
+_converted = _compiled(sensor.sampled)
+
+
+@_compiled
+def _move(rig: Any, work: Any, z: Any) -> None:
+    """Displacements and velocities of the stations."""
+    p = rig.stiffness.shape[0]
+    for s in range(work.place.shape[0]):
+        x, y, vx, vy = 0.0, 0.0, 0.0, 0.0
+        for j in range(p):
+            shape = rig.shape[s, j]
+            x += shape * z[2 * j]
+            y += shape * z[2 * j + 1]
+            vx += shape * z[2 * (p + j)]
+            vy += shape * z[2 * (p + j) + 1]
+        work.place[s, 0], work.place[s, 1] = x, y
+        work.velocity[s, 0], work.velocity[s, 1] = vx, vy
+        work.force[s, 0] = work.force[s, 1] = 0.0
+
+
+@_compiled
+def _magnetise(rig: Any, work: Any, z: Any) -> None:
+    """Magnet forces in the bearings' axes, from the currents that make force."""
+    amp = 4 * rig.stiffness.shape[0]
+    bias = amp + 2 * rig.amplifier.shape[0]
+    for b in range(rig.magnet.shape[0]):
+        c, s, p = rig.direction[b, 0], rig.direction[b, 1], rig.magnet[b]
+        x, y = work.place[b, 0], work.place[b, 1]
+        i, j = 2 * b, 2 * b + 1
+        first = _effective_current(work.command[i], z[amp + 2 * i], z[amp + 2 * i + 1], rig.amplifier[i])
+        second = _effective_current(work.command[j], z[amp + 2 * j], z[amp + 2 * j + 1], rig.amplifier[j])
+        known = (z[bias + i], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
+        f_zeta, f_eta = _magnet_force(first, second, c * x + s * y, c * y - s * x, known)
+        if z[bias + j] != z[bias + i]:  # one of the axes has failed
+            other = (z[bias + j], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
+            _, f_eta = _magnet_force(first, second, c * x + s * y, c * y - s * x, other)
+        work.magnet[i], work.magnet[j] = f_zeta, f_eta
+        work.force[b, 0] += c * f_zeta - s * f_eta
+        work.force[b, 1] += s * f_zeta + c * f_eta
+
+
+@_compiled
+def _touch(rig: Any, work: Any, speed: float) -> None:
+    """Touchdown bearings."""
+    for b in range(rig.touchdown.shape[0]):
+        gap, x, y = rig.touchdown[b, 0], work.place[b, 0], work.place[b, 1]
+        if x * x + y * y > gap * gap:
+            fx, fy, _, _ = _contact_force(x, y, work.velocity[b, 0], work.velocity[b, 1], speed, rig.touchdown[b])
+            work.force[b, 0] += fx
+            work.force[b, 1] += fy
+
+
+@_compiled
+def _couple(rig: Any, work: Any) -> None:
+    """Couplings to ground."""
+    first = rig.magnet.shape[0]
+    for i in range(rig.coupling.shape[0]):
+        c, s = rig.direction[first + i, 0], rig.direction[first + i, 1]
+        x, y = work.place[first + i, 0], work.place[first + i, 1]
+        vx, vy = work.velocity[first + i, 0], work.velocity[first + i, 1]
+        f, g = _coupling_force(c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, rig.coupling[i])
+        work.force[first + i, 0] += c * f - s * g
+        work.force[first + i, 1] += s * f + c * g
+
+
+@_compiled
+def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float) -> None:
+    """Seals, coefficients linear within a sample; their added mass is in the mass matrix."""
+    first = rig.magnet.shape[0] + rig.coupling.shape[0]
+    varying = drive.seal.shape[0] > 1
+    for i in range(drive.seal.shape[1]):
+        at, to = drive.seal[k if varying else 0, i], drive.seal[k + 1 if varying else 0, i]
+        t = tau if varying else 0.0
+        stiffness, cross = at[0] + t * (to[0] - at[0]), at[1] + t * (to[1] - at[1])
+        damping, across = at[2] + t * (to[2] - at[2]), at[3] + t * (to[3] - at[3])
+        x, y, vx, vy = (
+            work.place[first + i, 0],
+            work.place[first + i, 1],
+            work.velocity[first + i, 0],
+            work.velocity[first + i, 1],
+        )
+        fx, fy = _seal_force(x, y, vx, vy, 0.0, 0.0, (stiffness, cross, damping, across, 0.0))
+        work.force[first + i, 0] += fx
+        work.force[first + i, 1] += fy
+
+
+@_compiled
+def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) -> None:
+    """The scenario's forces at their stations; weight and unbalance on the modes."""
+    for m in range(drive.force_at.shape[0]):
+        value = drive.force[0, m, k] + tau * (drive.force[1, m, k] + tau * (drive.force[2, m, k] + tau * drive.force[3, m, k]))
+        s, axis = drive.force_at[m, 0], drive.force_at[m, 1]
+        c, d = rig.direction[s, 0], rig.direction[s, 1]
+        work.force[s, 0] += value * (c if axis == 0 else -d)
+        work.force[s, 1] += value * (d if axis == 0 else c)
+    work.modal[:] = rig.weight
+    acceleration = (drive.speed[k + 1] - drive.speed[k]) / drive.dt
+    if drive.unbalance.shape[0] and (speed != 0.0 or acceleration != 0.0):
+        angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
+        fx, fy = _turning_force(angle, speed, acceleration, (1.0, 0.0))
+        for j in range(drive.unbalance.shape[0]):
+            a, b = drive.unbalance[j, 0], drive.unbalance[j, 1]
+            work.modal[2 * j] += a * fx - b * fy
+            work.modal[2 * j + 1] += a * fy + b * fx
+
+
+@_compiled
+def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, dz: Any) -> None:
+    """The rotor: modal accelerations from modal and station forces, gyroscopic moments, added mass."""
+    p = rig.stiffness.shape[0]
+    for j in range(p):
+        fx, fy = work.modal[2 * j], work.modal[2 * j + 1]
+        for s in range(work.force.shape[0]):
+            fx += rig.shape[s, j] * work.force[s, 0]
+            fy += rig.shape[s, j] * work.force[s, 1]
+        vx, vy = z[2 * (p + j)], z[2 * (p + j) + 1]
+        dz[2 * j], dz[2 * j + 1] = vx, vy
+        dz[2 * (p + j)] = fx - rig.stiffness[j] * z[2 * j] - rig.damping[j] * vx
+        dz[2 * (p + j) + 1] = fy - rig.stiffness[j] * z[2 * j + 1] - rig.damping[j] * vy
+    if speed != 0.0:
+        for j in range(p):
+            gx, gy = 0.0, 0.0
+            for m in range(p):
+                gx += rig.gyroscopic[j, m] * z[2 * (p + m)]
+                gy += rig.gyroscopic[j, m] * z[2 * (p + m) + 1]
+            dz[2 * (p + j)] -= speed * gy
+            dz[2 * (p + j) + 1] += speed * gx
+    if drive.mass_inverse.shape[0]:
+        inverse = drive.mass_inverse[k if drive.mass_inverse.shape[0] > 1 else 0]
+        work.modal[:] = dz[2 * p : 4 * p]
+        for j in range(p):
+            ax, ay = 0.0, 0.0
+            for m in range(p):
+                ax += inverse[j, m] * work.modal[2 * m]
+                ay += inverse[j, m] * work.modal[2 * m + 1]
+            dz[2 * (p + j)], dz[2 * (p + j) + 1] = ax, ay
+
+
+@_compiled
+def _amplify(rig: Any, work: Any, drive: Any, k: int, z: Any, dz: Any) -> None:
+    """Amplifiers and bias currents, both within the slope that the voltage allows."""
+    count = rig.amplifier.shape[0]
+    amp = 4 * rig.stiffness.shape[0]
+    for a in range(count):
+        i, j, p = amp + 2 * a, amp + 2 * count + a, rig.amplifier[a]
+        dz[i], dz[i + 1] = _amplifier_derivative(work.command[a], z[i], z[i + 1], p)
+        target = rig.magnet[a // 2, 0] * drive.powered[a, k]
+        dz[j] = min(max(rig.bias_rate * (target - z[j]), -p[3]), p[3])
+
+
+@_compiled
+def _signal(rig: Any, z: Any, a: int, angle: float) -> float:
+    """The sensor's signal [m] of an axis before its lag."""
+    b = a // 2
+    c, s = rig.direction[b, 0], rig.direction[b, 1]
+    x, y = 0.0, 0.0
+    for j in range(rig.stiffness.shape[0]):
+        x += rig.sensor_shape[b, j] * z[2 * j]
+        y += rig.sensor_shape[b, j] * z[2 * j + 1]
+    value = c * x + s * y if a % 2 == 0 else c * y - s * x
+    track = rig.runout[rig.runout_start[b] : rig.runout_start[b + 1]]
+    if track.shape[0]:
+        value += _runout(angle - rig.angle[b], track, rig.sensor[a])
+    return _indicated(value, rig.sensor[a])
+
+
+@_compiled
+def _sense(rig: Any, drive: Any, k: int, tau: float, speed: float, z: Any, dz: Any) -> None:
+    """Lags of the sensors."""
+    count = rig.sensor.shape[0]
+    start = 4 * rig.stiffness.shape[0] + 3 * count
+    for a in range(count):
+        dz[start + a] = 0.0
+        if rig.sensor[a, 2] > 0.0:
+            angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
+            dz[start + a] = _lag(_signal(rig, z, a, angle), z[start + a], rig.sensor[a])
+
+
+@_compiled
+def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any) -> None:
+    """dz/dt at the fraction tau of control sample k: the machine, stage by stage."""
+    speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])
+    _move(rig, work, z)
+    _magnetise(rig, work, z)
+    _touch(rig, work, speed)
+    _couple(rig, work)
+    _whirl(rig, work, drive, k, tau)
+    _disturb(rig, work, drive, k, tau, speed)
+    _accelerate(rig, work, drive, k, speed, z, dz)
+    _amplify(rig, work, drive, k, z, dz)
+    _sense(rig, drive, k, tau, speed, z, dz)
+
+
+@_compiled
+def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any, slopes: Any) -> None:
+    """One control sample in ``steps`` steps of the classical fourth-order Runge-Kutta method; slopes (3, n) is scratch."""
+    n, h = z.shape[0], drive.dt / steps
+    dz, total, trial = slopes[0], slopes[1], slopes[2]
+    for step in range(steps):
+        trial[:] = z
+        total[:] = z
+        for stage in range(4):
+            inner = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            _derivative(rig, work, drive, k, (step + inner) / steps, trial, dz)
+            weight = h / 3 if inner == 0.5 else h / 6
+            ahead = h if stage == 2 else h / 2
+            for i in range(n):
+                total[i] += weight * dz[i]
+                trial[i] = z[i] + ahead * dz[i]
+        z[:] = total
+
+
+@_compiled
+def _measure(rig: Any, drive: Any, k: int, z: Any, y: Any) -> None:
+    """What the controller reads at the start of sample k."""
+    count = y.shape[0]
+    start = 4 * rig.stiffness.shape[0] + 3 * count
+    for a in range(count):
+        value = z[start + a] if rig.sensor[a, 2] > 0.0 else _signal(rig, z, a, drive.angle[k])
+        y[a] = _converted(value + drive.noise[a, k] + drive.disturbance[a, k], rig.sensor[a])
+
+
+@_compiled
+def _control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, scratch: Any) -> None:
+    """One sample of the controller. u (a,): what acts now; held (a,): what was computed, within the limit, for later."""
+    n, m = x.shape[0], y.shape[0]
+    err, ahead = scratch[:m], scratch[m:]
+    for a in range(m):
+        u[a] = held[a]
+        err[a] = drive.reference[a, k] - y[a]
+    for a in range(m):
+        value = 0.0
+        for j in range(n):
+            value += law.C[a, j] * x[j]
+        for j in range(m):
+            value += law.D[a, j] * err[j]
+        held[a] = min(max(value, -law.limit[a]), law.limit[a])
+    for i in range(n):
+        value = 0.0
+        for j in range(n):
+            value += law.A[i, j] * x[j]
+        for j in range(m):
+            value += law.B[i, j] * err[j]
+        ahead[i] = value
+    x[:] = ahead
+    if law.delay == 0:
+        u[:] = held
+
+
+@_compiled
+def _command(drive: Any, work: Any, k: int, u: Any) -> None:
+    """What the amplifiers are told: controller plus excitation; nothing without power."""
+    for a in range(u.shape[0]):
+        work.command[a] = (u[a] + drive.excitation[a, k]) * drive.powered[a, k]
+
+
+@_compiled
+def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
+    """One row: y, u, coil currents, magnet forces (axes), displacements of the stations in their axes."""
+    count = y.shape[0]
+    amp = 4 * rig.stiffness.shape[0]
+    _move(rig, work, z)
+    _magnetise(rig, work, z)
+    for a in range(count):
+        row[a], row[count + a], row[3 * count + a] = y[a], u[a], work.magnet[a]
+        row[2 * count + a] = _coil_current(work.command[a], z[amp + 2 * a], z[amp + 2 * a + 1], rig.amplifier[a])
+    for s in range(work.place.shape[0]):
+        c, d = rig.direction[s, 0], rig.direction[s, 1]
+        row[4 * count + 2 * s] = c * work.place[s, 0] + d * work.place[s, 1]
+        row[4 * count + 2 * s + 1] = c * work.place[s, 1] - d * work.place[s, 0]
+
+
+@_compiled
+def _finite(z: Any) -> bool:
+    return bool(np.isfinite(z.sum()))
+
+
+def entry_points(fingerprint: int) -> tuple[Any, Any]:
+    """``advance`` and ``slope``, compiled; kept on disk for the next process under a fingerprint of all that they contain.
+
+    Numba's own cache sees changes of this file only, and not of the force functions that are compiled into it.
+    """
+
+    def advance(rig: Any, law: Any, drive: Any, steps: int, z: Any, x: Any, held: Any, work: Any, log: Any, errors: Any) -> int:
+        """A stretch of K control samples; z, x and held (a,) end as the state after it.
+
+        log (K, columns): see ``_log``. errors (a, K) [m]: what the controller saw. Returns how many samples were done: fewer
+        than K where the state overflowed.
+        """
+        assert fingerprint  # part of the cached function's identity
+        count, n = held.shape[0], z.shape[0]
+        y, u, slopes = np.empty(count), np.empty(count), np.empty((3, n))
+        scratch = np.empty(count + x.shape[0])
+        for k in range(errors.shape[1]):
+            _measure(rig, drive, k, z, y)
+            _control(law, drive, k, y, x, held, u, scratch)
+            _command(drive, work, k, u)
+            _log(rig, work, z, y, u, log[k])
+            for a in range(count):
+                errors[a, k] = drive.reference[a, k] - y[a]
+            _integrate(rig, work, drive, k, steps, z, slopes)
+            if not _finite(z):
+                return k
+        return errors.shape[1]
+
+    def slope(rig: Any, drive: Any, u: Any, z: Any, work: Any, dz: Any) -> None:
+        """dz/dt with the amplifiers told u (a,), at the start of the stretch."""
+        assert fingerprint
+        work.command[:] = u
+        _derivative(rig, work, drive, 0, 0.0, z, dz)
+
+    try:
+        return njit(fastmath=_FLAGS, cache=True)(advance), njit(fastmath=_FLAGS, cache=True)(slope)
+    except RuntimeError:  # no folder to write to
+        return njit(fastmath=_FLAGS)(advance), njit(fastmath=_FLAGS)(slope)

@@ -1,0 +1,104 @@
+"""How a run of the virtual rig ended: touchdown as an outcome with its time and cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ambrose.simulate.rig_state import Rig
+from ambrose.simulate.scenario import LEVITATED, Scenario
+
+_CLEAR = 0.05  # [s] without contact after which a rotor counts as lifted
+_BEFORE = 0.05  # [s] before a touchdown in which currents at their limit count as its cause
+_AT_LIMIT = 0.999
+
+
+@dataclass(slots=True)
+class Watch:
+    """Follows a run stretch by stretch: contact in the touchdown bearings, controller outputs at their limit.
+
+    lifted_at [s]: since when the rotor is free of the touchdown bearings (0: from the start; None: not yet). touched_at [s]
+    and where: the first contact after that. contact [s]: how long any was touched after that. deepest [m]: the largest
+    displacement in a touchdown bearing beyond its gap.
+    """
+
+    rig: Rig
+    lifted_at: float | None
+    free_since: float | None = None
+    touched_at: float | None = None
+    where: str = ""
+    contact: float = 0.0
+    deepest: float = 0.0
+    limited: list[tuple[float, str]] = field(default_factory=list)
+
+    def follow(self, time: np.ndarray, places: np.ndarray, outputs: np.ndarray) -> None:
+        """time (k,) [s]; places (2 b, k) [m] at the bearings; outputs (a, k) [A]."""
+        gaps = self.rig.constants.touchdown[:, 0]
+        depth = np.hypot(places[0::2], places[1::2]) - gaps[:, None]
+        touching = (depth > 0).any(axis=0)
+        if self.lifted_at is None:
+            self._lift(time, touching)
+        after = np.zeros(0, dtype=int) if self.lifted_at is None else np.flatnonzero(touching & (time >= self.lifted_at))
+        if self.touched_at is None:
+            limit = np.array([np.inf if b.max_current is None else b.max_current for b in self.rig.machine.bearings])
+            stop = after[0] if len(after) else len(time)
+            full = np.abs(outputs[:, :stop]) >= _AT_LIMIT * np.repeat(limit, 2)[:, None]
+            for axis, row in zip(self.rig.axes, full, strict=True):
+                if row.any():
+                    self.limited.append((float(time[np.flatnonzero(row)[-1]]), axis))
+        if len(after):
+            if self.touched_at is None:
+                self.touched_at = float(time[after[0]])
+                self.where = self.rig.machine.bearings[int(np.argmax(depth[:, after[0]]))].name
+            self.contact += len(after) * float(time[1] - time[0]) if len(time) > 1 else 0.0
+            self.deepest = max(self.deepest, float(depth[:, after].max()))
+
+    def _lift(self, time: np.ndarray, touching: np.ndarray) -> None:
+        for t, contact in zip(time, touching, strict=True):
+            if contact:
+                self.free_since = None
+            elif self.free_since is None:
+                self.free_since = float(t)
+            elif t - self.free_since >= _CLEAR:
+                self.lifted_at = self.free_since
+                return
+
+
+def watch(rig: Rig, scenario: Scenario) -> Watch:
+    """A watch at the start of a scenario."""
+    return Watch(rig, 0.0 if scenario.initial == LEVITATED else None)
+
+
+def judged(seen: Watch, scenario: Scenario, overflow: float | None, pole: complex | None) -> tuple[str, str]:
+    """The outcome ("completed", "touchdown", "not levitated" or "diverged") and the same in words.
+
+    overflow [s]: when a state was no number any more. pole [rad/s]: the rightmost of the linear loop.
+    """
+    side = "" if pole is None else f"; linear loop: rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s"
+    if overflow is not None:
+        return "diverged", f"diverged: the motion left all bounds at t = {overflow:.6g} s; the record ends before{side}"
+    if seen.lifted_at is None:
+        return "not levitated", f"not levitated: the rotor did not get free of the touchdown bearings{side}"
+    lifted = "" if scenario.initial == LEVITATED else f", levitated since t = {seen.lifted_at:.4g} s"
+    if seen.touched_at is None:
+        return "completed", f"completed without contact{lifted}{side}"
+    stay = f"in contact for {seen.contact:.3g} s, {seen.deepest * 1e6:.3g} um beyond the gap at most"
+    return (
+        "touchdown",
+        f"touchdown at {seen.where} at t = {seen.touched_at:.6g} s{lifted}: {_cause(seen, scenario, pole)}; {stay}",
+    )
+
+
+def _cause(seen: Watch, scenario: Scenario, pole: complex | None) -> str:
+    at = seen.touched_at or 0.0
+    failures = [item for item in scenario.failures if item.time <= at]
+    if failures:
+        last = failures[-1]
+        what = "the power of all amplifiers" if last.axis is None else f"the amplifier of {last.axis}"
+        return f"{what} failed {at - last.time:.4g} s before"
+    limited = sorted({axis for time, axis in seen.limited if time >= at - _BEFORE})
+    stops = f"; controller output at its limit on {', '.join(limited)}" if limited else ""
+    if pole is not None and pole.real > 0:
+        return f"the loop is unstable, rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s{stops}"
+    return f"driven there by the disturbances although the linear loop is stable{stops}"

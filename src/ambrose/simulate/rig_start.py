@@ -1,0 +1,165 @@
+"""Where the virtual rig starts, and whether its step is short enough: all from its own equations, differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ambrose.core.checks import NumericalFailure, check_positive, invalid
+from ambrose.simulate.rig_controller import Law
+from ambrose.simulate.rig_drive import Drive
+from ambrose.simulate.rig_state import Rig, compiled
+
+DEFAULT_STEP = 2e-5  # [s]
+_COMFORTABLE, _LARGEST = 0.4, 1.0  # (fastest pole) times step: chosen at most, and refused above; unstable from 2.6 on
+_ITERATIONS = 50
+_DOWN = -np.pi / 2  # where a weightless rotor rests
+
+
+def slope(rig: Rig, drive: Drive, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """dz/dt (n,) with the amplifiers told u (a,), at the start of the drive."""
+    dz = np.zeros_like(z)
+    compiled()[1](rig.constants, drive, np.asarray(u, dtype=float), z, rig.work(), dz)
+    return dz
+
+
+def measurement(rig: Rig) -> np.ndarray:
+    """Matrix (a, n): what the sensors show of the state, without offset and run-out."""
+    k, C = rig.constants, np.zeros((len(rig.axes), rig.states))
+    for a in range(len(rig.axes)):
+        if k.sensor[a, 2] > 0:
+            C[a, 4 * rig.modes + 3 * len(rig.axes) + a] = 1.0
+        else:
+            C[a, : 2 * rig.modes] = _seen(rig, a)
+    return C
+
+
+def standing(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """The state at rest at modal displacements q (2 p,) with all currents settled at u (a,)."""
+    p, a = rig.modes, len(rig.axes)
+    z = np.zeros(rig.states)
+    z[: 2 * p] = q
+    currents = z[4 * p : 4 * p + 2 * a].reshape(a, 2)
+    currents[:, 0] = u
+    if rig.machine.amplifier.order == "twice-first":
+        currents[:, 1] = u
+    z[rig.bias] = np.repeat(rig.constants.magnet[:, 0], 2)
+    z[4 * p + 3 * a :] = [_seen(rig, i) @ q + rig.constants.sensor[i, 1] for i in range(a)]
+    return z
+
+
+def _seen(rig: Rig, a: int) -> np.ndarray:
+    """Row (2 p,): an axis' sensor over the modal displacements, with gain."""
+    k = rig.constants
+    c, s = k.direction[a // 2]
+    weights = (c, s) if a % 2 == 0 else (-s, c)
+    return np.asarray(k.sensor[a, 0] * np.kron(k.sensor_shape[a // 2], weights))
+
+
+def levitated(rig: Rig, drive: Drive, law: Law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """State z (n,) of the machine, state x of the controller and its output u (a,), in equilibrium at the drive's start.
+
+    Newton's method on the rig's own forces; run-out and what turns are left out. Raises NumericalFailure where weight and loads
+    need more current than there is.
+    """
+    n, m = 2 * rig.modes, len(law.A)
+    S = np.array([_seen(rig, a) for a in range(len(rig.axes))])
+    aim = -rig.constants.sensor[:, 1]
+    q, x = np.zeros(n), np.zeros(m)
+
+    def force(q: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return slope(rig, drive, standing(rig, q, u), u)[n : 2 * n]
+
+    for _ in range(_ITERATIONS):
+        u = law.C @ x + law.D @ (aim - S @ q)
+        missing = np.concatenate([force(q, u), (law.A - np.eye(m)) @ x + law.B @ (aim - S @ q)])
+        by_place = _differences(lambda q, u=u: force(q, u), q, 1e-8)  # type: ignore[misc]
+        by_current = _differences(lambda u, q=q: force(q, u), u, 1e-6)  # type: ignore[misc]
+        matrix = np.block([[by_place - by_current @ law.D @ S, by_current @ law.C], [-law.B @ S, law.A - np.eye(m)]])
+        rows = np.linalg.norm(matrix, axis=1)
+        columns = np.linalg.norm(matrix / np.where(rows == 0, 1.0, rows)[:, None], axis=0)
+        rows, columns = np.where(rows == 0, 1.0, rows), np.where(columns == 0, 1.0, columns)
+        step = -np.linalg.lstsq(matrix / rows[:, None] / columns, missing / rows, rcond=1e-13)[0] / columns
+        q, x = q + step[:n], x + step[n:]
+        if np.abs(step[:n]).max() < 1e-13:
+            break
+    u = law.C @ x + law.D @ (aim - S @ q)
+    reached = np.abs(step[:n]).max() < 1e-13 and (np.abs(u) < law.limit).all()
+    if not reached or _penetration(rig, q) >= 0:
+        raise NumericalFailure(
+            f"the rotor has no levitated equilibrium in this scenario (currents up to {np.abs(u).max():.3g} A were asked for); "
+            'reduce the static load, raise max_current or the bias, or start with initial = "resting"'
+        )
+    return standing(rig, q, u), x, u
+
+
+def resting(rig: Rig, law: Law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As ``levitated``, with the rotor lying in the touchdown bearings, no current in the coils and the controller at zero."""
+    k, bearings = rig.constants, len(rig.machine.bearings)
+    gaps = k.touchdown[:, 0]
+    if not np.isfinite(gaps).all():
+        raise invalid("the touchdown_gap of a bearing", "missing", "given for a start from rest", "add it to every bearing")
+    direction = rig.machine.gravity_direction
+    direction = _DOWN if direction is None else direction
+    plane = np.zeros(rig.modes)
+    plane[:2] = np.linalg.lstsq(k.shape[:bearings, :2], gaps, rcond=None)[0]
+    z = standing(rig, np.kron(plane, [np.cos(direction), np.sin(direction)]), np.zeros(len(rig.axes)))
+    z[rig.bias] = 0.0
+    return z, np.zeros(len(law.A)), np.zeros(len(rig.axes))
+
+
+def _penetration(rig: Rig, q: np.ndarray) -> float:
+    """How far [m] the rotor is inside the touchdown bearing where it is farthest; negative: free everywhere."""
+    k, b = rig.constants, len(rig.machine.bearings)
+    place = k.shape[:b] @ q.reshape(-1, 2)
+    return float((np.hypot(place[:, 0], place[:, 1]) - k.touchdown[:, 0]).max())
+
+
+def linear_view(rig: Rig, drive: Drive, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A = d(dz/dt)/dz (n, n) and B = d(dz/dt)/du (n, a) by central differences."""
+    p, a = rig.modes, len(rig.axes)
+    size = np.concatenate([np.full(2 * p, 1e-8), np.full(2 * p, 1e-5), np.full(3 * a, 1e-5), np.full(a, 1e-8)])
+    A = _differences(lambda z: slope(rig, drive, z, u), z, size)
+    return A, _differences(lambda u: slope(rig, drive, z, u), u, 1e-5)
+
+
+def _differences(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, size: float | np.ndarray) -> np.ndarray:
+    size = np.broadcast_to(size, at.shape)
+    columns = []
+    for i, h in enumerate(size):
+        low, high = at.copy(), at.copy()
+        low[i] -= h
+        high[i] += h
+        columns.append((function(high) - function(low)) / (2 * h))
+    return np.column_stack(columns)
+
+
+def fastest_pole(rig: Rig, drives: list[Drive]) -> float:
+    """The largest modulus [rad/s] of a pole of the rig, free and touching the touchdown bearings, in all of the drives."""
+    k, b, u = rig.constants, len(rig.machine.bearings), np.zeros(len(rig.axes))
+    states = [standing(rig, np.zeros(2 * rig.modes), u)]
+    if np.isfinite(k.touchdown[:, 0]).all():
+        plane = np.zeros(rig.modes)
+        plane[:2] = np.linalg.lstsq(k.shape[:b, :2], 1.05 * k.touchdown[:, 0], rcond=None)[0]
+        states.append(standing(rig, np.kron(plane, [1.0, 0.0]), u))
+    found = [np.abs(np.linalg.eigvals(linear_view(rig, drive, z, u)[0])).max() for drive in drives for z in states]
+    return float(max(found))
+
+
+def steps_per_sample(dt: float | None, sample_time: float, fastest: float) -> int:
+    """Integration steps in a control sample: of dt [s] at most (None: 20 us, or less for a fast machine).
+
+    Raises InvalidInput where dt is too long for the fastest pole [rad/s].
+    """
+    if dt is None:
+        return int(np.ceil(sample_time / min(DEFAULT_STEP, _COMFORTABLE / fastest) * (1 - 1e-9)))
+    check_positive(dt, "dt", "give the integration step in seconds")
+    if min(dt, sample_time) * fastest > _LARGEST:
+        raise invalid(
+            "the integration step",
+            f"{dt:g} s",
+            f"at most {_LARGEST / fastest:.3g} s: the machine's fastest pole has {fastest:.4g} rad/s",
+            "give a shorter dt, or None to have it chosen",
+        )
+    return int(np.ceil(sample_time / dt * (1 - 1e-9)))

@@ -1,0 +1,149 @@
+"""The virtual rig as arrays: what does not change during a run, and its state.
+
+The rotor is that of plant/assemble.py in its free modes (p per plane), without the bearings' linear negative stiffness, seals
+and couplings: those act as forces at S stations, in the order bearings, couplings, seals, discs, each with two axes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ambrose.core.checks import invalid
+from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.physics import amplifier, coupling, magnet, seal, sensor, touchdown, unbalance
+from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes, gravity_load
+from ambrose.plant.assemble import bending_modes_of, gyroscopic_of
+from ambrose.plant.ports import ports, sensor_ports
+
+_NO_BIAS_LAG = 5000.0  # rad/s at which the bias current follows an ideal amplifier
+
+
+class Constants(NamedTuple):
+    """p modes per plane, b bearings, a = 2 b axes, S stations."""
+
+    stiffness: np.ndarray  # (p,) squared frequencies of the free rotor [rad2/s2]
+    damping: np.ndarray  # (p,) 2 zeta omega [rad/s]
+    gyroscopic: np.ndarray  # (p, p) g in G = g (x) [[0, 1], [-1, 0]] [-]
+    shape: np.ndarray  # (S, p) modal deflection at the stations [1/sqrt(kg)]
+    sensor_shape: np.ndarray  # (b, p)
+    direction: np.ndarray  # (S, 2) cosine and sine of the angle from x to a station's first axis
+    angle: np.ndarray  # (S,) that angle [rad]
+    magnet: np.ndarray  # (b, 10) physics.magnet.parameters
+    touchdown: np.ndarray  # (b, 7) physics.touchdown.parameters
+    coupling: np.ndarray  # (couplings, 4) physics.coupling.parameters
+    amplifier: np.ndarray  # (a, 5) physics.amplifier.parameters
+    bias_rate: float  # [rad/s] at which the bias current follows
+    sensor: np.ndarray  # (a, 6) physics.sensor.parameters
+    runout: np.ndarray  # (h, 3) physics.sensor.harmonics, bearing after bearing
+    runout_start: np.ndarray  # (b + 1,)
+    weight: np.ndarray  # (2 p,) modal force
+
+
+class Work(NamedTuple):
+    """Scratch arrays of one derivative, in x and y at the stations, and per axis."""
+
+    place: np.ndarray
+    velocity: np.ndarray
+    force: np.ndarray
+    modal: np.ndarray
+    command: np.ndarray
+    magnet: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """A machine ready to run: its constants, the names of its stations' axes (ports) in their order, the rotor's mass [kg]."""
+
+    machine: Machine
+    point: OperatingPoint
+    constants: Constants
+    port_names: tuple[str, ...]
+    mass: float
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self.machine.axes
+
+    @property
+    def modes(self) -> int:
+        """Modes per plane."""
+        return len(self.constants.stiffness)
+
+    @property
+    def states(self) -> int:
+        """Length of the state: displacements and velocities, amplifiers, bias currents, sensors."""
+        return 4 * self.modes + 4 * len(self.axes)
+
+    @property
+    def bias(self) -> slice:
+        """Where the bias currents are in the state."""
+        start = 4 * self.modes + 2 * len(self.axes)
+        return slice(start, start + len(self.axes))
+
+    def work(self) -> Work:
+        """Fresh scratch arrays."""
+        pairs, a = np.zeros((3, len(self.constants.shape), 2)), len(self.axes)
+        return Work(pairs[0], pairs[1], pairs[2], np.zeros(2 * self.modes), np.zeros(a), np.zeros(a))
+
+
+def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: int = 1) -> Rig:
+    """The rig of a machine with rigid-body and ``bending_modes`` modes per plane, at a bias current and seals of ``point``.
+
+    Raises InvalidInput.
+    """
+    point = machine.operation.nominal if point is None else point
+    rotor = finite_element_rotor(machine)
+    available = bending_modes_of(rotor)
+    if not 0 <= bending_modes <= available:
+        raise invalid("bending_modes", bending_modes, f"between 0 and {available}", "refine the mesh or keep fewer modes")
+    modes = free_modes(rotor, bending_modes)
+    frequencies = modes.frequencies[0::2]
+    places, sensed = ports(machine), sensor_ports(machine)
+    angles = np.array([port.direction for port in places[0::2]])
+    bearings = machine.bearings
+    rates = [w for w in (machine.amplifier.bandwidth, machine.amplifier.natural_frequency) if w is not None]
+    served = {item.bearing: item for item in machine.sensors}
+    tracks = [sensor.harmonics(served[b.name]) for b in bearings]
+    constants = Constants(
+        stiffness=frequencies**2,
+        damping=2 * machine.modal_damping * frequencies,
+        gyroscopic=np.ascontiguousarray(gyroscopic_of(rotor, modes.shapes)[0::2, 1::2]),
+        shape=_deflections(rotor, [port.position for port in places[0::2]], modes.shapes),
+        sensor_shape=_deflections(rotor, [port.position for port in sensed[0::2]], modes.shapes),
+        direction=np.column_stack([np.cos(angles), np.sin(angles)]),
+        angle=angles,
+        magnet=np.array([magnet.parameters(b, point.bias_current) for b in bearings]),
+        touchdown=np.array([touchdown.parameters(machine, b) for b in bearings]),
+        coupling=np.array([coupling.parameters(c) for c in machine.couplings]).reshape(-1, 4),
+        amplifier=np.array([amplifier.parameters(machine.amplifier, b.max_current) for b in bearings for _ in "zh"]),
+        bias_rate=rates[0] if machine.amplifier.order != "none" and rates else _NO_BIAS_LAG,
+        sensor=np.array([sensor.parameters(served[b.name], axis) for b in bearings for axis in ("zeta", "eta")], dtype=float),
+        runout=np.vstack(tracks),
+        runout_start=np.cumsum([0, *(len(track) for track in tracks)]),
+        weight=modes.shapes.T @ gravity_load(rotor, machine.gravity_direction),
+    )
+    translation = modes.shapes[:, 0]
+    return Rig(machine, point, constants, tuple(port.name for port in places), float(1 / np.abs(translation).max() ** 2))
+
+
+def _deflections(rotor: Rotor, positions: list[float], shapes: np.ndarray) -> np.ndarray:
+    """Modal deflection (S, p) at axial positions [m]."""
+    return np.array([displacement_row(rotor, position, 0.0) @ shapes[:, 0::2] for position in positions])
+
+
+@cache
+def compiled() -> tuple[Any, Any]:
+    """The compiled functions ``advance`` and ``slope`` of rig_kernel.py; half a minute on a machine that never ran them."""
+    from ambrose.simulate import rig_kernel
+
+    modules = (rig_kernel, amplifier, coupling, magnet, seal, sensor, touchdown, unbalance)
+    digest = hashlib.sha256()
+    for module in modules:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return rig_kernel.entry_points(int.from_bytes(digest.digest()[:6], "big"))
