@@ -29,7 +29,8 @@ from ambrose.machine.config import (
     save_machine,
 )
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
-from ambrose.machine.schema import MachineFile, Table, table_below
+from ambrose.machine.schema import MachineFile, table_below
+from ambrose.machine.table import Table
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -42,6 +43,8 @@ def test_every_value_of_the_small_machine():
     titanium = d.Material(4430.0, 114e9, 0.34)
     rows = (d.BiasPoint(6.0, (220.0, 220.0), (2.5e6, 2.6e6)),)
     limits = {"gap": 0.5e-3, "touchdown_gap": 250e-6, "max_current": 4.0, "max_force": 1500.0}
+    iron, contact = d.MagnetIron(40.0, 1.6, 50e-6), d.Touchdown(90e6, 5e3, 0.15, 0.04, 0.02)
+    rig = {"iron": iron, "touchdown": contact, "cross_coupling": 0.02, "magnetic_offset": (20e-6, 0.0)}
     table = d.SealTable(
         (("pressure", (0.0, 1e5, 2e5)), ("frequency", (0.0, 200 * hz))), (("k", ((0.0, 0.0), (1e6, 1.1e6), (2e6, 2.2e6))),)
     )
@@ -51,6 +54,7 @@ def test_every_value_of_the_small_machine():
         source="made up",
         beam_theory="timoshenko",
         modal_damping=0.01,
+        gravity_direction=-90 * deg,
         assumed=(("bearing.A.gap", "made up"), ("seal coefficients", "made up")),
         shaft=(
             d.ShaftSection(0.0, 0.2, 0.06, 0.02, None, 4, d.Material(), "left end"),
@@ -58,11 +62,14 @@ def test_every_value_of_the_small_machine():
         ),
         discs=(d.Disc("wheel", 0.02, 3.0, 0.02, 0.011),),
         bearings=(
-            d.MagneticBearing("A", 0.15, 4.0, 45 * deg, (150.0, 160.0), (1.2e6, 1.2e6), None, rows, **limits),
+            d.MagneticBearing("A", 0.15, 4.0, 45 * deg, (150.0, 160.0), (1.2e6, 1.2e6), None, rows, **limits, **rig),
             d.MagneticBearing("B", 0.5, 4.0, geometry=d.MagnetGeometry(36.0, 480e-6, 0.5e-3, 22.5 * deg)),
         ),
-        sensors=(d.Sensor("A", 0.12, (1.0, 0.98), 1e4 * hz), d.Sensor("B", 0.53)),
-        amplifier=d.Amplifier("twice-first", 1500 * hz, 3000 * hz),
+        sensors=(
+            d.Sensor("A", 0.12, (1.0, 0.98), 1e4 * hz, 0.2e-6, (5e-6, 0.0), 0.1e-6, (d.Runout(2, 2e-6, 25 * deg),)),
+            d.Sensor("B", 0.53),
+        ),
+        amplifier=d.Amplifier("twice-first", 1500 * hz, 3000 * hz, max_voltage=150.0, inductance=20e-3),
         seals=(d.Seal("center", 0.3, 0.4e6, 0.0, 2e3, 0.0, 0.1, 2e5, ("C",), table),),
         couplings=(d.Coupling("coupling", 0.0, (0.40e6, 0.42e6), (10.0, 10.0), 45 * deg),),
         controller=d.PidSettings(

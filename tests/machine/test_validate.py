@@ -10,7 +10,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.config import load_machine
-from ambrose.machine.description import Amplifier, Machine, SealTable, ShaftSection, Tolerance
+from ambrose.machine.description import Amplifier, Machine, MagnetIron, Runout, SealTable, ShaftSection, Tolerance, Touchdown
 from ambrose.machine.validate import InvalidMachine, check_machine, problems
 
 SMALL = load_machine(Path(__file__).with_name("small.toml"))
@@ -155,3 +155,39 @@ def test_the_exception_lists_all_of_it():
     assert len(lines) == 4
     assert "mass is 0 kg" in str(caught.value)
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "make, place, words",
+    [
+        (lambda: with_bearing(iron=MagnetIron(40.0, 0.0, 5e-5)), "[bearing.iron]", "flux_density is 0 T"),
+        (lambda: with_bearing(iron=MagnetIron(40.0, 1.6, -5e-5)), "[bearing.iron]", "equivalent_gap is -5e-05 m"),
+        (lambda: with_bearing(cross_coupling=1.5), "[[bearing]] A", "cross_coupling is 1.5"),
+        (lambda: with_bearing(magnetic_offset=(0.0, 20.0)), "[[bearing]] A", "magnetic_offset (eta) is 20 m"),
+        (lambda: with_bearing(touchdown=Touchdown(friction=-0.1)), "[bearing.touchdown]", "friction is -0.1"),
+        (lambda: with_bearing(touchdown_gap=None, touchdown=Touchdown()), "[[bearing]] A", "touchdown_gap is missing"),
+        (lambda: with_sensor(noise=-1e-6), "[[sensor]] A", "noise is -1e-06 m"),
+        (lambda: with_sensor(runout=(Runout(0, 1e-6),)), "[[sensor.runout]] 1", "order is 0"),
+        (lambda: with_amplifier(inductance=None), "[amplifier]", "inductance is missing"),
+        (lambda: with_amplifier(max_voltage=-5.0), "[amplifier]", "max_voltage is -5 V"),
+        (lambda: replace(SMALL, amplifier=Amplifier(max_voltage=1.0, inductance=1.0)), "[amplifier]", 'order "none"'),
+    ],
+)
+def test_what_only_the_rig_uses_is_checked_too(make, place, words):
+    found = refused(make)
+    assert len(found) == 1
+    assert place in found[0]
+    assert words in found[0]
+
+
+def test_turns_must_agree():
+    other = replace(SMALL.bearings[1], iron=MagnetIron(40.0, 1.6, 5e-5))
+    assert "turns differ" in refused(lambda: replace(SMALL, bearings=(SMALL.bearings[0], other)))[0]
+
+
+def with_sensor(**changes) -> Machine:
+    return replace(SMALL, sensors=(replace(SMALL.sensors[0], **changes), SMALL.sensors[1]))
+
+
+def with_amplifier(**changes) -> Machine:
+    return replace(SMALL, amplifier=replace(SMALL.amplifier, **changes))

@@ -135,7 +135,8 @@ def _lines(table: Mapping[str, Any], path: str) -> Iterator[str]:
 def _document(machine: Machine) -> dict[str, Any]:
     """The machine as nested tables of a TOML file."""
     materials = _material_names(machine)
-    head = {"schema": SCHEMA_VERSION, **_changed(machine, {"name", "description", "source", "beam_theory", "modal_damping"})}
+    whole = {"name", "description", "source", "beam_theory", "modal_damping", "gravity_direction"}
+    head = {"schema": SCHEMA_VERSION, **_changed(machine, whole)}
     if machine.assumed:
         head["assumed"] = dict(machine.assumed)
     document: dict[str, Any] = {"machine": head}

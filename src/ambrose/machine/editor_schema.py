@@ -10,7 +10,8 @@ from typing import Any
 
 from ambrose.machine.description import SCHEMA_VERSION, Machine
 from ambrose.machine.fields import PLACEHOLDER, quantity_schemas
-from ambrose.machine.schema import MachineFile, Table
+from ambrose.machine.schema import MachineFile
+from ambrose.machine.table import Table
 
 
 def editor_schema() -> dict[str, Any]:

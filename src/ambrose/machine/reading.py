@@ -9,7 +9,8 @@ from pydantic import ValidationError
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine, Material, ShaftSection
-from ambrose.machine.schema import MachineFile, ShaftTable, Table, table_below
+from ambrose.machine.schema import MachineFile, ShaftTable, table_below
+from ambrose.machine.table import Table
 from ambrose.machine.validate import InvalidMachine
 from ambrose.machine.wording import listed, shown, suggestion
 

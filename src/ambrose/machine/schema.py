@@ -5,66 +5,36 @@ Keys that may be left out have no default here: description.py has the defaults,
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as nouns
 from ambrose.machine.fields import Choice, Choices, Count, ListOf, NestedOf, PairOf, Quantity, Text, Version
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
-
-Length = Annotated[float, Quantity("length")]
-Mass = Annotated[float, Quantity("mass")]
-Inertia = Annotated[float, Quantity("moment of inertia")]
-Angle = Annotated[float, Quantity("angle")]
-Rate = Annotated[float, Quantity("angular rate")]
-Time = Annotated[float, Quantity("time")]
-Current = Annotated[float, Quantity("current")]
-Force = Annotated[float, Quantity("force")]
-Pressure = Annotated[float, Quantity("pressure")]
-Stiffness = Annotated[float, Quantity("stiffness")]
-Damping = Annotated[float, Quantity("damping")]
-Ratio = Annotated[float, Quantity("ratio")]
-ForcePerCurrentPair = Annotated[tuple[float, float], PairOf("force per current")]
-StiffnessPair = Annotated[tuple[float, float], PairOf("stiffness")]
-Words = Annotated[str, Text()]
-Name = Annotated[str, Text("a name")]
-
-
-def required(doc: str) -> Any:
-    return Field(description=doc)
-
-
-def optional(doc: str) -> Any:
-    """A key that may be left out; the noun's own default applies then."""
-    return Field(default=None, description=doc)
-
-
-class Table(BaseModel):
-    """One table of the file; ``noun`` is what it becomes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
-    noun: ClassVar[type | None] = None
-    apart: ClassVar[frozenset[str]] = frozenset()  # keys that ``given`` leaves to the reader
-
-    def given(self) -> dict[str, Any]:
-        """The keys that the file has, nested tables turned into nouns and lists into tuples."""
-        return {key: _built(getattr(self, key)) for key in self.model_fields_set - self.apart}
-
-    def build(self) -> Any:
-        """The noun, with its own defaults for what the file leaves out."""
-        assert self.noun is not None
-        return self.noun(**self.given())
-
-
-def _built(value: Any) -> Any:
-    if isinstance(value, Table):
-        return value.build()
-    if isinstance(value, list):
-        return tuple(_built(element) for element in value)
-    return value
+from ambrose.machine.table import (
+    Angle,
+    Current,
+    Damping,
+    Force,
+    ForcePerCurrentPair,
+    Inertia,
+    Length,
+    Mass,
+    Name,
+    Pressure,
+    Rate,
+    Ratio,
+    Stiffness,
+    StiffnessPair,
+    Table,
+    Time,
+    Words,
+    optional,
+    required,
+)
 
 
 class MachineTable(Table):
@@ -76,6 +46,9 @@ class MachineTable(Table):
     source: Words = optional("where its figures come from")
     beam_theory: Annotated[str, Choice(nouns.BEAM_THEORIES)] = optional("theory of the shaft's beam elements")
     modal_damping: Ratio = optional("damping ratio of every bending mode")
+    gravity_direction: Angle = optional(
+        "where the rotor's weight points, from the global x towards y; default: no weight; for the virtual rig"
+    )
     assumed: dict[str, Any] = optional("key = reason, for every figure that was chosen and is neither measured nor published")
 
 
@@ -127,6 +100,28 @@ class GeometryTable(Table):
     pole_half_angle: Angle = optional("half the angle between the two poles of a horseshoe")
 
 
+class IronTable(Table):
+    """The magnet's iron, whose flux density levels off; for the virtual rig and for coefficients from geometry."""
+
+    noun = nouns.MagnetIron
+    turns: Annotated[float, Quantity("plain number")] = required("turns of one horseshoe, both of its poles together")
+    flux_density: Annotated[float, Quantity("magnetic flux density")] = required(
+        "flux density in the air gap that full saturation never passes"
+    )
+    equivalent_gap: Length = required("air gap that the unsaturated iron is worth, its path length/(2 mu_r)")
+
+
+class TouchdownTable(Table):
+    """Contact in the touchdown bearing, for the virtual rig."""
+
+    noun = nouns.Touchdown
+    stiffness: Stiffness = optional("contact stiffness; the default is assumed")
+    damping: Damping = optional("contact damping; the default is assumed")
+    friction: Ratio = optional("Coulomb friction; the default is assumed")
+    radius: Length = optional("radius of the contact; default: the shaft's there")
+    sliding_speed: Annotated[float, Quantity("velocity")] = optional("sliding speed below which friction fades to zero")
+
+
 class MeasuredTable(Table):
     """Coefficients measured at another bias current."""
 
@@ -154,6 +149,21 @@ class BearingTable(Table):
     touchdown_gap: Length = optional("radial gap of the touchdown bearing")
     max_current: Current = optional("largest control current")
     max_force: Force = optional("largest force")
+    iron: IronTable = optional("the magnet's iron")
+    touchdown: TouchdownTable = optional("contact in the touchdown bearing")
+    cross_coupling: Ratio = optional("part of the other axis' control current that acts on an axis; for the virtual rig")
+    magnetic_offset: Annotated[tuple[float, float], PairOf("length")] = optional(
+        "magnetic centre from the sensors' zero; for the virtual rig"
+    )
+
+
+class RunoutTable(Table):
+    """One harmonic of the sensor track's profile: amplitude cos(order (spin angle - axis angle) + phase)."""
+
+    noun = nouns.Runout
+    order: Annotated[int, Count()] = required("periods per revolution")
+    amplitude: Length = required("amplitude, zero to peak")
+    phase: Angle = optional("phase")
 
 
 class SensorTable(Table):
@@ -164,6 +174,10 @@ class SensorTable(Table):
     position: Length = required("axial position, from the left end")
     gain: Annotated[tuple[float, float], PairOf("ratio")] = optional("indicated per true displacement")
     bandwidth: Rate = optional("corner frequency of a first-order lag; default: no lag")
+    noise: Length = optional("root mean square of the noise in every sample; for the virtual rig")
+    offset: Annotated[tuple[float, float], PairOf("length")] = optional("indicated at zero displacement; for the virtual rig")
+    resolution: Length = optional("step of the converter, 0 for none; for the virtual rig")
+    runout: list[RunoutTable] = optional("harmonics of the sensor track's run-out")
 
 
 class AmplifierTable(Table):
@@ -175,6 +189,10 @@ class AmplifierTable(Table):
     eddy_bandwidth: Rate = optional('second corner frequency, for "twice-first"')
     natural_frequency: Rate = optional('natural frequency, for "second"')
     damping: Rate = optional('damping term d in s^2 + d s + natural_frequency^2, for "second"')
+    max_voltage: Annotated[float, Quantity("voltage")] = optional(
+        "largest voltage at the coil, which limits the slope of the current; for the virtual rig"
+    )
+    inductance: Annotated[float, Quantity("inductance")] = optional("inductance of a coil; for the virtual rig")
 
 
 class CouplingTable(Table):

@@ -121,6 +121,7 @@ def _bearing(where: str, bearing: MagneticBearing) -> Iterator[str]:
         yield complaint(
             where, "touchdown_gap", number(bearing.touchdown_gap, "m"), below, "the rotor must land before it meets the magnet"
         )
+    yield from _iron_and_touchdown(where, bearing)
     if bearing.geometry is None:
         return
     inside, geometry = f"{where}, [bearing.geometry]", bearing.geometry
@@ -129,6 +130,34 @@ def _bearing(where: str, bearing: MagneticBearing) -> Iterator[str]:
     if not 0 <= geometry.pole_half_angle < math.pi / 2:
         degrees = f"{math.degrees(geometry.pole_half_angle):g} deg"
         yield complaint(inside, "pole_half_angle", degrees, "from 0 to below 90 deg", "eight poles have 22.5 deg")
+
+
+def _iron_and_touchdown(where: str, bearing: MagneticBearing) -> Iterator[str]:
+    if not -1 < bearing.cross_coupling < 1:
+        remedy = "it is the small part of the other axis' current that acts on an axis"
+        yield complaint(where, "cross_coupling", f"{bearing.cross_coupling:g}", "between -1 and 1", remedy)
+    room = bearing.gap or bearing.touchdown_gap
+    for axis, offset in zip(("zeta", "eta"), bearing.magnetic_offset, strict=True):
+        if room and abs(offset) >= room:
+            within = f"smaller than the gap, {room:g} m"
+            yield complaint(where, f"magnetic_offset ({axis})", number(offset, "m"), within, "give it in metres or with a unit")
+    if bearing.iron is not None:
+        iron = bearing.iron
+        inside, remedy = f"{where}, [bearing.iron]", "leave the table out for magnets without saturation"
+        yield from not_positive(inside, remedy, ("turns", iron.turns, ""), ("flux_density", iron.flux_density, "T"))
+        length = ("equivalent_gap", iron.equivalent_gap, "m")
+        yield from not_positive(inside, "0.05 mm is usual", length, zero=True)
+    if bearing.geometry is not None and bearing.iron is not None and bearing.geometry.turns != bearing.iron.turns:
+        yield f"{where}: turns differ in [bearing.geometry] and [bearing.iron]; give the turns of one horseshoe in both"
+    if bearing.touchdown is not None:
+        contact, inside = bearing.touchdown, f"{where}, [bearing.touchdown]"
+        sizes = (("stiffness", contact.stiffness, "N/m"), ("radius", contact.radius, "m"))
+        speed = ("sliding_speed", contact.sliding_speed, "m/s")
+        yield from not_positive(inside, "leave it out for its default", *sizes, speed)
+        losses = (("damping", contact.damping, "N s/m"), ("friction", contact.friction, ""))
+        yield from not_positive(inside, "contact takes energy and gives none", *losses, zero=True)
+        if bearing.touchdown_gap is None:
+            yield f"{where}: touchdown_gap is missing; [bearing.touchdown] needs the clearance"
 
 
 def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:
@@ -168,6 +197,14 @@ def sensors(machine: Machine) -> Iterator[str]:
         for axis, gain in zip(("zeta", "eta"), sensor.gain, strict=True):
             if gain == 0:
                 yield complaint(where, f"gain ({axis})", 0, "different from zero", "1 is a calibrated sensor")
+        sizes = (("noise", sensor.noise, "m"), ("resolution", sensor.resolution, "m"))
+        yield from not_positive(where, "leave it out for a sensor without", *sizes, zero=True)
+        for k, harmonic in enumerate(sensor.runout):
+            inside = f"{where}, [[sensor.runout]] {k + 1}"
+            yield from not_positive(
+                inside, "periods per revolution; an offset is the key offset", ("order", harmonic.order, "")
+            )
+            yield from not_positive(inside, "turn the phase by 180 deg", ("amplitude", harmonic.amplitude, "m"), zero=True)
     for name in names:
         if name not in served:
             yield f'[[bearing]] {name}: no [[sensor]] serves it; add one with bearing = "{name}" and its position'
@@ -191,6 +228,13 @@ def amplifier(machine: Machine) -> Iterator[str]:
                 f"remove it, or set order to {' or '.join(orders)}"
             )
         yield from not_positive("[amplifier]", "give its corner frequency or damping term", (key, value, "rad/s"))
+    limits = (("max_voltage", amplifier.max_voltage, "V"), ("inductance", amplifier.inductance, "H"))
+    yield from not_positive("[amplifier]", "leave both out for no limit", *limits)
+    if (amplifier.max_voltage is None) != (amplifier.inductance is None):
+        there, missing = ("max_voltage", "inductance") if amplifier.inductance is None else ("inductance", "max_voltage")
+        yield f"[amplifier]: {missing} is missing; {there} limits the slope of the current only together with it"
+    elif amplifier.max_voltage is not None and amplifier.order == "none":
+        yield '[amplifier]: max_voltage limits the slope of the current, which order "none" does not have; choose "first"'
 
 
 def couplings(machine: Machine) -> Iterator[str]:

@@ -97,7 +97,7 @@ def force(
 
     With the added mass in the rotor's mass matrix instead, call it with zero accelerations. Compiles with numba as it stands.
     """
-    K, k, C, c, M = p
+    K, k, C, c, M = p[0], p[1], p[2], p[3], p[4]
     return -(K * x + k * y + C * vx + c * vy + M * ax), -(-k * x + K * y - c * vx + C * vy + M * ay)
 
 
