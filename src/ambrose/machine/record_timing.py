@@ -1,0 +1,34 @@
+"""The sample rate that a column of times tells, and what is wrong with the times."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ambrose.core.checks import invalid
+from ambrose.machine.record_attributes import number_of
+
+_JITTER = 0.05  # largest deviation of one time step from the others, as a fraction: beyond it, a sample was mistimed
+
+
+def uniform_rate(time: np.ndarray, stated: str | None) -> float:
+    """The sample rate [Hz] of uniformly increasing times (k,) [s]; raises InvalidInput at a gap or a mistimed sample."""
+    if len(time) < 2:
+        raise invalid("the number of samples", len(time), "at least 2", "the time step cannot be told from one row")
+    if not np.isfinite(time).all():
+        raise invalid("a time", "not finite", "a number", f"look at data row {int(np.argmin(np.isfinite(time))) + 1}")
+    step = np.diff(time)
+    usual = float(np.median(step))
+    bad = np.flatnonzero(np.abs(step - usual) > _JITTER * abs(usual))
+    if usual <= 0 or len(bad):
+        i = int(bad[0]) if len(bad) else 0
+        what = f"{step[i]:g} s after t = {time[i]:.9g} s"
+        missing = round(step[i] / usual) - 1 if usual > 0 else 0
+        remedy = f"{missing} samples are missing there" if missing > 0 else "resample the signals uniformly"
+        raise invalid("a time step", what, f"positive and uniform (here {usual:g} s)", remedy)
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    if stated is None:
+        return float(f"{rate:.12g}")
+    given = number_of(stated, "sample_rate_hz")
+    if abs(given - rate) > 1e-3 * rate:
+        raise invalid("sample_rate_hz", given, f"that of the time column, {rate:.9g} Hz", "correct one of them")
+    return given
