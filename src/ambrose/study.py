@@ -38,7 +38,7 @@ from ambrose.verify.checks import Checks, Curve
 
 Progress = Callable[[str], None]
 _CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10
-TITLES = {"pid": "PID", "hinf": "H-infinity", "mu": "mu"}
+TITLES = {"pid": "PID", "hinf": "H-infinity", "mu": "mu", "polish": "mu, polished"}
 SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance patterns of P5
 
 

@@ -8,26 +8,23 @@ from dataclasses import replace
 from ambrose.core.checks import invalid
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis import hinf, mu, pid
+from ambrose.synthesis import hinf, mu, pid, polish
 from ambrose.synthesis.certify import certify
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.tuning import tune_control_weight
 
-METHODS = ("pid", "hinf", "mu")
+METHODS = ("pid", "hinf", "mu", "polish")
 SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
 
 Progress = Callable[[str], None]
 
 
 def methods_for(plant: Plant) -> tuple[str, ...]:
-    """What the machine file allows: "pid" with [controller], "hinf" with [weights], "mu" with [[tolerance]] as well."""
+    """What the machine file allows: "pid" with [controller], "hinf" with [weights], the others with [[tolerance]] as well."""
     machine = plant.machine
-    possible = {
-        "pid": machine.controller is not None,
-        "hinf": machine.weights is not None,
-        "mu": machine.weights is not None and bool(machine.tolerances),
-    }
+    robust = machine.weights is not None and bool(machine.tolerances)
+    possible = {"pid": machine.controller is not None, "hinf": machine.weights is not None, "mu": robust, "polish": robust}
     return tuple(method for method in METHODS if possible[method])
 
 
@@ -37,24 +34,28 @@ def design(
     *,
     bending_modes: int = 0,
     match_reference: bool | None = None,
+    order: int | None = None,
     progress: Progress = lambda text: None,
 ) -> Synthesis:
     """One controller for a full plant.
 
     method: "pid" (the machine's reference controller), "hinf" (H-infinity for the nominal plant), "mu" (D-K iteration over the
-    machine's tolerances). bending_modes: how many the design model keeps per plane. match_reference: scale the control weight
-    until the direct gains below 200 Hz match the reference controller's, so that controllers are comparable (P5); default:
-    where the machine has a reference controller and a constant control weight. The certificate's margins gain
+    machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case). bending_modes: how many
+    the design model keeps per plane. match_reference: scale the control weight until the direct gains below 200 Hz match the
+    reference controller's, so that controllers are comparable (P5); default: where the machine has a reference controller and
+    a constant control weight. order: states of the polished controller. The certificate's margins gain
     "full_spectral_abscissa" and "full_sensitivity_peak", recomputed on ``plant``; a controller that does not hold it has the
     status "unstable". Raises InvalidInput for an unknown method or a machine file that lacks what the method needs.
     """
     if method not in METHODS:
         raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", "choose one of them")
+    if order is not None and method != "polish":
+        raise invalid("order", order, f"None for method {method!r}", "only method 'polish' can choose it")
     if method == "pid":
         return pid.synthesize(plant)
     small = reduce(plant, bending_modes)
     machine = plant.machine
-    uncertain = method == "mu"
+    uncertain = method in {"mu", "polish"}
     synthesize = hinf.synthesize if method == "hinf" else lambda problem: mu.synthesize(problem, order=SCALING_ORDER)
     if match_reference is None:
         constant = machine.weights is not None and machine.weights.control_crossover is None
@@ -65,10 +66,15 @@ def design(
         reference = pid.controller(machine.controller, machine)
         tuned = tune_control_weight(small, None, reference, synthesize, uncertain=uncertain)
         progress(f"control weight times {tuned.factor:.3g}: direct gains {100 * tuned.mismatch:+.1f} % of the reference's")
-        result = tuned.synthesis
+        result, weights = tuned.synthesis, tuned.weights
         extra = {"control_weight_factor": tuned.factor, "direct_gain_mismatch": tuned.mismatch}
     else:
-        result, extra = synthesize(design_plant(small, uncertain=uncertain)), {}
+        result, weights, extra = synthesize(design_plant(small, uncertain=uncertain)), None, {}
+    if method == "polish":
+        start = result.controller
+        result = polish.synthesize(
+            design_plant(small, weights), start, order=start.n_states // 2 if order is None else order, progress=progress
+        )
     return on_full_plant(plant, result, extra)
 
 
