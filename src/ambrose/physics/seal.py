@@ -66,7 +66,7 @@ def path(seal: Seal, pressure: Sequence[float], speed: Sequence[float], frequenc
 
 
 def along(time: float, step: float, rows: np.ndarray) -> tuple[float, float, float, float, float]:
-    """Coefficients at a time [s], linear between the rows of ``path`` (K, k, C, c, M each), ``step`` [s] apart; constant past its ends.
+    """Coefficients at a time [s], linear between the rows of ``path``, ``step`` [s] apart; constant past their ends.
 
     Compiles with numba as it stands.
     """
