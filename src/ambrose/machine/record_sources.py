@@ -1,0 +1,170 @@
+"""Variables and channels in the files of other programs: MATLAB .mat (to version 7, and 7.3) and NI TDMS.
+
+Each reader hands out numbers by the name that its program uses, and what the file says about them; nothing is interpreted here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.wording import suggestion
+
+_PART = re.compile(r"(?P<name>.*?)\s*\(\s*(?:(?P<row>\d+)\s*,\s*:|:\s*,\s*(?P<column>\d+))\s*\)")
+_SHOWN = 20  # names in a message
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One axis of numbers (k,) as they stand in the file; unit and sample rate [Hz] where the file states them."""
+
+    values: np.ndarray
+    unit: str = ""
+    rate: float | None = None
+
+
+@contextmanager
+def variables_of(path: Path) -> Iterator[Callable[[str], Variable]]:
+    """A function from the name of a variable to its Variable, while the file is open for reading.
+
+    MATLAB: "y", a field "log.y", a column or row of a matrix "Y(:,2)", "Y(2,:)". TDMS: "group/channel". Raises InvalidInput.
+    """
+    readers = {".mat": _matlab, ".tdms": _tdms}
+    if path.suffix.lower() not in readers:
+        raise InvalidInput(f"{path} is not of a kind known here ({', '.join(readers)}); export it as one of them")
+    if not path.is_file():
+        raise InvalidInput(f"{path} is not a file; check the name")
+    try:
+        with readers[path.suffix.lower()](path) as find:
+            yield find
+    except InvalidInput as error:
+        raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+    except Exception as error:  # parsers of damaged files raise anything
+        words = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InvalidInput(f"{path}: it cannot be read ({words}); it is damaged, truncated or of another kind") from error
+
+
+@contextmanager
+def _matlab(path: Path) -> Iterator[Callable[[str], Variable]]:
+    import h5py
+
+    with path.open("rb") as file:
+        newer = file.read(10) == b"MATLAB 7.3"
+    if newer or h5py.is_hdf5(path):
+        with h5py.File(path, "r") as tree:
+            yield lambda name: Variable(_part(name, lambda plain: _from_tree(tree, plain)))
+    else:
+        import scipy.io
+
+        known = [name for name, _, _ in scipy.io.whosmat(path)]
+        load = lru_cache(maxsize=1)(lambda top: scipy.io.loadmat(path, variable_names=[top])[top])
+        yield lambda name: Variable(_part(name, lambda plain: _from_matlab5(load, known, plain)))
+
+
+def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
+    """The numbers of a vector, or of one row or column of a matrix."""
+    match = _PART.fullmatch(name)
+    array = get(match["name"] if match else name)
+    if array.ndim > 2 or array.dtype.kind not in "fiub":
+        kind = "complex numbers" if array.dtype.kind == "c" else "no numbers" if array.ndim <= 2 else "a block of numbers"
+        raise InvalidInput(f"the variable {name} holds {kind}, but must hold real ones in rows or columns; save its parts")
+    array = np.atleast_2d(array)
+    if match is None:
+        if min(array.shape) != 1:
+            size = " x ".join(map(str, array.shape))
+            raise InvalidInput(f"the variable {name} is {size}, but one signal is needed; name a column, such as {name}(:,1)")
+        return array.ravel()
+    axis = 0 if match["row"] else 1
+    index = int(match["row"] or match["column"])
+    if not 1 <= index <= array.shape[axis]:
+        what = "rows" if axis == 0 else "columns"
+        raise InvalidInput(f"{name} does not exist, the variable has {array.shape[axis]} {what}; count from 1")
+    return array.take(index - 1, axis=axis)
+
+
+def _from_matlab5(load: Callable[[str], np.ndarray], known: list[str], name: str) -> np.ndarray:
+    top, *fields = name.split(".")
+    if top not in known:
+        raise _unknown(name, known, "variable")
+    value = load(top)
+    for i, key in enumerate(fields):
+        names = value.dtype.names or ()
+        if key not in names:
+            raise _unknown(name, [".".join((top, *fields[:i], n)) for n in names], "variable")
+        value = value[key]
+        while value.dtype == object and value.size == 1:
+            value = value.item()
+    return np.asarray(value)
+
+
+def _from_tree(tree: Any, name: str) -> np.ndarray:
+    import h5py
+
+    node = tree
+    for i, key in enumerate(name.split(".")):
+        members = [member for member in node if not member.startswith("#")] if isinstance(node, h5py.Group) else []
+        if key not in members:
+            raise _unknown(name, [".".join((*name.split(".")[:i], member)) for member in members], "variable")
+        node = node[key]
+    if not isinstance(node, h5py.Dataset):
+        raise _unknown(name, [f"{name}.{member}" for member in node], "variable")
+    if node.attrs.get("MATLAB_class", b"") in {b"char", b"cell"}:
+        raise InvalidInput(f"the variable {name} holds no numbers, but must hold real ones in rows or columns; save its parts")
+    return np.asarray(node[()]).T  # MATLAB stores column by column
+
+
+@contextmanager
+def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
+    try:
+        from nptdms import TdmsFile
+        from nptdms.log import log_manager
+    except ImportError as error:
+        raise InvalidInput("NI TDMS files need the package npTDMS; install it with: pip install 'ambrose[tdms]'") from error
+
+    doubts: list[str] = []
+
+    def note(entry: Any) -> bool:
+        doubts.append(entry.getMessage())
+        return False  # said in an exception, not on the screen
+
+    def find(name: str) -> Variable:
+        if doubts:  # a file cut within its last channels still has the others in full
+            raise InvalidInput(f"the file is incomplete ({doubts[0]}); copy it again, or save it again in LabVIEW or DIAdem")
+        if name not in channels:
+            raise _unknown(name, list(channels), "channel")
+        channel = channels[name]
+        values = channel[:]
+        if values.dtype.kind == "M":  # a column of time stamps
+            values = (values - values[:1]) / np.timedelta64(1, "s")
+            return Variable(values, "s")
+        if values.dtype.kind not in "fiub":
+            raise InvalidInput(f"the channel {name} holds no real numbers; name another one")
+        step = channel.properties.get("wf_increment")
+        rate = 1 / float(step) if step else None
+        return Variable(values, str(channel.properties.get("unit_string", "") or ""), rate)
+
+    log_manager.console_handler.addFilter(note)
+    try:
+        with TdmsFile.open(path) as file:
+            if file.file_status.incomplete_final_segment and not doubts:
+                doubts.append("its last segment was never finished")
+            channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
+            yield find
+    finally:
+        log_manager.console_handler.removeFilter(note)
+
+
+def _unknown(name: str, known: list[str], kind: str) -> InvalidInput:
+    more = f" and {len(known) - _SHOWN} more" if len(known) > _SHOWN else ""
+    hint = suggestion(name, known, "")
+    listed = f"it has {', '.join(known[:_SHOWN])}{more}" if known else f"there is no {kind} at that place"
+    close = f"; {hint}" if hint.startswith("did you mean") else ""
+    return InvalidInput(f"there is no {kind} {name!r} in the file; {listed}{close}")
