@@ -16,11 +16,13 @@ from numba import njit
 
 from ambrose.physics import amplifier, coupling, magnet, seal, sensor, touchdown, unbalance
 
-_FLAGS = {"reassoc", "contract", "nsz", "arcp"}  # sums may be vectorised, but NaN and infinity stay what they are
+# Sums may be vectorised, but NaN and infinity stay what they are; nothing here allocates an array, so none is counted. Stages
+# that were called instead of inlined would copy the descriptions of some forty arrays every time: ten times slower.
+_OPTIONS: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz", "arcp"}, "error_model": "numpy", "_nrt": False}
 
 
 def _compiled(function: Callable[..., Any]) -> Any:
-    return njit(fastmath=_FLAGS)(inspect.unwrap(function))
+    return njit(forceinline=True, **_OPTIONS)(inspect.unwrap(function))
 
 
 _magnet_force = _compiled(magnet.force)
@@ -129,7 +131,8 @@ def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) 
         c, d = rig.direction[s, 0], rig.direction[s, 1]
         work.force[s, 0] += value * (c if axis == 0 else -d)
         work.force[s, 1] += value * (d if axis == 0 else c)
-    work.modal[:] = rig.weight
+    for j in range(work.modal.shape[0]):
+        work.modal[j] = rig.weight[j]
     acceleration = (drive.speed[k + 1] - drive.speed[k]) / drive.dt
     if drive.unbalance.shape[0] and (speed != 0.0 or acceleration != 0.0):
         angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
@@ -163,7 +166,8 @@ def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, d
             dz[2 * (p + j) + 1] += speed * gx
     if drive.mass_inverse.shape[0]:
         inverse = drive.mass_inverse[k if drive.mass_inverse.shape[0] > 1 else 0]
-        work.modal[:] = dz[2 * p : 4 * p]
+        for j in range(2 * p):
+            work.modal[j] = dz[2 * p + j]
         for j in range(p):
             ax, ay = 0.0, 0.0
             for m in range(p):
@@ -228,13 +232,13 @@ def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz:
 
 
 @_compiled
-def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any, slopes: Any) -> None:
-    """One control sample in ``steps`` steps of the classical fourth-order Runge-Kutta method; slopes (3, n) is scratch."""
+def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> None:
+    """One control sample in ``steps`` steps of the classical fourth-order Runge-Kutta method."""
     n, h = z.shape[0], drive.dt / steps
-    dz, total, trial = slopes[0], slopes[1], slopes[2]
+    dz, total, trial = work.slopes[0], work.slopes[1], work.slopes[2]
     for step in range(steps):
-        trial[:] = z
-        total[:] = z
+        for i in range(n):
+            trial[i] = total[i] = z[i]
         for stage in range(4):
             inner = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
             _derivative(rig, work, drive, k, (step + inner) / steps, trial, dz)
@@ -243,7 +247,8 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any, slop
             for i in range(n):
                 total[i] += weight * dz[i]
                 trial[i] = z[i] + ahead * dz[i]
-        z[:] = total
+        for i in range(n):
+            z[i] = total[i]
 
 
 @_compiled
@@ -257,10 +262,9 @@ def _measure(rig: Any, drive: Any, k: int, z: Any, y: Any) -> None:
 
 
 @_compiled
-def _control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, scratch: Any) -> None:
-    """One sample of the controller. u (a,): what acts now; held (a,): what was computed, within the limit, for later."""
+def _control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err: Any, ahead: Any) -> None:
+    """One sample of the controller: err = r - y, u (a,) what acts now, held (a,) what acts later; ahead (m,) is scratch."""
     n, m = x.shape[0], y.shape[0]
-    err, ahead = scratch[:m], scratch[m:]
     for a in range(m):
         u[a] = held[a]
         err[a] = drive.reference[a, k] - y[a]
@@ -278,9 +282,11 @@ def _control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, sc
         for j in range(m):
             value += law.B[i, j] * err[j]
         ahead[i] = value
-    x[:] = ahead
+    for i in range(n):
+        x[i] = ahead[i]
     if law.delay == 0:
-        u[:] = held
+        for a in range(m):
+            u[a] = held[a]
 
 
 @_compiled
@@ -306,11 +312,6 @@ def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
         row[4 * count + 2 * s + 1] = c * work.place[s, 1] - d * work.place[s, 0]
 
 
-@_compiled
-def _finite(z: Any) -> bool:
-    return bool(np.isfinite(z.sum()))
-
-
 def entry_points(fingerprint: int) -> tuple[Any, Any]:
     """``advance`` and ``slope``, compiled; kept on disk for the next process under a fingerprint of all that they contain.
 
@@ -320,32 +321,29 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
     def advance(rig: Any, law: Any, drive: Any, steps: int, z: Any, x: Any, held: Any, work: Any, log: Any, errors: Any) -> int:
         """A stretch of K control samples; z, x and held (a,) end as the state after it.
 
-        log (K, columns): see ``_log``. errors (a, K) [m]: what the controller saw. Returns how many samples were done: fewer
+        log (K, columns): see ``_log``. errors (K, a) [m]: what the controller saw. Returns how many samples were done: fewer
         than K where the state overflowed.
         """
         assert fingerprint  # part of the cached function's identity
-        count, n = held.shape[0], z.shape[0]
-        y, u, slopes = np.empty(count), np.empty(count), np.empty((3, n))
-        scratch = np.empty(count + x.shape[0])
-        for k in range(errors.shape[1]):
+        y, u = work.sampled[0], work.sampled[1]
+        for k in range(errors.shape[0]):
             _measure(rig, drive, k, z, y)
-            _control(law, drive, k, y, x, held, u, scratch)
+            _control(law, drive, k, y, x, held, u, errors[k], work.ahead)
             _command(drive, work, k, u)
             _log(rig, work, z, y, u, log[k])
-            for a in range(count):
-                errors[a, k] = drive.reference[a, k] - y[a]
-            _integrate(rig, work, drive, k, steps, z, slopes)
-            if not _finite(z):
+            _integrate(rig, work, drive, k, steps, z)
+            if not np.isfinite(z.sum()):
                 return k
-        return errors.shape[1]
+        return errors.shape[0]
 
     def slope(rig: Any, drive: Any, u: Any, z: Any, work: Any, dz: Any) -> None:
         """dz/dt with the amplifiers told u (a,), at the start of the stretch."""
         assert fingerprint
-        work.command[:] = u
+        for a in range(u.shape[0]):
+            work.command[a] = u[a]
         _derivative(rig, work, drive, 0, 0.0, z, dz)
 
     try:
-        return njit(fastmath=_FLAGS, cache=True)(advance), njit(fastmath=_FLAGS, cache=True)(slope)
+        return njit(cache=True, **_OPTIONS)(advance), njit(cache=True, **_OPTIONS)(slope)
     except RuntimeError:  # no folder to write to
-        return njit(fastmath=_FLAGS)(advance), njit(fastmath=_FLAGS)(slope)
+        return njit(**_OPTIONS)(advance), njit(**_OPTIONS)(slope)

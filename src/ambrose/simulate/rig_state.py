@@ -46,14 +46,17 @@ class Constants(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch arrays of one derivative, in x and y at the stations, and per axis."""
+    """Scratch arrays, so that the compiled code allocates nothing; n states, m of the controller."""
 
-    place: np.ndarray
-    velocity: np.ndarray
-    force: np.ndarray
-    modal: np.ndarray
-    command: np.ndarray
-    magnet: np.ndarray
+    place: np.ndarray  # (S, 2) displacement of the stations in x and y [m]
+    velocity: np.ndarray  # (S, 2) [m/s]
+    force: np.ndarray  # (S, 2) [N]
+    modal: np.ndarray  # (2 p,)
+    command: np.ndarray  # (a,) what the amplifiers are told [A]
+    magnet: np.ndarray  # (a,) forces [N]
+    slopes: np.ndarray  # (3, n)
+    sampled: np.ndarray  # (2, a) measurement [m] and acting controller output [A]
+    ahead: np.ndarray  # (m,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,10 +89,11 @@ class Rig:
         start = 4 * self.modes + 2 * len(self.axes)
         return slice(start, start + len(self.axes))
 
-    def work(self) -> Work:
+    def work(self, controller_states: int = 0) -> Work:
         """Fresh scratch arrays."""
-        pairs, a = np.zeros((3, len(self.constants.shape), 2)), len(self.axes)
-        return Work(pairs[0], pairs[1], pairs[2], np.zeros(2 * self.modes), np.zeros(a), np.zeros(a))
+        stations, a = len(self.constants.shape), len(self.axes)
+        shapes: list[tuple[int, ...]] = [(stations, 2)] * 3 + [(2 * self.modes,), (a,), (a,), (3, self.states), (2, a)]
+        return Work(*(np.zeros(shape) for shape in [*shapes, (controller_states,)]))
 
 
 def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: int = 1) -> Rig:

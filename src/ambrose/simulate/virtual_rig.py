@@ -198,13 +198,15 @@ def _stretches(
 def _advance(rig: Rig, law: Law, drive: Drive, steps: int, motion: _Motion, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Log (k, columns) and errors (a, k) of a stretch, up to the sample where the state overflowed."""
     a = len(rig.axes)
-    log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((a, count))
-    done = compiled()[0](rig.constants, law, drive, steps, motion.z, motion.x, motion.held, rig.work(), log, errors)
+    log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, a))
+    done = compiled()[0](
+        rig.constants, law, drive, steps, motion.z, motion.x, motion.held, rig.work(len(motion.x)), log, errors
+    )
     if done < count:
         motion.overflow = np.nan  # its time is added by who knows it
-        log, errors = log[: done + 1], errors[:, : done + 1]
+        log, errors = log[: done + 1], errors[: done + 1]
         log = log[np.isfinite(log).all(axis=1)]
-    return log, errors
+    return log, errors.T
 
 
 def _remembered(recent: list[tuple[np.ndarray, np.ndarray]], held: np.ndarray, delay: int) -> tuple[np.ndarray, np.ndarray]:
