@@ -199,5 +199,7 @@ def write_record(record: Record, path: str | Path) -> Path:
 
 def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
     if path.suffix.lower() not in choices:
-        raise invalid(f"the suffix of {path.name}", repr(path.suffix), f"one of {', '.join(choices)}", "rename the file")
+        foreign = path.suffix.lower() in {".mat", ".tdms"}
+        remedy = "read it with a column map (ambrose convert --columns)" if foreign else "rename the file"
+        raise invalid(f"the suffix of {path.name}", repr(path.suffix), f"one of {', '.join(choices)}", remedy)
     return choices[path.suffix.lower()]
