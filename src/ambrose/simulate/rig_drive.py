@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ambrose.core.checks import invalid
+from ambrose.machine.description import Seal
 from ambrose.machine.wording import suggestion
-from ambrose.physics import seal
+from ambrose.physics import seal, seal_rational
 from ambrose.simulate.rig_state import Rig
 from ambrose.simulate.scenario import Scenario
 from ambrose.simulate.waveforms import directions, sample_of, waveforms
 
-_SEAL_GRID = 10  # samples between the points at which a varying operating point is looked up
+_SEAL_GRID = 50  # samples between the points at which a varying operating point is looked up
 
 
 class Drive(NamedTuple):
@@ -23,7 +24,7 @@ class Drive(NamedTuple):
     dt: float  # control sample time [s]
     speed: np.ndarray  # (K + 1,) [rad/s]
     angle: np.ndarray  # (K + 1,) [rad]
-    seal: np.ndarray  # (K + 1 or 1, seals, 5) K, k, C, c, M
+    seal: np.ndarray  # (K + 1 or 1, seals, 5 + 2 l) K, k, C, c, M, then direct and cross of every lag
     mass_inverse: np.ndarray  # (K or 1, p, p) with the seals' added mass, (0, p, p) where there is none
     unbalance: np.ndarray  # (p, 2) modal, along x and y at angle zero [kg m/sqrt(kg)]; (0, 2) where there is none
     force: np.ndarray  # (4, m, K) cubics of the driven forces [N]
@@ -55,6 +56,12 @@ class Plan:
         """Those that this one does drive, other than by unbalance."""
         named = {item.signal for item in self.scenario.all_windows}
         return [name for name in self.inputs if name in named]
+
+    @property
+    def switch(self) -> int:
+        """The sample at which the second controller takes over; past the end without one."""
+        at = self.scenario.switch_at
+        return self.samples if at is None else sample_of(at, self.dt, "switch_at")
 
     def speeds(self, time: np.ndarray) -> np.ndarray:
         """Speed [rad/s] at times (n,) [s]."""
@@ -141,22 +148,34 @@ def _unbalance(plan: Plan) -> np.ndarray:
 
 
 def _seals(plan: Plan, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Coefficients (nodes or 1, seals, 5), looked up on a grid of some samples and linear between."""
-    machine, whirl = plan.rig.machine, plan.rig.point.whirl_frequency
+    """Coefficients (nodes or 1, seals, 5 + 2 l), looked up on a grid of some samples and linear between."""
+    seals, lags = plan.rig.machine.seals, plan.rig.constants.seal_poles.shape[1]
+    whirl = plan.rig.point.whirl_frequency
     pressure = plan.pressures(nodes)
-    constant = np.ptp(pressure) == 0 and (np.ptp(speed) == 0 or all(item.table is None for item in machine.seals))
-    if constant or not machine.seals:
-        at = [seal.parameters(seal.coefficients(s, pressure[0], speed[0], whirl)) for s in machine.seals]
-        return np.array(at, dtype=float).reshape(1, -1, 5)
+    constant = np.ptp(pressure) == 0 and (np.ptp(speed) == 0 or all(item.table is None for item in seals))
+    if constant or not seals:
+        at = [_coefficients(s, float(pressure[0]), float(speed[0]), whirl, lags) for s in seals]
+        return np.array(at, dtype=float).reshape(1, len(seals), 5 + 2 * lags)
     kinks = np.flatnonzero(np.abs(np.diff(pressure, 2)) > 1e-9 * np.abs(pressure).max()) + 1
     grid = np.unique([*range(0, len(nodes), _SEAL_GRID), len(nodes) - 1, *kinks])
-    frequency = None if whirl is None else [whirl] * len(grid)
-    result = np.empty((len(nodes), len(machine.seals), 5))
-    for i, item in enumerate(machine.seals):
-        values = seal.path(item, pressure[grid].tolist(), speed[grid].tolist(), frequency)
-        for j in range(5):
-            result[:, i, j] = np.interp(np.arange(len(nodes)), grid, values[:, j])
+    result = np.empty((len(nodes), len(seals), 5 + 2 * lags))
+    for i, item in enumerate(seals):
+        rows = np.array([_coefficients(item, float(pressure[g]), float(speed[g]), whirl, lags) for g in grid])
+        for j in range(rows.shape[1]):
+            result[:, i, j] = np.interp(np.arange(len(nodes)), grid, rows[:, j])
     return result
+
+
+def _coefficients(item: Seal, pressure: float, speed: float, whirl: float | None, lags: int) -> list[float]:
+    """One row; a seal with a table over frequency as its rational model, unless the whirl frequency is prescribed."""
+    row = np.zeros(5 + 2 * lags)
+    model = seal_rational.rational(item, pressure, speed)
+    if whirl is None and len(model.poles):
+        row[:5] = seal.parameters(model.static)
+        row[5 : 5 + 2 * len(model.poles)] = np.column_stack([model.direct, model.cross]).ravel()
+    else:
+        row[:5] = seal.parameters(seal.coefficients(item, pressure, speed, whirl))
+    return row.tolist()
 
 
 def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:

@@ -1,8 +1,9 @@
 """The virtual rig's compiled part: one function per stage of the machine, and a fixed-step Runge-Kutta method around them.
 
 State z (n,): modal displacements, then modal velocities, x and y in turn (q_1x, q_1y, q_2x, ...), then two amplifier states
-[A] per axis, the bias currents [A], the sensors' lagged signals [m]. The forces are those of ``physics``, compiled as they
-stand. This module imports numba: import it only inside functions. What the arrays hold is said in rig_state.py.
+[A] per axis, the bias currents [A], the sensors' lagged signals [m], the seals' lagged displacements x, y [m]. The forces are
+those of ``physics``, compiled as they stand. This module imports numba: import it only inside functions. What the arrays hold
+is said in rig_state.py and rig_drive.py.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ambrose.physics import amplifier, coupling, magnet, seal, sensor, touchdown, unbalance
+from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
 
 # Sums may be vectorised, but NaN and infinity stay what they are; nothing here allocates an array, so none is counted. Stages
 # that were called instead of inlined would copy the descriptions of some forty arrays every time: ten times slower.
@@ -32,6 +33,8 @@ _effective_current = _compiled(amplifier.effective_current)
 _contact_force = _compiled(touchdown.force)
 _coupling_force = _compiled(coupling.force)
 _seal_force = _compiled(seal.force)
+_lagged_force = _compiled(seal_rational.force)
+_seal_lag = _compiled(seal_rational.lag)
 _turning_force = _compiled(unbalance.force)
 _runout = _compiled(sensor.runout)
 _indicated = _compiled(sensor.indicated)
@@ -102,8 +105,9 @@ def _couple(rig: Any, work: Any) -> None:
 
 
 @_compiled
-def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float) -> None:
-    """Seals, coefficients linear within a sample; their added mass is in the mass matrix."""
+def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any) -> None:
+    """Seals and their lags, coefficients linear within a sample; their added mass is in the mass matrix."""
+    lag = 4 * rig.stiffness.shape[0] + 4 * rig.sensor.shape[0]
     first = rig.magnet.shape[0] + rig.coupling.shape[0]
     varying = drive.seal.shape[0] > 1
     for i in range(drive.seal.shape[1]):
@@ -118,6 +122,16 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float) -> None:
             work.velocity[first + i, 1],
         )
         fx, fy = _seal_force(x, y, vx, vy, 0.0, 0.0, (stiffness, cross, damping, across, 0.0))
+        for m in range(rig.seal_poles.shape[1]):
+            direct, cross = (
+                at[5 + 2 * m] + t * (to[5 + 2 * m] - at[5 + 2 * m]),
+                at[6 + 2 * m] + t * (to[6 + 2 * m] - at[6 + 2 * m]),
+            )
+            pole = (rig.seal_poles[i, m], direct, cross)
+            gx, gy = _lagged_force(x, y, z[lag], z[lag + 1], pole)
+            fx, fy = fx + gx, fy + gy
+            dz[lag], dz[lag + 1] = _seal_lag(x, z[lag], pole), _seal_lag(y, z[lag + 1], pole)
+            lag += 2
         work.force[first + i, 0] += fx
         work.force[first + i, 1] += fy
 
@@ -224,7 +238,7 @@ def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz:
     _magnetise(rig, work, z)
     _touch(rig, work, speed)
     _couple(rig, work)
-    _whirl(rig, work, drive, k, tau)
+    _whirl(rig, work, drive, k, tau, z, dz)
     _disturb(rig, work, drive, k, tau, speed)
     _accelerate(rig, work, drive, k, speed, z, dz)
     _amplify(rig, work, drive, k, z, dz)

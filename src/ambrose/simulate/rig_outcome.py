@@ -9,7 +9,7 @@ import numpy as np
 from ambrose.simulate.rig_state import Rig
 from ambrose.simulate.scenario import LEVITATED, Scenario
 
-_CLEAR = 0.05  # [s] without contact after which a rotor counts as lifted
+_CLEAR, _OFF = 0.05, 0.9  # a rotor that stays [s] within this part of the touchdown gap counts as lifted
 _BEFORE = 0.05  # [s] before a touchdown in which currents at their limit count as its cause
 _AT_LIMIT = 0.999
 
@@ -35,10 +35,11 @@ class Watch:
     def follow(self, time: np.ndarray, places: np.ndarray, outputs: np.ndarray) -> None:
         """time (k,) [s]; places (2 b, k) [m] at the bearings; outputs (a, k) [A]."""
         gaps = self.rig.constants.touchdown[:, 0]
-        depth = np.hypot(places[0::2], places[1::2]) - gaps[:, None]
+        distance = np.hypot(places[0::2], places[1::2])
+        depth = distance - gaps[:, None]
         touching = (depth > 0).any(axis=0)
         if self.lifted_at is None:
-            self._lift(time, touching)
+            self._lift(time, (distance > _OFF * gaps[:, None]).any(axis=0))
         after = np.zeros(0, dtype=int) if self.lifted_at is None else np.flatnonzero(touching & (time >= self.lifted_at))
         if self.touched_at is None:
             limit = np.array([np.inf if b.max_current is None else b.max_current for b in self.rig.machine.bearings])

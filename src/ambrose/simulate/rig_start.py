@@ -11,8 +11,8 @@ from ambrose.simulate.rig_controller import Law
 from ambrose.simulate.rig_drive import Drive
 from ambrose.simulate.rig_state import Rig, compiled
 
-DEFAULT_STEP = 2e-5  # [s]
-_COMFORTABLE, _LARGEST = 0.4, 1.0  # (fastest pole) times step: chosen at most, and refused above; unstable from 2.6 on
+# (Fastest pole) times step: chosen at most (error 3e-6 in the tests), and refused above; unstable from 2.6 on.
+_COMFORTABLE, _LARGEST = 0.2, 1.0
 _ITERATIONS = 50
 _DOWN = -np.pi / 2  # where a weightless rotor rests
 
@@ -45,7 +45,10 @@ def standing(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     if rig.machine.amplifier.order == "twice-first":
         currents[:, 1] = u
     z[rig.bias] = np.repeat(rig.constants.magnet[:, 0], 2)
-    z[4 * p + 3 * a :] = [_seen(rig, i) @ q + rig.constants.sensor[i, 1] for i in range(a)]
+    z[4 * p + 3 * a : 4 * p + 4 * a] = [_seen(rig, i) @ q + rig.constants.sensor[i, 1] for i in range(a)]
+    first = len(rig.machine.bearings) + len(rig.machine.couplings)
+    places = rig.constants.shape[first : first + len(rig.machine.seals)] @ q.reshape(-1, 2)
+    z[4 * p + 4 * a :] = np.repeat(places[:, None], rig.constants.seal_poles.shape[1], axis=1).ravel()
     return z
 
 
@@ -119,7 +122,9 @@ def _penetration(rig: Rig, q: np.ndarray) -> float:
 def linear_view(rig: Rig, drive: Drive, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A = d(dz/dt)/dz (n, n) and B = d(dz/dt)/du (n, a) by central differences."""
     p, a = rig.modes, len(rig.axes)
-    size = np.concatenate([np.full(2 * p, 1e-8), np.full(2 * p, 1e-5), np.full(3 * a, 1e-5), np.full(a, 1e-8)])
+    size = np.concatenate(
+        [np.full(2 * p, 1e-8), np.full(2 * p, 1e-5), np.full(3 * a, 1e-5), np.full(rig.states - 4 * p - 3 * a, 1e-8)]
+    )
     A = _differences(lambda z: slope(rig, drive, z, u), z, size)
     return A, _differences(lambda u: slope(rig, drive, z, u), u, 1e-5)
 
@@ -148,12 +153,12 @@ def fastest_pole(rig: Rig, drives: list[Drive]) -> float:
 
 
 def steps_per_sample(dt: float | None, sample_time: float, fastest: float) -> int:
-    """Integration steps in a control sample: of dt [s] at most (None: 20 us, or less for a fast machine).
+    """Integration steps in a control sample: of dt [s] at most (None: a fifth of the fastest pole's time).
 
     Raises InvalidInput where dt is too long for the fastest pole [rad/s].
     """
     if dt is None:
-        return int(np.ceil(sample_time / min(DEFAULT_STEP, _COMFORTABLE / fastest) * (1 - 1e-9)))
+        return int(np.ceil(sample_time * fastest / _COMFORTABLE * (1 - 1e-9)))
     check_positive(dt, "dt", "give the integration step in seconds")
     if min(dt, sample_time) * fastest > _LARGEST:
         raise invalid(

@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.physics import amplifier, coupling, magnet, seal, sensor, touchdown, unbalance
+from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes, gravity_load
 from ambrose.plant.assemble import bending_modes_of, gyroscopic_of
 from ambrose.plant.ports import ports, sensor_ports
@@ -42,6 +42,7 @@ class Constants(NamedTuple):
     sensor: np.ndarray  # (a, 6) physics.sensor.parameters
     runout: np.ndarray  # (h, 3) physics.sensor.harmonics, bearing after bearing
     runout_start: np.ndarray  # (b + 1,)
+    seal_poles: np.ndarray  # (seals, l) [rad/s] of those with a table over frequency; 0 where a seal has fewer
     weight: np.ndarray  # (2 p,) modal force
 
 
@@ -80,8 +81,8 @@ class Rig:
 
     @property
     def states(self) -> int:
-        """Length of the state: displacements and velocities, amplifiers, bias currents, sensors."""
-        return 4 * self.modes + 4 * len(self.axes)
+        """Length of the state: displacements and velocities, amplifiers, bias currents, sensors, seals."""
+        return 4 * self.modes + 4 * len(self.axes) + 2 * self.constants.seal_poles.size
 
     @property
     def bias(self) -> slice:
@@ -130,6 +131,7 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
         sensor=np.array([sensor.parameters(served[b.name], axis) for b in bearings for axis in ("zeta", "eta")], dtype=float),
         runout=np.vstack(tracks),
         runout_start=np.cumsum([0, *(len(track) for track in tracks)]),
+        seal_poles=_seal_poles(machine, point),
         weight=modes.shapes.T @ gravity_load(rotor, machine.gravity_direction),
     )
     translation = modes.shapes[:, 0]
@@ -141,12 +143,21 @@ def _deflections(rotor: Rotor, positions: list[float], shapes: np.ndarray) -> np
     return np.array([displacement_row(rotor, position, 0.0) @ shapes[:, 0::2] for position in positions])
 
 
+def _seal_poles(machine: Machine, point: OperatingPoint) -> np.ndarray:
+    """Poles (seals, l) [rad/s] of the seals' rational models; they depend on the tables alone."""
+    found = [seal_rational.rational(item, point.seal_pressure, point.speed).poles for item in machine.seals]
+    result = np.zeros((len(found), max((len(poles) for poles in found), default=0)))
+    for row, poles in zip(result, found, strict=True):
+        row[: len(poles)] = poles
+    return result
+
+
 @cache
 def compiled() -> tuple[Any, Any]:
     """The compiled functions ``advance`` and ``slope`` of rig_kernel.py; half a minute on a machine that never ran them."""
     from ambrose.simulate import rig_kernel
 
-    modules = (rig_kernel, amplifier, coupling, magnet, seal, sensor, touchdown, unbalance)
+    modules = (rig_kernel, amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance)
     digest = hashlib.sha256()
     for module in modules:
         digest.update(Path(str(module.__file__)).read_bytes())

@@ -25,7 +25,6 @@ from ambrose.simulate.rig_start import fastest_pole, levitated, linear_view, mea
 from ambrose.simulate.rig_state import Rig, build, compiled
 from ambrose.simulate.scenario import LEVITATED, Scenario
 from ambrose.simulate.trace import Trace
-from ambrose.simulate.waveforms import sample_of
 
 _STRETCH = 1000  # control samples computed at once
 _SCHEDULED_STRETCH = 50  # of a controller that changes with speed
@@ -55,8 +54,8 @@ def run(
     function from speed [rad/s] to one. Continuous, it is sampled by Tustin's map at the scenario's or the machine's sample time
     (else 10 kHz); its output, limited to max_current, acts ``computing_delay`` (0 or 1) samples later. second: takes over
     without a bump at the scenario's switch_at. point: bias current, speed and seal pressure at the start, where the scenario
-    does not say otherwise (None: the nominal one). bending_modes: per plane. dt [s]: longest integration step (None: 20 us, or
-    less for a fast machine). seed: of the sensors' noise. every: only each so many-th sample is recorded. path (.h5): where the
+    does not say otherwise (None: the nominal one). bending_modes: per plane. dt [s]: longest integration step (None: by the
+    machine's fastest pole). seed: of the sensors' noise. every: only each so many-th sample is recorded. path (.h5): where the
     record is written while it grows; what was run so far stays readable when the run is interrupted. progress: is told how far
     it is.
 
@@ -76,12 +75,13 @@ def run(
     if (second is None) != (scenario.switch_at is None):
         raise InvalidInput("a second controller and the scenario's switch_at belong together; give both or neither")
     begun = time.perf_counter()
-    start, end = _ends(task)
-    steps = steps_per_sample(dt, sample, fastest_pole(rig, [start, end]))
+    conditions = _conditions(task)
+    start = conditions[0][1]
+    steps = steps_per_sample(dt, sample, fastest_pole(rig, [drive for _, drive in conditions]))
     laws = _Laws(controller, second, machine, sample, computing_delay)
-    first, last = laws.at(float(start.speed[0]), False), laws.at(float(end.speed[0]), second is not None)
+    first = laws.at(float(start.speed[0]), False)
     motion = _Motion(*(levitated(rig, start, first) if scenario.initial == LEVITATED else resting(rig, first)))
-    pole = max((_rightmost(rig, *case, sample) for case in ((start, first), (end, last))), key=lambda p: p.real)
+    pole = max((_rightmost(rig, drive, laws, time >= task.switch) for time, drive in conditions), key=lambda p: p.real)
     _advance(rig, first, start, 1, _Motion(motion.z.copy(), motion.x.copy(), motion.held.copy()), 1)  # compiles
     compile_time = time.perf_counter() - begun
 
@@ -147,21 +147,27 @@ class _Laws:
         return deployed(self.second if switched else self.first, self.machine, self.sample, speed, self.delay)
 
 
-def _ends(task: Plan) -> tuple[Drive, Drive]:
-    """One sample of the conditions at the start and at the end, with nothing driven."""
+def _conditions(task: Plan) -> list[tuple[int, Drive]]:
+    """One sample, with its number, of the conditions at the start, at the end and around every change, with nothing driven."""
     quiet = replace(task, scenario=task.scenario.quiet, noise=np.random.default_rng(0))
-    return stretch(quiet, 0, 1), stretch(quiet, task.samples - 1, 1)
+    last = task.samples - 1
+    numbers = {0, last, min(task.switch, last)}
+    for change in task.scenario.pressures:
+        numbers |= {round(change.time / task.dt), min(round((change.time + change.ramp) / task.dt) + 1, last)}
+    return [(number, stretch(quiet, number, 1)) for number in sorted(numbers)]
 
 
-def _rightmost(rig: Rig, drive: Drive, law: Law, sample: float) -> complex:
+def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
     """The rightmost pole [rad/s] of the linear loop around the centred rotor."""
+    law = laws.at(float(drive.speed[0]), switched)
     try:
         z, _, u = levitated(rig, drive, law)
     except NumericalFailure:
         u = np.zeros(len(rig.axes))
         z = standing(rig, np.zeros(2 * rig.modes), u)
     A, B = linear_view(rig, drive, z, u)
-    poles = closed_loop_poles(A, B, measurement(rig), law, sample)
+    used = (A != 0).any(axis=0) | (A != 0).any(axis=1)  # an amplifier or sensor may need fewer states than it has
+    poles = closed_loop_poles(A[np.ix_(used, used)], B[used], measurement(rig)[:, used], law, laws.sample)
     return complex(max(poles, key=lambda p: (p.real, p.imag)))
 
 
@@ -170,8 +176,7 @@ def _stretches(
 ) -> Iterator[tuple[int, Drive, np.ndarray]]:
     """Number of the first sample, drive and log (k, columns) of one stretch after the other; motion moves along."""
     length = _SCHEDULED_STRETCH if laws.scheduled and task.scenario.runs_up else _STRETCH
-    switch_at = task.scenario.switch_at
-    switch = task.samples if switch_at is None else sample_of(switch_at, task.dt, "switch_at")
+    switch = task.switch
     told = time.perf_counter()
     recent: list[tuple[np.ndarray, np.ndarray]] = []
     number, law = 0, None
