@@ -84,6 +84,20 @@ def test_simulate_reports_divergence_with_status_1(controller, tmp_path):
     assert json.loads(done.stdout)["outcome"] == "diverged"
 
 
+def test_simulate_runs_the_virtual_rig(controller, tmp_path):
+    from ambrose.machine.record import read_record
+
+    path = tmp_path / "record.h5"
+    done = call("simulate", RIG, "--controller", controller, "--scenario", "impulse-parallel", "-o", path, "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["outcome"] == "completed"
+    assert {"y_A_zeta", "f_magnet_A_zeta"} <= set(read_record(path).signals)
+    arguments = ["--scenario", "impulse-parallel", "--point", "twice nominal pressure", "-o", path]
+    done = call("simulate", RIG, "--controller", controller, *arguments, "--json")
+    assert done.exit_code == 1
+    assert "touchdown at" in json.loads(done.stdout)["text"]
+
+
 def test_study_compares_the_controllers(study):
     directory, done = study
     assert done.exit_code == 0, done.stderr  # the polished mu controller meets every check
@@ -137,7 +151,14 @@ BAD = {
         ["simulate", RIG, "--controller", "{controller}", "--scenario", "run-up", "--linear", "--point", "mars"],
         "nominal pressure",
     ),
-    "the rig that does not exist yet": (["simulate", RIG, "--controller", "{controller}", "--scenario", "run-up"], "--linear"),
+    "a scenario for the rig alone": (
+        ["simulate", RIG, "--controller", "{controller}", "--scenario", "power-loss", "--linear", "-o", "{tmp}/x.h5"],
+        "virtual rig",
+    ),
+    "too many bending modes for the rig": (
+        ["simulate", RIG, "--controller", "{controller}", "--scenario", "run-up", "--bending-modes", "999"],
+        "bending_modes",
+    ),
     "unwritable target": (["synthesize", RIG, "-o", "{tmp}/no/such/folder/c.json"], "folder"),
     "unknown method": (["synthesize", RIG, "--method", "magic"], "magic"),
     "no controller given": (["verify", RIG], "--controller"),

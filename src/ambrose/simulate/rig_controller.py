@@ -9,7 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import StateSpace, as_statespace
+from ambrose.core.statespace import StateSpace, as_statespace, select
 from ambrose.machine.description import Machine
 
 DEFAULT_SAMPLE_TIME = 1e-4  # [s]
@@ -43,7 +43,7 @@ def sample_time(controller: Any | ControllerAt, machine: Machine, wanted: float 
 def deployed(controller: Any | ControllerAt, machine: Machine, dt: float, speed: float, delay: int) -> Law:
     """The law at a sample time [s] and speed [rad/s]: Tustin's map of a continuous controller, a sampled one as it is.
 
-    Inputs and outputs are matched to the machine's axes by place. Raises InvalidInput where the sizes differ.
+    Signals err_<axis> and u_<axis> are matched by name, others by place. Raises InvalidInput where sizes or axes differ.
     """
     if delay not in {0, 1}:
         raise invalid("computing_delay", delay, "0 or 1 sample", "put longer delays into the controller")
@@ -52,6 +52,7 @@ def deployed(controller: Any | ControllerAt, machine: Machine, dt: float, speed:
     if system.D.shape != (a, a):
         requirement = f"({a}, {a}) for the axes {', '.join(machine.axes)}"
         raise invalid("the controller's size (outputs, inputs)", system.D.shape, requirement, "design it for this machine")
+    system = _in_order(system, machine.axes)
     if system.dt is None:
         system = c2d(system, dt, method="tustin")
     limits = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
@@ -98,6 +99,17 @@ def closed_loop_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, law: Law, dt:
         loop = loop[: n + m, : n + m]
     values = np.linalg.eigvals(loop)
     return np.log(np.where(np.abs(values) < 1e-12, 1e-12, values).astype(complex)) / dt
+
+
+def _in_order(system: StateSpace, axes: tuple[str, ...]) -> StateSpace:
+    """The controller with its signals in the order of the axes, if they are named after axes."""
+    if not all(name.startswith("err_") for name in system.inputs) or not all(name.startswith("u_") for name in system.outputs):
+        return system
+    inputs, outputs = [f"err_{a}" for a in axes], [f"u_{a}" for a in axes]
+    if set(system.inputs) != set(inputs) or set(system.outputs) != set(outputs):
+        remedy = "this controller is for another machine: design one for this, or rename() its signals"
+        raise invalid("the controller's inputs", ", ".join(system.inputs), ", ".join(inputs), remedy)
+    return select(system, inputs, outputs)
 
 
 def _scheduled(controller: Any) -> bool:

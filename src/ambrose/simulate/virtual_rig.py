@@ -26,7 +26,7 @@ from ambrose.simulate.rig_state import Rig, build, compiled
 from ambrose.simulate.scenario import LEVITATED, Scenario
 from ambrose.simulate.trace import Trace
 
-_STRETCH = 1000  # control samples computed at once
+_STRETCH = 4000  # control samples computed at once
 _SCHEDULED_STRETCH = 50  # of a controller that changes with speed
 _MEMORY = 256  # samples from which a second controller learns where to take over
 _LARGEST = 100_000_000  # numbers in one record: 0.8 GB
