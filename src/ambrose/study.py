@@ -219,27 +219,6 @@ def simulation(plant: Plant, controller: Any, scenario: str) -> Trace:
     )
 
 
-def experiment(
-    machine: Machine,
-    controller: Any,
-    scenario: str,
-    second: Any | None = None,
-    label: str | None = None,
-    bending_modes: int = 1,
-    seed: int = 0,
-    path: Path | None = None,
-    progress: Progress = silent,
-) -> Trace:
-    """One scenario on the virtual rig, at the operating point of that label; a ``path`` of HDF5 is written while it runs."""
-    progress(f"running {scenario} on the virtual rig (compiled once per computer, half a minute)")
-    point = machine.operation.nominal if label is None else operating_point(machine, label)
-    stream = path if path is not None and path.suffix.lower() != ".csv" else None
-    return virtual_rig.run(
-        machine, controller, load_scenario(scenario), second=second, point=point, bending_modes=bending_modes, seed=seed,
-        path=stream, progress=progress,
-    )  # fmt: skip
-
-
 def campbell_map(plant: Plant, controller: Any, progress: Progress) -> tuple[Curve, ...]:
     """Closed-loop natural frequencies and damping over the machine's speed range; empty for one that does not turn."""
     low, high = plant.machine.operation.speed_range

@@ -203,7 +203,7 @@ def _time_figure(
 
 
 def _ending(trace: Trace) -> str:
-    when = "" if trace.stopped_at is None else f", touches down at {units.quantity(trace.stopped_at, 's')}"
+    when = "" if trace.stopped_at is None else f", down at {units.quantity(trace.stopped_at, 's')}"
     return f"{'unstable' if not trace.stable else 'driven too far'}{when}"
 
 
