@@ -45,9 +45,15 @@ def c2d(system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prew
         sampled = _tustin(system, dt, prewarp)
     else:
         raise invalid("method", repr(method), "'zoh' or 'tustin'", "choose one of them")
-    for _ in range(whole):
-        sampled = series(_unit_delay(sampled), sampled)
-    return sampled
+    return delayed(sampled, whole)
+
+
+def delayed(system: Any, samples: int) -> StateSpace:
+    """A sampled system that receives its input ``samples`` samples late."""
+    system = as_statespace(system)
+    for _ in range(samples):
+        system = series(_unit_delay(system), system)
+    return system
 
 
 def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:

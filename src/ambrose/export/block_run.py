@@ -1,0 +1,109 @@
+"""The block's behaviour in Python, sample by sample: the generated code is compared with it, test vectors come from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.export.control_block import ControlBlock
+from ambrose.export.fixed_point import FixedBlock
+
+HELD, FAULT, LIMITED = 1, 2, 4  # status bits, as in the header
+FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denormal numbers linger
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockRun:
+    """currents (k, p) [A] (whole numbers for fixed point), status (k,) and the states after the last sample (n,)."""
+
+    currents: np.ndarray
+    status: np.ndarray
+    states: np.ndarray
+
+
+def run_block(
+    block: ControlBlock, errors: ArrayLike, valid: ArrayLike | None = None, start: ArrayLike | None = None
+) -> BlockRun:
+    """Double precision. errors (k, m) [m]: NaN and infinity allowed; valid (k, m): the channels' flags (None: all true);
+    start (n,): the states before the first sample (None: zero). Raises InvalidInput."""
+    e, good = _inputs(errors, valid, block)
+    with np.errstate(invalid="ignore"):
+        good &= np.abs(e) <= block.error_limit
+    e, status = _held(e, good, block.hold_samples)
+    x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
+    carry = np.zeros_like(x)
+    w = block.winding
+    direct, driven = e @ block.D.T, e @ block.B.T
+    currents = np.empty(direct.shape)
+    limit, floor = block.current_limit, FLOOR["double"]
+    for k in range(len(e)):
+        u = direct[k] + block.C @ x
+        cut = np.minimum(np.maximum(u, -limit), limit)
+        currents[k] = cut
+        d = block.increment @ x + driven[k]
+        if (cut != u).any():
+            status[k] |= LIMITED
+            d += block.unwind @ (cut - u)
+        d[:w] += carry[:w]
+        new = x + d
+        carry[:w] = d[:w] - (new[:w] - x[:w])  # what the sum lost (Kahan 1965)
+        new[np.abs(new) < floor] = 0.0
+        x = new
+    return BlockRun(currents, status, x)
+
+
+def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = None) -> BlockRun:
+    """Fixed point, bit by bit. errors (k, m): whole numbers of 2^-signal_bits error_limit; currents likewise."""
+    block, s = fixed.block, fixed.signal_bits
+    given, good = _inputs(errors, valid, block)
+    e = given.astype(np.int64)
+    one = 1 << s
+    good &= (e >= -one) & (e <= one)
+    e, status = _held(e, good, block.hold_samples)
+    n = block.n_states
+    X = np.zeros(n, np.int64)
+    edge = 1 << fixed.state_bits
+    currents = np.empty((len(e), len(block.outputs)), np.int64)
+    driven = e @ fixed.update[:, n:].T
+    direct = e @ fixed.output[:, n:].T
+    for k in range(len(e)):
+        x = _shift(X, fixed.state_bits - s)
+        u = _shift(direct[k] + fixed.output[:, :n] @ x, fixed.output_bits)
+        cut = np.clip(u, -one, one)
+        currents[k] = cut
+        step = _shift(driven[k] + fixed.update[:, :n] @ x, fixed.update_bits + s - fixed.state_bits)
+        if (cut != u).any():
+            status[k] |= LIMITED
+            unwinding = fixed.unwind @ _shift(cut - u, fixed.cut_bits)
+            step = step + _shift(unwinding, fixed.unwind_bits + s - fixed.state_bits)
+        X = np.clip(X + step, -edge, edge)
+    return BlockRun(currents, status, X)
+
+
+def _shift(value: np.ndarray, bits: int | np.ndarray) -> np.ndarray:
+    """value / 2^bits, rounded to nearest, halves away from zero."""
+    bits = np.broadcast_to(np.asarray(bits, np.int64), value.shape)
+    half = np.where(bits > 0, np.int64(1) << np.maximum(bits - 1, 0), 0)
+    return np.sign(value) * ((np.abs(value) + half) >> bits)
+
+
+def _inputs(errors: ArrayLike, valid: ArrayLike | None, block: ControlBlock) -> tuple[np.ndarray, np.ndarray]:
+    e = np.asarray(errors)
+    if e.ndim != 2 or e.shape[1] != len(block.inputs):
+        raise InvalidInput(f"the shape of errors is {e.shape}, but must be (k, {len(block.inputs)}); give one column per axis")
+    if valid is None:
+        return e, np.ones(e.shape, bool)
+    return e, check_shape(valid, "valid", "(k, m)", k=len(e), m=e.shape[1]) != 0
+
+
+def _held(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bad samples replaced by the channel's last good one (zero before the first), and the status (k,) without limiting."""
+    row = np.arange(len(e))[:, None]
+    last = np.maximum.accumulate(np.where(good, row, -1), axis=0)
+    filled = np.where(last >= 0, np.take_along_axis(e, np.maximum(last, 0), axis=0), 0)
+    missing = row - last  # before the first good sample counted from the start
+    status = np.where((~good).any(axis=1), HELD, 0) | np.where((missing > hold).any(axis=1), FAULT, 0)
+    return filled, status

@@ -1,0 +1,128 @@
+"""From a controller file to code in a folder: sampled, verified on its machine, limited by it, written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose import __version__
+from ambrose.core.checks import invalid
+from ambrose.core.sampling import Method
+from ambrose.export.control_block import HOLD_SAMPLES, WINDUP_TIME, ControlBlock, control_block
+from ambrose.export.controller_code import Arithmetic, write_code
+from ambrose.export.files import ControllerFile, machine_hash
+from ambrose.export.names import check_identifier
+from ambrose.export.sampling import Deployment, Progress, deploy, unmet
+from ambrose.machine.config import bundled_machines, load_machine
+from ambrose.machine.description import Machine
+from ambrose.plant.assemble import assemble
+
+SAMPLE_TIME = 1e-4  # s, where neither the caller nor the controller says one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Delivery:
+    """What was written, and what it was verified on."""
+
+    deployment: Deployment
+    block: ControlBlock
+    paths: tuple[Path, ...]
+
+
+def deliver_code(
+    file: ControllerFile,
+    directory: str | Path,
+    machine: Machine | None = None,
+    *,
+    name: str = "controller",
+    arithmetic: Arithmetic = "double",
+    sample_time: float | None = None,
+    delay_samples: int = 1,
+    method: Method = "tustin",
+    prewarp: float | None = None,
+    error_limit: ArrayLike | None = None,
+    current_limit: ArrayLike | None = None,
+    windup_time: float = WINDUP_TIME,
+    hold_samples: int = HOLD_SAMPLES,
+    force: bool = False,
+    progress: Progress = lambda stage: None,
+) -> Delivery:
+    """C code of a controller file, in ``directory``, after its sampled loop was verified at every point of ``machine``.
+
+    machine: None: the bundled one that the file names, if it is unchanged. sample_time [s]: None: the controller's own, or
+    0.1 ms. error_limit [m], current_limit [A]: None: the bearings' gaps (or twice their touchdown gaps) and largest currents.
+    The other arguments: ``deploy``, ``control_block``, ``write_code``. Raises InvalidInput, UnstableSystem.
+    """
+    check_identifier(name, "the name of the block", "choose letters, digits and underscores")
+    if isinstance(delay_samples, bool) or not isinstance(delay_samples, int) or delay_samples < 0:
+        raise invalid("delay_samples", delay_samples, "a whole number, zero or more", "1 is usual")
+    machine = bundled_machine(file) if machine is None else machine
+    errors, currents = (None, None) if machine is None else limits(machine)
+    error_limit = _given(errors if error_limit is None else error_limit, "the error limit", "m")
+    current_limit = _given(currents if current_limit is None else current_limit, "the current limit", "A")
+    dt = sample_time or file.controller.dt or SAMPLE_TIME
+    plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.points]
+    deployment = deploy(
+        file, dt, delay_samples * dt, method=method, prewarp=prewarp, plants=plants, force=force, progress=progress
+    )
+    block = control_block(deployment, name, error_limit, current_limit, windup_time=windup_time, hold_samples=hold_samples)
+    progress("writing the code")
+    paths = write_code(directory, block, arithmetic, provenance(file, machine, deployment))
+    return Delivery(deployment, block, tuple(paths))
+
+
+def bundled_machine(file: ControllerFile) -> Machine | None:
+    """The bundled machine that the file was made for; None where there is none, or it has changed since."""
+    if file.provenance.machine not in bundled_machines():
+        return None
+    machine = load_machine(str(file.provenance.machine))
+    return machine if machine_hash(machine) == file.provenance.machine_hash else None
+
+
+def limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Per axis the largest plausible displacement [m] and the largest current [A]; None where a bearing does not say."""
+    gaps, currents = [], []
+    for bearing in machine.bearings:
+        gap = bearing.gap if bearing.gap is not None else bearing.touchdown_gap and 2 * bearing.touchdown_gap
+        gaps += [gap, gap]
+        currents += [bearing.max_current] * 2
+    known = [None if None in values else np.array(values, float) for values in (gaps, currents)]
+    return known[0], known[1]
+
+
+def _given(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
+    if value is None:
+        raise invalid(
+            what, "unknown", f"given in {unit}", "state it, or name the machine, whose bearings have gap and max_current"
+        )
+    return value
+
+
+def provenance(file: ControllerFile, machine: Machine | None, deployment: Deployment) -> Sequence[str]:
+    """The lines of the header that say where the controller comes from and what it was verified on."""
+    made = file.provenance
+    lines = [
+        f"Controller {file.method}, written {made.date} by ambrose {made.package_version}; code by ambrose {__version__}.",
+        f"Machine    {made.machine or 'not recorded'}, hash {made.machine_hash or 'not recorded'}.",
+        f"Sampled    by {deployment.method}, {deployment.delay} samples of computing delay in the loop.",
+    ]
+    if machine is None:
+        lines.append("Verified   NOT: the sampled loop was not examined.")
+    for checks in deployment.checks:
+        verdict = "stable" if checks.stable else "UNSTABLE"
+        with suppress(KeyError):
+            verdict += f", sensitivity peak {checks['sensitivity.output.max'].value:.3g}"
+        lines.append(f"Verified   {checks.label}: {verdict}.")
+    if deployment.box is not None:
+        count = deployment.box.checks[0]
+        lines.append(f"Verified   over the tolerances: {count.value:.0f} unstable of {count.detail}.")
+    lines += [f"Forced     although {problem}." for problem in deployment.problems]
+    return lines + [f"Unmet      {text}." for text in unmet(deployment)]
+
+
+__all__ = ["Delivery", "bundled_machine", "deliver_code", "limits", "provenance"]
