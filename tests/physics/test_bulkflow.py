@@ -265,6 +265,15 @@ def test_similarity():
     assert big.leakage == pytest.approx(s**2 * flow.leakage, rel=1e-8)
 
 
+def test_compressibility_acts_as_the_gas_constant():
+    gas = CONDITION.gas
+    real = replace(CONDITION, gas=replace(gas, compressibility=0.9))
+    other = replace(CONDITION, gas=replace(gas, gas_constant=0.9 * gas.gas_constant))
+    a, b = (bulk_flow(SEAL, condition, FREQUENCIES) for condition in (real, other))
+    np.testing.assert_allclose(coefficient_array(a), coefficient_array(b), rtol=1e-9)
+    assert a.leakage > 1.04 * bulk_flow(SEAL, CONDITION, FREQUENCIES).leakage  # about Z^(-1/2)
+
+
 def test_grid_converges_with_fourth_order():
     cells = (16, 32, 64)
     walls = _walls(SEAL, replace(CONDITION, exit_pressure=50e5))
