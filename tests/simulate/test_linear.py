@@ -80,8 +80,13 @@ def test_python_control_agrees_on_the_held_loop():
 
 
 @pytest.mark.parametrize("name", sorted(bundled_scenarios()))
-def test_every_bundled_scenario_runs(name):
-    trace = linear.run(fake_loop(0.3), load_scenario(name), mass=2 * M, outputs=["y_A_zeta"])
+def test_every_bundled_scenario_runs_or_is_for_the_rig(name):
+    scenario = load_scenario(name)
+    if scenario.only_for_the_rig:
+        with pytest.raises(InvalidInput, match="virtual rig"):
+            linear.run(fake_loop(0.3), scenario)
+        return
+    trace = linear.run(fake_loop(0.3), scenario, mass=2 * M, outputs=["y_A_zeta"])
     assert trace.outcome == "completed" and trace.record.signals[0] == "y_A_zeta" and np.abs(trace.record["y_A_zeta"]).max() > 0
 
 

@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.simulate.scenario import Pulse, Scenario, Sine, Unbalance, bundled_scenarios, load_scenario, read_scenario
+from ambrose.simulate.scenario import (
+    Chirp,
+    Prbs,
+    Pulse,
+    Scenario,
+    Sine,
+    Unbalance,
+    bundled_scenarios,
+    load_scenario,
+    read_scenario,
+)  # fmt: skip
 from ambrose.simulate.waveforms import waveforms
 
 FORCES = ("f_A_zeta", "f_A_eta", "f_center_x", "f_center_y")
@@ -123,3 +133,93 @@ def test_run_up_force_is_that_of_a_turning_mass():
     assert np.abs(ends).max() < 1e-12 * size
     jump = c.sum(axis=0)[:, 2999] - c[0, :, 3000]
     assert np.hypot(*jump) == pytest.approx(U * a, rel=1e-9)
+
+
+EVERYTHING = {
+    "name": "all",
+    "duration": 0.05,
+    "speed": 200.0,
+    "to_speed": 400.0,
+    "ramp": 0.03,
+    "pulse": [{"signal": "e_A_zeta", "amplitude": 1.0, "start": 0.002, "duration": 0.001, "every": 0.004}],
+    "sine": [{"signal": "e_A_eta", "amplitude": 2.0, "frequency": 500.0, "start": 0.003, "duration": 0.02}],
+    "stepped_sine": [{"signal": "r_A_zeta", "amplitude": 1e-6, "frequencies": ["50 Hz", "100 Hz", 800.0], "dwell": "15 ms"}],
+    "chirp": [
+        {"signal": "d_A_zeta", "amplitude": 1e-6, "frequency": "20 Hz", "to_frequency": "400 Hz", "spacing": "logarithmic"}
+    ],
+    "prbs": [{"signal": "f_A_eta", "amplitude": "10 N", "bit_time": "0.5 ms", "order": 4, "seed": 3, "start": 0.001}],
+    "unbalance": [{"port": "center", "amount": 1e-5}],
+}
+INPUTS = (*(f"{kind}_A_{axis}" for kind in "erd" for axis in ("zeta", "eta")), *FORCES)
+
+
+def test_waveforms_in_stretches_are_those_of_the_whole():
+    scenario = read_scenario(EVERYTHING)
+    names, whole = waveforms(scenario, INPUTS, 1e-4, 501)
+    parts = [
+        waveforms(scenario, INPUTS, 1e-4, count, first=first) for first, count in ((0, 7), (7, 120), (127, 300), (427, 74))
+    ]
+    assert all(part[0] == names for part in parts)
+    joined = np.concatenate([part[1] for part in parts], axis=2)
+    np.testing.assert_allclose(joined, whole, rtol=0, atol=1e-12 * np.abs(whole).max(axis=(0, 2)).max())
+    assert {"e_A_zeta", "e_A_eta", "r_A_zeta", "d_A_zeta", "f_A_eta", "f_center_x", "f_center_y"} == set(names)
+
+
+def test_binary_sequence_is_white_and_its_seeds_nearly_uncorrelated():
+    sequences = tuple(Prbs(f"f_A_{axis}", 3.0, 1e-3, order=9, seed=seed) for seed, axis in enumerate(("zeta", "eta")))
+    _, c = waveforms(Scenario("x", 1.022, sequences=sequences), FORCES, 1e-3, 1022)
+    first, second = c[0]
+    np.testing.assert_array_equal(first[:511], first[511:])
+    assert set(first) == {-3.0, 3.0} and abs(first[:511].sum()) == 3.0
+    correlation = [np.dot(first[:511], np.roll(first[:511], lag)) / 9 for lag in range(5)]
+    np.testing.assert_allclose(correlation, [511, -1, -1, -1, -1], atol=1e-9)
+    assert np.dot(first[:511], second[:511]) / 9 == pytest.approx(-1)
+
+
+@pytest.mark.parametrize("spacing", ["linear", "logarithmic"])
+def test_chirp_passes_its_frequencies(spacing):
+    chirp = Chirp("f_A_zeta", 1.0, 100.0, 1600.0, spacing=spacing)
+    _, c = waveforms(Scenario("x", 2.0, chirps=(chirp,)), FORCES, 1e-4, 20001)
+    rises = np.flatnonzero((c[0, 0, :-1] < 0) & (c[0, 0, 1:] >= 0)) * 1e-4
+    found, at = 2 * np.pi / np.diff(rises), (rises[1:] + rises[:-1]) / 2
+    expected = 100 + 750 * at if spacing == "linear" else 100 * 16 ** (at / 2)
+    np.testing.assert_allclose(found, expected, rtol=0.05)
+
+
+def test_stepped_sine_is_one_sine_after_the_other():
+    scenario = read_scenario({"name": "x", "duration": 0.04, "stepped_sine": EVERYTHING["stepped_sine"]})
+    _, c = waveforms(scenario, INPUTS, 1e-4, 401)
+    t = np.arange(401) * 1e-4
+    expected = np.where(t < 0.015, np.sin(314.159265 * t), np.where(t < 0.03, np.sin(628.318531 * (t - 0.015)), 0))
+    expected = np.where(t >= 0.03, np.sin(800 * (t - 0.03)), expected)
+    np.testing.assert_allclose(c[0, 0], 1e-6 * expected, atol=1e-12)
+    assert scenario.fastest == 800.0 and not scenario.only_for_the_rig
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"prbs": [{"signal": "e_A_zeta", "amplitude": 1.0, "bit_time": 1e-3, "order": 30}]}, "order.*from 2 to 20"),
+        ({"prbs": [{"signal": "e_A_zeta", "amplitude": 1.0, "bit_time": 1e-3, "seed": -1}]}, "seed is -1"),
+        ({"chirp": [{"signal": "e_A_zeta", "amplitude": 1.0, "frequency": 1.0, "to_frequency": -1.0}]}, "positive"),
+        (
+            {"chirp": [{"signal": "e_A_zeta", "amplitude": 1.0, "frequency": 1.0, "to_frequency": 2.0, "spacing": "odd"}]},
+            "spacing.*'odd'",
+        ),
+        ({"stepped_sine": [{"signal": "e_A_zeta", "amplitude": 1.0, "frequencies": [], "dwell": 0.1}]}, "no frequencies"),
+        ({"stepped_sine": [{"signal": "e_A_zeta", "amplitude": 1.0, "frequencies": 3.0, "dwell": 0.1}]}, "square brackets"),
+        ({"stepped_sine": [{"signal": "e_A_zeta", "amplitude": 1.0, "frequencies": ["5 mm"], "dwell": 0.1}]}, "frequencies"),
+        ({"pressure": [{"time": 0.01, "pressure": "3 mm"}]}, "pressure"),
+        (
+            {"pressure": [{"time": 0.01, "pressure": 1.0, "ramp": 0.01}, {"time": 0.015, "pressure": 2.0}]},
+            "after the one before",
+        ),
+        ({"pressure": [{"time": 0.5, "pressure": 1.0}]}, "within 0 to 0.05 s"),
+        ({"failure": [{"time": 0.5}]}, "within 0 to 0.05 s"),
+        ({"initial": "flying"}, "'flying'.*levitated or resting"),
+        ({"switch_at": 1.0}, "switch_at"),
+    ],
+)
+def test_bad_tables_are_refused(table, message):
+    with pytest.raises(InvalidInput, match=message):
+        read_scenario({"name": "x", "duration": 0.05, **table})

@@ -85,11 +85,11 @@ def levitated(rig: Rig, drive: Drive, law: Law) -> tuple[np.ndarray, np.ndarray,
         rows, columns = np.where(rows == 0, 1.0, rows), np.where(columns == 0, 1.0, columns)
         step = -np.linalg.lstsq(matrix / rows[:, None] / columns, missing / rows, rcond=1e-13)[0] / columns
         q, x = q + step[:n], x + step[n:]
-        if np.abs(step[:n]).max() < 1e-13:
+        still = np.abs(step[:n]).max() < 1e-14 and np.abs(law.C @ step[n:]).max() < 1e-12
+        if still:
             break
     u = law.C @ x + law.D @ (aim - S @ q)
-    reached = np.abs(step[:n]).max() < 1e-13 and (np.abs(u) < law.limit).all()
-    if not reached or _penetration(rig, q) >= 0:
+    if not still or (np.abs(u) >= law.limit).any() or _penetration(rig, q) >= 0:
         raise NumericalFailure(
             f"the rotor has no levitated equilibrium in this scenario (currents up to {np.abs(u).max():.3g} A were asked for); "
             'reduce the static load, raise max_current or the bias, or start with initial = "resting"'
