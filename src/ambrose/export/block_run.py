@@ -17,11 +17,13 @@ FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockRun:
-    """currents (k, p) [A] (whole numbers for fixed point), status (k,) and the states after the last sample (n,)."""
+    """currents (k, p) [A] (whole numbers for fixed point), status (k,) the states after the last sample (n,) and
+    the largest magnitude of each on the way (n,)."""
 
     currents: np.ndarray
     status: np.ndarray
     states: np.ndarray
+    largest: np.ndarray
 
 
 def run_block(
@@ -34,7 +36,7 @@ def run_block(
         good &= np.abs(e) <= block.error_limit
     e, status = _held(e, good, block.hold_samples)
     x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
-    carry = np.zeros_like(x)
+    carry, largest = np.zeros_like(x), np.abs(x)
     w = block.winding
     direct, driven = e @ block.D.T, e @ block.B.T
     currents = np.empty(direct.shape)
@@ -52,7 +54,8 @@ def run_block(
         carry[:w] = d[:w] - (new[:w] - x[:w])  # what the sum lost (Kahan 1965)
         new[np.abs(new) < floor] = 0.0
         x = new
-    return BlockRun(currents, status, x)
+        largest = np.maximum(largest, np.abs(x))
+    return BlockRun(currents, status, x, largest)
 
 
 def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = None) -> BlockRun:
@@ -64,29 +67,35 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
     good &= (e >= -one) & (e <= one)
     e, status = _held(e, good, block.hold_samples)
     n = block.n_states
-    X = np.zeros(n, np.int64)
+    X, largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
     edge = 1 << fixed.state_bits
     currents = np.empty((len(e), len(block.outputs)), np.int64)
-    driven = e @ fixed.update[:, n:].T
-    direct = e @ fixed.output[:, n:].T
+    driven, direct = e @ fixed.update[:, n:].T, e @ fixed.output[:, n:].T
+    A, C = fixed.update[:, :n], fixed.output[:, :n]
+    to_signal, to_output, to_cut = _half(fixed.state_bits - s, n), _half(fixed.output_bits), _half(fixed.cut_bits)
+    to_state, to_unwinding = (_half(bits + s - fixed.state_bits) for bits in (fixed.update_bits, fixed.unwind_bits))
     for k in range(len(e)):
-        x = _shift(X, fixed.state_bits - s)
-        u = _shift(direct[k] + fixed.output[:, :n] @ x, fixed.output_bits)
-        cut = np.clip(u, -one, one)
+        x = _shift(X, *to_signal)
+        u = _shift(direct[k] + C @ x, *to_output)
+        cut = np.minimum(np.maximum(u, -one), one)
         currents[k] = cut
-        step = _shift(driven[k] + fixed.update[:, :n] @ x, fixed.update_bits + s - fixed.state_bits)
+        step = _shift(driven[k] + A @ x, *to_state)
         if (cut != u).any():
             status[k] |= LIMITED
-            unwinding = fixed.unwind @ _shift(cut - u, fixed.cut_bits)
-            step = step + _shift(unwinding, fixed.unwind_bits + s - fixed.state_bits)
-        X = np.clip(X + step, -edge, edge)
-    return BlockRun(currents, status, X)
+            step = step + _shift(fixed.unwind @ _shift(cut - u, *to_cut), *to_unwinding)
+        X = np.minimum(np.maximum(X + step, -edge), edge)
+        largest = np.maximum(largest, np.abs(X))
+    return BlockRun(currents, status, X, largest)
 
 
-def _shift(value: np.ndarray, bits: int | np.ndarray) -> np.ndarray:
+def _half(bits: int | np.ndarray, count: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts as an array, and half a unit of each."""
+    shifts = np.full(count, bits, np.int64) if count is not None else np.asarray(bits, np.int64)
+    return shifts, np.where(shifts > 0, np.int64(1) << np.maximum(shifts - 1, 0), 0)
+
+
+def _shift(value: np.ndarray, bits: np.ndarray, half: np.ndarray) -> np.ndarray:
     """value / 2^bits, rounded to nearest, halves away from zero."""
-    bits = np.broadcast_to(np.asarray(bits, np.int64), value.shape)
-    half = np.where(bits > 0, np.int64(1) << np.maximum(bits - 1, 0), 0)
     return np.sign(value) * ((np.abs(value) + half) >> bits)
 
 

@@ -97,9 +97,8 @@ def limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | None]:
 
 def _given(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
     if value is None:
-        raise invalid(
-            what, "unknown", f"given in {unit}", "state it, or name the machine, whose bearings have gap and max_current"
-        )
+        remedy = "state it, or name the machine (no bundled one is the machine that this controller was made for)"
+        raise invalid(what, "unknown", f"given in {unit}", remedy)
     return value
 
 

@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+
+from ambrose.core.peak_gain import peak_gains
+
+
+def summed(increment, B, steps):
+    """The definition, term by term."""
+    total, response = np.zeros_like(B), B.copy()
+    A = np.eye(len(B)) + increment
+    for _ in range(steps):
+        total += np.abs(response)
+        response = A @ response
+    return total
+
+
+@pytest.mark.parametrize("a", [0.5, -0.5, 0.999, 0.0])
+def test_one_state_is_exact(a):
+    found = peak_gains(np.array([[a - 1]]), np.array([[2.0, -3.0]]))
+    assert found == pytest.approx(np.array([[2.0, 3.0]]) / (1 - abs(a)))
+
+
+def test_a_slow_pole_keeps_its_digits():
+    assert peak_gains(np.array([[-1.5e-13]]), np.array([[1.0]]))[0, 0] == pytest.approx(1 / 1.5e-13, rel=1e-12)
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.9, 0.999, 0.9998])
+@pytest.mark.parametrize("angle", [0.01, 0.3, 2.0, 3.1])
+def test_a_rotation_is_bounded_tightly(radius, angle):
+    c, s = radius * np.cos(angle), radius * np.sin(angle)
+    increment, B = np.array([[c - 1, s], [-s, c - 1]]), np.array([[1.0, 0.3], [0.5, -2.0]])
+    found, exact = peak_gains(increment, B), summed(increment, B, int(25 / (1 - radius)))
+    assert (found >= exact * (1 - 1e-9)).all()
+    assert (found <= 1.6 * exact).all()
+
+
+@pytest.mark.parametrize("steps", [1, 10, 5000, 20_000])
+@pytest.mark.parametrize("a", [1.0, 0.9999, 1.0005])
+def test_finite_time(steps, a):
+    found = peak_gains(np.array([[a - 1]]), np.array([[1.0]]), steps)
+    assert found[0, 0] == pytest.approx(np.sum(a ** np.arange(steps)), rel=1e-9)
+
+
+def test_a_random_block_of_three():
+    rng = np.random.default_rng(0)
+    A = rng.normal(0, 1, (3, 3))
+    A *= 0.9995 / np.abs(np.linalg.eigvals(A)).max()
+    B = rng.normal(0, 1, (3, 2))
+    found, exact = peak_gains(A - np.eye(3), B), summed(A - np.eye(3), B, 60_000)
+    assert (found >= exact * (1 - 1e-9)).all()
+    assert (found <= 2 * exact).all()
+
+
+def test_unstable_and_marginal_are_infinite():
+    assert np.isinf(peak_gains(np.array([[0.0]]), np.array([[1.0]]))).all()
+    assert np.isinf(peak_gains(np.array([[0.0, 1.0], [0.0, 0.0]]), np.ones((2, 1)))).all()
+    assert (peak_gains(np.array([[0.0, 1.0], [0.0, 0.0]]), np.zeros((2, 1))) == 0).all()
