@@ -94,7 +94,7 @@ class RecordWriter:
             layout = {"shape": (0,), "maxshape": (None,), "chunks": (self._buffer.shape[1],), "fillvalue": np.nan}
             for name, unit in zip(self._header.signals, self._header.units, strict=True):
                 group.create_dataset(name, dtype="f8", fletcher32=True, **layout).attrs["unit"] = fixed(unit)
-        self._file = h5py.File(self.partial, "r+", libver=LIBVER)
+        self._file = h5py.File(self.partial, "r+", libver=LIBVER, rdcc_nbytes=1 << 18)  # HDF5 2 would keep 8 MB per signal
         self._file.swmr_mode = True
         self._datasets = [self._file["signals"][name] for name in self._header.signals]
         return self

@@ -109,9 +109,10 @@ def run(
         outcome, text = judged(seen, scenario, motion.overflow, pole)
         if writer is not None:
             writer.note("outcome", text)
-    record = Record(
-        machine.name, 1 / (sample * every), names, units, values[:, :filled], where, notes=(*notes, ("outcome", text))
-    )
+    if filled < values.shape[1]:
+        values = values[:, :filled].copy()
+    values.flags.writeable = False  # a Record then takes it as it is
+    record = Record(machine.name, 1 / (sample * every), names, units, values, where, notes=(*notes, ("outcome", text)))
     run_time = time.perf_counter() - begun - compile_time
     return Trace(
         record, scenario.name, pole.real < 0, outcome, text, pole, motion.overflow, 0.0, seen.touched_at, run_time, compile_time

@@ -1,0 +1,189 @@
+"""The virtual rig: simulated time per time of the computer, beside scipy's solve_ivp between the same control samples."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ambrose import load_machine
+from ambrose.machine.record import Record
+from ambrose.physics import amplifier, coupling, magnet, seal
+from ambrose.simulate import virtual_rig
+from ambrose.simulate.rig_controller import deployed
+from ambrose.simulate.rig_drive import Drive, plan, stretch
+from ambrose.simulate.rig_start import levitated, measurement
+from ambrose.simulate.rig_state import Rig, build, compiled
+from ambrose.simulate.scenario import Prbs, Scenario
+from ambrose.synthesis import pid
+
+DT = 1e-4
+LENGTH = 10.0  # simulated seconds
+PEER_LENGTH = 0.2
+MACHINE = load_machine("seal-rig")
+PID = pid.controller(MACHINE.controller, MACHINE)
+MEMORY = """
+import resource, tempfile, pathlib
+from benchmarks.bench_rig import MACHINE, PID, excited
+from ambrose.simulate import virtual_rig
+with tempfile.TemporaryDirectory() as folder:
+    trace = virtual_rig.run(MACHINE, PID, excited(60.0), path=pathlib.Path(folder) / "run.h5")
+print(trace.run_time, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+COMPILE = """
+from benchmarks.bench_rig import MACHINE, PID, excited
+from ambrose.simulate import virtual_rig
+print(virtual_rig.run(MACHINE, PID, excited(0.01)).compile_time)
+"""
+
+
+def excited(length: float) -> Scenario:
+    """Binary sequences of 0.5 A on two axes: displacements up to 50 um."""
+    sequences = (Prbs("e_A_zeta", 0.5, 1e-3, 7), Prbs("e_B_eta", 0.5, 1e-3, 7, 1))
+    return Scenario("excited", length, sequences=sequences)
+
+
+def run() -> list[dict[str, Any]]:
+    """Rows as benchmarks/__main__.py wants them; ours is the time for ten simulated seconds unless the name says otherwise."""
+    return [*_against_scipy(), *_cost(), _memory(), *_compilation()]
+
+
+def _seconds(scenario: Scenario, **options: Any) -> float:
+    """The shortest of three runs; without the start, which is compiled and prepared code."""
+    return min(virtual_rig.run(MACHINE, PID, scenario, **options).run_time for _ in range(3))
+
+
+def _difference(record: Record, reference: Record) -> float:
+    names = [name for name in reference.signals if name.startswith(("y_", "q_"))]
+    a, b = record.select(names).values, reference.select(names).values
+    k = min(a.shape[1], b.shape[1])
+    return float(np.abs(a[:, :k] - b[:, :k]).max() / np.abs(b).max())
+
+
+def _row(
+    name: str, ours: float, error: Any, target: str = "", peer: float | None = None, peer_name: str = ""
+) -> dict[str, Any]:
+    return {"name": name, "ours": ours, "peer": peer, "peer_name": peer_name, "error": error, "target": target}
+
+
+def _against_scipy() -> list[dict[str, Any]]:
+    """Both at an error of 1e-5 at most. solve_ivp gets the same forces in Python, and then our compiled derivative as well."""
+    ours = _seconds(excited(LENGTH))
+    short = excited(PEER_LENGTH)
+    fine = virtual_rig.run(MACHINE, PID, short, dt=2.5e-6).record
+    error = _difference(virtual_rig.run(MACHINE, PID, short).record, fine)
+    y = fine.select([f"y_{axis}" for axis in MACHINE.axes]).values
+    rows = []
+    title = f"virtual rig, rigid + 1 bending mode, 10 s at 10 kHz: {LENGTH / ours:.0f} s/s"
+    for kind, target in (("Python", ">= 30 s/s at 1e-5, >= 150x"), ("our compiled", "")):
+        found = []
+        for method in ("RK23", "RK45", "LSODA"):
+            seconds, other = _scipy(short, method, 1e-4, kind != "Python")
+            difference = float(np.abs(other - y[:, : other.shape[1]]).max() / np.abs(y).max())
+            if difference <= 1e-5:
+                found.append((seconds * LENGTH / PEER_LENGTH, f"solve_ivp {method}, {kind} derivative, error {difference:.1e}"))
+        peer, name = min(found)
+        rows.append(_row(title, ours, error, target, peer, name))
+    return rows
+
+
+def _in_python(rig: Rig, drive: Drive) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """dz/dt of state and command by numpy and the force functions of physics: the seal rig at rest, free of contact."""
+    k, p, a = rig.constants, rig.modes, len(rig.axes)
+    rows = drive.seal[0]
+
+    def derivative(z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        q, v, amp = z[: 2 * p].reshape(p, 2), z[2 * p : 4 * p].reshape(p, 2), z[4 * p : 4 * p + 2 * a].reshape(a, 2)
+        place, velocity = k.shape @ q, k.shape @ v
+        force, dz = np.zeros_like(place), np.zeros_like(z)
+        for b in range(len(k.magnet)):
+            c, s = k.direction[b]
+            x, y = place[b]
+            f, g = magnet.force(amp[2 * b, 0], amp[2 * b + 1, 0], c * x + s * y, c * y - s * x, k.magnet[b])
+            force[b] += c * f - s * g, s * f + c * g
+        b = len(k.magnet)
+        for i in range(len(k.coupling)):
+            c, s = k.direction[b + i]
+            (x, y), (vx, vy) = place[b + i], velocity[b + i]
+            f, g = coupling.force(c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, k.coupling[i])
+            force[b + i] += c * f - s * g, s * f + c * g
+        b += len(k.coupling)
+        for i in range(len(rows)):
+            force[b + i] += seal.force(*place[b + i], *velocity[b + i], 0.0, 0.0, rows[i, :5])
+        dz[: 2 * p] = z[2 * p : 4 * p]
+        acceleration = k.shape.T @ force - k.stiffness[:, None] * q - k.damping[:, None] * v
+        dz[2 * p : 4 * p] = acceleration.ravel() + k.weight
+        for i in range(a):
+            dz[4 * p + 2 * i : 4 * p + 2 * i + 2] = amplifier.derivative(u[i], *amp[i], k.amplifier[i])
+        return dz
+
+    return derivative
+
+
+def _scipy(scenario: Scenario, method: str, rtol: float, with_ours: bool) -> tuple[float, np.ndarray]:
+    """Time [s] and measurements (a, k) of the same run, the machine integrated by solve_ivp from sample to sample."""
+    from scipy.integrate import solve_ivp
+
+    rig = build(MACHINE)
+    task = plan(rig, scenario, DT, 0)
+    drive = stretch(task, 0, task.samples)
+    law = deployed(PID, MACHINE, DT, 0.0, 1)
+    z, x, held = levitated(rig, drive, law)
+    C, slope, work, dz = measurement(rig), compiled()[1], rig.work(), np.zeros(rig.states)
+    now, plain = np.zeros(len(rig.axes)), _in_python(rig, drive)
+
+    def derivative(_: float, state: np.ndarray) -> np.ndarray:
+        if not with_ours:
+            return plain(state, now)
+        slope(rig.constants, drive, now, state, work, dz)
+        return dz
+
+    atol = np.full(rig.states, 1e-12)
+    atol[2 * rig.modes :] = 1e-9
+    measured = np.empty((len(rig.axes), task.samples))
+    begun = time.perf_counter()
+    for k in range(task.samples):
+        measured[:, k] = C @ z
+        now = held + drive.excitation[:, k]
+        held = np.clip(law.C @ x - law.D @ measured[:, k], -law.limit, law.limit)
+        x = law.A @ x - law.B @ measured[:, k]
+        z = solve_ivp(derivative, (0.0, DT), z, method=method, rtol=rtol, atol=atol, first_step=DT / 2).y[:, -1]
+    return time.perf_counter() - begun, measured
+
+
+def _cost() -> list[dict[str, Any]]:
+    rows = []
+    for modes in (0, 1, 2, 3):
+        ours = _seconds(excited(2.0), bending_modes=modes) * LENGTH / 2.0
+        rows.append(_row(f"  with {modes} bending modes: {LENGTH / ours:.0f} s/s", ours, ""))
+    for rate in (5e3, 10e3, 20e3, 40e3):
+        ours = _seconds(replace(excited(2.0), sample_time=1 / rate)) * LENGTH / 2.0
+        rows.append(_row(f"  controller at {rate / 1e3:g} kHz: {LENGTH / ours:.0f} s/s", ours, ""))
+    return rows
+
+
+def _memory() -> dict[str, Any]:
+    seconds, megabytes = (float(word) for word in _elsewhere(MEMORY).split())
+    return _row("  60 s at 10 kHz, all signals, record on disk", seconds, f"{megabytes:.0f} MB", "< 500 MB")
+
+
+def _compilation() -> list[dict[str, Any]]:
+    with tempfile.TemporaryDirectory() as folder:
+        cold = float(_elsewhere(COMPILE, NUMBA_CACHE_DIR=folder))
+        warm = float(_elsewhere(COMPILE, NUMBA_CACHE_DIR=folder))
+    return [_row("  compiling, once per computer", cold, ""), _row("  the same from the cache, and preparing a run", warm, "")]
+
+
+def _elsewhere(program: str, **environment: str) -> str:
+    """What a program prints in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", program], env={**os.environ, **environment}, capture_output=True, text=True, check=True
+    )
+    return done.stdout
