@@ -163,6 +163,7 @@ def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
 @click.option("--bending-modes", type=int, default=1, show_default=True, help="Bending modes per plane of the rig.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
+@click.option("--report", type=click.Path(path_type=Path), help="A page of the run: orbits, waterfall, currents, animation.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
 @AS_JSON
 def simulate(
@@ -174,6 +175,7 @@ def simulate(
     bending_modes: int,
     seed: int,
     point: str | None,
+    report: Path | None,
     output: Path,
     as_json: bool,
 ) -> None:
@@ -211,7 +213,12 @@ def simulate(
             )
     if linear or output.suffix.lower() == ".csv":
         write_record(trace.record, output)
-    summary = {"record": str(output), "outcome": trace.outcome, "text": trace.text}
+    if report is not None:
+        from ambrose.report.document import write
+        from ambrose.report.record_page import record_report
+
+        write(record_report(trace, description), report)
+    summary = {"record": str(output), "outcome": trace.outcome, "text": trace.text, "report": str(report) if report else None}
     click.echo(json.dumps(summary) if as_json else f"{output}: {trace.text}")
     sys.exit(0 if trace.outcome == "completed" else 1)
 
