@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ambrose.simulate.rig_drive import Plan
 from ambrose.simulate.rig_state import Rig
 from ambrose.simulate.scenario import LEVITATED, Scenario
 
@@ -32,8 +33,11 @@ class Watch:
     deepest: float = 0.0
     limited: list[tuple[float, str]] = field(default_factory=list)
 
-    def follow(self, time: np.ndarray, places: np.ndarray, outputs: np.ndarray) -> None:
-        """time (k,) [s]; places (2 b, k) [m] at the bearings; outputs (a, k) [A]."""
+    def follow(self, task: Plan, number: int, log: np.ndarray) -> None:
+        """One stretch: number of its first sample, log (k, columns) as rig_kernel.py writes it."""
+        a = len(self.rig.axes)
+        time = (number + np.arange(len(log))) * task.dt
+        outputs, places = log[:, a : 2 * a].T, log[:, 4 * a : 5 * a].T
         gaps = self.rig.constants.touchdown[:, 0]
         distance = np.hypot(places[0::2], places[1::2])
         depth = distance - gaps[:, None]
@@ -52,7 +56,7 @@ class Watch:
             if self.touched_at is None:
                 self.touched_at = float(time[after[0]])
                 self.where = self.rig.machine.bearings[int(np.argmax(depth[:, after[0]]))].name
-            self.contact += len(after) * float(time[1] - time[0]) if len(time) > 1 else 0.0
+            self.contact += len(after) * task.dt
             self.deepest = max(self.deepest, float(depth[:, after].max()))
 
     def _lift(self, time: np.ndarray, touching: np.ndarray) -> None:

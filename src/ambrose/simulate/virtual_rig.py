@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.machine.record import Record, signal_dimension
 from ambrose.simulate.rig_controller import ControllerAt, Law, closed_loop_poles, deployed, sample_time, taking_over
 from ambrose.simulate.rig_drive import Drive, Plan, plan, stretch
 from ambrose.simulate.rig_outcome import judged, watch
+from ambrose.simulate.rig_record import Recorder
 from ambrose.simulate.rig_start import fastest_pole, levitated, linear_view, measurement, resting, standing, steps_per_sample
 from ambrose.simulate.rig_state import Rig, build, compiled
 from ambrose.simulate.scenario import LEVITATED, Scenario
@@ -29,7 +28,6 @@ from ambrose.simulate.trace import Trace
 _STRETCH = 4000  # control samples computed at once
 _SCHEDULED_STRETCH = 50  # of a controller that changes with speed
 _MEMORY = 256  # samples from which a second controller learns where to take over
-_LARGEST = 100_000_000  # numbers in one record: 0.8 GB
 _TOLD_EVERY = 2.0  # [s] between two words of progress
 
 
@@ -63,60 +61,28 @@ def run(
     they change. Touchdown is an outcome with time and cause, and the run goes on; "diverged" means that the state overflowed,
     and the record ends before. Raises InvalidInput, and NumericalFailure where there is no levitated state to start from.
     """
-    rig = build(machine, point, bending_modes)
-    sample = sample_time(controller, machine, scenario.sample_time)
-    task = plan(rig, scenario, sample, seed)
-    names = _recorded(task)
-    if not 1 <= every <= task.samples or task.samples // every * len(names) > _LARGEST:
-        remedy = f"the record would hold {task.samples} samples of {len(names)} signals"
-        raise invalid(
-            "every", every, f"from 1 to {task.samples}, and so that a record has {_LARGEST:g} numbers at most", remedy
-        )
+    task = plan(build(machine, point, bending_modes), scenario, sample_time(controller, machine, scenario.sample_time), seed)
     if (second is None) != (scenario.switch_at is None):
         raise InvalidInput("a second controller and the scenario's switch_at belong together; give both or neither")
+    recorder = Recorder(task, every, seed, path)
     begun = time.perf_counter()
+    laws = _Laws(controller, second, machine, task.dt, computing_delay)
     conditions = _conditions(task)
-    start = conditions[0][1]
-    steps = steps_per_sample(dt, sample, fastest_pole(rig, [drive for _, drive in conditions]))
-    laws = _Laws(controller, second, machine, sample, computing_delay)
-    first = laws.at(float(start.speed[0]), False)
-    motion = _Motion(*(levitated(rig, start, first) if scenario.initial == LEVITATED else resting(rig, first)))
-    pole = max((_rightmost(rig, drive, laws, time >= task.switch) for time, drive in conditions), key=lambda p: p.real)
-    _advance(rig, first, start, 1, _Motion(motion.z.copy(), motion.x.copy(), motion.held.copy()), 1)  # compiles
-    compile_time = time.perf_counter() - begun
-
-    seen, values, filled = watch(rig, scenario), np.empty((len(names), (task.samples - 1) // every + 1)), 0
-    where = replace(rig.point, speed=float(start.speed[0]))
-    notes = (("scenario", scenario.name), ("seed", str(seed)))
-    units = tuple(signal_dimension(name).unit for name in names)
-    with ExitStack() as stack:
-        writer = None
-        if path is not None:
-            from ambrose.machine.record_stream import RecordWriter
-
-            writer = stack.enter_context(
-                RecordWriter(path, machine.name, 1 / (sample * every), names, units, where, notes=notes)
-            )
+    steps = steps_per_sample(dt, task.dt, fastest_pole(task.rig, [drive for _, drive in conditions]))
+    motion = _begin(task, laws, conditions[0][1])
+    pole = max((_rightmost(task.rig, drive, laws, time >= task.switch) for time, drive in conditions), key=lambda p: p.real)
+    prepared = time.perf_counter()
+    seen = watch(task.rig, scenario)
+    with recorder:
         for number, drive, log in _stretches(task, laws, motion, steps, progress):
-            block = _block(task, drive, log, number)
-            count, a = len(log), len(rig.axes)
-            seen.follow((number + np.arange(count)) * sample, log[:, 4 * a : 5 * a].T, log[:, a : 2 * a].T)
-            kept = block[:, (-number) % every :: every]
-            values[:, filled : filled + kept.shape[1]] = kept
-            filled += kept.shape[1]
-            if writer is not None and kept.shape[1]:
-                writer.append(kept)
+            seen.follow(task, number, log)
+            recorder.add(number, drive, log)
         outcome, text = judged(seen, scenario, motion.overflow, pole)
-        if writer is not None:
-            writer.note("outcome", text)
-    if filled < values.shape[1]:
-        values = values[:, :filled].copy()
-    values.flags.writeable = False  # a Record then takes it as it is
-    record = Record(machine.name, 1 / (sample * every), names, units, values, where, notes=(*notes, ("outcome", text)))
-    run_time = time.perf_counter() - begun - compile_time
+        record = recorder.finish(text)
     return Trace(
-        record, scenario.name, pole.real < 0, outcome, text, pole, motion.overflow, 0.0, seen.touched_at, run_time, compile_time
-    )
+        record, scenario.name, pole.real < 0, outcome, text, pole, motion.overflow,
+        touchdown_at=seen.touched_at, run_time=time.perf_counter() - prepared, compile_time=prepared - begun,
+    )  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -156,6 +122,14 @@ def _conditions(task: Plan) -> list[tuple[int, Drive]]:
     for change in task.scenario.pressures:
         numbers |= {round(change.time / task.dt), min(round((change.time + change.ramp) / task.dt) + 1, last)}
     return [(number, stretch(quiet, number, 1)) for number in sorted(numbers)]
+
+
+def _begin(task: Plan, laws: _Laws, drive: Drive) -> _Motion:
+    """The state at the start; the compiled code has then been called once, and so is there."""
+    law = laws.at(float(drive.speed[0]), False)
+    z, x, held = levitated(task.rig, drive, law) if task.scenario.initial == LEVITATED else resting(task.rig, law)
+    _advance(task.rig, law, drive, 1, _Motion(z.copy(), x.copy(), held.copy()), 1)
+    return _Motion(z, x, held)
 
 
 def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
@@ -220,28 +194,3 @@ def _remembered(recent: list[tuple[np.ndarray, np.ndarray]], held: np.ndarray, d
     errors, acting = (np.concatenate([pair[i] for pair in recent], axis=1) for i in (0, 1))
     outputs = np.column_stack([acting[:, delay:], held]) if delay else acting
     return errors[:, -_MEMORY:], outputs[:, -_MEMORY:]
-
-
-def _recorded(task: Plan) -> tuple[str, ...]:
-    """The names of the signals in a record."""
-    axes, scenario = task.rig.axes, task.scenario
-    names = [f"{kind}_{a}" for kind in ("y", "u", "i", "f_magnet") for a in axes] + [f"q_{p}" for p in task.rig.port_names]
-    varying = ["speed"] * scenario.runs_up + ["p_seal"] * bool(scenario.pressures)
-    return (*names, *task.driven, *varying)
-
-
-def _block(task: Plan, drive: Drive, log: np.ndarray, number: int) -> np.ndarray:
-    """All recorded signals (s, k) of a stretch."""
-    k, rig, scenario = len(log), task.rig, task.scenario
-    sources = {"e": drive.excitation, "r": drive.reference, "d": drive.disturbance}
-    rows = [log.T]
-    forces = [port for port in rig.port_names if f"f_{port}" in task.driven]
-    for name in task.driven:
-        kind, _, rest = name.partition("_")
-        row = drive.force[0, forces.index(rest)] if kind == "f" else sources[kind][rig.axes.index(rest)]
-        rows.append(row[None, :k])
-    if scenario.runs_up:
-        rows.append(drive.speed[None, :k])
-    if scenario.pressures:
-        rows.append(task.pressures((number + np.arange(k)) * task.dt)[None])
-    return np.vstack(rows)
