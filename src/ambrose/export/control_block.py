@@ -90,8 +90,8 @@ def control_block(
     """
     K = deployment.controller
     check_identifiers(name, K.inputs, K.outputs)
-    errors = _limits(error_limit, len(K.inputs), "error_limit", "the bearing's gap is the largest")
-    currents = _limits(current_limit, len(K.outputs), "current_limit", "give the amplifier's largest control current in A")
+    errors = check_limits(error_limit, len(K.inputs), "error_limit", "the bearing's gap is the largest")
+    currents = check_limits(current_limit, len(K.outputs), "current_limit", "give the amplifier's largest control current in A")
     check_positive(windup_time, "windup_time", f"give it in seconds, e.g. {WINDUP_TIME:g}")
     if isinstance(hold_samples, bool) or not isinstance(hold_samples, int) or not 0 <= hold_samples <= 32767:
         raise invalid("hold_samples", hold_samples, "a whole number from 0 to 32767", f"{HOLD_SAMPLES} is usual")
@@ -113,7 +113,8 @@ def control_block(
     )  # fmt: skip
 
 
-def _limits(value: ArrayLike, count: int, name: str, remedy: str) -> np.ndarray:
+def check_limits(value: ArrayLike, count: int, name: str, remedy: str) -> np.ndarray:
+    """One positive number or one per axis as an array (count,). Raises InvalidInput."""
     values = np.atleast_1d(check_finite(value, name)).astype(float).ravel()
     if values.size not in {1, count}:
         raise invalid(f"the number of {name} values", values.size, f"1 or {count}", "give one, or one per axis")

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from ambrose import __version__
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import Method
-from ambrose.export.control_block import HOLD_SAMPLES, WINDUP_TIME, ControlBlock, control_block
+from ambrose.export.control_block import HOLD_SAMPLES, WINDUP_TIME, ControlBlock, check_limits, control_block
 from ambrose.export.controller_code import Arithmetic, write_code
+from ambrose.export.file_set import check_place
 from ambrose.export.files import ControllerFile, machine_hash
 from ambrose.export.names import check_identifier
 from ambrose.export.sampling import Deployment, Progress, deploy, unmet
@@ -65,6 +66,9 @@ def deliver_code(
     errors, currents = (None, None) if machine is None else limits(machine)
     error_limit = _given(errors if error_limit is None else error_limit, "the error limit", "m")
     current_limit = _given(currents if current_limit is None else current_limit, "the current limit", "A")
+    check_limits(error_limit, len(file.controller.inputs), "error_limit", "the bearing's gap is the largest")
+    check_limits(current_limit, len(file.controller.outputs), "current_limit", "give the largest control current in A")
+    check_place(directory)  # all this before the verification, which takes seconds
     dt = sample_time or file.controller.dt or SAMPLE_TIME
     plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.points]
     deployment = deploy(

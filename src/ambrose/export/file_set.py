@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ambrose.core.checks import InvalidInput
@@ -18,14 +18,7 @@ def write_files(directory: str | os.PathLike[str], files: Mapping[str, str]) -> 
     there before; then a new directory appears in one step, and in one that exists the files are replaced one after the other.
     Raises InvalidInput.
     """
-    target = Path(directory)
-    if target.exists() and not target.is_dir():
-        raise InvalidInput(f"cannot write to {target}: it is a file; give the path of a folder")
-    if not target.parent.is_dir():
-        raise InvalidInput(f"cannot write to {target}: {target.parent} is not a directory; create it first")
-    blocked = [name for name in files if (target / name).is_dir()]
-    if blocked:
-        raise InvalidInput(f"cannot write {target / blocked[0]}: it is a directory; remove it or give another folder")
+    target = check_place(directory, files)
     draft: Path | None = None
     try:
         draft = Path(
@@ -49,3 +42,16 @@ def write_files(directory: str | os.PathLike[str], files: Mapping[str, str]) -> 
         if draft is not None and draft.exists():
             shutil.rmtree(draft, ignore_errors=True)
     return [target / name for name in files]
+
+
+def check_place(directory: str | os.PathLike[str], names: Iterable[str] = ()) -> Path:
+    """``directory`` as a path, after refusing one that cannot become or hold these files. Raises InvalidInput."""
+    target = Path(directory)
+    if target.exists() and not target.is_dir():
+        raise InvalidInput(f"cannot write to {target}: it is a file; give the path of a folder")
+    if not target.parent.is_dir():
+        raise InvalidInput(f"cannot write to {target}: {target.parent} is not a directory; create it first")
+    blocked = [name for name in names if (target / name).is_dir()]
+    if blocked:
+        raise InvalidInput(f"cannot write {target / blocked[0]}: it is a directory; remove it or give another folder")
+    return target
