@@ -1,0 +1,76 @@
+"""Levenberg-Marquardt with a guard: a step that leaves the set where the model may be used (a stable loop) is shortened.
+
+Marquardt's scaling by the diagonal of J'J (1963); the gain ratio steers the damping as in Nielsen (1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.checks import NumericalFailure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """The normal equations at a point: cost = r'r, H = J'J (q, q), g = J'r (q,); model(theta + step) = model + J step."""
+
+    cost: float
+    H: np.ndarray
+    g: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Minimum:
+    """Where the iteration ended: x (q,), the cost there, whether it converged, its number of steps, and the refused ones."""
+
+    x: np.ndarray
+    cost: float
+    converged: bool
+    iterations: int
+    refused: int
+
+
+def minimise(
+    linearise: Callable[[np.ndarray], Linearised],
+    x: np.ndarray,
+    scale: np.ndarray,
+    allowed: Callable[[np.ndarray], bool],
+    max_iterations: int = 50,
+    tolerance: float = 1e-9,
+    floor: float = 0.0,
+) -> Minimum:
+    """The least of r(x)'r(x) near x (q,).
+
+    scale (q,): the size of a parameter, for the stopping rule |step| <= tolerance * max(|x|, scale); a step whose predicted
+    gain is below 1e-12 of the cost, or a cost below ``floor``, also ends it. allowed(x): steps are shortened until true. Raises
+    NumericalFailure where J has a zero column.
+    """
+    damping, growth, refused = 1e-6, 2.0, 0
+    state = linearise(x)
+    for iteration in range(max_iterations):
+        size = np.sqrt(np.diag(state.H))
+        if not (size > 0).all():
+            raise NumericalFailure(f"the outputs do not depend on parameter number {int(np.argmin(size)) + 1}; leave it out")
+        H, g = state.H / size / size[:, None], state.g / size
+        while True:
+            scaled = np.linalg.solve(H + damping * np.eye(len(x)), g)
+            step = scaled / size
+            predicted = float(scaled @ (damping * scaled + g))
+            small = bool((np.abs(step) <= tolerance * np.maximum(np.abs(x), scale)).all())
+            if small or predicted <= 1e-12 * state.cost or state.cost <= floor:
+                return Minimum(x, state.cost, damping < 1e3, iteration, refused)
+            trial = x + step
+            found = linearise(trial) if allowed(trial) else None  # most trials are accepted: then nothing was in vain
+            gain = (state.cost - found.cost) / predicted if found is not None else -1.0
+            if found is not None and gain > 0:
+                damping, growth = max(damping * max(1 / 9, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
+                break
+            refused += 1
+            damping, growth = max(damping, 1e-6) * growth, growth * 2
+            if damping > 1e12:
+                return Minimum(x, state.cost, False, iteration, refused)
+        x, state = trial, found
+    return Minimum(x, state.cost, False, max_iterations, refused)

@@ -1,0 +1,105 @@
+"""The sampled closed loop as a function of the unknown parameters, and its exact derivatives.
+
+The plant is affine in its parameters, A(theta) = A0 + sum (theta_j - theta0_j) A_j and B likewise: a changed parameter is a
+feedback through the block that plant/uncertainty.py gives it. The loop is the one of core/lft.py, as it runs: plant held
+between the samples, sampled controller, computing delay. So the derivative of the loop is exact through that of the matrix
+exponential (core/response.py: held_derivative), and that of the outputs through the sampled sensitivity equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.checks import NumericalFailure
+from ambrose.core.response import SystemDerivative, held_derivative
+from ambrose.core.statespace import StateSpace, index_of
+from ambrose.machine.description import Tolerance
+from ambrose.plant.model import Plant
+from ambrose.plant.uncertainty import uncertain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopModel:
+    """A (n, n), B (n, a + m), C (p, n) of the continuous plant at theta0 (q,), with directions A_theta (q, n, n),
+    B_theta (q, n, a + m).
+
+    Inputs: the ``a`` commands u_<axis>, then the ``m`` excitations; outputs: y_<axis> (a), then the plant's part of ``signals``
+    (i_, y_). ``controller``: sampled, delay included, from err_<axis> to u_<axis>.
+    """
+
+    theta0: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    A_theta: np.ndarray
+    B_theta: np.ndarray
+    controller: StateSpace
+    excitations: tuple[str, ...]
+    signals: tuple[str, ...]
+
+    def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
+        """The sampled loop from ``excitations`` to ``signals`` at theta (q,), and its derivative for each parameter."""
+        step = theta - self.theta0
+        A, B = self.A + np.tensordot(step, self.A_theta, 1), self.B + np.tensordot(step, self.B_theta, 1)
+        K = self.controller
+        assert K.dt is not None
+        Ad, Bd, dAd, dBd = held_derivative(A, B, self.A_theta, self.B_theta, K.dt)
+        n, nk, a = len(A), K.n_states, len(K.outputs)
+        y = self.C[:a]
+        closed = np.block([[Ad - Bd[:, :a] @ K.D @ y, Bd[:, :a] @ K.C], [-K.B @ y, K.A]])
+        driven = np.vstack([Bd[:, a:], np.zeros((nk, len(self.excitations)))])
+        shown = np.vstack([self._row(name, a) for name in self.signals])
+        D = np.zeros((len(shown), driven.shape[1]))
+        directions = []
+        for dA, dB in zip(dAd, dBd, strict=True):
+            changed = np.zeros_like(closed)
+            changed[:n] = np.hstack([dA - dB[:, :a] @ K.D @ y, dB[:, :a] @ K.C])
+            pushed = np.vstack([dB[:, a:], np.zeros((nk, driven.shape[1]))])
+            directions.append(SystemDerivative(changed, pushed, np.zeros_like(shown), D))
+        return StateSpace(closed, driven, shown, D, self.excitations, self.signals, K.dt), directions
+
+    def _row(self, name: str, a: int) -> np.ndarray:
+        """The row (1, n + nk) of an output signal on the loop's state."""
+        K = self.controller
+        if name.startswith("u_"):
+            i = K.outputs.index(name)
+            return np.hstack([-K.D[i : i + 1] @ self.C[:a], K.C[i : i + 1]])
+        i = a + [other for other in self.signals if not other.startswith("u_")].index(name)
+        return np.hstack([self.C[i : i + 1], np.zeros((1, K.n_states))])
+
+
+def loop_model(
+    plant: Plant,
+    controller: StateSpace,
+    paths: Sequence[str],
+    theta0: np.ndarray,
+    excitations: Sequence[str],
+    signals: Sequence[str],
+) -> LoopModel:
+    """The loop of a plant and a sampled controller (signals err_<axis>, u_<axis>) in the parameters at ``paths``.
+
+    theta0 (q,): their values in the plant, SI. excitations: e_<axis> or f_<port>; signals: y_, u_, i_<axis>. Raises
+    InvalidInput for a path or a signal that is not there.
+    """
+    general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in paths])
+    system, axes = general.system, plant.axes
+    u = index_of([f"u_{axis}" for axis in axes], system.inputs, "input")
+    m = index_of([f"u_{name[2:]}" if name.startswith("e_") else name for name in excitations], system.inputs, "input")
+    shown = [f"y_{axis}" for axis in axes] + [name for name in signals if not name.startswith("u_")]
+    rows = index_of(shown, system.outputs, "output")
+    B, C = system.B[:, [*u, *m]], system.C[rows]
+    dA, dB = [], []
+    first = 0
+    for block in general.blocks:
+        w = index_of(general.w[first : first + block.n_w], system.inputs, "input")
+        z = index_of(general.z[first : first + block.n_z], system.outputs, "output")
+        first += block.n_w
+        dA.append(system.B[:, w] @ system.C[z])
+        dB.append(system.B[:, w] @ system.D[np.ix_(z, [*u, *m])])
+    count = general.n_w_blocks
+    if system.D[: general.n_z_blocks, :count].any() or system.D[np.ix_(rows, [*range(count), *u, *m])].any():
+        raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
+    return LoopModel(theta0, system.A, B, C, np.stack(dA), np.stack(dB), controller, tuple(excitations), tuple(signals))

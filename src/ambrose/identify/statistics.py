@@ -1,0 +1,134 @@
+"""What a least-squares fit is worth: covariance under coloured noise, correlations, goodness of fit, what residuals hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+
+from ambrose.core.checks import InvalidInput, check_shape
+
+_VISIBLE = 1e-12  # of the strongest parameter's effect; and the least eigenvalue of J'J with a unit diagonal
+_CONFIDENCE = 0.99
+_LONGEST = 4096  # samples of the noise's memory that are looked at
+_EXACT = 1e-7  # residual over signal below which a record is noise-free and no test says anything
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualTest:
+    """Whether the residual of ``signal`` still follows an ``excitation``: correlation (-1..1) at its worst lag [samples]
+    against its limit; ``passed`` where it stays within."""
+
+    signal: str
+    excitation: str
+    correlation: float
+    limit: float
+    lag: int
+    passed: bool
+
+
+def check_visible(names: Sequence[str], H: np.ndarray, scale: np.ndarray) -> None:
+    """Refuse parameters of which the outputs say nothing, alone or together, before a step is made of rounding errors.
+
+    H (q, q) = J'J, scale (q,): the sizes of the parameters. Raises InvalidInput naming them.
+    """
+    effect = np.sqrt(np.maximum(np.diag(H), 0.0)) * scale
+    for name, value in zip(names, effect, strict=True):
+        if not value > _VISIBLE * effect.max():
+            raise InvalidInput(f"these records say nothing about {name}; excite its axis, or take it as known")
+    values, vectors = np.linalg.eigh(H * scale * scale[:, None] / effect / effect[:, None])
+    if values[0] < _VISIBLE:
+        together = [name for name, part in zip(names, vectors[:, 0], strict=True) if abs(part) > 0.1]
+        raise InvalidInput(
+            f"these records cannot tell {' from '.join(together)}; excite where they differ, or take all but one as known"
+        )
+
+
+def sandwich_middle(J: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """sum over t and s of J_t' Gamma(t - s) J_s (q, q), the covariance of J'r under noise of any colour.
+
+    J (q, p, k), residual (p, k). Gamma is the residual's autocovariance between all signals, tapered by Parzen's window over
+    k/10 samples (4096 at most). White (1980), Newey & West (1987); the sums are taken over frequency.
+    """
+    q, p, k = J.shape
+    residual = check_shape(residual, "residual", "(p, k)", p=p, k=k)
+    span = max(2, min(k // 10, _LONGEST))
+    size = scipy.fft.next_fast_len(k + span, real=True)
+    R = scipy.fft.rfft(residual, size, axis=1)
+    cross = scipy.fft.irfft(R[:, None] * R[None].conj(), size, axis=2) / k
+    taper = np.zeros(size)
+    taper[: span + 1] = _parzen(np.arange(span + 1) / span)
+    taper[-span:] = taper[span:0:-1]
+    density = scipy.fft.rfft(cross * taper, size, axis=2)
+    twice = np.full(density.shape[2], 2.0)
+    twice[0] = 1.0
+    if size % 2 == 0:
+        twice[-1] = 1.0
+    F = scipy.fft.rfft(J, size, axis=2)
+    coloured = np.stack([sum(density[i, j] * F[:, j] for j in range(p)) for i in range(p)], axis=1) * twice
+    return np.real(F.conj().reshape(q, -1) @ coloured.reshape(q, -1).T) / size
+
+
+def _parzen(x: np.ndarray) -> np.ndarray:
+    return np.where(x <= 0.5, 1 - 6 * x**2 + 6 * x**3, 2 * (1 - x) ** 3)
+
+
+def sandwich_covariance(H: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """H^-1 middle H^-1 (q, q), symmetric, with H = J'J (q, q); both scaled by H's diagonal first."""
+    size = np.sqrt(np.diag(H))
+    inverse = np.linalg.inv(H / size / size[:, None])
+    covariance = inverse @ (middle / size / size[:, None]) @ inverse / size / size[:, None]
+    return (covariance + covariance.T) / 2
+
+
+def correlation_of(covariance: np.ndarray) -> np.ndarray:
+    """The correlation matrix (q, q) of a covariance (q, q)."""
+    size = np.sqrt(np.diag(covariance))
+    return covariance / size / size[:, None]
+
+
+def column_cosine(H: np.ndarray) -> np.ndarray:
+    """The cosines (q, q) of the angles between the columns of J, from H = J'J: NOT a correlation, mostly of the other sign."""
+    return correlation_of(H)
+
+
+def parameter_correlation(H: np.ndarray) -> np.ndarray:
+    """The parameters' correlation (q, q) from (J'J)^-1, as white noise would make it."""
+    size = np.sqrt(np.diag(H))
+    return correlation_of(np.linalg.inv(H / size / size[:, None]))
+
+
+def fit_percent(measured: np.ndarray, residual: np.ndarray) -> float:
+    """100 (1 - |residual|/|measured - mean|) of one signal (k,): 100 is perfect, 0 as good as the mean (NRMSE)."""
+    spread = float(np.linalg.norm(measured - measured.mean()))
+    return 100.0 * (1.0 - float(np.linalg.norm(residual)) / spread) if spread > 0 else float("nan")
+
+
+def residual_input_test(
+    residual: np.ndarray, measured: np.ndarray, excitation: np.ndarray, lags: int, signal: str, name: str, tests: int = 1
+) -> ResidualTest:
+    """Does the residual (k,) still follow the excitation (k,), 0 to ``lags`` samples later? 99 % over all ``tests`` of a run.
+
+    The limit is the normal one with the variance sum_l R_r(l) R_e(l)/k, which allows for the colour of both; Ljung (1999),
+    section 16.6. A residual below 1e-7 of the signal counts as none.
+    """
+    from scipy.special import ndtri
+
+    k = len(residual)
+    r, e = residual - residual.mean(), excitation - excitation.mean()
+    size = scipy.fft.next_fast_len(2 * k, real=True)
+    R, E = scipy.fft.rfft(r, size), scipy.fft.rfft(e, size)
+    energy = float(np.linalg.norm(r) * np.linalg.norm(e))
+    lags = min(lags, k - 1)
+    if energy == 0 or float(np.linalg.norm(r)) <= _EXACT * float(np.linalg.norm(measured)):
+        return ResidualTest(signal, name, 0.0, 1.0, 0, True)
+    rho = scipy.fft.irfft(R * E.conj(), size)[: lags + 1] / energy
+    span = max(2, min(k // 10, _LONGEST))
+    auto = [scipy.fft.irfft(np.abs(X) ** 2, size)[: span + 1] / float(np.linalg.norm(x)) ** 2 for X, x in ((R, r), (E, e))]
+    product = auto[0] * auto[1] * _parzen(np.arange(span + 1) / span)
+    variance = max(float(product[0] + 2 * product[1:].sum()), 0.1) / k
+    limit = float(-ndtri((1 - _CONFIDENCE) / 2 / (tests * (lags + 1)))) * variance**0.5
+    worst = int(np.argmax(np.abs(rho)))
+    return ResidualTest(signal, name, float(rho[worst]), limit, worst, bool(abs(rho[worst]) <= limit))

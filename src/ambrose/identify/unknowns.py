@@ -1,0 +1,61 @@
+"""The unknown parameters of a machine: paths with "*" spelled out, their values, and the machine with those found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.description import Machine
+from ambrose.machine.parameters import find_uncertain
+from ambrose.plant.model import Plant
+from ambrose.plant.uncertainty import channels
+
+
+def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
+    """The paths with every "*" replaced by all names (second part) or both axes (fourth part): "bearing.*.stiffness.*".
+
+    Raises InvalidInput for a path that leads nowhere, and for two that name the same number.
+    """
+    if isinstance(paths, str):
+        paths = [paths]
+    names = {
+        "bearing": [item.name for item in machine.bearings],
+        "seal": [item.name for item in machine.seals],
+        "coupling": [item.name for item in machine.couplings],
+    }
+    found: list[str] = []
+    for path in paths:
+        parts = path.split(".")
+        spelled = [parts]
+        if len(parts) > 1 and parts[1] == "*":
+            spelled = [[parts[0], name, *parts[2:]] for name in names.get(parts[0], [])]
+        if len(parts) > 3 and parts[3] == "*":
+            spelled = [[*item[:3], axis] for item in spelled for axis in ("zeta", "eta")]
+        if not spelled:
+            raise InvalidInput(f'parameter "{path}" names nothing: the machine has no [[{parts[0]}]]')
+        found += [".".join(item) for item in spelled]
+    if not found:
+        raise InvalidInput("no unknown parameter was named; give paths such as bearing.*.negative_stiffness.*")
+    parameters = [find_uncertain(machine, path) for path in found]
+    for i, one in enumerate(parameters):
+        for other in parameters[:i]:
+            if one.overlaps(other):
+                raise InvalidInput(f'parameters "{other.path}" and "{one.path}" are the same number; name it once')
+    return tuple(found)
+
+
+def nominal_values(plant: Plant, paths: Sequence[str]) -> np.ndarray:
+    """The values (q,) of the parameters at ``paths`` at the plant's operating point, SI.
+
+    Raises InvalidInput for a path that names two different numbers (both axes of a bearing).
+    """
+    values = []
+    for path in paths:
+        nominal = {channel.nominal for channel in channels(plant, path)}
+        if len(nominal) > 1:
+            text = " and ".join(f"{value:g}" for value in sorted(nominal))
+            raise invalid(f'parameter "{path}"', f"{text} on the two axes", "one number", f'write "{path}.*", each on its own')
+        values.append(nominal.pop())
+    return np.array(values)
