@@ -118,14 +118,14 @@ def residual_input_test(
 
     k = len(residual)
     r, e = residual - residual.mean(), excitation - excitation.mean()
-    size = scipy.fft.next_fast_len(2 * k, real=True)
+    span = max(2, min(k // 10, _LONGEST))
+    size = scipy.fft.next_fast_len(k + max(span, lags), real=True)  # so far no lag wraps around
     R, E = scipy.fft.rfft(r, size), scipy.fft.rfft(e, size)
     energy = float(np.linalg.norm(r) * np.linalg.norm(e))
     lags = min(lags, k - 1)
     if energy == 0 or float(np.linalg.norm(r)) <= _EXACT * float(np.linalg.norm(measured)):
         return ResidualTest(signal, name, 0.0, 1.0, 0, True)
     rho = scipy.fft.irfft(R * E.conj(), size)[: lags + 1] / energy
-    span = max(2, min(k // 10, _LONGEST))
     auto = [scipy.fft.irfft(np.abs(X) ** 2, size)[: span + 1] / float(np.linalg.norm(x)) ** 2 for X, x in ((R, r), (E, e))]
     product = auto[0] * auto[1] * _parzen(np.arange(span + 1) / span)
     variance = max(float(product[0] + 2 * product[1:].sum()), 0.1) / k
