@@ -119,11 +119,13 @@ def synthesize(
     write_controller(output, result, description)
     certificate = certificate_to_dict(result.certificate)
     if as_json:
-        summary = {"controller": str(output), "method": method, "status": result.status, "certificate": certificate}
+        summary = {"controller": str(output), "method": method, "status": result.status, "notes": list(result.notes)}
+        summary["certificate"] = certificate
         click.echo(json.dumps(summary))
     else:
         rows = [(name.replace("_", " "), _shown(value)) for name, value in certificate.items() if name != "margins"]
         rows += [(name.replace("_", " "), _shown(value)) for name, value in certificate["margins"].items()]
+        rows += [("note", note) for note in result.notes]
         _table(f"{method} controller, {result.status}: {output}", ("certificate", "value"), rows)
     sys.exit(0 if result.status.startswith("verified") else 1)
 
