@@ -119,7 +119,8 @@ def synthesize(
     write_controller(output, result, description)
     certificate = certificate_to_dict(result.certificate)
     if as_json:
-        summary = {"controller": str(output), "method": method, "status": result.status, "notes": list(result.notes)}
+        summary: dict[str, Any] = {"controller": str(output), "method": method, "status": result.status}
+        summary["notes"] = list(result.notes)
         summary["certificate"] = certificate
         click.echo(json.dumps(summary))
     else:
