@@ -141,7 +141,7 @@ def test_triangular_matrix_whose_best_scaling_is_at_infinity():
 
 
 def test_repeated_real_block_closes_the_gap():
-    """delta I_2 with an 8 x 8 performance block, 30 matrices: gap below 0.1 % (METHODS)."""
+    """delta I_2 with an 8 x 8 performance block, 30 matrices: gap below 0.1 %."""
     M = random_matrix(7, 30, 10, 10)
     result = mu_bounds(M, [RealBlock("k", 2), FullBlock("perf", 8, 8)])
     assert result.gap.max() < 1e-3

@@ -1,4 +1,4 @@
-"""The thesis' statements that the foundation can judge, on the bundled machines; each test carries its id in CLAIMS.
+"""The thesis' statements that the foundation can judge, on the bundled machines; each test carries its id in docs/reproduction.md.
 
 `pytest tests/literature/test_reproduction.py -s` prints the figures quoted in docs/reproduction.md.
 """

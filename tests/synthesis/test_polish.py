@@ -132,7 +132,7 @@ def polished(plant, start):
 
 
 def test_order_12_does_the_work_of_24(plant, start, polished):
-    """METHODS' target: the polished controller of order 12 is no worse than D-K's of order 24, over the whole range of k."""
+    """The target: the polished controller of order 12 is no worse than D-K's of order 24, over the whole range of k."""
     assert start.n_states == 24
     assert polished.controller.n_states == 12
     before, after = worst(plant, start), worst(plant, polished.controller)
