@@ -1,4 +1,4 @@
-"""The thesis' statements that the foundation can judge, on the bundled machines; each test carries its id in docs/reproduction.md.
+"""The statements of the thesis that can be judged so far, on the bundled machines; each test carries its id in the docs.
 
 `pytest tests/literature/test_reproduction.py -s` prints the figures quoted in docs/reproduction.md.
 """
