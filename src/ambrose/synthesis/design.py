@@ -12,7 +12,7 @@ from ambrose.synthesis import hinf, mu, pid, polish
 from ambrose.synthesis.certify import certify
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Synthesis
-from ambrose.synthesis.tuning import tune_control_weight
+from ambrose.synthesis.tuning import direct_gain_mismatch, tune_control_weight
 
 METHODS = ("pid", "hinf", "mu", "polish")
 SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
@@ -60,21 +60,24 @@ def design(
     if match_reference is None:
         constant = machine.weights is not None and machine.weights.control_crossover is None
         match_reference = machine.controller is not None and constant
+    reference = None if machine.controller is None else pid.controller(machine.controller, machine)
+    extra: dict[str, float] = {}
     if match_reference:
-        if machine.controller is None:
+        if reference is None:
             raise invalid("match_reference", True, "False without a [controller] table", "add the reference controller")
-        reference = pid.controller(machine.controller, machine)
         tuned = tune_control_weight(small, None, reference, synthesize, uncertain=uncertain)
         progress(f"control weight times {tuned.factor:.3g}: direct gains {100 * tuned.mismatch:+.1f} % of the reference's")
         result, weights = tuned.synthesis, tuned.weights
-        extra = {"control_weight_factor": tuned.factor, "direct_gain_mismatch": tuned.mismatch}
+        extra["control_weight_factor"] = tuned.factor
     else:
-        result, weights, extra = synthesize(design_plant(small, uncertain=uncertain)), None, {}
+        result, weights = synthesize(design_plant(small, uncertain=uncertain)), None
     if method == "polish":
         start = result.controller
         result = polish.synthesize(
             design_plant(small, weights), start, order=start.n_states // 2 if order is None else order, progress=progress
         )
+    if reference is not None:  # of the controller that is returned: polishing moves it
+        extra["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
     return on_full_plant(plant, result, extra)
 
 
@@ -88,5 +91,7 @@ def on_full_plant(plant: Plant, result: Synthesis, extra: dict[str, float]) -> S
         "full_sensitivity_peak": full.closed_loop_norm,
     }
     stable = result.certificate.stable and full.stable
-    certificate = replace(result.certificate, stable=stable, margins=margins, plant=f"{result.certificate.plant}; {full.plant}")
+    before = result.certificate.plant
+    label = before if full.plant in before else f"{before}; {full.plant}"  # a kept controller carries it already
+    certificate = replace(result.certificate, stable=stable, margins=margins, plant=label)
     return replace(result, certificate=certificate, status=result.status if stable else "unstable")
