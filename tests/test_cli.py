@@ -11,7 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from ambrose.cli import main
+from ambrose.core.checks import NumericalFailure
 from ambrose.machine.config import bundled_machines
+from ambrose.synthesis.design import design
 
 RIG = "seal-rig"
 
@@ -129,9 +131,26 @@ def test_study_resumes_with_a_kept_controller_and_redesigns_a_damaged_one(tmp_pa
     before = path.read_bytes()
     assert call("study", machine, "-o", tmp_path / "out", "--json").exit_code == 1
     assert path.read_bytes() == before
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "328 states; seal-rig" not in page  # the certificate's plant is named once, however often it is taken up
     path.write_bytes(before[:100])
     assert call("study", machine, "-o", tmp_path / "out", "--json").exit_code == 1
     assert json.loads(path.read_text())["A"] == json.loads(before)["A"]
+
+
+def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_path, monkeypatch):
+    def only_pid(plant, method, **options):
+        if method != "pid":
+            raise NumericalFailure("no gamma below 1e6; relax the weights")
+        return design(plant, method, **options)
+
+    monkeypatch.setattr("ambrose.study.design", only_pid)
+    done = call("study", RIG, "-o", tmp_path, "--json")
+    assert done.exit_code == 1, done.stderr
+    found = json.loads(done.stdout)
+    assert set(found["controllers"]) == {"PID"}
+    assert set(found["failed"]) == {"H-infinity", "mu", "mu, polished"}
+    assert "relax the weights" in (tmp_path / "report.html").read_text()
 
 
 BAD = {

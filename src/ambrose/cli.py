@@ -311,7 +311,8 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     if as_json:
         click.echo(json.dumps({**study.results(result), "report": str(report)}))
     else:
-        rows, marks = [], []
+        rows = [(name, "design", why) for name, why in result.failed]
+        marks = ["red"] * len(rows)
         for candidate in result.candidates:
             for checks in [*candidate.checks, *([candidate.robust] if candidate.robust else [])]:
                 label = "over all tolerances" if checks is candidate.robust else checks.label

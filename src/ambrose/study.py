@@ -47,7 +47,8 @@ class Study:
     """Everything that one run found; plants, checks and traces go by operating point, the nominal one first.
 
     candidates: the controllers that the machine file allows (PID, H-infinity, mu), each with its checks and traces.
-    speed_curves: the Campbell map with the first of them, for machines that turn.
+    speed_curves: the Campbell map with the first of them, for machines that turn. failed: (controller, why) for those that
+    could not be designed.
     """
 
     machine: Machine
@@ -55,6 +56,7 @@ class Study:
     reduced: Plant
     candidates: tuple[Candidate, ...]
     speed_curves: tuple[Curve, ...] = ()
+    failed: tuple[tuple[str, str], ...] = ()
 
     @property
     def best(self) -> Candidate:
@@ -82,15 +84,21 @@ def run(machine: Machine, directory: Path, progress: Progress = lambda stage: No
     plants = full_plants(machine)
     progress("reducing it")
     reduced = reduce(plants[0])
-    candidates = []
+    candidates, failed = [], []
     for method in methods_for(plants[0]):
         progress(f"{TITLES[method]}: controller")
-        synthesis = kept_or_designed(plants[0], method, directory / f"controller-{method}.json", progress)
-        candidates.append(examined(plants, method, synthesis, progress))
+        try:
+            synthesis = kept_or_designed(plants[0], method, directory / f"controller-{method}.json", progress)
+        except AmbroseError as error:  # one infeasible design leaves the others their verdict
+            progress(f"{TITLES[method]}: no controller; {error}")
+            failed.append((TITLES[method], str(error)))
+        else:
+            candidates.append(examined(plants, method, synthesis, progress))
     if not candidates:
-        raise InvalidInput(f"machine {machine.name!r} has no [controller] and no [weights]; add one of the tables")
+        why = "; ".join(f"{name}: {text}" for name, text in failed) or "it has no [controller] and no [weights]; add one"
+        raise InvalidInput(f"no controller for machine {machine.name!r}: {why}")
     speed_curves = campbell_map(plants[0], candidates[0].synthesis.controller, progress)
-    study = Study(machine, plants, reduced, tuple(candidates), speed_curves)
+    study = Study(machine, plants, reduced, tuple(candidates), speed_curves, tuple(failed))
     progress("writing the report")
     write_json(directory / "checks.json", results(study))
     write_report(study, directory / "report.html")
@@ -112,6 +120,7 @@ def results(study: Study) -> dict[str, Any]:
         "machine": study.machine.name,
         "passed": study.passed,
         "best": study.best.name,
+        "failed": dict(study.failed),
         "controllers": {
             c.name: {
                 "status": c.synthesis.status,
@@ -291,6 +300,9 @@ def write_report(study: Study, path: Path) -> None:
         ),
         comparison=model_comparison(full, reduced),
         over_speed=[(full.point.label, curve) for curve in study.speed_curves],
-        facts=(("Verified on", f"the full model at {len(study.plants)} operating points, and over all tolerances"),),
+        facts=(
+            ("Verified on", f"the full model at {len(study.plants)} operating points, and over all tolerances"),
+            *((f"No {name}", why) for name, why in study.failed),
+        ),
     )
     write(report, path)
