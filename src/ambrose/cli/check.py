@@ -1,0 +1,58 @@
+"""`ambrose machines` and `ambrose check`."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table
+
+
+@click.command()
+@AS_JSON
+def machines(as_json: bool) -> None:
+    """List the bundled machines."""
+    from ambrose.machine.config import bundled_machines, load_machine
+
+    found = {name: load_machine(name).description for name in bundled_machines()}
+    if as_json:
+        click.echo(json.dumps(found))
+        return
+    print_table("Bundled machines", ("name", "what it is"), list(found.items()))
+
+
+@click.command()
+@MACHINE
+@AS_JSON
+def check(machine: str, as_json: bool) -> None:
+    """Validate a machine file; mass, bending frequencies, open-loop poles and model sizes."""
+    from ambrose import study
+
+    facts = study.facts(load(machine))
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    print_table(f"{facts['machine']}: {facts['description']}", ("quantity", "value"), _facts_in_words(facts))
+
+
+def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    from ambrose.report.units import quantity
+
+    unstable = ", ".join(f"{re:.1f}{im:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
+    return [
+        ("rotor mass", quantity(facts["mass_kg"], "kg")),
+        ("centre of mass", quantity(facts["centre_m"], "m")),
+        (
+            "inertia, diametral and polar",
+            f"{facts['diametral_inertia_kg_m2']:.4g} and {facts['polar_inertia_kg_m2']:.4g} kg m²",
+        ),
+        ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
+        ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),
+        ("rotor states, full and reduced", f"{facts['rotor_states']} and {facts['reduced_rotor_states']}"),
+        ("plant states, full and reduced", f"{facts['plant_states']} and {facts['reduced_plant_states']}"),
+        ("operating points", ", ".join(facts["operating_points"])),
+        ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
+        ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
+    ]

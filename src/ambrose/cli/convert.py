@@ -1,0 +1,29 @@
+"""`ambrose convert`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from ambrose.cli.terminal import AS_JSON
+
+
+@click.command()
+@click.argument("record", type=click.Path(path_type=Path))
+@click.option("--columns", type=click.Path(path_type=Path), help="Column map (*.toml), for files of MATLAB and LabVIEW.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
+@AS_JSON
+def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> None:
+    """Write a record (*.h5, *.csv), or a file of MATLAB (*.mat) or LabVIEW (*.tdms), as a record (*.h5 or *.csv)."""
+    from ambrose.machine.record import read_record, write_record
+    from ambrose.machine.record_import import read_foreign
+
+    result = read_record(record) if columns is None else read_foreign(record, columns)
+    write_record(result, output)
+    count, rate = result.values.shape[1], result.sample_rate_hz
+    summary = {"record": str(output), "signals": result.signals, "samples": count, "sample_rate_hz": rate}
+    signals = f"{', '.join(result.signals[:8])}{' ...' if len(result.signals) > 8 else ''}"
+    words = f"{output}: {count / rate:.6g} s at {rate:.6g} Hz, {len(result.signals)} signals ({signals})"
+    click.echo(json.dumps(summary) if as_json else words)

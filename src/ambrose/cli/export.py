@@ -1,0 +1,60 @@
+"""`ambrose export`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ambrose.cli.terminal import AS_JSON, load, progress_shown
+
+
+@click.command()
+@click.argument("controller", type=click.Path(path_type=Path))
+@click.option("--to", "target", type=click.Choice(["c"]), required=True, help="What to write.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Directory for the files.")
+@click.option("--name", default="controller", show_default=True, help="Prefix of every name in the code, a C identifier.")
+@click.option(
+    "--arithmetic", type=click.Choice(["double", "float", "fixed32", "fixed16"]), default="double", show_default=True
+)  # fmt: skip
+@click.option("--rate-hz", type=float, default=None, help="Sample rate; default: the controller's own, or 10000.")
+@click.option("--delay-samples", type=int, default=1, show_default=True, help="From measured errors to currents set.")
+@click.option("--sampling", type=click.Choice(["tustin", "zoh"]), default="tustin", show_default=True)
+@click.option("--prewarp-hz", type=float, default=None, help="Tustin exact at this frequency.")
+@click.option("--machine", "machine", default=None, help="Default: the bundled machine that the controller was made for.")
+@click.option("--error-limit", type=float, default=None, help="Largest plausible error in m; default: the bearing's gap.")
+@click.option("--current-limit", type=float, default=None, help="Largest current in A; default: the bearing's.")
+@click.option("--force", is_flag=True, help="Export a controller that is not verified, or not stable everywhere.")
+@AS_JSON
+def export(
+    controller: Path, target: str, output: Path, name: str, arithmetic: Any, rate_hz: float | None, delay_samples: int,
+    sampling: Any, prewarp_hz: float | None, machine: str | None, error_limit: float | None, current_limit: float | None,
+    force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Sample a controller, verify its loop as it will run, and write it as code for the target."""
+    from ambrose.core.checks import check_positive
+    from ambrose.export.deliver import deliver_code
+    from ambrose.export.files import read_controller
+
+    remedy = "give it in Hz"
+    dt = None if rate_hz is None else 1 / check_positive(rate_hz, "--rate-hz", remedy)
+    prewarp = None if prewarp_hz is None else 6.283185307179586 * check_positive(prewarp_hz, "--prewarp-hz", remedy)
+    file = read_controller(controller)
+    with progress_shown(as_json) as progress:
+        done = deliver_code(
+            file, output, None if machine is None else load(machine), name=name, arithmetic=arithmetic, sample_time=dt,
+            delay_samples=delay_samples, method=sampling, prewarp=prewarp, error_limit=error_limit,
+            current_limit=current_limit, force=force, progress=progress,
+        )  # fmt: skip
+    paths, problems = [str(path) for path in done.paths], list(done.deployment.problems)
+    if as_json:
+        summary = {"target": target, "files": paths, "verified": done.deployment.verified, "problems": problems}
+        click.echo(json.dumps(summary))
+    else:
+        for problem in problems:
+            click.echo(f"forced although {problem}", err=True)
+        click.echo("\n".join(paths))
+    sys.exit(0 if done.deployment.verified else 1)

@@ -1,0 +1,80 @@
+"""`ambrose simulate`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from ambrose.cli.terminal import AS_JSON, MACHINE, load, progress_shown
+
+
+@click.command()
+@MACHINE
+@click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
+@click.option("--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario.")
+@click.option("--linear", is_flag=True, help="The linear model instead of the nonlinear virtual rig.")
+@click.option("--second", type=click.Path(path_type=Path), help="A controller that takes over at the scenario's switch_at.")
+@click.option("--bending-modes", type=int, default=1, show_default=True, help="Bending modes per plane of the rig.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
+@click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
+@click.option("--report", type=click.Path(path_type=Path), help="A page of the run: orbits, waterfall, currents, animation.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
+@AS_JSON
+def simulate(
+    machine: str,
+    path: Path,
+    scenario: str,
+    linear: bool,
+    second: Path | None,
+    bending_modes: int,
+    seed: int,
+    point: str | None,
+    report: Path | None,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Run a scenario on the virtual rig (or the linear model) and write the record (*.h5 or *.csv).
+
+    An *.h5 record of the rig grows while it runs, as *.partial.h5, which stays readable when the run is interrupted.
+    """
+    from ambrose import study
+    from ambrose.export.files import read_controller
+    from ambrose.machine.parameters import operating_point
+    from ambrose.machine.record import write_record
+    from ambrose.simulate import virtual_rig
+    from ambrose.simulate.scenario import load_scenario
+
+    description = load(machine)
+    controller = read_controller(path).controller
+    with progress_shown(as_json) as progress:
+        if linear:
+            progress("assembling the plant")
+            plant = study.plant_at(description, point)
+            progress(f"simulating {scenario}")
+            trace = study.simulation(plant, controller, scenario)
+        else:
+            progress(f"running {scenario} on the virtual rig (the first run on a computer compiles it, half a minute)")
+            trace = virtual_rig.run(
+                description,
+                controller,
+                load_scenario(scenario),
+                second=None if second is None else read_controller(second).controller,
+                point=None if point is None else operating_point(description, point),
+                bending_modes=bending_modes,
+                seed=seed,
+                path=None if output.suffix.lower() == ".csv" else output,
+                progress=progress,
+            )
+    if linear or output.suffix.lower() == ".csv":
+        write_record(trace.record, output)
+    if report is not None:
+        from ambrose.report.document import write
+        from ambrose.report.record_page import record_report
+
+        write(record_report(trace, description), report)
+    summary = {"record": str(output), "outcome": trace.outcome, "text": trace.text, "report": str(report) if report else None}
+    click.echo(json.dumps(summary) if as_json else f"{output}: {trace.text}")
+    sys.exit(0 if trace.outcome == "completed" else 1)

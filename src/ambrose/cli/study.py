@@ -1,0 +1,43 @@
+"""`ambrose study`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, print_table, progress_shown
+
+
+@click.command(name="study")
+@MACHINE
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=None, help="Directory; default: study-<machine>.")
+@ALL
+@AS_JSON
+def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
+    """The whole chain: every controller the machine file allows, verified, simulated and compared in report.html."""
+    from ambrose import study
+    from ambrose.report.tables import verdict
+
+    description = load(machine)
+    directory = output or Path(f"study-{description.name}")
+    with progress_shown(as_json) as progress:
+        result = study.run(description, directory, progress)
+    report = directory / "report.html"
+    if as_json:
+        click.echo(json.dumps({**study.results(result), "report": str(report)}))
+    else:
+        rows = [(name, "design", why) for name, why in result.failed]
+        marks = ["red"] * len(rows)
+        for candidate in result.candidates:
+            for checks in [*candidate.checks, *([candidate.robust] if candidate.robust else [])]:
+                label = "over all tolerances" if checks is candidate.robust else checks.label
+                rows.append((candidate.name, label, verdict(checks).text))
+                marks.append("" if checks.passed else "red")
+                if everything:
+                    print_checks(checks, everything)
+        print_table(f"{description.name}: {len(result.candidates)} controllers", ("controller", "at", "verdict"), rows, marks)
+        click.echo(f"Most checks are met by {result.best.name}. Report: {report}")
+    sys.exit(0 if result.passed else 1)

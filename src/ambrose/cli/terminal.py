@@ -1,0 +1,75 @@
+"""What the commands share: options, progress, tables."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+ALL = click.option("--all", "everything", is_flag=True, help="Show the quantities without a limit as well.")
+AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+MACHINE = click.argument("machine")
+
+
+def load(machine: str) -> Any:
+    from ambrose.machine.config import load_machine
+
+    return load_machine(machine)
+
+
+@contextmanager
+def progress_shown(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A spinner with the present stage and its time on a terminal, one line per stage elsewhere; nothing with --json."""
+    if quiet:
+        yield lambda stage: None
+        return
+    if not sys.stderr.isatty():
+        yield lambda stage: click.echo(f"  {stage}", err=True)
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        tasks: list[Any] = []
+
+        def step(stage: str) -> None:
+            if tasks:
+                bar.update(tasks[-1], total=1, completed=1)
+            tasks.append(bar.add_task(stage, total=None))
+
+        yield step
+        if tasks:
+            bar.update(tasks[-1], total=1, completed=1)
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], marks: Sequence[str] = ()) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    for i, row in enumerate(rows):
+        table.add_row(*row, style=marks[i] if marks else None)
+    console.print(table)
+
+
+def print_checks(checks: Any, everything: bool) -> None:
+    """One operating point: the verdict in words, then the checks that have a limit (or all), without their sources."""
+    from ambrose.report.tables import checks_table, verdict
+
+    table = checks_table(checks)
+    keep = [i for i, column in enumerate(table.columns) if not column.startswith("Standard")]
+    shown = [i for i, check in enumerate(checks.checks) if everything or check.passed is not None]
+    rows = [tuple(f"{table.cells[k][i].symbol} {table.cells[k][i].text}".strip() for i in keep) for k in shown]
+    marks = tuple("red" if checks.checks[k].passed is False else "" for k in shown)
+    print_table(f"{checks.label}: {verdict(checks).text}", tuple(table.columns[i] for i in keep), rows, marks)
+
+
+def shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

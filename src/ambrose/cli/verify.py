@@ -1,0 +1,37 @@
+"""`ambrose verify`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, progress_shown
+
+
+@click.command()
+@MACHINE
+@click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
+@ALL
+@AS_JSON
+def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
+    """Check a controller on the full plant: at every operating point of the machine, and over all its tolerances."""
+    from ambrose import study
+    from ambrose.export.files import read_controller
+    from ambrose.export.results import checks_to_dict
+
+    description = load(machine)
+    controller = read_controller(path).controller
+    with progress_shown(as_json) as progress:
+        plants = study.full_plants(description)
+        points = study.verification(plants, controller, progress)
+        over_box = study.over_tolerances(plants[0], controller, points[0].stable, progress)
+    if as_json:
+        found = {"points": [checks_to_dict(r) for r in points], "robust": checks_to_dict(over_box) if over_box else None}
+        click.echo(json.dumps({"machine": description.name, **found}))
+    else:
+        for result in [*points, *([over_box] if over_box else [])]:
+            print_checks(result, everything)
+    sys.exit(0 if all(r.passed for r in points) and (over_box is None or over_box.passed) else 1)
