@@ -144,7 +144,7 @@ def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_pat
             raise NumericalFailure("no gamma below 1e6; relax the weights")
         return design(plant, method, **options)
 
-    monkeypatch.setattr("ambrose.study.design", only_pid)
+    monkeypatch.setattr("ambrose.stages.control.design", only_pid)
     done = call("study", RIG, "-o", tmp_path, "--json")
     assert done.exit_code == 1, done.stderr
     found = json.loads(done.stdout)

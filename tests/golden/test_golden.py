@@ -11,7 +11,7 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.plant.assemble import assemble
-from ambrose.study import facts
+from ambrose.stages.plants import facts
 from ambrose.synthesis.design import design
 from ambrose.verify import nominal
 

@@ -20,7 +20,7 @@ from ambrose.report.candidate import points_of
 from ambrose.report.comparison import Candidate, comparison_report
 from ambrose.report.document import Cell, Report, Section, Table
 from ambrose.report.panels import Panel, panel_figure
-from ambrose.study import SCENARIOS, simulation
+from ambrose.stages.trial import SCENARIOS, simulation
 from ambrose.synthesis import hinf, mu, pid
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Certificate, Synthesis

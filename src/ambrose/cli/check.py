@@ -28,13 +28,13 @@ def machines(as_json: bool) -> None:
 @AS_JSON
 def check(machine: str, as_json: bool) -> None:
     """Validate a machine file; mass, bending frequencies, open-loop poles and model sizes."""
-    from ambrose import study
+    from ambrose.stages.plants import facts
 
-    facts = study.facts(load(machine))
+    found = facts(load(machine))
     if as_json:
-        click.echo(json.dumps(facts))
+        click.echo(json.dumps(found))
         return
-    print_table(f"{facts['machine']}: {facts['description']}", ("quantity", "value"), _facts_in_words(facts))
+    print_table(f"{found['machine']}: {found['description']}", ("quantity", "value"), _facts_in_words(found))
 
 
 def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:

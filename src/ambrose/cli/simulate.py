@@ -40,21 +40,22 @@ def simulate(
 
     An *.h5 record of the rig grows while it runs, as *.partial.h5, which stays readable when the run is interrupted.
     """
-    from ambrose import study
     from ambrose.export.files import read_controller
     from ambrose.machine.parameters import operating_point
     from ambrose.machine.record import write_record
     from ambrose.simulate import virtual_rig
     from ambrose.simulate.scenario import load_scenario
+    from ambrose.stages.plants import plant_at
+    from ambrose.stages.trial import simulation
 
     description = load(machine)
     controller = read_controller(path).controller
     with progress_shown(as_json) as progress:
         if linear:
             progress("assembling the plant")
-            plant = study.plant_at(description, point)
+            plant = plant_at(description, point)
             progress(f"simulating {scenario}")
-            trace = study.simulation(plant, controller, scenario)
+            trace = simulation(plant, controller, scenario)
         else:
             progress(f"running {scenario} on the virtual rig (the first run on a computer compiles it, half a minute)")
             trace = virtual_rig.run(

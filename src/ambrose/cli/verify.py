@@ -18,16 +18,17 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prog
 @AS_JSON
 def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all its tolerances."""
-    from ambrose import study
     from ambrose.export.files import read_controller
     from ambrose.export.results import checks_to_dict
+    from ambrose.stages.plants import full_plants
+    from ambrose.stages.proof import over_tolerances, verification
 
     description = load(machine)
     controller = read_controller(path).controller
     with progress_shown(as_json) as progress:
-        plants = study.full_plants(description)
-        points = study.verification(plants, controller, progress)
-        over_box = study.over_tolerances(plants[0], controller, points[0].stable, progress)
+        plants = full_plants(description)
+        points = verification(plants, controller, progress)
+        over_box = over_tolerances(plants[0], controller, points[0].stable, progress)
     if as_json:
         found = {"points": [checks_to_dict(r) for r in points], "robust": checks_to_dict(over_box) if over_box else None}
         click.echo(json.dumps({"machine": description.name, **found}))

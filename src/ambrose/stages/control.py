@@ -1,0 +1,29 @@
+"""Stage: one controller, designed or taken up again from an earlier run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ambrose.core.checks import AmbroseError
+from ambrose.export.files import read_controller, write_controller
+from ambrose.machine.config import machine_hash
+from ambrose.plant.model import Plant
+from ambrose.synthesis.design import design, on_full_plant
+from ambrose.synthesis.result import Synthesis
+
+Progress = Callable[[str], None]
+
+
+def kept_or_designed(plant: Plant, method: str, path: Path, progress: Progress) -> Synthesis:
+    """The controller at ``path`` if it was made for exactly this machine (certified again), else a new one, written there."""
+    try:
+        kept = read_controller(path)
+        if kept.certificate and (kept.provenance.machine_hash, kept.method) == (machine_hash(plant.machine), method):
+            old = Synthesis(kept.controller, kept.method, kept.gamma, kept.status, kept.certificate)
+            return on_full_plant(plant, old, {})
+    except AmbroseError:
+        pass  # absent, or not readable any more: designed anew
+    synthesis = design(plant, method, progress=progress)
+    write_controller(path, synthesis, plant.machine)
+    return synthesis
