@@ -1,0 +1,300 @@
+"""Frequency responses from records: averaged over windowed segments, open loop or closed loop, with what they are worth.
+
+In closed loop noise comes round through the controller into the plant's input, and the quotient S_yu/S_uu (H1) is drawn
+towards -1/K. The excitation e is not part of the loop's noise: G = S_ye S_ue^-1 (joint input-output method, e as instrument)
+is free of that bias. Both are one estimate here: responses T from e to outputs and inputs by least squares over all segments,
+G = T_y T_u^-1; H1 is the case e = u. Pintelon & Schoukens (2012), ch. 2; Bendat & Piersol (2010), ch. 9; Welch (1967).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.fft
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.frequency import FrequencyResponse
+from ambrose.core.statespace import Names, index_of
+from ambrose.machine.record import Record
+
+WINDOWS = ("hann", "boxcar")
+_EXCITED = 1e-4  # of the strongest line's power: weaker lines are left out
+_INDEPENDENT = 1e-6  # least eigenvalue of the excitations' coherence matrix: below, they cannot be told apart
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frf:
+    """A measured transfer matrix: values (w, p, m) complex at omega (w,) [rad/s], units of outputs per unit of inputs.
+
+    variance (w, p, m): E|error|^2 of every value, from what the segments leave unexplained, overlap allowed for; the error is
+    circular: each of real and imaginary part has half of it. coherence (w, p): of every output with all excitations together,
+    0..1; input_coherence (w, m): the same of the inputs (1 for H1). freedom: degrees of freedom of the noise estimate.
+    dt [s]: compare with a plant sampled at this rate, with a zero-order hold.
+    """
+
+    values: np.ndarray
+    omega: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    variance: np.ndarray
+    coherence: np.ndarray
+    input_coherence: np.ndarray
+    freedom: float
+    dt: float
+
+    @property
+    def response(self) -> FrequencyResponse:
+        """The values alone."""
+        return FrequencyResponse(self.values, self.omega, self.inputs, self.outputs)
+
+    def select(self, inputs: Names | None = None, outputs: Names | None = None) -> Frf:
+        """The part between the named signals; None keeps all."""
+        j = index_of(self.inputs if inputs is None else inputs, self.inputs, "input")
+        i = index_of(self.outputs if outputs is None else outputs, self.outputs, "output")
+        part = self.response.select(inputs, outputs)
+        return replace(
+            self, values=part.values, inputs=part.inputs, outputs=part.outputs,
+            variance=self.variance[:, i][:, :, j], coherence=self.coherence[:, i], input_coherence=self.input_coherence[:, j],
+        )  # fmt: skip
+
+    def between(self, low: float, high: float) -> Frf:
+        """The lines from ``low`` to ``high`` [rad/s]; raises InvalidInput where there are none."""
+        kept = (self.omega >= low * (1 - 1e-9)) & (self.omega <= high * (1 + 1e-9))
+        if not kept.any():
+            has = f"{self.omega[0]:g} to {self.omega[-1]:g} rad/s"
+            raise invalid("the band", f"{low:g} to {high:g} rad/s", f"within {has}", "move it")
+        return replace(
+            self, values=self.values[kept], omega=self.omega[kept], variance=self.variance[kept],
+            coherence=self.coherence[kept], input_coherence=self.input_coherence[kept],
+        )  # fmt: skip
+
+    def radius(self, confidence: float = 0.95) -> np.ndarray:
+        """Radius (w, p, m) of the circle around each value that holds the truth with this probability, noise alone.
+
+        sd^2 F(2, 2 freedom): the ellipse of real and imaginary part, which is a circle here. Raises InvalidInput.
+        """
+        from scipy.special import fdtri
+
+        if not 0 < confidence < 1:
+            raise invalid("confidence", confidence, "between 0 and 1", "0.95 is usual")
+        return np.sqrt(self.variance * float(fdtri(2, max(2 * self.freedom, 2.0), confidence)))
+
+
+def h1(
+    records: Record | Sequence[Record],
+    inputs: Names,
+    outputs: Names,
+    *,
+    segment: float = 0.5,
+    overlap: float = 0.75,
+    window: str = "hann",
+    band: tuple[float, float] | None = None,
+) -> Frf:
+    """The response of ``outputs`` to ``inputs``, S_yu S_uu^-1 over all segments of all records: for inputs free of noise.
+
+    With e_<axis> as inputs it gives closed-loop responses without bias; between signals inside the loop use ``closed_loop``.
+    segment [s]: its length, 1/segment the distance of the lines; overlap: share of a segment that it has in common with the
+    next; window "hann" or "boxcar" (periodic records only); band [rad/s]: lines kept (None: all that are excited). Several
+    inputs need several records, or excitations that differ over the segments. A name v_<axis> [A] stands for u + e, the
+    command to the amplifier, where the record lacks it. Raises InvalidInput.
+    """
+    return _estimate(records, inputs, inputs, outputs, segment, overlap, window, band)
+
+
+def closed_loop(
+    records: Record | Sequence[Record],
+    inputs: Names,
+    outputs: Names,
+    *,
+    excitations: Names | None = None,
+    segment: float = 0.5,
+    overlap: float = 0.75,
+    window: str = "hann",
+    band: tuple[float, float] | None = None,
+) -> Frf:
+    """The response of ``outputs`` to ``inputs`` inside the loop, S_ye S_ue^-1: free of the bias that feedback gives H1.
+
+    excitations: as many as inputs (None: those with the inputs' axes, e_A_zeta for v_A_zeta, u_A_zeta or i_A_zeta). The plant
+    is closed_loop(records, ["v_A_zeta", ...], ["y_A_zeta", ...]). Other arguments as ``h1``. Raises InvalidInput.
+    """
+    first = [inputs] if isinstance(inputs, str) else list(inputs)
+    drive = [f"e_{name.partition('_')[2]}" for name in first] if excitations is None else excitations
+    return _estimate(records, drive, inputs, outputs, segment, overlap, window, band)
+
+
+def combined(record: Record, name: str, parts: Mapping[str, float]) -> Record:
+    """The record with one signal more: the sum of ``parts`` (signal -> factor), such as the motion half-way between sensors.
+
+    Raises InvalidInput for parts in different units, and for a name that the record has or that does not fit the unit.
+    """
+    if name in record.signals or not parts:
+        raise invalid(f"the combined signal {name!r}", "there already or empty", "new, of at least one part", "rename it")
+    units = {record.units[index_of(part, record.signals, "signal")[0]] for part in parts}
+    if len(units) > 1:
+        raise invalid(f"the parts of {name}", f"in {', '.join(sorted(units))}", "all in one unit", "combine like signals")
+    total = sum(factor * record[part] for part, factor in parts.items())
+    values = np.vstack([record.values, total])
+    return replace(record, signals=(*record.signals, name), units=(*record.units, units.pop()), values=values)
+
+
+def _estimate(
+    records: Record | Sequence[Record],
+    excitations: Names,
+    inputs: Names,
+    outputs: Names,
+    segment: float,
+    overlap: float,
+    window: str,
+    band: tuple[float, float] | None,
+) -> Frf:
+    e, u, y = (tuple([names] if isinstance(names, str) else names) for names in (excitations, inputs, outputs))
+    records = (records,) if isinstance(records, Record) else tuple(records)
+    frames = _frames(records, segment, overlap, window)
+    if not e or not y or len(e) != len(u):
+        raise invalid("the number of excitations and inputs", (len(e), len(u)), "equal, with an output", "one per input")
+    E = frames.spectra(e)
+    kept = _excited(E, frames.omega, band, e)
+    E = E[:, :, kept]
+    omega = frames.omega[kept]
+    signals = frames.spectra((*u, *y))[:, :, kept] if u != e else np.concatenate([E, frames.spectra(y)[:, :, kept]])
+    P = _inverse(np.einsum("akw,bkw->wab", E, E.conj()), omega, e)
+    T = np.einsum("skw,akw,wab->wsb", signals, E.conj(), P)
+    m = len(u)
+    Tu, Ty = T[:, :m], T[:, m:]
+    back = np.linalg.inv(Tu) if u != e else np.broadcast_to(np.eye(m), Tu.shape)
+    G = Ty @ back
+    K, left = E.shape[1], signals - np.einsum("wsa,akw->skw", T, E)
+    N = frames.overlapping(E, omega)
+    lost = np.einsum("wab,wab->w", P, N).real
+    noise = left[m:] - np.einsum("wpm,mkw->pkw", G, left[:m])  # what is left of y - G u
+    power = np.sum(np.abs(noise) ** 2, axis=1).T / np.maximum(K - lost, 1e-9 * K)[:, None]
+    Q = P @ back  # the segments' weights, seen from the inputs
+    share = np.einsum("wai,wab,wbi->wi", Q, N, Q.conj()).real
+    total = np.sum(np.abs(signals) ** 2, axis=1).T
+    coherence = 1 - np.sum(np.abs(left) ** 2, axis=1).T / np.where(total > 0, total, 1.0)
+    coherence = np.clip(np.where(total > 0, coherence, 0.0), 0.0, 1.0)
+    return Frf(
+        G, omega, u, y, power[:, :, None] * np.maximum(share, 0.0)[:, None, :], coherence[:, m:], coherence[:, :m],
+        max(frames.independent - m, 1.0), records[0].dt,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frames:
+    """How records are cut: first samples of every segment per record, window (L,), correlation of the window with itself."""
+
+    records: tuple[Record, ...]
+    starts: tuple[np.ndarray, ...]
+    window: np.ndarray
+    step: int
+    dt: float
+
+    @property
+    def omega(self) -> np.ndarray:
+        return 2 * np.pi * np.arange(len(self.window) // 2 + 1) / (len(self.window) * self.dt)
+
+    @property
+    def likeness(self) -> np.ndarray:
+        """Correlation of the noise in segments 0, 1, 2 ... steps apart."""
+        w, L = self.window, len(self.window)
+        return np.array([float(w[: L - d] @ w[d:]) for d in range(0, L, self.step)]) / float(w @ w)
+
+    @property
+    def independent(self) -> float:
+        """How many segments without overlap would tell as much."""
+        rho = self.likeness
+        total = 0.0
+        for start in self.starts:
+            K = len(start)
+            total += K**2 / (K + 2 * sum((K - d) * rho[d] ** 2 for d in range(1, min(len(rho), K))))
+        return total
+
+    def spectra(self, names: Sequence[str]) -> np.ndarray:
+        """The windowed spectra (signals, segments, lines) of all records; the mean over a record is taken out first."""
+        rows = []
+        for name in names:
+            parts = []
+            for record, starts in zip(self.records, self.starts, strict=True):
+                signal = _signal(record, name)
+                cut = np.lib.stride_tricks.sliding_window_view(signal - signal.mean(), len(self.window))[starts]
+                parts.append(scipy.fft.rfft(cut * self.window, axis=1))
+            rows.append(np.concatenate(parts))
+        return np.stack(rows)
+
+    def overlapping(self, E: np.ndarray, omega: np.ndarray) -> np.ndarray:
+        """sum over segments j, k of R_jk conj(E_j) E_k' (w, m, m); R: correlation of white noise in segments j and k."""
+        N = np.einsum("akw,bkw->wab", E.conj(), E)
+        begin = 0
+        for start in self.starts:
+            part = E[:, begin : begin + len(start)]
+            begin += len(start)
+            for d, rho in enumerate(self.likeness[: len(start)]):
+                if d and rho > 0:
+                    turn = np.exp(-1j * omega * d * self.step * self.dt)  # t_j - t_k with k later by d steps
+                    pair = rho * np.einsum("akw,bkw,w->wab", part[:, :-d].conj(), part[:, d:], turn)
+                    N = N + pair + pair.conj().swapaxes(1, 2)
+        return N
+
+
+def _frames(records: tuple[Record, ...], segment: float, overlap: float, window: str) -> _Frames:
+    if not records:
+        raise InvalidInput("no record was given; a frequency response needs at least one")
+    dt = records[0].dt
+    for number, record in enumerate(records, 1):
+        if abs(record.dt - dt) > 1e-9 * dt:
+            have = f"{record.sample_rate_hz:g} Hz"
+            raise invalid(f"the sample rate of record {number}", have, f"{1 / dt:g} Hz, that of the first", "take equal rates")
+    if window not in WINDOWS:
+        raise invalid("window", repr(window), " or ".join(WINDOWS), "hann, unless the record is periodic in the segment")
+    if not 0 <= overlap <= 0.95:
+        raise invalid("overlap", overlap, "from 0 to 0.95", "0.75 is usual with a Hann window")
+    L = round(segment / dt) if np.isfinite(segment) else 0
+    shortest = min(record.values.shape[1] for record in records)
+    if not 8 <= L <= shortest:
+        requirement = f"from {8 * dt:g} to {shortest * dt:g} s, the shortest record"
+        raise invalid("segment", f"{segment:g} s", requirement, "shorten it, or record longer")
+    step = max(1, round(L * (1 - overlap)))
+    starts = tuple(np.arange(0, record.values.shape[1] - L + 1, step) for record in records)
+    shape = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(L) / L) if window == "hann" else np.ones(L)
+    return _Frames(records, starts, shape, step, dt)
+
+
+def _signal(record: Record, name: str) -> np.ndarray:
+    """A signal, or u + e of an axis for v_<axis>."""
+    kind, _, axis = name.partition("_")
+    if kind != "v" or name in record.signals:
+        return record[name]
+    command = record[f"u_{axis}"]
+    return command + record[f"e_{axis}"] if f"e_{axis}" in record.signals else command
+
+
+def _excited(E: np.ndarray, omega: np.ndarray, band: tuple[float, float] | None, names: tuple[str, ...]) -> np.ndarray:
+    """The lines (w,) bool that every excitation reaches, within the band."""
+    power = np.sum(np.abs(E) ** 2, axis=1)
+    for name, row in zip(names, power, strict=True):
+        if not row.any():
+            raise InvalidInput(f"the excitation {name} never changes in these records; excite it, or leave its input out")
+    strong = (power > _EXCITED * power.max(axis=1, keepdims=True)).all(axis=0)
+    low, high = (0.0, np.inf) if band is None else band
+    kept = (omega >= max(low, 1.5 * omega[1]) * (1 - 1e-9)) & (omega <= high * (1 + 1e-9)) & (omega < omega[-1])
+    if not (kept & strong).any():
+        where = "anywhere" if band is None else f"between {low:g} and {high:g} rad/s"
+        raise InvalidInput(f"the excitations {', '.join(names)} hold no power {where}; move the band, or excite there")
+    return kept & strong
+
+
+def _inverse(S: np.ndarray, omega: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """S^-1 (w, m, m) of the excitations' spectra, after checking that they differ at every line."""
+    size = np.sqrt(np.einsum("waa->wa", S).real)
+    alike = S / size[:, :, None] / size[:, None, :]
+    values, vectors = np.linalg.eigh(alike)
+    worst = int(np.argmin(values[:, 0]))
+    if values[worst, 0] < _INDEPENDENT:
+        together = [name for name, part in zip(names, np.abs(vectors[worst, :, 0]), strict=True) if part > 0.1]
+        raise InvalidInput(
+            f"the excitations {', '.join(together)} are alike at {omega[worst]:.4g} rad/s, so their responses cannot be told "
+            "apart; add a record with another pattern (parallel and tilt, or each axis alone), or take fewer inputs"
+        )
+    return np.linalg.inv(S)
