@@ -21,7 +21,7 @@ from ambrose.identify import statistics
 from ambrose.identify.excitation import check_persistent, excitation_order
 from ambrose.identify.gauss_newton import Linearised, Minimum, minimise
 from ambrose.identify.output_error import Task, distinct, normal_equations, projected_jacobian
-from ambrose.identify.sensitivities import LoopModel, loop_model
+from ambrose.identify.sensitivities import ParametricModel, loop_model
 from ambrose.identify.unknowns import expand, nominal_values
 from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.machine.record import Record
@@ -93,34 +93,36 @@ def identify(
     parameter, and for a start at which the loop is unstable.
     """
     records = (records,) if isinstance(records, Record) else tuple(records)
-    point, dt = _check_records(machine, records)
+    point, dt = check_records(machine, records)
     plant = free_mode_reduction(assemble(machine, point), bending_modes)
     paths = expand(machine, unknown)
     nominal = nominal_values(plant, paths)
-    begin = _start(paths, nominal, start)
+    begin = start_values(paths, nominal, start)
     shown = _signals(plant, records, signals)
-    excitations = _excitations(plant, records, -(-len(paths) // len(shown)))
-    law = _deployed(plant, controller, dt, computing_delay)
+    excitations = driven_inputs(plant, records, -(-len(paths) // len(shown)))
+    law = deployed_controller(plant, controller, dt, computing_delay)
     model = loop_model(plant, law, paths, nominal, excitations, shown)
     sizes = _sizes(records, shown, weights)
     tasks = [
         Task(*distinct(_stacked(record, excitations)), _stacked(record, shown) / sizes[:, None], initial_state, offset)
         for record in records
     ]
-    _check_start(model, begin)
-    found = _solve(paths, model, sizes, tasks, begin, np.where(nominal == 0, 1.0, np.abs(nominal)), max_iterations)
-    return _result(machine, point, paths, begin, model, sizes, tasks, found)
+    check_start(model, begin)
+    found = solve(paths, model, sizes, tasks, begin, np.where(nominal == 0, 1.0, np.abs(nominal)), max_iterations)
+    return summary(machine, point, paths, begin, model, sizes, tasks, found)
 
 
-def _solve(
+def solve(
     paths: tuple[str, ...],
-    model: LoopModel,
+    model: ParametricModel,
     sizes: np.ndarray,
     tasks: list[Task],
     begin: np.ndarray,
     scale: np.ndarray,
     most: int,
 ) -> Minimum:
+    """Least squares for theta on all tasks, from a start found on their first samples."""
+
     def linearise_on(chosen: list[Task]) -> Callable[[np.ndarray], Linearised]:
         def linearise(theta: np.ndarray) -> Linearised:
             loop, directions = _weighted(model, theta, sizes)
@@ -144,28 +146,29 @@ def _solve(
     return replace(found, iterations=found.iterations + begun)
 
 
-def _weighted(model: LoopModel, theta: np.ndarray, sizes: np.ndarray) -> tuple[StateSpace, list[Any]]:
+def _weighted(model: ParametricModel, theta: np.ndarray, sizes: np.ndarray) -> tuple[StateSpace, list[Any]]:
     """The loop and its derivatives with the outputs over their weights; C does not depend on theta."""
     loop, directions = model.loop(theta)
     return StateSpace(loop.A, loop.B, loop.C / sizes[:, None], loop.D, loop.inputs, loop.outputs, loop.dt), directions
 
 
-def _radius(model: LoopModel, theta: np.ndarray) -> float:
+def _radius(model: ParametricModel, theta: np.ndarray) -> float:
     """The largest modulus of the sampled loop's poles."""
     loop, _ = model.loop(theta)
     return float(np.abs(poles(loop)).max())
 
 
-def _result(
+def summary(
     machine: Machine,
     point: OperatingPoint,
     paths: tuple[str, ...],
     begin: np.ndarray,
-    model: LoopModel,
+    model: ParametricModel,
     sizes: np.ndarray,
     tasks: list[Task],
     found: Minimum,
 ) -> Identification:
+    """What was found, with covariance, residual tests, warnings and verdict."""
     loop, directions = _weighted(model, found.x, sizes)
     q = len(paths)
     H, middle = np.zeros((q, q)), np.zeros((q, q))
@@ -195,7 +198,7 @@ def _result(
     )  # fmt: skip
 
 
-def _names(model: LoopModel, mix: np.ndarray) -> str:
+def _names(model: ParametricModel, mix: np.ndarray) -> str:
     """The excitations that a distinct signal drives: "e_A_zeta", or "e_A_zeta, -e_B_zeta"."""
     return ", ".join(("-" if sign < 0 else "") + name for name, sign in zip(model.excitations, mix, strict=True) if sign)
 
@@ -231,7 +234,8 @@ def _verdict(tests: Sequence[statistics.ResidualTest]) -> str:
     )
 
 
-def _check_records(machine: Machine, records: tuple[Record, ...]) -> tuple[OperatingPoint, float]:
+def check_records(machine: Machine, records: tuple[Record, ...]) -> tuple[OperatingPoint, float]:
+    """The operating point and the sample time [s] that all records share, which are of this machine; else InvalidInput."""
     if not records:
         raise InvalidInput("no record was given; identification needs at least one")
     first = records[0]
@@ -252,7 +256,8 @@ def _check_records(machine: Machine, records: tuple[Record, ...]) -> tuple[Opera
     return first.point, first.dt
 
 
-def _start(paths: tuple[str, ...], nominal: np.ndarray, start: Mapping[str, float] | None) -> np.ndarray:
+def start_values(paths: tuple[str, ...], nominal: np.ndarray, start: Mapping[str, float] | None) -> np.ndarray:
+    """The values (q,) to begin at: the machine's, but for those given by path."""
     values = nominal.copy()
     for path, value in (start or {}).items():
         if path not in paths:
@@ -276,7 +281,7 @@ def _signals(plant: Plant, records: Sequence[Record], signals: Sequence[str] | N
     return wanted
 
 
-def _excitations(plant: Plant, records: Sequence[Record], order: int) -> tuple[str, ...]:
+def driven_inputs(plant: Plant, records: Sequence[Record], order: int) -> tuple[str, ...]:
     """The inputs driven in any record, after checking that each record excites enough."""
     possible = [f"e_{axis}" for axis in plant.axes] + [f"f_{port}" for port in plant.ports]
     driven = [name for name in possible if any(name in r.signals and r[name].any() for r in records)]
@@ -292,7 +297,8 @@ def _excitations(plant: Plant, records: Sequence[Record], order: int) -> tuple[s
     return tuple(driven)
 
 
-def _deployed(plant: Plant, controller: Any, dt: float, delay: int) -> StateSpace:
+def deployed_controller(plant: Plant, controller: Any, dt: float, delay: int) -> StateSpace:
+    """The controller as it runs at dt [s], from err_<axis> to u_<axis>, ``delay`` samples late."""
     if isinstance(delay, bool) or not isinstance(delay, int | np.integer) or not 0 <= delay <= 20:
         raise invalid("computing_delay", repr(delay), "a whole number of samples, 0 to 20", "0 or 1 is usual")
     law = named_controller(plant, controller)
@@ -323,7 +329,8 @@ def _stacked(record: Record, names: Sequence[str]) -> np.ndarray:
     return np.stack([record[name] if name in record.signals else np.zeros(k) for name in names])
 
 
-def _check_start(model: LoopModel, begin: np.ndarray) -> None:
+def check_start(model: ParametricModel, begin: np.ndarray) -> None:
+    """Refuse a start at which the model's loop is unstable."""
     radius = _radius(model, begin)
     if not radius < 1:
         raise invalid(

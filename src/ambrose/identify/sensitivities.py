@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +20,19 @@ from ambrose.core.statespace import StateSpace, index_of
 from ambrose.machine.description import Tolerance
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import uncertain
+
+
+class ParametricModel(Protocol):
+    """What least squares needs: a sampled system from ``excitations`` to ``signals`` at theta (q,), and its derivatives; its
+    C does not depend on theta, and it has no feedthrough."""
+
+    @property
+    def excitations(self) -> tuple[str, ...]: ...
+
+    @property
+    def signals(self) -> tuple[str, ...]: ...
+
+    def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
