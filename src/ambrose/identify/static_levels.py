@@ -1,0 +1,148 @@
+"""The steady levels of a record under static loads: where the loads stand still, and what the loop has settled at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.machine.description import Machine
+from ambrose.machine.record import Record
+
+_BLOCK = 0.01  # [s] over which a load is averaged before its steps are looked for
+_STEP = 0.02  # of the loads' range: less is no step but the noise of the force transducer
+_BATCHES = 10  # of the averaging window; their scatter gives the mean's standard error
+_SURE = 4.0  # standard errors by which a drift must exceed its limit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """m steady levels: loads (m, p) [N] at ``ports``, displacement (m, a) [m] at the sensors and control current (m, a) [A],
+    each the mean over the end of its level, with standard errors; record (m,) its number from 1, and start (m,) [s]."""
+
+    ports: tuple[str, ...]
+    loads: np.ndarray
+    displacement: np.ndarray
+    displacement_deviation: np.ndarray
+    current: np.ndarray
+    current_deviation: np.ndarray
+    record: np.ndarray
+    start: np.ndarray
+
+
+def steady_levels(machine: Machine, records: Record | Sequence[Record], *, average: float = 0.5, drift: float = 0.01) -> Levels:
+    """Every stretch of the records in which no load f_<port> changes, averaged over its last ``average`` [s].
+
+    Stretches too short for that are left out. drift: the largest change of a signal's mean between both halves of the averaged
+    part, over the range of its means. Raises InvalidInput where nothing is loaded, no level is long enough, or a level is not
+    steady (its time and drift are named), and for records of another machine or operating point.
+    """
+    average = check_positive(average, "average", "give the seconds to average at the end of every level")
+    records = (records,) if isinstance(records, Record) else tuple(records)
+    _check_records(machine, records)
+    ports = tuple(dict.fromkeys(name[2:] for r in records for name in r.signals if _is_load(name) and r[name].any()))
+    if not ports:
+        raise InvalidInput("the records hold no load: no signal f_<port> differs from zero; record the force transducer as one")
+    size = max(float(np.ptp(record[f"f_{port}"])) for record in records for port in ports if f"f_{port}" in record.signals)
+    rows = []
+    for number, record in enumerate(records, 1):
+        loads = np.stack([record[f"f_{p}"] if f"f_{p}" in record.signals else np.zeros(len(record.time)) for p in ports])
+        y = np.stack([_signal(record, number, ("y",), axis) for axis in machine.axes])
+        i = np.stack([_signal(record, number, ("i", "u"), axis) for axis in machine.axes])
+        count = max(round(average * record.sample_rate_hz), 2 * _BATCHES)
+        for stop in _ends(loads, max(round(_BLOCK * record.sample_rate_hz), 1), _STEP * size, count):
+            part = slice(stop - count, stop)
+            rows.append((loads[:, part].mean(axis=1), _batches(y[:, part]), _batches(i[:, part]), number, record.time[part][0]))
+    if len(rows) < 2:
+        requirement = f"at least 2, each held for more than {average:g} s"
+        raise invalid("the number of levels", len(rows), requirement, "hold the loads longer, or average less")
+    loads, y, i = (np.array([row[k] for row in rows]) for k in range(3))
+    numbers, start = np.array([row[3] for row in rows]), np.array([row[4] for row in rows])
+    for kind, batches in (("y", y), ("i", i)):
+        _check_steady(machine, kind, batches, numbers, start, drift)
+    return Levels(ports, loads, y.mean(axis=2), _error(y), i.mean(axis=2), _error(i), numbers, start)
+
+
+def _is_load(name: str) -> bool:
+    return name.startswith("f_") and not name.startswith("f_magnet_")
+
+
+def _check_records(machine: Machine, records: tuple[Record, ...]) -> None:
+    if not records:
+        raise InvalidInput("no record was given; static loads need at least one")
+    for number, record in enumerate(records, 1):
+        if record.machine != machine.name:
+            remedy = "take that machine's file, or correct the record's attribute machine"
+            raise invalid(f"the machine of record {number}", repr(record.machine), repr(machine.name), remedy)
+        if replace(record.point, label="") != replace(records[0].point, label=""):
+            requirement = f"{records[0].point}, that of the first"
+            raise invalid(f"the operating point of record {number}", record.point, requirement, "treat each on its own")
+        outcome = dict(record.notes).get("outcome", "")
+        if outcome.startswith(("touchdown", "diverged", "not levitated")):
+            raise InvalidInput(f"in record {number} the rotor did not stay free ({outcome}); lower the loads and measure again")
+
+
+def _signal(record: Record, number: int, kinds: tuple[str, ...], axis: str) -> np.ndarray:
+    for kind in kinds:
+        if f"{kind}_{axis}" in record.signals:
+            return record[f"{kind}_{axis}"]
+    wanted = " or ".join(f"{kind}_{axis}" for kind in kinds)
+    raise InvalidInput(f"record {number} has no signal {wanted}; it has {', '.join(record.signals)}")
+
+
+def _ends(loads: np.ndarray, block: int, step: float, least: int) -> list[int]:
+    """Ends (sample numbers) of the stretches of at least ``least`` samples, and one block more, without a step in any load."""
+    k = loads.shape[1] // block
+    if k == 0:
+        return []
+    means = loads[:, : k * block].reshape(len(loads), k, block).mean(axis=2)
+    inside = np.ptp(loads[:, : k * block].reshape(len(loads), k, block), axis=2)
+    noise = np.median(inside, axis=1, keepdims=True)
+    moved = (np.abs(np.diff(means, axis=1)) > step).any(axis=0)
+    jumps = (inside > 3 * noise + step).any(axis=0)  # a step within the block
+    moving = jumps | np.concatenate([[False], moved]) | np.concatenate([moved, [False]])
+    found, begun = [], None
+    for j in range(k + 1):
+        still = j < k and not moving[j]
+        if still and begun is None:
+            begun = j
+        elif not still and begun is not None:
+            if (j - begun - 1) * block >= least:
+                found.append(j * block)
+            begun = None
+    return found
+
+
+def _batches(signals: np.ndarray) -> np.ndarray:
+    """Means (a, _BATCHES) of successive parts of signals (a, k)."""
+    length = signals.shape[1] // _BATCHES
+    return np.asarray(signals[:, -length * _BATCHES :].reshape(len(signals), _BATCHES, length).mean(axis=2))
+
+
+def _error(batches: np.ndarray) -> np.ndarray:
+    return np.asarray(batches.std(axis=2, ddof=1) / np.sqrt(_BATCHES))
+
+
+def _check_steady(
+    machine: Machine, kind: str, batches: np.ndarray, number: np.ndarray, start: np.ndarray, drift: float
+) -> None:
+    """Refuse levels at which both halves of the averaged part differ by more than chance and ``drift`` of the range."""
+    half = _BATCHES // 2
+    change = np.abs(batches[:, :, half:].mean(axis=2) - batches[:, :, :half].mean(axis=2))
+    ends = [batches[:, :, :half], batches[:, :, half:]]
+    chance = np.sqrt(sum(part.var(axis=2, ddof=1) for part in ends) / half)
+    scale = np.ptp(batches.mean(axis=2), axis=0).max()
+    if kind == "y":  # a held position has no range of its own: what matters is its share of the gap
+        gaps = [bearing.touchdown_gap or bearing.gap for bearing in machine.bearings]
+        scale = max(scale, 0.1 * min((gap for gap in gaps if gap is not None), default=0.0))
+    excess = change - np.maximum(drift * scale, _SURE * chance)
+    if (excess > 0).any():
+        level, axis = (int(place) for place in np.unravel_index(np.argmax(excess), excess.shape))
+        unit = "m" if kind == "y" else "A"
+        raise invalid(
+            f"{kind}_{machine.axes[axis]} at the level from {start[level]:.3g} s in record {number[level]}",
+            f"still drifting by {change[level, axis]:.2g} {unit} within the averaged time",
+            f"steady to {drift:.1%} of its range over the levels", "hold the loads longer, or raise the integral action",
+        )  # fmt: skip
