@@ -9,12 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ambrose.machine.seals import FREQUENCY_DEPENDENCE as FREQUENCY_DEPENDENCE  # noqa: PLC0414
+from ambrose.machine.seals import SEAL_AXES as SEAL_AXES  # noqa: PLC0414
+from ambrose.machine.seals import SEAL_COEFFICIENTS as SEAL_COEFFICIENTS  # noqa: PLC0414
+from ambrose.machine.seals import GasSealGeometry as GasSealGeometry  # noqa: PLC0414
+from ambrose.machine.seals import Seal as Seal  # noqa: PLC0414
+from ambrose.machine.seals import SealTable as SealTable  # noqa: PLC0414
+
 Pair = tuple[float, float]  # (zeta, eta)
 
 SCHEMA_VERSION = 1  # of the machine file
 BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
-SEAL_COEFFICIENTS = ("K", "k", "C", "c", "M")
-SEAL_AXES = ("pressure", "speed", "frequency")
 CONTROLLER_COORDINATES = ("axes", "tilt-translate")
 
 
@@ -194,37 +199,6 @@ class Coupling:
 
 
 @dataclass(frozen=True, slots=True)
-class SealTable:
-    """Seal coefficients on a grid: any of the axes pressure [Pa], speed [rad/s], frequency [rad/s], each ascending.
-
-    values: coefficient name -> array nested in the order of ``axes``.
-    """
-
-    axes: tuple[tuple[str, tuple[float, ...]], ...]
-    values: tuple[tuple[str, object], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Seal:
-    """An annular seal: f = -([[K, k], [-k, K]] x + [[C, c], [-c, C]] x' + M x''), k > 0 drives forward whirl.
-
-    position [m]; K, k [N/m], C, c [N s/m], M [kg] at ``reference_pressure`` [Pa]. ``scales_with_pressure`` names the
-    coefficients proportional to the pressure difference; the others stay. A ``table`` replaces the constants it lists.
-    """
-
-    name: str
-    position: float
-    K: float = 0.0
-    k: float = 0.0
-    C: float = 0.0
-    c: float = 0.0
-    M: float = 0.0
-    reference_pressure: float | None = None
-    scales_with_pressure: tuple[str, ...] = ()
-    table: SealTable | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Notch:
     """A notch filter: frequency [rad/s], damping of its poles and of its zeros [-]."""
 
@@ -260,7 +234,7 @@ class PidSettings:
 @dataclass(frozen=True, slots=True)
 class OperatingPoint:
     """speed [rad/s]; seal_pressure [Pa], the differential pressure of every seal; bias_current [A] (None: the machine's);
-    whirl_frequency [rad/s] at which frequency-dependent seal tables are read (None: the speed)."""
+    whirl_frequency [rad/s] at which frequency-dependent seals are read (None: the speed)."""
 
     speed: float = 0.0
     seal_pressure: float = 0.0

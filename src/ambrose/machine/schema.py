@@ -12,8 +12,9 @@ from pydantic_core import PydanticCustomError
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as nouns
-from ambrose.machine.fields import Choice, Choices, Count, ListOf, NestedOf, PairOf, Quantity, Text, Version
+from ambrose.machine.fields import Choice, Count, ListOf, PairOf, Quantity, Text, Version
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
+from ambrose.machine.schema_seals import SealEntry
 from ambrose.machine.table import (
     Angle,
     Current,
@@ -206,47 +207,6 @@ class CouplingTable(Table):
     angle: Angle = optional("angle of the axis zeta from the global x")
 
 
-class SealTableTable(Table):
-    """Coefficients over any of pressure, speed and frequency; a coefficient listed here replaces the seal's constant."""
-
-    axes: Annotated[tuple[str, ...], Choices(nouns.SEAL_AXES)] = optional(
-        "order of nesting; default: pressure, speed, frequency"
-    )
-    pressure: Annotated[tuple[float, ...], ListOf("pressure")] = optional("pressure axis, ascending")
-    speed: Annotated[tuple[float, ...], ListOf("angular rate")] = optional("spin speed axis, ascending")
-    frequency: Annotated[tuple[float, ...], ListOf("angular rate")] = optional("whirl frequency axis, ascending")
-    K: Annotated[Any, NestedOf("stiffness")] = optional("direct stiffness")
-    k: Annotated[Any, NestedOf("stiffness")] = optional("cross-coupled stiffness")
-    C: Annotated[Any, NestedOf("damping")] = optional("direct damping")
-    c: Annotated[Any, NestedOf("damping")] = optional("cross-coupled damping")
-    M: Annotated[Any, NestedOf("mass")] = optional("added mass")
-
-    def build(self) -> nouns.SealTable:
-        given = self.given()
-        order = given.get("axes", nouns.SEAL_AXES)
-        axes = tuple((axis, given[axis]) for axis in order if axis in given)
-        rest = tuple((axis, given[axis]) for axis in nouns.SEAL_AXES if axis in given and axis not in order)
-        return nouns.SealTable(axes + rest, tuple((c, given[c]) for c in nouns.SEAL_COEFFICIENTS if c in given))
-
-
-class SealEntry(Table):
-    """An annular seal; f = -([[K, k], [-k, K]] x + [[C, c], [-c, C]] x' + M x'')."""
-
-    noun = nouns.Seal
-    name: Name = required("name, different from all other attachments")
-    position: Length = required("axial position, from the left end")
-    K: Stiffness = optional("direct stiffness")
-    k: Stiffness = optional("cross-coupled stiffness, positive where it drives forward whirl")
-    C: Damping = optional("direct damping")
-    c: Damping = optional("cross-coupled damping")
-    M: Mass = optional("added mass")
-    reference_pressure: Pressure = optional("differential pressure at which the coefficients hold")
-    scales_with_pressure: Annotated[tuple[str, ...], Choices(nouns.SEAL_COEFFICIENTS)] = optional(
-        "coefficients proportional to the pressure; the others stay"
-    )
-    table: SealTableTable = optional("coefficients over pressure, speed, frequency")
-
-
 class NotchTable(Table):
     """A notch filter (s^2 + 2 zero_damping w s + w^2)/(s^2 + 2 pole_damping w s + w^2)."""
 
@@ -290,7 +250,7 @@ class PointTable(Table):
     speed: Rate = optional("spin speed")
     seal_pressure: Pressure = optional("differential pressure of every seal")
     bias_current: Current = optional("bias current; default: that of each bearing")
-    whirl_frequency: Rate = optional("frequency at which seal tables are read; default: the speed")
+    whirl_frequency: Rate = optional("frequency at which frequency-dependent seals are read; default: the speed")
 
 
 class OperationTable(Table):

@@ -24,8 +24,8 @@ _LONGEST_UNIT = 40
 class Dimension:
     """What a number measures: the SI unit it is stored in, an example as written in a file, and its everyday units.
 
-    ``units`` maps a unit to its factor to SI: a decimal number, followed by "pi" where pi is a factor. A closed dimension
-    takes these units only: ratio and angle are both "dimensionless" to pint, which would mix them up.
+    ``units`` maps a unit to its factor to SI: a decimal number, followed by "pi" where pi is a factor, or by "+" and what is
+    added. A closed dimension takes these units only: ratio and angle are both "dimensionless" to pint, which would mix them up.
     """
 
     name: str
@@ -82,6 +82,9 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("velocity", "m/s", "2.5 mm/s", "m/s=1,mm/s=1e-3"),
         _dimension("compliance", "m/N", "0.1 um/N", "m/N=1,mm/N=1e-3,um/N=1e-6"),
         _dimension("current per displacement", "A/m", "18 A/mm", "A/m=1,A/mm=1e3,A/um=1e6"),
+        _dimension("temperature", "K", "17.4 degC", "K=1,degC=1 +273.15,°C=1 +273.15", closed=True),
+        _dimension("specific gas constant", "J/(kg K)", "287.05 J/(kg K)", "J/(kg K)=1,kJ/(kg K)=1e3"),
+        _dimension("viscosity", "Pa s", "18 uPa s", "Pa s=1,mPa s=1e-3,uPa s=1e-6"),
         _dimension("ratio", "-", "40 %", "%=1e-2", closed=True),
         _dimension("plain number", "-", "", "", closed=True),
     )
@@ -120,8 +123,10 @@ def _read_text(text: str, dimension: Dimension) -> float:
         raise ValueError(f"is {shown(text)}, a string without a unit; {dimension.remedy}")
     factor = dimension.units.get(unit)
     if factor is not None:
-        rational, _, pi = factor.partition(" ")
-        return _as_float(Fraction(digits) * Fraction(rational)) * (math.pi if pi else 1.0)
+        rational, _, more = factor.partition(" ")
+        if more.startswith("+"):
+            return _as_float(Fraction(digits) * Fraction(rational) + Fraction(more[1:]))
+        return _as_float(Fraction(digits) * Fraction(rational)) * (math.pi if more else 1.0)
     try:
         return float(digits) * _factor_by_pint(unit, dimension.name)
     except LookupError as error:

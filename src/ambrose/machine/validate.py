@@ -15,6 +15,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import validate_parts as parts
+from ambrose.machine import validate_seals
 from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, Machine, PidSettings
 from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.wording import complaint, listed, not_positive, number, shown
@@ -44,7 +45,7 @@ def problems(machine: Machine) -> tuple[str, ...]:
     """Everything that is wrong with a machine, one line each; numbers that are not finite hide all else."""
     checks = (
         *(_whole, parts.shaft, _names, _places, parts.discs, parts.bearings, parts.sensors, parts.amplifier, parts.couplings),
-        *(parts.seals, _controller, _operation, _tolerances, _requirements, _weights),
+        *(validate_seals.seals, _controller, _operation, _tolerances, _requirements, _weights),
     )
     return tuple(_not_finite(machine, "")) or tuple(line for check in checks for line in check(machine))
 

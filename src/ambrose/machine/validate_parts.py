@@ -1,20 +1,13 @@
-"""What the parts of a machine must fulfil: shaft, discs, bearings, sensors, amplifier, couplings, seals, each on its own."""
+"""What the parts of a machine must fulfil: shaft, discs, bearings, sensors, amplifier, couplings, each on its own."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
-
-import numpy as np
 
 from ambrose.machine.description import (
-    SEAL_AXES,
-    SEAL_COEFFICIENTS,
     Machine,
     MagneticBearing,
-    Seal,
-    SealTable,
     ShaftSection,
 )
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
@@ -241,55 +234,3 @@ def couplings(machine: Machine) -> Iterator[str]:
     for coupling in machine.couplings:
         pairs = (*pair_entries("stiffness", coupling.stiffness, "N/m"), *pair_entries("damping", coupling.damping, "N s/m"))
         yield from not_positive(f"[[coupling]] {coupling.name}", "a passive coupling holds back", *pairs, zero=True)
-
-
-def seals(machine: Machine) -> Iterator[str]:
-    for seal in machine.seals:
-        where = f"[[seal]] {seal.name}"
-        yield from not_positive(where, "give a pressure difference", ("reference_pressure", seal.reference_pressure, "Pa"))
-        scaled = seal.scales_with_pressure
-        for coefficient in scaled:
-            if coefficient not in SEAL_COEFFICIENTS:
-                unknown = suggestion(coefficient, SEAL_COEFFICIENTS)
-                yield f'{where}: scales_with_pressure names the unknown coefficient "{coefficient}"; {unknown}'
-        if len(set(scaled)) < len(scaled):
-            yield f"{where}: scales_with_pressure names a coefficient twice, {', '.join(scaled)}; name each once"
-        if scaled and seal.reference_pressure is None:
-            yield f'{where}: reference_pressure is missing; scales_with_pressure needs it, such as "2.04 bar"'
-        if seal.table is not None:
-            yield from _seal_table(f"{where}, [seal.table]", seal, seal.table)
-
-
-def _seal_table(where: str, seal: Seal, table: SealTable) -> Iterator[str]:
-    axes, values = dict(table.axes), dict(table.values)
-    if not axes or len(axes) < len(table.axes):
-        yield f"{where}: axes are missing or repeated; give one list for each of pressure, speed or frequency that matters"
-    if not values:
-        yield f"{where}: it lists no coefficient; give any of {', '.join(SEAL_COEFFICIENTS)} as lists over the axes"
-    for axis, grid in axes.items():
-        if axis not in SEAL_AXES:
-            yield f'{where}: axis "{axis}" is unknown; {suggestion(axis, SEAL_AXES)}'
-        if len(grid) == 0 or any(b <= a for a, b in pairwise(grid)):
-            yield complaint(where, axis, shown(list(grid)), "ascending, with at least one value", "sort the table along it")
-    size = tuple(len(grid) for grid in axes.values())
-    for name, array in values.items():
-        if name not in SEAL_COEFFICIENTS:
-            yield f'{where}: coefficient "{name}" is unknown; {suggestion(name, SEAL_COEFFICIENTS)}'
-            continue
-        yield from _table_size(where, name, array, tuple(axes), size)
-        if getattr(seal, name) != 0:
-            yield f"{where}: {name} is {getattr(seal, name):g} in [[seal]] {seal.name} as well; keep the constant or the table"
-        if "pressure" in axes and name in seal.scales_with_pressure:
-            yield f"{where}: {name} is given over pressure and named in scales_with_pressure; keep one of the two"
-
-
-def _table_size(where: str, name: str, array: object, axes: tuple[str, ...], size: tuple[int, ...]) -> Iterator[str]:
-    try:
-        actual = np.asarray(array, dtype=float).shape
-    except (TypeError, ValueError):
-        yield f"{where}: {name} is ragged; make all its inner lists equally long, nested in the order {', '.join(axes)}"
-        return
-    if actual != size:
-        wanted = f"{' x '.join(map(str, size))} ({' x '.join(axes)})"
-        remedy = "nest the lists in the order of the axes, one number per point"
-        yield complaint(where, f"the size of {name}", " x ".join(map(str, actual)), wanted, remedy)

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
-from ambrose.machine.description import Seal, SealTable
+from ambrose.machine.seals import Seal, SealTable
+from ambrose.physics.gas_seal import gas_coefficients
 
 _UNITS = {"pressure": "Pa", "speed": "rad/s", "frequency": "rad/s"}
 
@@ -30,9 +31,10 @@ class SealCoefficients:
 def coefficients(seal: Seal, pressure: float = 0.0, speed: float = 0.0, frequency: float | None = None) -> SealCoefficients:
     """The coefficients at a differential pressure [Pa], spin speed [rad/s] and whirl frequency [rad/s] (None: the speed).
 
-    Constants first; a table replaces those it lists, by linear interpolation over its axes; then those that
-    ``scales_with_pressure`` names are multiplied by pressure/reference_pressure. Raises InvalidInput outside the table (nothing
-    is extrapolated) and for a negative pressure.
+    Constants first; a table replaces those it lists, by linear interpolation over its axes; a geometry replaces K, k, C and c
+    by those of its bulk flow; then those that ``scales_with_pressure`` names are multiplied by pressure/reference_pressure.
+    Raises InvalidInput outside the table (nothing is extrapolated), above a geometry's highest frequency, for a flow that
+    chokes, and for a negative pressure.
     """
     remedy = "give the pressure drop across the seal, not an absolute or negative pressure"
     pressure = check_positive(pressure, f"the pressure [Pa] of seal {seal.name}", remedy, zero_allowed=True)
@@ -40,6 +42,8 @@ def coefficients(seal: Seal, pressure: float = 0.0, speed: float = 0.0, frequenc
     result = SealCoefficients(seal.K, seal.k, seal.C, seal.c, seal.M)
     if seal.table is not None:
         result = replace(result, **_interpolated(seal.name, seal.table, point))
+    if seal.geometry is not None:
+        result = replace(result, **gas_coefficients(seal, pressure, speed, point["frequency"]))
     if not seal.scales_with_pressure:
         return result
     remedy = "give the pressure [Pa] at which its coefficients hold"
