@@ -35,8 +35,8 @@ def test_equal_and_opposite_excitations_are_one():
     wave, other = np.random.default_rng(0).standard_normal((2, 20))
     e = np.stack([wave, 0 * wave, -wave, other])
     signals, mix = distinct(e)
-    assert signals.shape == (2, 20)
-    np.testing.assert_array_equal(mix @ signals, e)
+    assert len(signals) == 2
+    np.testing.assert_array_equal(mix @ np.stack(signals), e)
 
 
 def test_sandwich_knows_the_colour():

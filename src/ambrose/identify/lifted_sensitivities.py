@@ -1,74 +1,122 @@
-"""Outputs and all their parameter derivatives of a sampled loop at once, in blocks.
+"""Outputs and all their parameter derivatives of a sampled loop at once, in blocks and in pieces of a record.
 
 The same sums as core/response.py's simulate_derivative, which is the oracle in the tests. There every parameter is a system of
-twice the size; here all share the loop's own lifted matrices (Chen & Francis 1995, ch. 8) and one sequential pass.
+twice the size; here all share the loop's own lifted matrices (Chen & Francis 1995, ch. 8) and one sequential pass, and only a
+piece of the record is held at a time. No eigenvectors are formed: this is the exact way that never fails.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 
+_BLOCK = 32  # samples of a block
+_PIECE = 128  # blocks held at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lifted:
+    """A sampled loop without feedthrough, and its q derivatives, over blocks of L samples.
+
+    With X the states at the starts of the blocks and S_j their derivatives: X+ = P X + R u, S_j+ = P S_j + dP_j X + dR_j u;
+    y = O X + T u, dy_j = O S_j + dO_j X + dT_j u. Transposed, for rows of signals: power (n, n) = P'; pushed (mL, n) = R';
+    forced (n + mL, qn) of dP and dR; shown (n, pL) = O'; maps (1 + q, n + mL, pL) of O and T, then of dO_j and dT_j.
+    """
+
+    power: np.ndarray
+    pushed: np.ndarray
+    forced: np.ndarray
+    shown: np.ndarray
+    maps: np.ndarray
+    outputs: int
+
+
+def lift(system: StateSpace, directions: Sequence[SystemDerivative], length: int = _BLOCK) -> Lifted:
+    """The lifted loop over blocks of ``length`` samples; C and D = 0 do not depend on the parameters."""
+    A, B, C = system.A, system.B, system.C
+    (p, n), m, L, q = C.shape, B.shape[1], length, len(directions)
+    dA = np.stack([d.A for d in directions]) if q else np.zeros((0, n, n))
+    dB = np.stack([d.B for d in directions]) if q else np.zeros((0, n, m))
+    O_, dO = np.empty((L, p, n)), np.empty((L, q, p, n))
+    R, dR = np.empty((L, n, m)), np.empty((L, q, n, m))
+    O_[0], dO[0], R[0], dR[0] = C, 0.0, B, dB
+    P, dP = A, dA
+    for i in range(1, L):  # C A^i, A^i B, A^i and their derivatives
+        O_[i], dO[i] = O_[i - 1] @ A, dO[i - 1] @ A + O_[i - 1] @ dA
+        R[i], dR[i] = A @ R[i - 1], A @ dR[i - 1] + dA @ R[i - 1]
+        P, dP = A @ P, A @ dP + dA @ P
+    by_state = dP.transpose(2, 0, 1).reshape(n, q * n)
+    by_input = dR[::-1].transpose(3, 0, 1, 2).reshape(m * L, q * n)
+    h = np.concatenate([(O_ @ B)[:, None], dO @ B + O_[:, None] @ dB], axis=1)  # (L, 1 + q, p, m): one sample later
+    maps = np.empty((1 + q, n + m * L, p * L))
+    maps[0, :n] = shown = O_.transpose(2, 1, 0).reshape(n, p * L)
+    maps[1:, :n] = dO.transpose(1, 3, 2, 0).reshape(q, n, p * L)
+    maps[:, n:] = _toeplitz(h).reshape(1 + q, m * L, p * L)
+    pushed = R[::-1].transpose(2, 0, 1).reshape(m * L, n)
+    return Lifted(np.ascontiguousarray(P.T), pushed, np.vstack([by_state, by_input]), shown, maps, p)
+
+
+def stream(
+    lifted: Lifted, u: Sequence[np.ndarray], x0: np.ndarray, dx0: np.ndarray | None = None, piece: int = _PIECE
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Pieces of the record, one after the other: the first sample, and outputs and derivatives F (1 + q, blocks, p, L).
+
+    u: m signals (k,), held between the samples; x0 (n,) the first state and dx0 (q, n) its derivatives (None: none); piece:
+    blocks at a time. The last block goes on past the end of the record with the input zero.
+    """
+    n, (q1, width, pL) = len(x0), lifted.maps.shape
+    p, q, k = lifted.outputs, q1 - 1, len(u[0])
+    L = pL // p
+    x, s = x0, np.zeros((q, n)) if dx0 is None else dx0
+    PT = lifted.power
+    for start in range(0, k, piece * L):
+        stop = min(start + piece * L, k)
+        count = -(-(stop - start) // L)
+        XU = np.zeros((count, width))
+        for i, signal in enumerate(u):
+            XU[:, n + i * L : n + (i + 1) * L] = blocks(signal[start:stop], L)
+        driven = XU[:, n:] @ lifted.pushed
+        for b in range(count):
+            XU[b, :n] = x
+            x = x @ PT + driven[b]
+        F = np.matmul(XU, lifted.maps)
+        if q:
+            forced = (XU @ lifted.forced).reshape(count, q, n)
+            S = np.empty((q, count, n))
+            for b in range(count):
+                S[:, b] = s
+                s = s @ PT + forced[b]
+            F[1:] += S @ lifted.shown
+        yield start, F.reshape(1 + q, count, p, L)
+
+
+def blocks(signal: np.ndarray, length: int) -> np.ndarray:
+    """A signal (k,) in rows (count, length), the last one filled up with zeros."""
+    count = -(-len(signal) // length)
+    if count * length == len(signal):
+        return signal.reshape(count, length)
+    padded = np.zeros(count * length)
+    padded[: len(signal)] = signal
+    return padded.reshape(count, length)
+
 
 def lifted_sensitivities(
     system: StateSpace, directions: Sequence[SystemDerivative], u: np.ndarray, x0: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """y (p, k) and dy (q, p, k) of a stable sampled system without feedthrough, whose C does not change.
-
-    u (m, k); x0 (n,), not depending on the parameters. With X the states at the starts of the blocks of L samples, and S_j
-    their derivatives: X+ = P X + R u, S_j+ = P S_j + dP_j X + dR_j u; y = O X + T u, dy_j = O S_j + dO_j X + dT_j u.
-    """
-    A, B, C = system.A, system.B, system.C
-    (p, n), m, k, q = C.shape, B.shape[1], u.shape[1], len(directions)
-    L = 64 if m == 1 else 32
-    dA, dB = np.stack([d.A for d in directions]), np.stack([d.B for d in directions])
-    count = -(-k // L)
-    blocks = np.zeros((m, count * L))
-    blocks[:, :k] = u
-    blocks = np.ascontiguousarray(blocks.reshape(m, count, L).transpose(1, 0, 2)).reshape(count, m * L)
-
-    Ob, dO = np.empty((L, p, n)), np.empty((L, q, p, n))
-    R, dR = np.empty((L, n, m)), np.empty((L, q, n, m))
-    Ob[0], dO[0], R[0], dR[0] = C, 0.0, B, dB
-    P, dP = A, dA
-    for i in range(1, L):  # C A^i, A^i B, A^i and their derivatives
-        Ob[i], dO[i] = Ob[i - 1] @ A, dO[i - 1] @ A + Ob[i - 1] @ dA
-        R[i], dR[i] = A @ R[i - 1], A @ dR[i - 1] + dA @ R[i - 1]
-        P, dP = A @ P, A @ dP + dA @ P
-
-    X = np.empty((count, n))
-    S = np.zeros((count, q, n))
-    pushed = blocks @ R[::-1].transpose(2, 0, 1).reshape(m * L, n)
-    x = x0
-    for b in range(count):
-        X[b] = x
-        x = P @ x + pushed[b]
-    by_state = dP.transpose(2, 0, 1).reshape(n, q * n)
-    by_input = dR[::-1].transpose(3, 0, 1, 2).reshape(m * L, q * n)
-    forced = (X @ by_state + blocks @ by_input).reshape(count, q, n)
-    s, PT = np.zeros((q, n)), np.ascontiguousarray(P.T)
-    for b in range(count):
-        S[b] = s
-        s = s @ PT + forced[b]
-
-    h, dh = Ob @ B, dO @ B + Ob[:, None] @ dB  # (L, p, m), (L, q, p, m): the response one sample later
-    shown = Ob.transpose(2, 1, 0).reshape(n, p * L)
-    y = X @ shown + blocks @ _toeplitz(h[:, None]).reshape(m * L, p * L)
-    dy = (X @ dO.transpose(3, 1, 2, 0).reshape(n, q * p * L)).reshape(count * q, p * L)
-    dy += S.reshape(count * q, n) @ shown
-    dy += (blocks @ _toeplitz(dh).reshape(m * L, q * p * L)).reshape(count * q, p * L)
-    y = y.reshape(count, p, L).transpose(1, 0, 2).reshape(p, count * L)[:, :k]
-    dy = dy.reshape(count, q, p, L).transpose(1, 2, 0, 3).reshape(q, p, count * L)[:, :, :k]
-    return y, dy
+    """y (p, k) and dy (q, p, k) of a whole record u (m, k), from the state x0 (n,), which the parameters do not change."""
+    pieces = [F.transpose(0, 2, 1, 3).reshape(len(F), F.shape[2], -1) for _, F in stream(lift(system, directions), list(u), x0)]
+    F = np.concatenate(pieces, axis=2)[:, :, : u.shape[1]]
+    return F[0], F[1:]
 
 
 def _toeplitz(h: np.ndarray) -> np.ndarray:
-    """(m, L, q, p, L): what an input at sample s of a block does at sample t > s, h (L, q, p, m)[t - s - 1]."""
+    """(c, m, L, p, L): what an input at sample s of a block does at sample t > s, h (L, c, p, m)[t - s - 1]."""
     L = len(h)
     padded = np.concatenate([np.zeros((1, *h.shape[1:])), h])
     lag = np.maximum(np.arange(L)[None] - np.arange(L)[:, None], 0)  # (s, t); 0 picks the zeros
-    return padded[lag].transpose(4, 0, 2, 3, 1)
+    return padded[lag].transpose(2, 4, 0, 3, 1)

@@ -1,36 +1,66 @@
 """The output error of one record: residual, normal equations and scores, with initial state and offsets eliminated.
 
 Both enter linearly, y = y(theta, u) + O(theta) x0 + b, O = [C; C A; C A^2; ...], so they are eliminated at every theta
-(variable projection, Golub & Pereyra 1973, in Kaufman's form): what is left is a problem in
-theta alone. O is never formed for the whole record: O'O follows from doubling, O' times a signal from blocks.
+(variable projection, Golub & Pereyra 1973, in Kaufman's form): what is left is a problem in theta alone. O is never formed for
+the whole record: O'O follows from doubling, O' times a signal from blocks. Records are only looked at in pieces: the memory
+does not grow with their length.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.core.response import SystemDerivative, simulate
+from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identify.gauss_newton import Linearised
-from ambrose.identify.lifted_sensitivities import lifted_sensitivities
+from ambrose.identify.lifted_sensitivities import Lifted, blocks, lift, stream
 
 _INVISIBLE = 1e-12  # directions of the initial state seen weaker than this (squared) are left at zero
 _BLIND = 1e-9  # part of a parameter's effect (squared) that must remain beside them
-_BLOCK = 64  # samples
+_LONG_PIECE = 384  # blocks at a time where pieces are compared with each other: 12,288 samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """A record: excitation mix e of the distinct signals e (r, k), mix (m, r); measured signals over their weights y (p, k);
-    what else is estimated."""
+    """A record: the r distinct excitations e, each (k,), and mix (m, r) of them; the p measured signals y, each (k,), and what
+    else is estimated. unit (p,): what y is still to be divided by to stand over its weights (None: it does already). place:
+    which of several models made the record. e and y may be views of the record: they are only looked at."""
 
-    e: np.ndarray
+    e: Sequence[np.ndarray] | np.ndarray
     mix: np.ndarray
-    y: np.ndarray
+    y: Sequence[np.ndarray] | np.ndarray
     initial_state: bool
     offset: bool
+    unit: np.ndarray | None = None
+    place: int = 0
+
+    @property
+    def samples(self) -> int:
+        return len(self.y[0])
+
+    def measured(self, i: int, start: int, stop: int) -> np.ndarray:
+        """Samples of the measured signal number i over its weight."""
+        part = np.asarray(self.y[i][start:stop])
+        return part if self.unit is None else part / self.unit[i]
+
+    def first(self, samples: int) -> Task:
+        """The same record, ended after ``samples``."""
+        return replace(self, e=[x[:samples] for x in self.e], y=[x[:samples] for x in self.y])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """The normal equations of a record at one theta, with the initial state x0 (n,) and the offsets b (p,) over the weights
+    that fit best, and how they would follow a parameter: dx0 (q, n), db (q, p)."""
+
+    equations: Linearised
+    x0: np.ndarray
+    b: np.ndarray
+    dx0: np.ndarray
+    db: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,25 +70,28 @@ class Fit:
     residual: np.ndarray
     x0: np.ndarray
     b: np.ndarray
-    basis: np.ndarray  # (n + p, r): [O, 1] basis has orthonormal columns, which span all that x0 and b can explain
 
 
-def distinct(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signals (r, k) and mix (m, r) with e (m, k) = mix signals: equal, opposite and absent excitations are simulated once."""
+def distinct(e: Sequence[np.ndarray]) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """The r signals (k,) and mix (m, r) with e (m, k) = mix signals: equal, opposite and absent excitations are taken once."""
     rows: list[np.ndarray] = []
     mix = np.zeros((len(e), len(e)))
     for i, row in enumerate(e):
         if not row.any():
             continue
         for j, other in enumerate(rows):
-            sign = next((s for s in (1.0, -1.0) if np.array_equal(row, s * other)), 0.0)
+            sign = next((s for s in (1.0, -1.0) if _same(row, s, other)), 0.0)
             if sign:
                 mix[i, j] = sign
                 break
         else:
             mix[i, len(rows)] = 1.0
             rows.append(row)
-    return np.stack(rows), mix[:, : len(rows)]
+    return tuple(rows), mix[:, : len(rows)]
+
+
+def _same(one: np.ndarray, sign: float, other: np.ndarray, piece: int = 8192) -> bool:
+    return all(np.array_equal(one[i : i + piece], sign * other[i : i + piece]) for i in range(0, len(one), piece))
 
 
 def _driven(system: StateSpace, directions: list[SystemDerivative], task: Task) -> tuple[StateSpace, list[SystemDerivative]]:
@@ -68,50 +101,110 @@ def _driven(system: StateSpace, directions: list[SystemDerivative], task: Task) 
 
 
 def fit(system: StateSpace, task: Task) -> Fit:
-    """The residual with the best initial state and offsets; ``system`` from the distinct signals to outputs over weights."""
+    """The residual of a whole record with the best initial state and offsets; ``system`` from the task's signals e to its
+    outputs over their weights."""
+    task = replace(task, mix=np.eye(len(task.e)))
+    p = len(system.outputs)
+    best = normal_equations(system, [], task)
+    residual = np.concatenate([piece[:p] for piece in residual_pieces(system, task, best)], axis=1)
+    return Fit(residual, best.x0, best.b)
+
+
+def normal_equations(system: StateSpace, directions: list[SystemDerivative], task: Task) -> Estimate:
+    """r'r, J'J and J'r of the record for theta alone; ``system`` from all excitations to outputs over their weights.
+
+    Two passes: the first finds initial state and offsets, on which the derivatives depend.
+    """
+    system, directions = _driven(system, directions, task)
     n, p = system.n_states, len(system.outputs)
-    free = task.y - simulate(system, task.e)
-    if not (task.initial_state or task.offset):
-        return Fit(free, np.zeros(n), np.zeros(p), np.zeros((n + p, 0)))
     basis = _nuisance_basis(system, task)
-    found = basis @ (basis.T @ _nuisance_times(system, free[None])[:, 0])
-    x0, b = found[:n], found[n:]
-    return Fit(free - _free_response(system, x0, free.shape[1]) - b[:, None], x0, b, basis)
-
-
-def normal_equations(system: StateSpace, directions: list[SystemDerivative], task: Task) -> Linearised:
-    """r'r, J'J and J'r of the record for theta alone; ``system`` with its outputs over their weights."""
-    system, directions = _driven(system, directions, task)
-    at = fit(system, task)
-    _, J = lifted_sensitivities(system, directions, task.e, at.x0)
-    flat = J.reshape(len(J), -1)
-    M = at.basis.T @ _nuisance_times(system, J) if at.basis.size else np.zeros((0, len(J)))
-    full = flat @ flat.T
-    H, g = full - M.T @ M, flat @ at.residual.ravel()
-    blind = np.diag(H) <= _BLIND * np.diag(full)  # what is left is rounding: initial state and offsets explain it all
+    x0, b = np.zeros(n), np.zeros(p)
+    if basis.size:
+        _, N = _products(lift(system, []), system.A, task, x0, b, with_nuisance=True)
+        best = basis @ (basis.T @ N[:, 0])
+        x0, b = best[:n], best[n:]
+    G, N = _products(lift(system, directions), system.A, task, x0, b, with_nuisance=bool(basis.size))
+    M = basis.T @ N
+    found = (basis @ M).T
+    H, g = G[1:, 1:] - M[:, 1:].T @ M[:, 1:], G[1:, 0]
+    blind = np.diag(H) <= _BLIND * np.diag(G)[1:]  # what is left is rounding: initial state and offsets explain it all
     H[blind], H[:, blind], g[blind] = 0.0, 0.0, 0.0
-    return Linearised(float(np.vdot(at.residual, at.residual)), H, g)
+    return Estimate(Linearised(float(G[0, 0]), H, g), x0, b, -found[1:, :n], -found[1:, n:])
 
 
-def projected_jacobian(system: StateSpace, directions: list[SystemDerivative], task: Task) -> tuple[Fit, np.ndarray]:
-    """The fit and J (q, p, k) without the part that initial state and offsets could explain."""
-    system, directions = _driven(system, directions, task)
-    at = fit(system, task)
-    _, J = lifted_sensitivities(system, directions, task.e, at.x0)
-    if at.basis.size:
-        n = system.n_states
-        for j, found in enumerate((at.basis @ (at.basis.T @ _nuisance_times(system, J))).T):
-            J[j] -= _free_response(system, found[:n], J.shape[2]) + found[n:, None]
-    return at, J
+def _products(
+    lifted: Lifted, A: np.ndarray, task: Task, x0: np.ndarray, b: np.ndarray, with_nuisance: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """F F' (1 + q, 1 + q) and [O, 1]' F' (n + p, 1 + q) of F = [r, J], summed over the record."""
+    n, p, q1 = len(A), len(task.y), len(lifted.maps)
+    G, N = np.zeros((q1, q1)), np.zeros((q1, n + p))
+    powers, ahead = np.zeros((0, n, n)), np.eye(n)
+    for start, F in stream(lifted, list(task.e), x0):
+        _measured_less(F, task, start, b)
+        flat = F.reshape(q1, -1)
+        G += flat @ flat.T
+        if not with_nuisance:
+            continue
+        count = F.shape[1]
+        if count > len(powers):
+            powers = _powers(lifted.power.T, count + 1)
+        N[:, n:] += F.sum(axis=(1, 3))
+        seen = (F.reshape(q1, count, -1) @ lifted.shown.T).reshape(q1, count * n)
+        N[:, :n] += seen @ powers[:count].reshape(count * n, n) @ ahead
+        ahead = powers[count] @ ahead
+    return G, N.T
 
 
-def _free_response(system: StateSpace, x0: np.ndarray, k: int) -> np.ndarray:
-    return simulate(system, np.zeros((len(system.inputs), k)), x0=x0)
+def _measured_less(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> None:
+    """Turn the simulated outputs F[0] (count, p, L) of a piece into the residual; nothing counts past the record's end."""
+    _, count, _, L = F.shape
+    stop = min(start + count * L, task.samples)
+    for i in range(len(task.y)):
+        F[0, :, i] = blocks(task.measured(i, start, stop), L) - F[0, :, i] - b[i]
+    rest = count * L - (stop - start)
+    if rest:
+        F[:, -1, :, L - rest :] = 0.0
+
+
+def residual_pieces(system: StateSpace, task: Task, found: Estimate) -> Iterator[np.ndarray]:
+    """The residual over the weights and below it the distinct excitations, (p + r, length) piece by piece."""
+    loop, _ = _driven(system, [], task)
+    for start, F in stream(lift(loop, []), list(task.e), found.x0, None, _LONG_PIECE):
+        _measured_less(F, task, start, found.b)
+        stop = min(start + F.shape[1] * F.shape[3], task.samples)
+        yield np.vstack([_in_time(F, stop - start)[0], *(e[None, start:stop] for e in task.e)])
+
+
+def jacobian_pieces(
+    system: StateSpace, directions: list[SystemDerivative], task: Task, found: Estimate
+) -> Iterator[np.ndarray]:
+    """J (q, p, length) piece by piece, without the part that initial state and offsets could explain."""
+    loop, directions = _driven(system, directions, task)
+    for start, F in stream(lift(loop, directions), list(task.e), found.x0, found.dx0, _LONG_PIECE):
+        yield _in_time(F[1:], min(F.shape[1] * F.shape[3], task.samples - start)) + found.db[:, :, None]
+
+
+def _in_time(F: np.ndarray, length: int) -> np.ndarray:
+    """(c, count, p, L) as (c, p, length)."""
+    c, count, p, L = F.shape
+    return F.transpose(0, 2, 1, 3).reshape(c, p, count * L)[:, :, :length]
+
+
+def _powers(P: np.ndarray, count: int) -> np.ndarray:
+    """I, P, P^2, ... (count, n, n)."""
+    powers = np.empty((count, *P.shape))
+    powers[0] = np.eye(len(P))
+    for i in range(1, count):
+        powers[i] = powers[i - 1] @ P
+    return powers
 
 
 def _nuisance_basis(system: StateSpace, task: Task) -> np.ndarray:
-    """The basis (n + p, r) of Fit; rows of what is not estimated are zero."""
-    n, p, k = system.n_states, len(system.outputs), task.y.shape[1]
+    """(n + p, r) such that [O, 1] basis has orthonormal columns, which span all that x0 and b can explain; rows of what is not
+    estimated are zero."""
+    n, p, k = system.n_states, len(system.outputs), task.samples
+    if not (task.initial_state or task.offset):
+        return np.zeros((n + p, 0))
     Q, F, _ = _sums(system.A, system.C, k)
     G = np.block([[Q, F], [F.T, k * np.eye(p)]])
     used = np.r_[np.full(n, task.initial_state), np.full(p, task.offset)] & (np.diag(G) > 0)
@@ -129,22 +222,3 @@ def _sums(A: np.ndarray, C: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray,
     Q, F, P = _sums(A, C, k // 2)
     Q, F, P = Q + P.T @ Q @ P, F + P.T @ F, P @ P
     return (Q + P.T @ C.T @ C @ P, F + P.T @ C.T, P @ A) if k % 2 else (Q, F, P)
-
-
-def _nuisance_times(system: StateSpace, signals: np.ndarray) -> np.ndarray:
-    """[O, 1]' times signals (c, p, k): (n + p, c)."""
-    c, p, k = signals.shape
-    n, L = system.n_states, min(_BLOCK, k)
-    rows, power = [system.C], system.A
-    for _ in range(L - 1):
-        rows.append(rows[-1] @ system.A)
-    power = np.linalg.matrix_power(system.A, L)
-    O_L = np.concatenate(rows).reshape(L, p, n).transpose(1, 0, 2).reshape(p * L, n)
-    count = -(-k // L)
-    padded = np.zeros((c, p, count * L))
-    padded[:, :, :k] = signals
-    blocks = padded.reshape(c, p, count, L).transpose(2, 0, 1, 3).reshape(count, c, p * L) @ O_L
-    z = np.zeros((c, n))
-    for block in blocks[::-1]:
-        z = block + z @ power
-    return np.vstack([z.T, signals.sum(axis=2).T])

@@ -41,7 +41,8 @@ class LoopModel:
     B_theta (q, n, a + m).
 
     Inputs: the ``a`` commands u_<axis>, then the ``m`` excitations; outputs: y_<axis> (a), then the plant's part of ``signals``
-    (i_, y_). ``controller``: sampled, delay included, from err_<axis> to u_<axis>.
+    (i_, y_). ``controller``: sampled, delay included, from err_<axis> to u_<axis>. factor (q,): theta is given for a reference
+    point; at this one the parameters are factor * theta, and so they are in theta0.
     """
 
     theta0: np.ndarray
@@ -53,14 +54,15 @@ class LoopModel:
     controller: StateSpace
     excitations: tuple[str, ...]
     signals: tuple[str, ...]
+    factor: np.ndarray
 
     def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
         """The sampled loop from ``excitations`` to ``signals`` at theta (q,), and its derivative for each parameter."""
-        step = theta - self.theta0
+        step = self.factor * theta - self.theta0
         A, B = self.A + np.tensordot(step, self.A_theta, 1), self.B + np.tensordot(step, self.B_theta, 1)
-        K = self.controller
+        K, scaled = self.controller, self.factor[:, None, None]
         assert K.dt is not None
-        Ad, Bd, dAd, dBd = held_derivative(A, B, self.A_theta, self.B_theta, K.dt)
+        Ad, Bd, dAd, dBd = held_derivative(A, B, scaled * self.A_theta, scaled * self.B_theta, K.dt)
         n, nk, a = len(A), K.n_states, len(K.outputs)
         y = self.C[:a]
         closed = np.block([[Ad - Bd[:, :a] @ K.D @ y, Bd[:, :a] @ K.C], [-K.B @ y, K.A]])
@@ -92,11 +94,12 @@ def loop_model(
     theta0: np.ndarray,
     excitations: Sequence[str],
     signals: Sequence[str],
+    factor: np.ndarray | None = None,
 ) -> LoopModel:
     """The loop of a plant and a sampled controller (signals err_<axis>, u_<axis>) in the parameters at ``paths``.
 
-    theta0 (q,): their values in the plant, SI. excitations: e_<axis> or f_<port>; signals: y_, u_, i_<axis>. Raises
-    InvalidInput for a path or a signal that is not there.
+    theta0 (q,): their values in the plant, SI. excitations: e_<axis> or f_<port>; signals: y_, u_, i_<axis>. factor (q,):
+    see LoopModel (None: one). Raises InvalidInput for a path or a signal that is not there.
     """
     general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in paths])
     system, axes = general.system, plant.axes
@@ -116,4 +119,6 @@ def loop_model(
     count = general.n_w_blocks
     if system.D[: general.n_z_blocks, :count].any() or system.D[np.ix_(rows, [*range(count), *u, *m])].any():
         raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
-    return LoopModel(theta0, system.A, B, C, np.stack(dA), np.stack(dB), controller, tuple(excitations), tuple(signals))
+    factor = np.ones(len(paths)) if factor is None else factor
+    names = tuple(excitations), tuple(signals)
+    return LoopModel(theta0, system.A, B, C, np.stack(dA), np.stack(dB), controller, *names, factor)

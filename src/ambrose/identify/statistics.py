@@ -54,7 +54,7 @@ def sandwich_middle(J: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """
     q, p, k = J.shape
     residual = check_shape(residual, "residual", "(p, k)", p=p, k=k)
-    span = max(2, min(k // 10, _LONGEST))
+    span = memory(k)
     size = scipy.fft.next_fast_len(k + span, real=True)
     R = scipy.fft.rfft(residual, size, axis=1)
     cross = scipy.fft.irfft(R[:, None] * R[None].conj(), size, axis=2) / k
@@ -69,6 +69,17 @@ def sandwich_middle(J: np.ndarray, residual: np.ndarray) -> np.ndarray:
     F = scipy.fft.rfft(J, size, axis=2)
     coloured = np.stack([sum(density[i, j] * F[:, j] for j in range(p)) for i in range(p)], axis=1) * twice
     return np.real(F.conj().reshape(q, -1) @ coloured.reshape(q, -1).T) / size
+
+
+def memory(samples: int) -> int:
+    """Over how many samples noise is taken to remember, in a record of ``samples``."""
+    return max(2, min(samples // 10, _LONGEST))
+
+
+def tapered(products: np.ndarray, samples: int) -> np.ndarray:
+    """The autocovariance (..., span + 1) under Parzen's window from sums of products at the lags 0 to span."""
+    span = products.shape[-1] - 1
+    return products / samples * _parzen(np.arange(span + 1) / span)
 
 
 def _parzen(x: np.ndarray) -> np.ndarray:
@@ -114,20 +125,29 @@ def residual_input_test(
     The limit is the normal one with the variance sum_l R_r(l) R_e(l)/k, which allows for the colour of both; Ljung (1999),
     section 16.6. A residual below 1e-7 of the signal counts as none.
     """
-    from scipy.special import ndtri
-
     k = len(residual)
     r, e = residual - residual.mean(), excitation - excitation.mean()
-    span = max(2, min(k // 10, _LONGEST))
+    span = memory(k)
     size = scipy.fft.next_fast_len(k + max(span, lags), real=True)  # so far no lag wraps around
     R, E = scipy.fft.rfft(r, size), scipy.fft.rfft(e, size)
-    energy = float(np.linalg.norm(r) * np.linalg.norm(e))
-    lags = min(lags, k - 1)
-    if energy == 0 or float(np.linalg.norm(r)) <= _EXACT * float(np.linalg.norm(measured)):
+    crossed, own_r, own_e = (scipy.fft.irfft(X, size) for X in (R * E.conj(), np.abs(R) ** 2, np.abs(E) ** 2))
+    quiet = float(np.linalg.norm(r)) <= _EXACT * float(np.linalg.norm(measured))
+    sums = crossed[: min(lags, k - 1) + 1], own_r[: span + 1], own_e[: span + 1]
+    return input_test(*sums, k, signal, name, tests, quiet)
+
+
+def input_test(
+    crossed: np.ndarray, own_r: np.ndarray, own_e: np.ndarray, k: int, signal: str, name: str, tests: int, quiet: bool = False
+) -> ResidualTest:
+    """``residual_input_test`` from the sums over k samples of r(t) e(t - lag) (lags,), r(t) r(t - lag) and e(t) e(t - lag)
+    (both of the same length), means taken off; quiet: the residual is only rounding."""
+    from scipy.special import ndtri
+
+    energy = float(np.sqrt(max(own_r[0], 0.0) * max(own_e[0], 0.0)))
+    if quiet or energy == 0:
         return ResidualTest(signal, name, 0.0, 1.0, 0, True)
-    rho = scipy.fft.irfft(R * E.conj(), size)[: lags + 1] / energy
-    auto = [scipy.fft.irfft(np.abs(X) ** 2, size)[: span + 1] / float(np.linalg.norm(x)) ** 2 for X, x in ((R, r), (E, e))]
-    product = auto[0] * auto[1] * _parzen(np.arange(span + 1) / span)
+    lags, span, rho = len(crossed) - 1, len(own_r) - 1, crossed / energy
+    product = own_r / own_r[0] * own_e / own_e[0] * _parzen(np.arange(span + 1) / span)
     variance = max(float(product[0] + 2 * product[1:].sum()), 0.1) / k
     limit = float(-ndtri((1 - _CONFIDENCE) / 2 / (tests * (lags + 1)))) * variance**0.5
     worst = int(np.argmax(np.abs(rho)))

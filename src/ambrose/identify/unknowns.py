@@ -59,3 +59,32 @@ def nominal_values(plant: Plant, paths: Sequence[str]) -> np.ndarray:
             raise invalid(f'parameter "{path}"', f"{text} on the two axes", "one number", f'write "{path}.*", each on its own')
         values.append(nominal.pop())
     return np.array(values)
+
+
+def ratios(reference: Plant, plant: Plant, paths: Sequence[str]) -> np.ndarray:
+    """By what each parameter (q,) of ``reference`` is to be multiplied at another operating point of the same machine.
+
+    A coefficient of a seal that follows the pressure keeps its law and shares the value at the reference; couplings and
+    amplifiers do not change. Raises InvalidInput for a bearing whose bias differs (its gain and stiffness are then other
+    numbers, tied by no law that a record could confirm), and for a coefficient that only exists at one of the points.
+    """
+    factors = np.ones(len(paths))
+    for i, path in enumerate(paths):
+        parameter = find_uncertain(reference.machine, path)
+        if parameter.table == "bearing":
+            bearing = next(item for item in reference.machine.bearings if item.name == parameter.name)
+            bias = [bearing.bias_current if p.bias_current is None else p.bias_current for p in (reference.point, plant.point)]
+            if abs(bias[0] - bias[1]) > 1e-9 * abs(bias[0]):
+                raise invalid(
+                    f'parameter "{path}" at the bias {bias[1]:g} A', "another number", f"that at {bias[0]:g} A",
+                    "identify each bias current on its own, or take the bearings as known in this fit",
+                )  # fmt: skip
+        here, there = nominal_values(reference, [path])[0], nominal_values(plant, [path])[0]
+        if here != 0:
+            factors[i] = there / here
+        elif there != 0:
+            raise invalid(
+                f'parameter "{path}"', f"zero at the first operating point and {there:g} at another", "non-zero at the first",
+                "identify the points one by one",
+            )  # fmt: skip
+    return factors
