@@ -10,9 +10,11 @@ from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis import hinf, mu, pid, polish
 from ambrose.synthesis.certify import certify
-from ambrose.synthesis.problem import design_plant
+from ambrose.synthesis.latency import late
+from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.tuning import direct_gain_mismatch, tune_control_weight
+from ambrose.synthesis.weights import machine_weights
 
 METHODS = ("pid", "hinf", "mu", "polish")
 SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
@@ -35,6 +37,7 @@ def design(
     bending_modes: int = 0,
     match_reference: bool | None = None,
     order: int | None = None,
+    delay: float = 0.0,
     progress: Progress = lambda text: None,
 ) -> Synthesis:
     """One controller for a full plant.
@@ -43,9 +46,11 @@ def design(
     machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case). bending_modes: how many
     the design model keeps per plane. match_reference: scale the control weight until the direct gains below 200 Hz match the
     reference controller's, so that controllers are comparable (P5); default: where the machine has a reference controller and
-    a constant control weight. order: states of the polished controller. The certificate's margins gain
-    "full_spectral_abscissa" and "full_sensitivity_peak", recomputed on ``plant``; a controller that does not hold it has the
-    status "unstable". Raises InvalidInput for an unknown method or a machine file that lacks what the method needs.
+    a constant control weight. order: states of the polished controller. delay [s]: of the sampled loop it is for
+    (``latency.loop_delay``), inside the design model; certified without it, as ``export.sampling`` verifies the sampled loop.
+    The certificate's margins gain "full_spectral_abscissa" and "full_sensitivity_peak", recomputed on ``plant``; a controller
+    that does not hold it has the status "unstable". Raises InvalidInput for an unknown method or a machine file that lacks
+    what the method needs.
     """
     if method not in METHODS:
         raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", "choose one of them")
@@ -53,9 +58,10 @@ def design(
         raise invalid("order", order, f"None for method {method!r}", "only method 'polish' can choose it")
     if method == "pid":
         return pid.synthesize(plant)
-    small = reduce(plant, bending_modes)
-    machine = plant.machine
+    machine, weights = plant.machine, machine_weights(plant.machine)
     uncertain = method in {"mu", "polish"}
+    small = reduce(plant, bending_modes)
+    model = small if delay == 0 else late(open_model(small, None, uncertain), delay)
     synthesize = hinf.synthesize if method == "hinf" else lambda problem: mu.synthesize(problem, order=SCALING_ORDER)
     if match_reference is None:
         constant = machine.weights is not None and machine.weights.control_crossover is None
@@ -65,17 +71,16 @@ def design(
     if match_reference:
         if reference is None:
             raise invalid("match_reference", True, "False without a [controller] table", "add the reference controller")
-        tuned = tune_control_weight(small, None, reference, synthesize, uncertain=uncertain)
+        tuned = tune_control_weight(model, weights, reference, synthesize, uncertain=uncertain)
         progress(f"control weight times {tuned.factor:.3g}: direct gains {100 * tuned.mismatch:+.1f} % of the reference's")
         result, weights = tuned.synthesis, tuned.weights
         extra["control_weight_factor"] = tuned.factor
     else:
-        result, weights = synthesize(design_plant(small, uncertain=uncertain)), None
+        result = synthesize(design_plant(model, weights, uncertain=uncertain))
     if method == "polish":
         start = result.controller
-        result = polish.synthesize(
-            design_plant(small, weights), start, order=start.n_states // 2 if order is None else order, progress=progress
-        )
+        lower = (start.n_states - (len(machine.axes) if delay else 0)) // 2 if order is None else order
+        result = polish.synthesize(design_plant(model, weights), start, order=lower, progress=progress)
     if reference is not None:  # of the controller that is returned: polishing moves it
         extra["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
     return on_full_plant(plant, result, extra)

@@ -58,7 +58,7 @@ def design_plant(
         if not isinstance(plant, Plant):
             raise InvalidInput("no weights were given, and a generalized plant carries none; pass Weights")
         weights = machine_weights(plant.machine)
-    model = _open_model(plant, tolerances, uncertain)
+    model = open_model(plant, tolerances, uncertain)
     axes = [name.removeprefix("u_") for name in model.u]
     w = list(model.w)
     z = list(model.z)
@@ -93,7 +93,7 @@ def _weight(weight: StateSpace, scale: float, source: str, output: str) -> State
     return StateSpace(weight.A, weight.B, weight.C / scale, weight.D / scale, [source], [output])
 
 
-def _open_model(plant: Plant | GeneralizedPlant, tolerances: Sequence[Tolerance] | None, uncertain: bool) -> GeneralizedPlant:
+def open_model(plant: Plant | GeneralizedPlant, tolerances: Sequence[Tolerance] | None, uncertain: bool) -> GeneralizedPlant:
     """The blocks' signals and u_<axis> -> the blocks' signals and y_<axis>; nothing else."""
     if isinstance(plant, Plant):
         u, y = list(plant.named("u")), list(plant.named("y"))

@@ -1,0 +1,31 @@
+"""The delay of a sampled loop inside the design model, so that a controller is designed for the loop that it will run in.
+
+A controller that runs at the sample time T and gives its currents n samples after it read the displacements acts (n + 1/2) T
+late: the half sample is the mean age of a held value. The delay enters the design plant as an all-pass before the amplifiers.
+"""
+
+from __future__ import annotations
+
+from ambrose.core.checks import check_positive
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.sampling import pade
+from ambrose.core.statespace import append, connect, rename
+
+
+def loop_delay(sample_time: float, computing_samples: int = 1) -> float:
+    """The delay [s] by which a sampled controller's currents are late on average: computing and half a sample of holding."""
+    check_positive(sample_time, "the sample time", "give it in seconds")
+    return (computing_samples + 0.5) * sample_time
+
+
+def late(model: GeneralizedPlant, delay: float, order: int = 1) -> GeneralizedPlant:
+    """The model with every current u delayed by ``delay`` [s], as a Pade all-pass of ``order`` states per axis; 0: unchanged.
+
+    order 1 is 0.1 degrees off at 100 Hz for 0.15 ms, 4 degrees at 1 kHz. Raises InvalidInput.
+    """
+    if delay == 0:
+        return model
+    passes = append(*[pade(delay, order, name, f"late_{name}") for name in model.u])
+    inner = rename(model.system, {name: f"late_{name}" for name in model.u}, {})
+    system = connect([passes, inner], inputs=list(model.system.inputs), outputs=list(model.system.outputs))
+    return GeneralizedPlant(system, model.w, model.u, model.z, model.y, model.blocks)
