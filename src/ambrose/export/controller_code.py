@@ -6,8 +6,6 @@ fixed_point.py and docs/integrator.md. The code needs no library, no heap and no
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,18 +14,19 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.export.block_run import FLOOR, run_block, run_fixed
+from ambrose.export.block_run import FLOOR
 from ambrose.export.code_cost import Cost, diagonals_of, step_cost
 from ambrose.export.control_block import ControlBlock, transfers
 from ambrose.export.file_set import write_files
 from ambrose.export.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, fixed_point
 from ambrose.export.names import as_comment
+from ambrose.export.rendering import render
+from ambrose.export.vectors import SAMPLES, as_csv, vectors
 from ambrose.export.word_length import floating_error, word_lengths
 
 Arithmetic = Literal["double", "float", "fixed32", "fixed16"]
 _WORDS = {"fixed32": 32, "fixed16": 16}
 _BITS = {"double": 53, "float": 24}
-_VECTORS = 96
 _WIDTH = 118
 
 
@@ -43,32 +42,22 @@ def generate(
     for largest_error [-]). provenance: lines for the header: where the controller comes from and what it was verified on.
     Raises InvalidInput.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     if arithmetic not in get_args(Arithmetic):
         raise invalid("arithmetic", repr(arithmetic), " or ".join(get_args(Arithmetic)), "choose one of them")
     if arithmetic == "float":
         block = single_limits(block)
     fixed = fixed_point(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
-    environment = Environment(
-        loader=PackageLoader("ambrose.export"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # C, not HTML: names are checked, comments made safe
-    )
     facts = _facts(block, fixed, arithmetic, provenance)
     tables = _fixed_tables(fixed) if fixed is not None else _floating_tables(block, arithmetic)
-    vectors = _vectors(block, fixed, arithmetic)
+    replayed = _vectors(block, fixed, arithmetic)
     texts = {
         f"{block.name}.h": ("controller.h.j2", facts),
         f"{block.name}.c": ("controller_fixed.c.j2" if fixed is not None else "controller.c.j2", {**facts, **tables}),
-        f"{block.name}_test.c": ("selftest.c.j2", {**facts, **vectors}),
+        f"{block.name}_test.c": ("selftest.c.j2", {**facts, **replayed}),
         f"{block.name}_report.md": ("report.md.j2", {**facts, **_report(block, fixed, arithmetic)}),
     }
-    files = {name: environment.get_template(template).render(values) for name, (template, values) in texts.items()}
-    return {**files, f"{block.name}_vectors.csv": vectors["csv"]}
+    files = {name: render(template, values) for name, (template, values) in texts.items()}
+    return {**files, f"{block.name}_vectors.csv": replayed["csv"]}
 
 
 def write_code(
@@ -230,53 +219,23 @@ def _array(x: np.ndarray, form: Any, indent: str = "    ") -> str:
 
 
 def _vectors(block: ControlBlock, fixed: FixedBlock | None, arithmetic: str) -> dict[str, Any]:
-    """A short run that meets every branch: small and large errors, limiting, flags, values out of range, silence."""
-    rng = np.random.default_rng(7)
-    m = len(block.inputs)
-    e = rng.uniform(-1, 1, (_VECTORS, m)) * np.exp2(-rng.integers(0, 16, (_VECTORS, m)))
-    e[:8] = 0.0
-    e[0, 0] = 1.0
-    e[40:60] = 1.0
-    e[70] = 3.0  # implausible
-    valid = np.ones((_VECTORS, m), np.int64)
-    valid[64:82, m - 1] = 0
+    """What the self-test holds: the run of ``vectors`` as C, its tolerance, and the same as CSV."""
+    run = vectors(block, fixed, single=arithmetic == "float")
     if fixed is not None:
-        whole = np.clip(np.round(e * (1 << fixed.signal_bits)), 1 - 2 ** (fixed.word - 1), 2 ** (fixed.word - 1) - 1)
-        run = run_fixed(fixed, whole.astype(np.int64), valid)
-        shown = {
-            "errors": _integers(whole), "currents": _integers(run.currents),
-            "tolerance": _integers(np.zeros(len(block.outputs))),
-            "number_format": "%ld", "number_cast": "long",
-        }  # fmt: skip
-        rows = [whole.astype(np.int64), valid, run.currents, run.status[:, None]]
+        table, number_format, number_cast = _integers, "%ld", "long"
+        tolerance = np.zeros(len(block.outputs))
     else:
-        e = e * block.error_limit
-        precise = np.float64 if arithmetic == "double" else np.float32
-        e = e.astype(precise).astype(float)
-        run = run_block(block, e, valid)
         tolerance = 1e-12 * block.raw_limit if arithmetic == "double" else floating_error(block, 24)
+        number_format, number_cast = "%.17g", "double"
 
         def table(x: np.ndarray) -> str:
             return _array(x, lambda v: _literal(float(v), arithmetic))
 
-        shown = {
-            "errors": table(e), "currents": table(run.currents), "tolerance": table(tolerance),
-            "number_format": "%.17g", "number_cast": "double",
-        }  # fmt: skip
-        rows = [e, valid, run.currents, run.status[:, None]]
-    titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *block.outputs, "status"]
     return {
-        **shown, "samples": _VECTORS, "valid": _integers(valid), "status": _integers(run.status), "csv": _csv(titles, rows),
+        "errors": table(run.errors), "currents": table(run.currents), "tolerance": table(tolerance),
+        "number_format": number_format, "number_cast": number_cast, "samples": SAMPLES,
+        "valid": _integers(run.valid), "status": _integers(run.status), "csv": as_csv(block, run),
     }  # fmt: skip
-
-
-def _csv(titles: Sequence[str], columns: Sequence[np.ndarray]) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(titles)
-    for k in range(len(columns[0])):
-        writer.writerow([f"{v:.17g}" if isinstance(v, float) else int(v) for part in columns for v in part[k].tolist()])
-    return stream.getvalue()
 
 
 def _report(block: ControlBlock, fixed: FixedBlock | None, arithmetic: str) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from pathlib import Path
 from ambrose.core.checks import InvalidInput
 
 
-def write_files(directory: str | os.PathLike[str], files: Mapping[str, str]) -> list[Path]:
-    """Write texts (UTF-8) by name into ``directory``, made if absent (its parent must exist). Returns their paths.
+def write_files(directory: str | os.PathLike[str], files: Mapping[str, str | bytes]) -> list[Path]:
+    """Write texts (UTF-8) and bytes by name into ``directory``, made if absent (its parent must exist). Returns their paths.
 
     Everything is written and flushed beside the directory first, so that a full disk or an unwritable place leaves what was
     there before; then a new directory appears in one step, and in one that exists the files are replaced one after the other.
@@ -24,9 +24,9 @@ def write_files(directory: str | os.PathLike[str], files: Mapping[str, str]) -> 
         draft = Path(
             tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".tmp", dir=target if target.is_dir() else target.parent)
         )
-        for name, text in files.items():
-            with (draft / name).open("x", encoding="utf-8", newline="\n") as stream:
-                stream.write(text)
+        for name, content in files.items():
+            with (draft / name).open("xb") as stream:
+                stream.write(content.encode() if isinstance(content, str) else content)
                 stream.flush()
                 os.fsync(stream.fileno())
         if target.is_dir():
