@@ -47,6 +47,7 @@ __all__ = [
 ]
 
 _EARLY = 8000  # samples on which a good start is found
+_NEGLIGIBLE = 1e-5  # a gain of this many variances of the noise: steps of 0.003 standard deviations need no second look
 _EXACT = 1e-24  # of the squared signals: a sum of squared residuals below it is rounding
 
 
@@ -137,10 +138,11 @@ def solve(
     def linearise_on(chosen: Sequence[Task]) -> Callable[[np.ndarray], Linearised]:
         def linearise(theta: np.ndarray) -> Linearised:
             loops = [_weighted(one, theta, sizes) for one in models]
-            parts = [normal_equations(*loops[task.place], task).equations for task in chosen]
-            H, g = np.sum([part.H for part in parts], axis=0), np.sum([part.g for part in parts], axis=0)
+            parts = tuple(normal_equations(*loops[task.place], task) for task in chosen)
+            H = np.sum([part.equations.H for part in parts], axis=0)
             statistics.check_visible(paths, H, scale)
-            return Linearised(sum(part.cost for part in parts), H, g)
+            g = np.sum([part.equations.g for part in parts], axis=0)
+            return Linearised(sum(part.equations.cost for part in parts), H, g, parts)
 
         return linearise
 
@@ -154,7 +156,8 @@ def solve(
         if near.converged:  # a good start from the first second; what is found is decided by all samples
             begin, begun = near.x, near.iterations
     total = sum(float(np.vdot(y, y)) for task in tasks for y in (task.measured(i, 0, task.samples) for i in range(len(task.y))))
-    found = minimise(linearise_on(tasks), begin, scale, stable, most, floor=_EXACT * total)
+    small = _NEGLIGIBLE / sum(task.samples * len(task.y) for task in tasks)
+    found = minimise(linearise_on(tasks), begin, scale, stable, most, floor=_EXACT * total, negligible=small)
     return replace(found, iterations=found.iterations + begun)
 
 
@@ -186,9 +189,8 @@ def summary(
     fits: list[tuple[int, str, float]] = []
     tests: list[statistics.ResidualTest] = []
     count = sum(len(names) * len(task.e) for task in tasks)
-    for number, task in enumerate(tasks):
+    for number, (task, part) in enumerate(zip(tasks, found.parts, strict=True)):
         loop, directions = loops[task.place]
-        part = normal_equations(loop, directions, task)
         H += part.equations.H
         scores = residual_scores(loop, task, part, [_names(models[task.place], mix) for mix in task.mix.T], names, count)
         middle += coloured_products(jacobian_pieces(loop, directions, task, part), scores.covariance)

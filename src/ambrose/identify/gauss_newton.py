@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,22 +16,28 @@ from ambrose.core.checks import NumericalFailure
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """The normal equations at a point: cost = r'r, H = J'J (q, q), g = J'r (q,); model(theta + step) = model + J step."""
+    """The normal equations at a point: cost = r'r, H = J'J (q, q), g = J'r (q,); model(theta + step) = model + J step.
+
+    parts: whatever else was found there, handed on to the Minimum."""
 
     cost: float
     H: np.ndarray
     g: np.ndarray
+    parts: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum:
-    """Where the iteration ended: x (q,), the cost there, whether it converged, its number of steps, and the refused ones."""
+    """Where the iteration ended: x (q,), the cost there, whether it converged, its number of steps, and the refused ones.
+
+    parts: of the last point that was computed, which is x or a negligible step before it."""
 
     x: np.ndarray
     cost: float
     converged: bool
     iterations: int
     refused: int
+    parts: tuple[Any, ...] = ()
 
 
 def minimise(
@@ -41,12 +48,14 @@ def minimise(
     max_iterations: int = 50,
     tolerance: float = 1e-9,
     floor: float = 0.0,
+    negligible: float = 0.0,
 ) -> Minimum:
     """The least of r(x)'r(x) near x (q,).
 
     scale (q,): the size of a parameter, for the stopping rule |step| <= tolerance * max(|x|, scale); a step whose predicted
-    gain is below 1e-12 of the cost, or a cost below ``floor``, also ends it. allowed(x): steps are shortened until true. Raises
-    NumericalFailure where J has a zero column.
+    gain is below 1e-12 of the cost, or a cost below ``floor``, also ends it. One below ``negligible`` of the cost is taken and
+    ends it, without a look at where it leads. allowed(x): steps are shortened until true. Raises NumericalFailure where J has
+    a zero column.
     """
     damping, growth, refused = 1e-6, 2.0, 0
     state = linearise(x)
@@ -61,8 +70,10 @@ def minimise(
             predicted = float(scaled @ (damping * scaled + g))
             small = bool((np.abs(step) <= tolerance * np.maximum(np.abs(x), scale)).all())
             if small or predicted <= 1e-12 * state.cost or state.cost <= floor:
-                return Minimum(x, state.cost, damping < 1e3, iteration, refused)
+                return Minimum(x, state.cost, damping < 1e3, iteration, refused, state.parts)
             trial = x + step
+            if predicted <= negligible * state.cost and damping < 1e-3 and allowed(trial):
+                return Minimum(trial, state.cost - predicted, True, iteration + 1, refused, state.parts)
             found = linearise(trial) if allowed(trial) else None  # most trials are accepted: then nothing was in vain
             gain = (state.cost - found.cost) / predicted if found is not None else -1.0
             if found is not None and gain > 0:
@@ -71,6 +82,6 @@ def minimise(
             refused += 1
             damping, growth = max(damping, 1e-6) * growth, growth * 2
             if damping > 1e12:
-                return Minimum(x, state.cost, False, iteration, refused)
+                return Minimum(x, state.cost, False, iteration, refused, state.parts)
         x, state = trial, found
-    return Minimum(x, state.cost, False, max_iterations, refused)
+    return Minimum(x, state.cost, False, max_iterations, refused, state.parts)
