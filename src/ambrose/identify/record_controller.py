@@ -1,0 +1,173 @@
+"""Does the controller that is given explain its recorded output? u = K (r - y) sample by sample: delay, size, lost samples.
+
+Exact where the controller itself records: its unknown initial state and an offset are eliminated, so a residual of some
+percent means another controller, another delay, another rate, or samples that are missing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose.core.response import simulate
+from ambrose.core.statespace import StateSpace, poles
+from ambrose.machine.description import Machine
+from ambrose.machine.record import Record
+
+LAGS = 6  # samples, the longest delay that is tried
+_BLOCK = 8000  # samples that are compared at once, with an initial state of their own
+_MARGINAL = 1 + 1e-9
+_AT_LIMIT = 0.999
+_BURST, _VISIBLE = 60.0, 3e-4  # over the median jump of the residual, and over the rms of the signal
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerMatch:
+    """How well u_<axis> follows the controller, per axis.
+
+    residual (a, lags) [-]: rms of what is left over rms of the signal, when the controller's output acts 0, 1, ... samples
+    later; lag (a,): where it is least; gain (a,): recorded over computed there, and scaled (a,) the residual with that gain.
+    left (a, k): what is left of the record's u at the best delay, zero where u is at its limit. jumps: samples at which the
+    residual of an axis jumps although it is quiet around: (axis number, sample).
+    """
+
+    axes: tuple[str, ...]
+    residual: np.ndarray
+    lag: np.ndarray
+    gain: np.ndarray
+    scaled: np.ndarray
+    left: np.ndarray
+    jumps: tuple[tuple[int, int], ...]
+
+    @property
+    def least(self) -> np.ndarray:
+        """The residual (a,) at every axis' best lag."""
+        return self.residual[np.arange(len(self.axes)), self.lag]
+
+
+def controller_match(machine: Machine, record: Record, law: StateSpace) -> ControllerMatch | None:
+    """The sampled ``law`` (signals err_<axis>, u_<axis>, no computing delay) against u_ and y_ of the record; else None.
+
+    Samples of u at the bearing's largest current do not count. An unstable law is compared through its innovation, with an
+    observer in place of the simulation.
+    """
+    axes = machine.axes
+    total = record.values.shape[1]
+    if any(f"{kind}_{axis}" not in record.signals for kind in "yu" for axis in axes) or total <= 4 * LAGS + law.n_states:
+        return None
+    systems = _innovation(law)
+    a, first = len(axes), _samples(machine, record, 0, min(total, _BLOCK))
+    if not np.ptp(first.u, axis=1).all():
+        return None
+    free = _free(systems[2], first.u.shape[1] - LAGS)
+    trials = [_compare(systems, free, first, lag) for lag in range(LAGS + 1)]
+    residual = np.array([[trial.residual[i] for trial in trials] for i in range(a)])
+    best = residual.argmin(axis=1)
+    gain = np.array([trials[lag].gain[i] for i, lag in enumerate(best)])
+    scaled = np.array([trials[lag].scaled[i] for i, lag in enumerate(best)])
+    jumps: list[tuple[int, int]] = []
+    left = np.zeros((a, total))
+    for begin in range(0, total - 2 * LAGS, _BLOCK - LAGS):
+        part = first if begin == 0 else _samples(machine, record, begin, min(total, begin + _BLOCK))
+        if part.u.shape[1] < _BLOCK // 4 and begin:
+            continue
+        for lag in sorted(set(best.tolist())):
+            found = trials[lag] if begin == 0 else _compare(systems, free, part, lag)
+            for i in np.flatnonzero(best == lag):
+                left[i, begin + lag : begin + lag + found.left.shape[1]] = found.left[i]
+                jumps += [(int(i), begin + lag + at) for at in _jumps(found.left[i], part.u[i])]
+    jumps = jumps if len(jumps) <= a * max(10, total // 2000) else []
+    return ControllerMatch(axes, residual, best, gain, scaled, left, tuple(jumps))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """u (a, k), errors (a, k), and where u is within its limit (a, k) bool."""
+
+    u: np.ndarray
+    errors: np.ndarray
+    inside: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Comparison:
+    """residual (a,), gain (a,), residual with that gain (a,), and what is left (a, k), zero where u is at its limit."""
+
+    residual: np.ndarray
+    gain: np.ndarray
+    scaled: np.ndarray
+    left: np.ndarray
+
+
+def _samples(machine: Machine, record: Record, begin: int, end: int) -> _Samples:
+    def stacked(kind: str) -> np.ndarray:
+        zero = np.zeros(end - begin)
+        names = [f"{kind}_{axis}" for axis in machine.axes]
+        return np.stack([record[name][begin:end] if name in record.signals else zero for name in names])
+
+    limits = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
+    u = stacked("u")
+    return _Samples(u, stacked("r") - stacked("y"), np.abs(u) < _AT_LIMIT * np.array(limits)[:, None])
+
+
+def _compare(systems: tuple[StateSpace, StateSpace, StateSpace], free: np.ndarray, part: _Samples, lag: int) -> _Comparison:
+    """The controller's output ``lag`` samples later against u, without what initial state and offset explain."""
+    filtered, predicted, _ = systems
+    a, k = len(part.u), part.u.shape[1] - LAGS
+    given = simulate(filtered, part.u[:, lag : lag + k])
+    computed = simulate(predicted, part.errors[:, :k])
+    residual, gain, scaled, left = np.ones(a), np.ones(a), np.ones(a), np.zeros((a, k))
+    for i in range(a):
+        used = part.inside[i, lag : lag + k]
+        rest = _without(np.column_stack([free[i, :k], np.ones(k)])[used], np.stack([given[i], computed[i]])[:, used])
+        size, energy = float(np.linalg.norm(rest[0])), float(rest[1] @ rest[1])
+        left[i, used] = rest[0] - rest[1]
+        residual[i] = float(np.linalg.norm(left[i])) / size if size > 0 else 1.0
+        gain[i] = float(rest[0] @ rest[1]) / energy if energy > 0 else 0.0
+        scaled[i] = float(np.linalg.norm(rest[0] - gain[i] * rest[1])) / size if size > 0 else 1.0
+    return _Comparison(residual, gain, scaled, left)
+
+
+def _innovation(law: StateSpace) -> tuple[StateSpace, StateSpace, StateSpace]:
+    """Systems M (from u) and N (from errors) with M u = N err, and one whose free response is their common one.
+
+    A stable law needs no observer: M = I, N = K. Otherwise K = M^-1 N with the observer gain of a steady Kalman filter.
+    """
+    A, B, C, D = law.A, law.B, law.C, law.D
+    a = len(C)
+    if law.n_states == 0 or float(np.abs(poles(law)).max()) <= _MARGINAL:
+        through = StateSpace(np.zeros((0, 0)), np.zeros((0, a)), np.zeros((a, 0)), np.eye(a), None, None, law.dt)
+        return through, StateSpace(A, B, C, D, None, None, law.dt), law
+    P = sla.solve_discrete_are(A.T, C.T, B @ B.T + 1e-9 * np.eye(len(A)) * np.trace(B @ B.T), np.eye(a))
+    L = A @ P @ C.T @ np.linalg.inv(np.eye(a) + C @ P @ C.T)
+    stable = A - L @ C
+    M = StateSpace(stable, L, -C, np.eye(a), None, None, law.dt)
+    N = StateSpace(stable, B - L @ D, C, D, None, None, law.dt)
+    return M, N, N
+
+
+def _free(system: StateSpace, k: int) -> np.ndarray:
+    """The free responses (a, k, n) of a system from each of its states."""
+    n, a = system.n_states, len(system.C)
+    quiet = np.zeros((system.B.shape[1], k))
+    return np.stack([simulate(system, quiet, x0=row) for row in np.eye(n)], axis=2) if n else np.zeros((a, k, 0))
+
+
+def _without(basis: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """The rows (r, k) without what the columns of the basis (k, c) explain."""
+    size = np.linalg.norm(basis, axis=0)
+    if not len(basis):
+        return rows
+    Q, R, _ = sla.qr(basis[:, size > 0] / size[size > 0], mode="economic", pivoting=True)
+    Q = Q[:, np.abs(np.diag(R)) > 1e-10 * abs(R[0, 0])]
+    return rows - (rows @ Q) @ Q.T
+
+
+def _jumps(left: np.ndarray, signal: np.ndarray) -> list[int]:
+    """Where the residual jumps: first samples of the bursts, at most ten."""
+    step = np.abs(np.diff(left))
+    quiet = 1.4826 * float(np.median(step))
+    large = np.flatnonzero(step > max(_BURST * quiet, _VISIBLE * float(np.std(signal)))) + 1
+    return [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > 50]
