@@ -11,6 +11,7 @@ from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, as_statespace, select
 from ambrose.machine.description import Machine
+from ambrose.simulate.control_program import ControlProgram
 
 DEFAULT_SAMPLE_TIME = 1e-4  # [s]
 ControllerAt = Callable[[float], Any]  # speed [rad/s] -> controller, always in the same states
@@ -29,7 +30,7 @@ class Law(NamedTuple):
 
 def sample_time(controller: Any | ControllerAt, machine: Machine, wanted: float | None) -> float:
     """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms. Raises InvalidInput."""
-    own = None if _scheduled(controller) else as_statespace(controller).dt
+    own = None if _scheduled(controller) else as_statespace(law_of(controller)).dt
     if own is not None:
         if wanted is not None and abs(own - wanted) > 1e-9 * own:
             raise invalid("the sample time", f"{wanted:g} s", f"the controller's own {own:g} s", "leave it out")
@@ -47,7 +48,7 @@ def deployed(controller: Any | ControllerAt, machine: Machine, dt: float, speed:
     """
     if delay not in {0, 1}:
         raise invalid("computing_delay", delay, "0 or 1 sample", "put longer delays into the controller")
-    system = as_statespace(controller(speed) if _scheduled(controller) else controller)
+    system = as_statespace(controller(speed) if _scheduled(controller) else law_of(controller))
     a = len(machine.axes)
     if system.D.shape != (a, a):
         requirement = f"({a}, {a}) for the axes {', '.join(machine.axes)}"
@@ -110,6 +111,11 @@ def _in_order(system: StateSpace, axes: tuple[str, ...]) -> StateSpace:
         remedy = "this controller is for another machine: design one for this, or rename() its signals"
         raise invalid("the controller's inputs", ", ".join(system.inputs), ", ".join(inputs), remedy)
     return select(system, inputs, outputs)
+
+
+def law_of(controller: Any) -> Any:
+    """The linear law of a program, anything else as it is."""
+    return controller.system if isinstance(controller, ControlProgram) else controller
 
 
 def _scheduled(controller: Any) -> bool:

@@ -24,7 +24,7 @@ class Drive(NamedTuple):
     dt: float  # control sample time [s]
     speed: np.ndarray  # (K + 1,) [rad/s]
     angle: np.ndarray  # (K + 1,) [rad]
-    seal: np.ndarray  # (K + 1 or 1, seals, 5 + 2 l) K, k, C, c, M, then direct and cross of every lag
+    seal: np.ndarray  # (K + 1 or 1, seals, 5 + 2 l) K, k, C, c, M, then direct and cross of every state
     mass_inverse: np.ndarray  # (K or 1, p, p) with the seals' added mass, (0, p, p) where there is none
     unbalance: np.ndarray  # (p, 2) modal, along x and y at angle zero [kg m/sqrt(kg)]; (0, 2) where there is none
     force: np.ndarray  # (4, m, K) cubics of the driven forces [N]
@@ -126,6 +126,19 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
     )  # fmt: skip
 
 
+def sample(drive: Drive, k: int) -> Drive:
+    """One control sample of a stretch."""
+    nodes, one = slice(k, k + 2), slice(k, k + 1)
+    return Drive(
+        drive.dt, drive.speed[nodes], drive.angle[nodes], drive.seal[nodes] if len(drive.seal) > 1 else drive.seal,
+        drive.mass_inverse[one] if len(drive.mass_inverse) > 1 else drive.mass_inverse, drive.unbalance,
+        np.ascontiguousarray(drive.force[:, :, one]), drive.force_at,
+        *(np.ascontiguousarray(rows[:, one]) for rows in (
+            drive.powered, drive.excitation, drive.reference, drive.disturbance, drive.noise
+        )),
+    )  # fmt: skip
+
+
 def _powered(plan: Plan, first: int, count: int) -> np.ndarray:
     powered = np.ones((len(plan.rig.axes), count))
     for failure in plan.scenario.failures:
@@ -149,30 +162,34 @@ def _unbalance(plan: Plan) -> np.ndarray:
 
 def _seals(plan: Plan, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Coefficients (nodes or 1, seals, 5 + 2 l), looked up on a grid of some samples and linear between."""
-    seals, lags = plan.rig.machine.seals, plan.rig.constants.seal_poles.shape[1]
+    seals, lags = plan.rig.machine.seals, plan.rig.constants.seal_lags.shape[1]
     whirl = plan.rig.point.whirl_frequency
+    start = plan.rig.point.speed
+    poles = [seal_rational.poles_of(s, start) if seal_rational.has_states(s) else np.zeros(0) for s in seals]
     pressure = plan.pressures(nodes)
-    constant = np.ptp(pressure) == 0 and (np.ptp(speed) == 0 or all(item.table is None for item in seals))
+    constant = np.ptp(pressure) == 0 and (
+        np.ptp(speed) == 0 or all(item.table is None and item.geometry is None for item in seals)
+    )
     if constant or not seals:
-        at = [_coefficients(s, float(pressure[0]), float(speed[0]), whirl, lags) for s in seals]
+        at = [_coefficients(s, p, float(pressure[0]), float(speed[0]), whirl, lags) for s, p in zip(seals, poles, strict=True)]
         return np.array(at, dtype=float).reshape(1, len(seals), 5 + 2 * lags)
     kinks = np.flatnonzero(np.abs(np.diff(pressure, 2)) > 1e-9 * np.abs(pressure).max()) + 1
     grid = np.unique([*range(0, len(nodes), _SEAL_GRID), len(nodes) - 1, *kinks])
     result = np.empty((len(nodes), len(seals), 5 + 2 * lags))
     for i, item in enumerate(seals):
-        rows = np.array([_coefficients(item, float(pressure[g]), float(speed[g]), whirl, lags) for g in grid])
+        rows = np.array([_coefficients(item, poles[i], float(pressure[g]), float(speed[g]), whirl, lags) for g in grid])
         for j in range(rows.shape[1]):
             result[:, i, j] = np.interp(np.arange(len(nodes)), grid, rows[:, j])
     return result
 
 
-def _coefficients(item: Seal, pressure: float, speed: float, whirl: float | None, lags: int) -> list[float]:
-    """One row; a seal with a table over frequency as its rational model, unless the whirl frequency is prescribed."""
+def _coefficients(item: Seal, poles: np.ndarray, pressure: float, speed: float, whirl: float | None, lags: int) -> list[float]:
+    """One row: coefficients at the whirl frequency, or the model of a seal with states, its poles those of the start."""
     row = np.zeros(5 + 2 * lags)
-    model = seal_rational.rational(item, pressure, speed)
-    if whirl is None and len(model.poles):
+    if seal_rational.has_states(item):
+        model = seal_rational.rational(item, pressure, speed, poles)
         row[:5] = seal.parameters(model.static)
-        row[5 : 5 + 2 * len(model.poles)] = np.column_stack([model.direct, model.cross]).ravel()
+        row[5 : 5 + model.n_states] = np.column_stack([model.direct, model.cross]).ravel()
     else:
         row[:5] = seal.parameters(seal.coefficients(item, pressure, speed, whirl))
     return row.tolist()

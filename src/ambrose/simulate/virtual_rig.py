@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.simulate.control_program import ControlProgram
 from ambrose.simulate.rig_controller import ControllerAt, Law, closed_loop_poles, deployed, sample_time, taking_over
-from ambrose.simulate.rig_drive import Drive, Plan, plan, stretch
+from ambrose.simulate.rig_drive import Drive, Plan, plan, sample, stretch
 from ambrose.simulate.rig_outcome import judged, watch
 from ambrose.simulate.rig_record import Recorder
 from ambrose.simulate.rig_start import fastest_pole, levitated, linear_view, measurement, resting, standing, steps_per_sample
@@ -49,13 +50,13 @@ def run(
     """Run a scenario on the nonlinear machine.
 
     controller: a StateSpace (or python-control system) from errors [m] to currents [A], axes by place; or, scheduled, a
-    function from speed [rad/s] to one. Continuous, it is sampled by Tustin's map at the scenario's or the machine's sample time
-    (else 10 kHz); its output, limited to max_current, acts ``computing_delay`` (0 or 1) samples later. second: takes over
-    without a bump at the scenario's switch_at. point: bias current, speed and seal pressure at the start, where the scenario
-    does not say otherwise (None: the nominal one). bending_modes: per plane. dt [s]: longest integration step (None: by the
-    machine's fastest pole). seed: of the sensors' noise. every: only each so many-th sample is recorded. path (.h5): where the
-    record is written while it grows; what was run so far stays readable when the run is interrupted. progress: is told how far
-    it is.
+    function from speed [rad/s] to one, or a ControlProgram such as compiled C code. Continuous, it is sampled by Tustin's map
+    at the scenario's or the machine's sample time (else 10 kHz); its output, limited to max_current, acts ``computing_delay``
+    (0 or 1) samples later. second: takes over without a bump at the scenario's switch_at. point: bias current, speed and seal
+    pressure at the start, where the scenario does not say otherwise (None: the nominal one). bending_modes: per plane. dt [s]:
+    longest integration step (None: by the machine's fastest pole). seed: of the sensors' noise. every: only each so many-th
+    sample is recorded. path (.h5): where the record is written while it grows; what was run so far stays readable when the run
+    is interrupted. progress: is told how far it is.
 
     Recorded: y_, u_ (what acts), i_ (coils), f_magnet_ (axes), q_ (ports), what the scenario drives, speed and p_seal where
     they change. Touchdown is an outcome with time and cause, and the run goes on; "diverged" means that the state overflowed,
@@ -64,6 +65,7 @@ def run(
     task = plan(build(machine, point, bending_modes), scenario, sample_time(controller, machine, scenario.sample_time), seed)
     if (second is None) != (scenario.switch_at is None):
         raise InvalidInput("a second controller and the scenario's switch_at belong together; give both or neither")
+    program = _program(controller, second, computing_delay)
     recorder = Recorder(task, every, seed, path)
     begun = time.perf_counter()
     laws = _Laws(controller, second, machine, task.dt, computing_delay)
@@ -74,7 +76,7 @@ def run(
     prepared = time.perf_counter()
     seen = watch(task.rig, scenario)
     with recorder:
-        for number, drive, log in _stretches(task, laws, motion, steps, progress):
+        for number, drive, log in _stretches(task, laws, motion, steps, progress, program):
             seen.follow(task, number, log)
             recorder.add(number, drive, log)
         outcome, text = judged(seen, scenario, motion.overflow, pole)
@@ -147,7 +149,12 @@ def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
 
 
 def _stretches(
-    task: Plan, laws: _Laws, motion: _Motion, steps: int, progress: Callable[[str], None] | None
+    task: Plan,
+    laws: _Laws,
+    motion: _Motion,
+    steps: int,
+    progress: Callable[[str], None] | None,
+    program: ControlProgram | None,
 ) -> Iterator[tuple[int, Drive, np.ndarray]]:
     """Number of the first sample, drive and log (k, columns) of one stretch after the other; motion moves along."""
     length = _SCHEDULED_STRETCH if laws.scheduled and task.scenario.runs_up else _STRETCH
@@ -155,6 +162,8 @@ def _stretches(
     told = time.perf_counter()
     recent: list[tuple[np.ndarray, np.ndarray]] = []
     number, law = 0, None
+    if program is not None:
+        program.begin(motion.x)
     while number < task.samples:
         count = min(length, task.samples - number, switch - number if number < switch else task.samples)
         drive = stretch(task, number, count)
@@ -162,7 +171,10 @@ def _stretches(
             law = laws.at(float(drive.speed[count // 2]), number >= switch)
         if number == switch:
             motion.x = taking_over(law, *_remembered(recent, motion.held, law.delay))
-        log, errors = _advance(task.rig, law, drive, steps, motion, count)
+        if program is None:
+            log, errors = _advance(task.rig, law, drive, steps, motion, count)
+        else:
+            log, errors = _stepped(task.rig, program, law, drive, steps, motion, count)
         yield number, drive, log
         if len(log) < count or motion.overflow is not None:
             motion.overflow = (number + len(log)) * task.dt
@@ -187,6 +199,42 @@ def _advance(rig: Rig, law: Law, drive: Drive, steps: int, motion: _Motion, coun
         log, errors = log[: done + 1], errors[: done + 1]
         log = log[np.isfinite(log).all(axis=1)]
     return log, errors.T
+
+
+def _stepped(
+    rig: Rig, program: ControlProgram, law: Law, drive: Drive, steps: int, motion: _Motion, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """As ``_advance``, one sample at a time: the program computes what acts at the next one."""
+    a = len(rig.axes)
+    silent = Law(np.zeros((0, 0)), np.zeros((0, a)), np.zeros((a, 0)), np.zeros((a, a)), law.limit, 1)
+    nothing, work = np.zeros(0), rig.work(0)
+    log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, a))
+    advance = compiled()[0]
+    for k in range(count):
+        rows = slice(k, k + 1)
+        done = advance(
+            rig.constants, silent, sample(drive, k), steps, motion.z, nothing, motion.held, work, log[rows], errors[rows]
+        )
+        if not done:
+            motion.overflow = np.nan
+            kept = log[: k + 1]
+            return kept[np.isfinite(kept).all(axis=1)], errors[: k + 1].T
+        motion.held[:] = np.clip(program.step(errors[k]), -law.limit, law.limit)
+    return log, errors.T
+
+
+def _program(controller: Any, second: Any, computing_delay: int) -> ControlProgram | None:
+    """The controller, if it is a program. Raises InvalidInput for what the rig cannot do with one."""
+    if isinstance(second, ControlProgram):
+        raise InvalidInput("the second controller is a program; only the first can be one, so give its law instead")
+    if not isinstance(controller, ControlProgram):
+        return None
+    if second is not None or computing_delay != 1 or controller.delay != 1:
+        raise invalid(
+            "computing_delay of a program", min(computing_delay, controller.delay), "1 sample, with no second controller",
+            "a program's currents act at the next sample: export it with delay_samples 1",
+        )  # fmt: skip
+    return controller
 
 
 def _remembered(recent: list[tuple[np.ndarray, np.ndarray]], held: np.ndarray, delay: int) -> tuple[np.ndarray, np.ndarray]:

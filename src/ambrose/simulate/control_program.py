@@ -1,0 +1,36 @@
+"""A controller that exists as a running program: the rig hands it the errors of one sample and takes its currents.
+
+``export.compiled`` makes one from the generated C code, so that what runs on the rig is what runs on the machine.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from ambrose.core.statespace import StateSpace
+
+
+@runtime_checkable
+class ControlProgram(Protocol):
+    """What the rig asks of a program.
+
+    sample_time [s]; delay [samples]: from the errors to the currents that act; system: its law between its limits in the
+    program's own states, sampled, err_<axis> [m] to u_<axis> [A]: for the equilibrium at the start and the poles of the loop.
+    """
+
+    @property
+    def sample_time(self) -> float: ...
+
+    @property
+    def delay(self) -> int: ...
+
+    @property
+    def system(self) -> StateSpace: ...
+
+    def begin(self, states: np.ndarray) -> None:
+        """Ready to go on from the states (n,) of ``system``."""
+
+    def step(self, errors: np.ndarray) -> np.ndarray:
+        """One sample: currents (a,) [A] from errors (a,) [m]."""
