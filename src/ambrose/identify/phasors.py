@@ -1,0 +1,108 @@
+"""Steady sines in records: which frequency is driven when, and amplitude and phase of every signal, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.statespace import index_of
+from ambrose.machine.record import Record
+
+_ALIKE = 0.02  # relative difference of successive periods within one step
+_MOST_BLOCKS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One frequency [rad/s], driven from ``start`` to ``stop`` [s]."""
+
+    frequency: float
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Phasors:
+    """Complex amplitudes of the signals of one step: x(t) = Re(value exp(j frequency (t - start))).
+
+    mean (s,): over all blocks; blocks (b, s): of whole periods one after the other, whose scatter tells the noise.
+    """
+
+    frequency: float
+    signals: tuple[str, ...]
+    mean: np.ndarray
+    blocks: np.ndarray
+
+
+def steps_of(frequencies: Sequence[float], dwell: float, start: float = 0.0) -> tuple[Step, ...]:
+    """The steps of a schedule: each of the frequencies (f,) [rad/s] for ``dwell`` [s], one after the other."""
+    dwell = check_positive(dwell, "dwell", "give it in seconds")
+    return tuple(Step(float(w), start + i * dwell, start + (i + 1) * dwell) for i, w in enumerate(frequencies))
+
+
+def find_steps(record: Record, signals: Sequence[str] | None = None, least_periods: int = 4) -> tuple[Step, ...]:
+    """The stretches of a record in which an excitation is a steady sine, from the times of its rising zero crossings.
+
+    signals: the excitations looked at (None: the strongest e_<axis>). Neighbouring periods that differ by less than 2 %
+    belong to one step. Raises InvalidInput where there is none of ``least_periods`` periods.
+    """
+    names = [name for name in record.signals if name.startswith("e_")] if signals is None else list(signals)
+    if not names:
+        raise InvalidInput("the record has no excitation e_<axis>; name the signals that carry the sine")
+    wave = record[max(names, key=lambda name: float(np.std(record[name])))]
+    up = np.flatnonzero((wave[:-1] <= 0) & (wave[1:] > 0))
+    times = record.time[up] - wave[up] / (wave[up + 1] - wave[up]) * record.dt
+    periods = np.diff(times)
+    found, first = [], 0
+    for i in range(1, len(periods) + 1):
+        if i < len(periods) and abs(periods[i] - periods[first:i].mean()) <= _ALIKE * periods[i]:
+            continue
+        if i - first >= least_periods:
+            inner = slice(first + 1, i)  # the outermost periods may belong half to the neighbours
+            period = np.polyfit(np.arange(i - first - 1), times[inner], 1)[0]
+            found.append(Step(float(2 * np.pi / period), float(times[first]), float(times[i])))
+        first = i
+    if not found:
+        raise InvalidInput(f"no excitation of the record is a steady sine for {least_periods} periods; excite by stepped sines")
+    return tuple(found)
+
+
+def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 0.3, least_blocks: int = 3) -> Phasors:
+    """The phasors of ``signals`` in a step, after the first ``settle`` [s] of it were left to the transient.
+
+    Each block of whole periods is fitted by least squares with a sine, an offset and a drift, so periods need not be whole
+    numbers of samples. Raises InvalidInput for a step too short for ``least_blocks`` periods after settling.
+    """
+    check_positive(settle, "settle", "give it in seconds", zero_allowed=True)
+    period = 2 * np.pi / check_positive(step.frequency, "the frequency of a step", "give it in rad/s")
+    whole = int((step.stop - step.start - settle) / period + 1e-6)
+    if whole < least_blocks:
+        need = settle + least_blocks * period
+        raise invalid(
+            f"the step at {step.frequency / 2 / np.pi:g} Hz", f"{step.stop - step.start:g} s long",
+            f"at least {need:.3g} s, {least_blocks} periods after {settle:g} s of settling", "dwell longer, or settle less",
+        )  # fmt: skip
+    each = -(-whole // _MOST_BLOCKS)
+    count = whole // each
+    edges = step.stop - np.arange(count, -1, -1) * each * period
+    edges = np.round((edges - record.start_time) / record.dt).astype(int)
+    if edges[0] < 0 or edges[-1] > record.values.shape[1]:
+        time = record.time
+        remedy = "pass the steps of this record"
+        raise invalid("a step", f"up to {step.stop:g} s", f"within {time[0]:g} to {time[-1]:g} s of the record", remedy)
+    rows = record.values[list(index_of(signals, record.signals, "signal"))]
+    found = [_fit(rows[:, i:j], step, record.start_time + i * record.dt, record.dt) for i, j in pairwise(edges.tolist())]
+    return Phasors(step.frequency, tuple(signals), np.mean(found, axis=0), np.array(found))
+
+
+def _fit(values: np.ndarray, step: Step, start: float, dt: float) -> np.ndarray:
+    """The phasors (s,) of values (s, k) that begin at ``start`` [s]."""
+    k = values.shape[1]
+    angle = step.frequency * (start + np.arange(k) * dt - step.start)
+    X = np.stack([np.cos(angle), np.sin(angle), np.ones(k), np.linspace(-1, 1, k)])
+    found = np.linalg.solve(X @ X.T, X @ values.T)
+    return found[0] - 1j * found[1]

@@ -1,0 +1,33 @@
+"""Seal coefficients from closed-loop records, by pressure and frequency: READ FIRST; the work is done next door.
+
+    fit = seal_fit.stepped_sine(machine, records)                  # frequency by frequency, a reference without pressure (P4)
+    fit = seal_fit.from_records(machine, records, controller)      # impulses, PRBS, chirps: all frequencies at once (P5)
+    seal_fit.line(fit, "k")                                        # over pressure, with confidence and prediction bands
+    machine = seal_fit.identified_seal(machine, fit)               # back into the machine, with tolerances
+
+``machine`` must be known but for the seal: identify bearings and coupling without pressure first (closed_loop.py).
+"""
+
+from __future__ import annotations
+
+from ambrose.identify.phasors import find_steps, steps_of
+from ambrose.identify.regression import Line, fit_line
+from ambrose.identify.seal_records import identify as from_records
+from ambrose.identify.seal_result import COEFFICIENTS, ENTRIES, SealFit, averaged, line
+from ambrose.identify.seal_table import identified_seal
+from ambrose.identify.stepped_sine import identify as stepped_sine
+
+__all__ = [
+    "COEFFICIENTS",
+    "ENTRIES",
+    "Line",
+    "SealFit",
+    "averaged",
+    "find_steps",
+    "fit_line",
+    "from_records",
+    "identified_seal",
+    "line",
+    "stepped_sine",
+    "steps_of",
+]
