@@ -9,9 +9,10 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.semidefinite import smat, svec
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis import hinf
-from ambrose.synthesis.hinf_lmi import _smat, _svec, smallest_gamma
+from ambrose.synthesis.hinf_lmi import smallest_gamma
 from ambrose.synthesis.hinf_scaling import scale_plant
 from random_plants import KINDS, random_plant
 
@@ -25,8 +26,8 @@ def plant(kind: str, seed: int) -> GeneralizedPlant:
 def test_svec_keeps_inner_products():
     rng = np.random.default_rng(0)
     X, Y = (M + M.T for M in rng.standard_normal((2, 5, 5)))
-    assert _svec(X) @ _svec(Y) == pytest.approx(np.trace(X @ Y))
-    np.testing.assert_allclose(_smat(_svec(X), 5), X, rtol=1e-15)
+    assert svec(X) @ svec(Y) == pytest.approx(np.trace(X @ Y))
+    np.testing.assert_allclose(smat(svec(X)), X, rtol=1e-15)
 
 
 @pytest.mark.parametrize(("kind", "seed"), [(k, s) for k in KINDS if k != "singular" for s in (1, 2)])

@@ -22,6 +22,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.core.semidefinite import side, smat, svec
 from ambrose.synthesis.hinf_scaling import Matrices, ScaledPlant
 
 _MARGINS = ((1e-3, 1e3), (1e-4, 1e4), (1e-6, 1e6))  # (strictness of the inequalities, largest R and S) when designing
@@ -125,77 +126,59 @@ def _solve(plant: ScaledPlant, gamma: float | None, strict: float, largest: floa
     n = len(plant.A)
     count = n * (n + 1) // 2
     free_gamma = 1.0 if gamma is None else 0.0
-    first = partial(_existence, plant.A, plant.B1, plant.B2, plant.C1, plant.D11, plant.D12)
-    second = partial(_existence, plant.A.T, plant.C1.T, plant.C2.T, plant.B1.T, plant.D11.T, plant.D21.T)
+    first = partial(existence, plant.A, plant.B1, plant.B2, plant.C1, plant.D11, plant.D12)
+    second = partial(existence, plant.A.T, plant.C1.T, plant.C2.T, plant.B1.T, plant.D11.T, plant.D21.T)
     blocks = []
     for place, inequality in ((0, first), (1, second)):
         of_matrix, of_gamma, constant = inequality()
         rows = np.zeros((len(constant), 2 * count + 1))
         rows[:, place * count : (place + 1) * count] = of_matrix
         rows[:, -1] = free_gamma * of_gamma
-        identity = _svec(np.eye(_side(len(constant))))
+        identity = svec(np.eye(side(len(constant))))
         blocks.append((rows, constant + (0.0 if gamma is None else gamma) * of_gamma - strict * identity))
-    R, S = _symmetric_basis(n)
+    basis = symmetric_basis(n)
     coupling = np.zeros((2 * n * (2 * n + 1) // 2, 2 * count + 1))
     coupling[:, :-1] = np.array(
-        [_svec(sla.block_diag(b, np.zeros((n, n)))) for b in R] + [_svec(sla.block_diag(np.zeros((n, n)), b)) for b in S]
+        [svec(sla.block_diag(b, np.zeros((n, n)))) for b in basis] + [svec(sla.block_diag(np.zeros((n, n)), b)) for b in basis]
     ).T.reshape(-1, 2 * count)
-    off = _svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
+    off = svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
     coupling[:, -1] = (1 - free_gamma) * off
     blocks.append((coupling, free_gamma * off))
     if np.isfinite(largest):
         for place in range(2):
             rows = np.zeros((count, 2 * count + 1))
             rows[:, place * count : (place + 1) * count] = -np.eye(count)
-            blocks.append((rows, largest * _svec(np.eye(n))))
+            blocks.append((rows, largest * svec(np.eye(n))))
     cost = np.zeros(2 * count + 1)
     cost[-1] = 1.0 if gamma is None else -1.0
     x = _clarabel(cost, blocks, time_limit)
     if gamma is not None and not x[-1] > 1:
         raise NumericalFailure(f"the largest t is {x[-1]:.6g}, but must exceed 1")
-    return _Solution(_smat(x[:count], n), _smat(x[count:-1], n), float(x[-1]))
+    return _Solution(smat(x[:count]), smat(x[count:-1]), float(x[-1]))
 
 
-def _existence(
+def existence(
     A: np.ndarray, B1: np.ndarray, B2: np.ndarray, C1: np.ndarray, D11: np.ndarray, D12: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """svec of minus the first inequality: its coefficients of svec(R) (k, n(n+1)/2), of gamma (k,), and its constant (k,)."""
+    """svec of minus the first inequality above: coefficients of svec(R) (k, n(n+1)/2), of gamma (k,), and the constant (k,)."""
     n, r, q = len(A), len(C1), B1.shape[1]
     null = sla.null_space(np.hstack([B2.T, D12.T]), rcond=1e-12)
     N = sla.block_diag(null, np.eye(q))
     left = N.T @ np.vstack([A, C1, np.zeros((q, n))])
     right = N.T @ np.eye(n + r + q, n)
-    basis = _symmetric_basis(n)[0]
+    basis = symmetric_basis(n)
     products = left @ basis @ right.T
     products = -(products + products.swapaxes(1, 2))
-    of_matrix = np.array([_svec(M) for M in products]).T.reshape(-1, len(basis))
+    of_matrix = np.array([svec(M) for M in products]).T.reshape(-1, len(basis))
     gains = np.vstack([B1, D11])
     constant = -N.T @ np.block([[np.zeros((n + r, n + r)), gains], [gains.T, np.zeros((q, q))]]) @ N
     of_gamma = N.T @ np.diag(np.repeat([0.0, 1.0], [n, r + q])) @ N
-    return of_matrix, _svec(of_gamma), _svec(constant)
+    return of_matrix, svec(of_gamma), svec(constant)
 
 
-def _symmetric_basis(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Symmetric matrices (n(n+1)/2, n, n), orthonormal, in the order of svec; twice, for R and for S."""
-    basis = np.array([_smat(e, n) for e in np.eye(n * (n + 1) // 2)]).reshape(-1, n, n)
-    return basis, basis
-
-
-def _svec(M: np.ndarray) -> np.ndarray:
-    """Upper triangle of a symmetric matrix (n, n), column by column, off-diagonal entries times sqrt(2)."""
-    j, i = np.tril_indices(len(M))
-    return M[i, j] * np.where(i == j, 1.0, np.sqrt(2.0))
-
-
-def _smat(v: np.ndarray, n: int) -> np.ndarray:
-    j, i = np.tril_indices(n)
-    M = np.zeros((n, n))
-    M[i, j] = M[j, i] = v / np.where(i == j, 1.0, np.sqrt(2.0))
-    return M
-
-
-def _side(length: int) -> int:
-    return round((np.sqrt(8 * length + 1) - 1) / 2)
+def symmetric_basis(n: int) -> np.ndarray:
+    """Symmetric matrices (n(n+1)/2, n, n), orthonormal, in the order of svec."""
+    return smat(np.eye(n * (n + 1) // 2)).reshape(-1, n, n)
 
 
 def _clarabel(cost: np.ndarray, blocks: list[tuple[np.ndarray, np.ndarray]], time_limit: float) -> np.ndarray:
@@ -209,7 +192,7 @@ def _clarabel(cost: np.ndarray, blocks: list[tuple[np.ndarray, np.ndarray]], tim
     blocks = [block for block in blocks if len(block[1])]
     rows = sparse.csc_matrix(-np.vstack([block[0] for block in blocks]))
     constant = np.concatenate([block[1] for block in blocks])
-    cones: list[Any] = [clarabel.PSDTriangleConeT(_side(len(block[1]))) for block in blocks]
+    cones: list[Any] = [clarabel.PSDTriangleConeT(side(len(block[1]))) for block in blocks]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 200

@@ -243,7 +243,14 @@ def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
 
 
 def balanced(plant: ScaledPlant, level: Level) -> ScaledPlant:
-    """The plant in states in which X and Y of a feasible ``level`` are equal and diagonal, as far as they are not singular.
+    """The plant in states in which X and Y of a feasible ``level`` are equal and diagonal, as far as they are not singular."""
+    T, inverse = balancing_states(level)
+    B1, B2, C1, C2 = inverse @ plant.B1, inverse @ plant.B2, plant.C1 @ T, plant.C2 @ T
+    return replace(plant, A=inverse @ plant.A @ T, B1=B1, B2=B2, C1=C1, C2=C2)
+
+
+def balancing_states(level: Level) -> tuple[np.ndarray, np.ndarray]:
+    """T (n, n) and its inverse: x = T x' makes X and Y of a feasible ``level`` equal and diagonal.
 
     There the Riccati equations are solved to full accuracy where X or Y spans many decades. Source: Jonckheere & Silverman
     1983, IEEE Trans. Automatic Control 28 (balancing for control), by the square-root method.
@@ -251,9 +258,7 @@ def balanced(plant: ScaledPlant, level: Level) -> ScaledPlant:
     L_x, L_y = _root(level.X), _root(level.Y)
     U, values, Vt = np.linalg.svd(L_y.T @ L_x)
     root = np.sqrt(np.maximum(values, 1e-300))
-    T, inverse = L_y @ U / root, (L_x @ (Vt.T / root)).T
-    B1, B2, C1, C2 = inverse @ plant.B1, inverse @ plant.B2, plant.C1 @ T, plant.C2 @ T
-    return replace(plant, A=inverse @ plant.A @ T, B1=B1, B2=B2, C1=C1, C2=C2)
+    return L_y @ U / root, (L_x @ (Vt.T / root)).T
 
 
 def _root(X: np.ndarray) -> np.ndarray:

@@ -117,6 +117,13 @@ def original_controller(plant: ScaledPlant, matrices: Matrices, inputs: Sequence
 
     Raises NumericalFailure where the loop around D22 has no solution.
     """
+    A, B, C, D = original_matrices(plant, matrices)
+    A, B, C, _ = balance_system(A, B, C)
+    return StateSpace(A, B, C, D, inputs, outputs)
+
+
+def original_matrices(plant: ScaledPlant, matrices: Matrices) -> Matrices:
+    """The matrices for the original plant, in the same controller states. Raises NumericalFailure like its caller."""
     A, B, C, D = matrices
     D22 = plant.D22 * plant.u_scale * plant.y_scale[:, None]
     E = np.eye(len(D)) + D @ D22  # u = K0 (y - D22 u)
@@ -124,6 +131,4 @@ def original_controller(plant: ScaledPlant, matrices: Matrices, inputs: Sequence
         raise NumericalFailure("the controller and D22 form an algebraic loop; increase the back-off a little")
     C, D = np.linalg.solve(E, C), np.linalg.solve(E, D)
     A, B = A - B @ D22 @ C, B - B @ D22 @ D
-    B, C, D = B * plant.y_scale, C * plant.u_scale[:, None], D * plant.u_scale[:, None] * plant.y_scale
-    A, B, C, _ = balance_system(A, B, C)
-    return StateSpace(A, B, C, D, inputs, outputs)
+    return A, B * plant.y_scale, C * plant.u_scale[:, None], D * plant.u_scale[:, None] * plant.y_scale

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 
 
@@ -31,7 +32,8 @@ class Synthesis:
 
     gamma: the norm the method reached (NaN where it has none); status: "verified", or "unstable" (a reference controller
     that does not hold this plant: a verdict, not a failure); history: one mapping per iteration; notes: what the reader must
-    know of how it was reached (a regularisation, a wider back-off), a sentence each.
+    know of how it was reached (a regularisation, a wider back-off), a sentence each. scheduled: the controller over a range
+    of speeds, of which ``controller`` is the one at the nominal speed (method "lpv"; None for the others).
     """
 
     controller: StateSpace
@@ -41,3 +43,4 @@ class Synthesis:
     certificate: Certificate
     history: tuple[Mapping[str, float], ...] = ()
     notes: tuple[str, ...] = ()
+    scheduled: ScheduledSystem | None = None
