@@ -23,6 +23,7 @@ from ambrose.synthesis import pid
 RIG = load_machine("seal-rig")
 WEIGHTLESS = replace(RIG, gravity_direction=None)
 PID = pid.controller(RIG.controller, RIG)
+EXPANDER = load_machine("turboexpander")
 
 
 def largest(record, reference, names):
@@ -91,6 +92,9 @@ CASES = {
         replace(WEIGHTLESS, seals=(replace(RIG.seals[0], M=4.0),)), OperatingPoint(speed=1200.0, seal_pressure=1e5), 1,
     ),
     "turboexpander at full speed": (replace(load_machine("turboexpander"), gravity_direction=None), None, 1),
+    "its seal with states": (
+        replace(EXPANDER, seals=(replace(EXPANDER.seals[0], frequency_dependence="states"),)), EXPANDER.operation.points[4], 1,
+    ),
 }  # fmt: skip
 
 

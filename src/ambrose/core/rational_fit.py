@@ -95,10 +95,27 @@ def fit_rational(
         )
     unit = np.sqrt(omega[0] * omega[-1])  # frequencies of order one: the powers of s stay comparable
     poles = _poles(1j * omega / unit, H, weights, _start(omega / unit, order), slope)
-    fitted = _residues(1j * omega / unit, H, weights, poles, slope)
+    return _on_poles(omega, H, weights, poles * unit, slope)
+
+
+def fit_on_poles(omega: ArrayLike, data: ArrayLike, poles: ArrayLike, slope: bool = False) -> RationalFit:
+    """As ``fit_rational``, with poles (n,) [rad/s] that are given, those of another fit say: only what is linear is found."""
+    omega = check_shape(omega, "omega", "(w,)").astype(float)
+    H = check_shape(data, "data", "(m, w)", w=len(omega)).astype(complex)
+    scale: np.ndarray = np.abs(H).max(axis=1, keepdims=True)
+    scale[scale == 0] = 1
+    return _on_poles(omega, H, np.broadcast_to(1 / scale, H.shape), np.asarray(poles, dtype=complex), slope)
+
+
+def _on_poles(omega: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool) -> RationalFit:
+    """Residues, constants and slopes by one least-squares problem per response."""
+    order, unit = len(poles), np.sqrt(omega[0] * omega[-1])
+    fitted = _residues(1j * omega / unit, H, weights, poles / unit, slope)
     residues, constant, slopes = fitted[:, :order] * unit, fitted[:, order].real, fitted[:, order + 1].real / unit
-    fit = RationalFit(poles * unit, residues, constant, slopes, np.zeros(len(H)))
-    error = np.abs(fit.response(omega) - H).max(axis=1) / scale.ravel()
+    fit = RationalFit(poles, residues, constant, slopes, np.zeros(len(H)))
+    scale = np.abs(H).max(axis=1)
+    scale[scale == 0] = 1
+    error = np.abs(fit.response(omega) - H).max(axis=1) / scale
     if not np.isfinite(error).all():
         raise NumericalFailure("vector fitting did not end in finite numbers; lower the order or widen the frequency range")
     return RationalFit(fit.poles, fit.residues, fit.constant, fit.slope, error)

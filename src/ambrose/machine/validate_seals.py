@@ -82,6 +82,8 @@ def _frequency(where: str, seal: Seal) -> Iterator[str]:
         if seal.geometry is None and len(grid) < 2:
             remedy = "give [seal.geometry] or a [seal.table] over frequency, or leave the key out"
             yield f'{where}: frequency_dependence is "states", but no coefficient depends on the frequency; {remedy}'
+        elif seal.geometry is not None and seal.reference_pressure is None:
+            yield f'{where}: reference_pressure is missing; frequency_dependence "states" fits its poles there'
         elif seal.geometry is None and 2 * sum(w > 0 for w in grid) < 2 * seal.poles + 2:
             yield complaint(where, "poles", seal.poles, f"at most {sum(w > 0 for w in grid) - 1} for this table", "lower it")
     if not 1 <= seal.poles <= _MOST_POLES:

@@ -1,105 +1,172 @@
-"""Frequency-dependent seal in the time domain: its tables as a rational model, for simulation.
+"""A seal's frequency dependence in the time domain: its table or its flow as a rational model with a few states.
 
-The table's direct and cross-coupled dynamic stiffness, H_d = K + j w C and H_c = k + j w c, are fitted by
+    H_d(s) = K_0 + C_0 s + d (s - A)^-1 b,   H_c(s) = k_0 + c_0 s + e (s - A)^-1 b
 
-    H(s) = K_0 + C_0 s + sum over i of r_i s/(s + p_i)
-
-with fixed real poles p_i, spread evenly in the logarithm of frequency over the table. Real residues by linear least squares,
-relative to the size of H at every frequency. The model is causal and its poles are stable whatever the table says; K_0 is the
-static stiffness. Each pole adds two states, the displacements x and y behind a lag. Source of the form: fits of aerodynamic
-forces with lag states (Roger 1977), here with H_d and H_c of an isotropic seal.
+meet the direct and cross-coupled dynamic stiffness K + j w C and k + j w c of the coefficients. The poles
+(``core.rational_fit``) are stable and common to both, and to every pressure and speed of a table; a seal from geometry has those
+of its reference pressure. So the model is causal, and its states keep their meaning while the operating point varies. The linear
+plant and the virtual rig hold the same model: q_x' = A q_x + b x and q_y' = A q_y + b y are the states.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.description import Seal
+from ambrose.core.rational_fit import RationalFit, fit_on_poles, fit_rational
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.seals import GasSealGeometry, Seal
+from ambrose.physics.gas_seal import gas_flow
 from ambrose.physics.seal import SealCoefficients, coefficients
+
+_LOWEST, _POINTS = 2 * np.pi * 2.0, 40  # [rad/s] of the fit of a seal from geometry, up to its max_frequency
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RationalSeal:
-    """static: K_0, k_0, C_0, c_0 and the added mass M. poles (n,) [rad/s] > 0; direct, cross (n,) [N/m]: residues r_i.
+    """The model above, n poles: static has K_0, k_0, C_0, c_0 and the added mass M; A (n, n) [rad/s], b (n,) [rad/s].
 
-    error [-]: largest deviation of H_d and H_c from the table over the table's frequencies, over the largest of either.
+    direct, cross (n,) [N/m]: d and e. error [-]: largest deviation from the coefficients at the fitted frequencies, of H_d and
+    H_c each over its largest magnitude.
     """
 
     static: SealCoefficients
-    poles: np.ndarray
+    A: np.ndarray
+    b: np.ndarray
     direct: np.ndarray
     cross: np.ndarray
     error: float
 
+    @property
+    def n_states(self) -> int:
+        """Of the two directions together."""
+        return 2 * len(self.b)
 
-def rational(seal: Seal, pressure: float = 0.0, speed: float = 0.0, n_poles: int = 2) -> RationalSeal:
-    """Fit the seal's table over frequency at a pressure [Pa] and speed [rad/s]; the poles depend on the table alone.
 
-    Without a table over frequency the constants come back, with no poles and no error. The added mass is that at the lowest
-    frequency. Raises InvalidInput for fewer than one pole, a table of a single frequency, and as ``seal.coefficients``.
+def has_states(seal: Seal) -> bool:
+    """Whether the frequency dependence of this seal is part of the plant."""
+    return seal.frequency_dependence == "states"
+
+
+def rational(seal: Seal, pressure: float = 0.0, speed: float = 0.0, poles: np.ndarray | None = None) -> RationalSeal:
+    """The model at a pressure [Pa] and speed [rad/s], on given poles (n,) [rad/s] or on ``poles_of`` the seal there.
+
+    Raises InvalidInput: a seal that depends on no frequency, and as ``seal.coefficients``.
     """
-    if n_poles < 1:
-        raise invalid("n_poles", n_poles, "at least 1", "2 or 3 suit most seals")
-    grid = dict(seal.table.axes).get("frequency") if seal.table is not None else None
-    if grid is None:
-        return RationalSeal(coefficients(seal, pressure, speed), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
-    w = np.asarray(grid, dtype=float)
-    if len(w) < 2:
-        raise InvalidInput(f"the table of seal {seal.name} has one frequency; give at least two, or leave the axis out")
-    rows = [coefficients(seal, pressure, speed, float(x)) for x in w]
-    lowest = w[0] if w[0] > 0 else w[1] / 2
-    poles = np.geomspace(lowest, w[-1], n_poles + 2)[1:-1]
-    tables = np.array([[c.K + 1j * x * c.C, c.k + 1j * x * c.c] for c, x in zip(rows, w, strict=True)])
-    basis = np.stack([np.ones(len(w)), 1j * w, *(1j * w / (1j * w + p) for p in poles)], axis=1)
-    fitted = [_least_squares(basis, h) for h in tables.T]
-    errors = [np.abs(basis @ r - h).max() for r, h in zip(fitted, tables.T, strict=True)]
-    direct, cross = fitted
-    static = SealCoefficients(float(direct[0]), float(cross[0]), float(direct[1]), float(cross[1]), rows[0].M)
-    size = np.abs(tables).max()
-    return RationalSeal(static, poles, direct[2:], cross[2:], float(max(errors) / size) if size > 0 else 0.0)
+    poles = poles_of(seal, speed) if poles is None else poles
+    if seal.geometry is not None and pressure == 0:  # no flow: states without force
+        return _model(np.zeros((2, len(poles))), np.zeros(2), np.zeros(2), seal.M, poles, 0.0)
+    omega, data, mass = _samples(seal, pressure, speed)
+    fit = fit_on_poles(omega, data, poles, slope=seal.geometry is None)
+    return _model(fit.residues, fit.constant, fit.slope, mass, poles, float(fit.error.max()))
+
+
+def poles_of(seal: Seal, speed: float = 0.0) -> np.ndarray:
+    """The poles (n,) [rad/s] of the seal's model; the speed [rad/s] counts only for a geometry without one of its own.
+
+    Raises InvalidInput.
+    """
+    if seal.geometry is not None:
+        if seal.reference_pressure is None:
+            raise invalid(f"the reference_pressure of seal {seal.name}", "missing", "given", "the poles are fitted there")
+        return _gas_poles(seal, seal.geometry, seal.poles, seal.reference_pressure, speed)
+    axes = dict(seal.table.axes) if seal.table is not None else {}
+    if len(axes.get("frequency", ())) < 2:
+        raise InvalidInput(f"seal {seal.name} has no table over at least two frequencies, and no geometry; give one of them")
+    data = [
+        _samples(seal, pressure, at)[1]
+        for pressure in axes.get("pressure", (seal.reference_pressure or 0.0,))
+        for at in axes.get("speed", (speed,))
+    ]
+    rows = np.concatenate(data)
+    alive = rows[np.abs(rows).max(axis=1) > 1e-9 * np.abs(rows).max()]
+    return fit_rational(_grid(seal), alive if len(alive) else rows, seal.poles, slope=True).poles
 
 
 def linearised(model: RationalSeal, frequency: float) -> SealCoefficients:
-    """The model's coefficients at a whirl frequency [rad/s], to compare with the table's."""
-    s = 1j * frequency
-    lags = s / (s + model.poles)
+    """The model's coefficients at a whirl frequency [rad/s], to compare with the seal's."""
+    eye = np.eye(len(model.b))
+    s = 1j * max(frequency, 1e-3)
+    lags = np.linalg.solve(s * eye - model.A, model.b) if len(model.b) else np.zeros(0)
     direct, cross = complex(model.direct @ lags), complex(model.cross @ lags)
-    slopes = model.poles / (frequency**2 + model.poles**2)  # Im(lags)/w, also where w is zero
+    m = model.static
     return replace(
-        model.static,
-        K=model.static.K + direct.real,
-        k=model.static.k + cross.real,
-        C=model.static.C + float(model.direct @ slopes),
-        c=model.static.c + float(model.cross @ slopes),
+        m, K=m.K + direct.real, k=m.k + cross.real, C=m.C + direct.imag / abs(s), c=m.c + cross.imag / abs(s)
+    )  # fmt: skip
+
+
+def system(model: RationalSeal, name: str) -> StateSpace:
+    """The part with states: displacements q_<name>_x, q_<name>_y [m] -> forces h_<name>_x, h_<name>_y [N] on the rotor."""
+    zero, none = np.zeros_like(model.A), np.zeros_like(model.b)[:, None]
+    b = model.b[:, None]
+    return StateSpace(
+        np.block([[model.A, zero], [zero, model.A]]),
+        np.block([[b, none], [none, b]]),
+        -np.block([[model.direct, model.cross], [-model.cross, model.direct]]),
+        np.zeros((2, 2)),
+        [f"q_{name}_x", f"q_{name}_y"],
+        [f"h_{name}_x", f"h_{name}_y"],
     )
 
 
-def parameters(model: RationalSeal) -> np.ndarray:
-    """One row per pole, (n, 3): pole [rad/s], direct and cross [N/m]. The static part goes to seal.force."""
-    return np.stack([model.poles, model.direct, model.cross], axis=1)
+def lag(x: float, states: np.ndarray, row: np.ndarray) -> float:
+    """Derivative [m/s] of one state of a direction, from its displacement [m] and that direction's states (n,) [m].
+
+    row (n + 1,): the row of A, then the element of b. Compiles with numba as it stands.
+    """
+    total = float(row[row.shape[0] - 1] * x)
+    for j in range(row.shape[0] - 1):
+        total += row[j] * states[j]
+    return total
 
 
-def lag(x: float, state: float, p: np.ndarray) -> float:
-    """Derivative [m/s] of a pole's lagged displacement [m]; p one row of ``parameters``. Compiles with numba as it stands."""
-    return float(p[0] * (x - state))
+def force(state_x: float, state_y: float, direct: float, cross: float) -> tuple[float, float]:
+    """What one state of each direction adds to seal.force (x, y) [N]. Compiles with numba as it stands."""
+    return -(direct * state_x + cross * state_y), -(-cross * state_x + direct * state_y)
 
 
-def force(x: float, y: float, state_x: float, state_y: float, p: np.ndarray) -> tuple[float, float]:
-    """What one pole adds to seal.force (x, y) [N]; p one row of ``parameters``. Compiles with numba as it stands."""
-    u, v = x - state_x, y - state_y
-    return -(p[1] * u + p[2] * v), -(-p[2] * u + p[1] * v)
+def rows(model: RationalSeal) -> np.ndarray:
+    """A with b beside it (n, n + 1), as ``lag`` takes it row by row."""
+    return np.column_stack([model.A, model.b])
 
 
-def _least_squares(basis: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Real factors of the basis' columns (w, m) for a complex target (w,), every frequency weighted by 1/size."""
-    size = np.abs(target).max(initial=0.0)
-    if size == 0:
-        return np.zeros(basis.shape[1])
-    weight = size / np.maximum(np.abs(target), 1e-3 * size)
-    A = np.concatenate([(basis * weight[:, None]).real, (basis * weight[:, None]).imag])
-    b = np.concatenate([(target * weight).real, (target * weight).imag])
-    scale = np.linalg.norm(A, axis=0)
-    return np.linalg.lstsq(A / scale, b, rcond=1e-12)[0] / scale
+def _grid(seal: Seal) -> np.ndarray:
+    if seal.geometry is not None:
+        return np.geomspace(_LOWEST, seal.geometry.max_frequency, _POINTS)
+    grid = np.asarray(dict(seal.table.axes)["frequency"] if seal.table is not None else (), dtype=float)
+    return grid[grid > 0]
+
+
+def _samples(seal: Seal, pressure: float, speed: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Frequencies (w,) [rad/s], H_d and H_c there (2, w) [N/m], added mass [kg] at the lowest."""
+    omega = _grid(seal)
+    if seal.geometry is not None:
+        flow, share = gas_flow(seal, pressure, speed, tuple(omega.tolist()))
+        impedance = np.zeros((2, len(omega)), dtype=complex) if flow is None else share * np.array(flow.impedance)
+        return omega, impedance, seal.M
+    at = [coefficients(seal, pressure, speed, float(w)) for w in omega]
+    table = np.array([[c.K + 1j * w * c.C, c.k + 1j * w * c.c] for c, w in zip(at, omega, strict=True)]).T
+    return omega, table, at[0].M
+
+
+def _gas_poles(seal: Seal, geometry: GasSealGeometry, poles: int, pressure: float, speed: float) -> np.ndarray:
+    omega, data, _ = _samples(seal, pressure, speed if geometry.speed is None else geometry.speed)
+    return _fitted(tuple(omega.tolist()), data.tobytes(), poles).poles
+
+
+@lru_cache(maxsize=64)
+def _fitted(omega: tuple[float, ...], data: bytes, poles: int) -> RationalFit:
+    return fit_rational(omega, np.frombuffer(data, dtype=complex).reshape(2, -1), poles)
+
+
+def _model(
+    residues: np.ndarray, constant: np.ndarray, slope: np.ndarray, mass: float, poles: np.ndarray, error: float
+) -> RationalSeal:
+    """States in metres: each counts its pole's modulus."""
+    A, b, C = RationalFit(poles, residues, constant, slope, np.zeros(2)).real_form()
+    size = np.abs(poles)
+    static = SealCoefficients(float(constant[0]), float(constant[1]), float(slope[0]), float(slope[1]), mass)
+    return RationalSeal(static, A, b * size, C[0] / size, C[1] / size, error)

@@ -14,8 +14,9 @@ import numpy as np
 from ambrose.core.mechanical import SecondOrder, to_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import Machine, OperatingPoint, Seal
-from ambrose.physics import amplifier, coupling, magnet, seal, sensor
+from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes
+from ambrose.physics.seal_rational import has_states
 from ambrose.plant.model import Plant
 from ambrose.plant.ports import ports, sensor_ports
 
@@ -27,7 +28,7 @@ def assemble(machine: Machine, point: OperatingPoint | None = None) -> Plant:
     """
     point = machine.operation.nominal if point is None else point
     rotor = to_statespace(attached_rotor(machine, point, finite_element_rotor(machine)), point.speed)
-    return wire(machine, point, rotor)
+    return wire(machine, point, with_seal_states(machine, point, rotor))
 
 
 def bending_modes_of(rotor: Rotor) -> int:
@@ -59,7 +60,8 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
         damping += pair.T @ d @ pair
     for annular in machine.seals:
         pair = np.array([rows[f"{annular.name}_x"], rows[f"{annular.name}_y"]])
-        k, d, m = seal.matrices(seal_coefficients(annular, point))
+        constant = _seal_model(annular, point).static if has_states(annular) else seal_coefficients(annular, point)
+        k, d, m = seal.matrices(constant)
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
         mass += pair.T @ m @ pair
@@ -88,8 +90,32 @@ def gyroscopic_of(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
     return np.kron(plane.T @ rotor.plane_gyroscopic @ plane, np.array([[0.0, 1.0], [-1.0, 0.0]]))
 
 
+def with_seal_states(machine: Machine, point: OperatingPoint, rotor: StateSpace) -> StateSpace:
+    """A rotor (full or reduced, of ``attached_rotor``) with the states of its frequency-dependent seals, after its own."""
+    seals = [item for item in machine.seals if has_states(item) and point.seal_pressure > 0]
+    if not seals:
+        return rotor
+    places = [f"{item.name}_{axis}" for item in seals for axis in "xy"]
+    parts = [seal_rational.system(_seal_model(item, point), item.name) for item in seals]
+    return connect(
+        [rename(rotor, {f"f_{place}": f"F_{place}" for place in places}), *parts],
+        inputs=list(rotor.inputs),
+        outputs=list(rotor.outputs),
+        sums={f"F_{place}": [f"f_{place}", f"h_{place}"] for place in places},
+    )
+
+
+def seal_states(machine: Machine, point: OperatingPoint) -> int:
+    """How many states the frequency-dependent seals add to the rotor's."""
+    return sum(2 * item.poles for item in machine.seals if has_states(item)) if point.seal_pressure > 0 else 0
+
+
+def _seal_model(item: Seal, point: OperatingPoint) -> seal_rational.RationalSeal:
+    return seal_rational.rational(item, point.seal_pressure, point.speed)
+
+
 def seal_coefficients(item: Seal, point: OperatingPoint) -> seal.SealCoefficients:
-    """The seal's coefficients at the point; frequency-dependent tables are read at its whirl frequency."""
+    """The seal's coefficients at the point; those that depend on the frequency are read at its whirl frequency."""
     frequency = point.speed if point.whirl_frequency is None else point.whirl_frequency
     return seal.coefficients(item, point.seal_pressure, point.speed, frequency)
 

@@ -16,7 +16,7 @@ from ambrose.core.checks import NumericalFailure, check_shape, invalid
 from ambrose.core.mechanical import SecondOrder, project, to_statespace
 from ambrose.core.statespace import StateSpace, balance
 from ambrose.physics.rotor import finite_element_rotor
-from ambrose.plant.assemble import attached_rotor, bending_modes_of, wire
+from ambrose.plant.assemble import attached_rotor, bending_modes_of, seal_states, wire, with_seal_states
 from ambrose.plant.model import Plant
 
 _EXTRA_MODES = 24  # bending modes per plane beyond those asked for: rigid-body poles good to 3e-4 rad/s, see tests
@@ -27,7 +27,8 @@ class Reduction:
     """A reduced plant and how it came about.
 
     plant: same type as the full one. T_L (r, n), T_R (n, r): x_r = T_L x, x = T_R x_r, T_L T_R = I, for the rotor's state x
-    of ``assemble``. ``residual``: what was cut off the rotor, in decoupled first-order form; see ``error_bound``.
+    of ``assemble``; states of seals are kept as they are. ``residual``: what was cut off the rotor (with the constants of such
+    seals), in decoupled first-order form; see ``error_bound``.
     """
 
     plant: Plant
@@ -53,7 +54,7 @@ def reduce(plant: Plant, bending_modes: int = 0, static_correction: bool = True)
 
 
 def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: bool = True) -> Reduction:
-    """Split off the slow modes of the rotor on its bearings, seals and couplings: 8 + 4 bending_modes states.
+    """Split off the slow modes of the rotor on its bearings, seals and couplings: 8 + 4 bending_modes states, and the seals'.
 
     ``static_correction`` adds the static compliance of all that was cut off as a feedthrough from force to displacement.
     Raises InvalidInput for more bending modes than the mesh has, NumericalFailure when the poles to keep are not
@@ -74,7 +75,10 @@ def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: boo
     )
     reduced = with_static_correction(slow, full) if static_correction else slow
     lift_L, lift_R = _lift(second_order, full)
-    return Reduction(wire(machine, point, reduced, bending_modes), T_L @ lift_L, lift_R @ T_R, fast, static_correction)
+    own = np.eye(seal_states(machine, point))
+    left, right = sla.block_diag(T_L @ lift_L, own), sla.block_diag(lift_R @ T_R, own)
+    reduced = with_seal_states(machine, point, reduced)
+    return Reduction(wire(machine, point, reduced, bending_modes), left, right, fast, static_correction)
 
 
 def with_static_correction(slow: StateSpace, full: SecondOrder) -> StateSpace:
@@ -89,7 +93,8 @@ def free_mode_reduction(plant: Plant, bending_modes: int = 0) -> Plant:
     """Galerkin projection on the free rotor's modes: a basis that depends on neither speed nor bearing (for scheduling)."""
     rotor = finite_element_rotor(plant.machine)
     small = attached_rotor(plant.machine, plant.point, rotor, bending_modes)
-    return wire(plant.machine, plant.point, to_statespace(small, plant.point.speed), bending_modes)
+    closed = with_seal_states(plant.machine, plant.point, to_statespace(small, plant.point.speed))
+    return wire(plant.machine, plant.point, closed, bending_modes)
 
 
 def leading(system: SecondOrder, count: int) -> SecondOrder:

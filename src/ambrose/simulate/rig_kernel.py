@@ -33,7 +33,7 @@ _effective_current = _compiled(amplifier.effective_current)
 _contact_force = _compiled(touchdown.force)
 _coupling_force = _compiled(coupling.force)
 _seal_force = _compiled(seal.force)
-_lagged_force = _compiled(seal_rational.force)
+_state_force = _compiled(seal_rational.force)
 _seal_lag = _compiled(seal_rational.lag)
 _turning_force = _compiled(unbalance.force)
 _runout = _compiled(sensor.runout)
@@ -122,16 +122,19 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
             work.velocity[first + i, 1],
         )
         fx, fy = _seal_force(x, y, vx, vy, 0.0, 0.0, (stiffness, cross, damping, across, 0.0))
-        for m in range(rig.seal_poles.shape[1]):
+        count = rig.seal_lags.shape[1]
+        end = lag + 2 * count
+        for m in range(count):
             direct, cross = (
                 at[5 + 2 * m] + t * (to[5 + 2 * m] - at[5 + 2 * m]),
                 at[6 + 2 * m] + t * (to[6 + 2 * m] - at[6 + 2 * m]),
             )
-            pole = (rig.seal_poles[i, m], direct, cross)
-            gx, gy = _lagged_force(x, y, z[lag], z[lag + 1], pole)
+            gx, gy = _state_force(z[lag + 2 * m], z[lag + 2 * m + 1], direct, cross)
             fx, fy = fx + gx, fy + gy
-            dz[lag], dz[lag + 1] = _seal_lag(x, z[lag], pole), _seal_lag(y, z[lag + 1], pole)
-            lag += 2
+            row = rig.seal_lags[i, m]
+            dz[lag + 2 * m] = _seal_lag(x, z[lag:end:2], row)
+            dz[lag + 2 * m + 1] = _seal_lag(y, z[lag + 1 : end : 2], row)
+        lag = end
         work.force[first + i, 0] += fx
         work.force[first + i, 1] += fy
 

@@ -48,7 +48,9 @@ def standing(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     z[4 * p + 3 * a : 4 * p + 4 * a] = [_seen(rig, i) @ q + rig.constants.sensor[i, 1] for i in range(a)]
     first = len(rig.machine.bearings) + len(rig.machine.couplings)
     places = rig.constants.shape[first : first + len(rig.machine.seals)] @ q.reshape(-1, 2)
-    z[4 * p + 4 * a :] = np.repeat(places[:, None], rig.constants.seal_poles.shape[1], axis=1).ravel()
+    lags = rig.constants.seal_lags
+    settled = -np.linalg.solve(lags[..., :-1], lags[..., -1:]) if lags.size else lags[..., -1:]  # states per displacement
+    z[4 * p + 4 * a :] = (settled * places[:, None]).ravel()
     return z
 
 

@@ -42,7 +42,7 @@ class Constants(NamedTuple):
     sensor: np.ndarray  # (a, 6) physics.sensor.parameters
     runout: np.ndarray  # (h, 3) physics.sensor.harmonics, bearing after bearing
     runout_start: np.ndarray  # (b + 1,)
-    seal_poles: np.ndarray  # (seals, l) [rad/s] of those with a table over frequency; 0 where a seal has fewer
+    seal_lags: np.ndarray  # (seals, l, l + 1) A with b beside it of the seals with states; idle where a seal has fewer
     weight: np.ndarray  # (2 p,) modal force
 
 
@@ -82,7 +82,7 @@ class Rig:
     @property
     def states(self) -> int:
         """Length of the state: displacements and velocities, amplifiers, bias currents, sensors, seals."""
-        return 4 * self.modes + 4 * len(self.axes) + 2 * self.constants.seal_poles.size
+        return 4 * self.modes + 4 * len(self.axes) + 2 * self.constants.seal_lags[..., 0].size
 
     @property
     def bias(self) -> slice:
@@ -131,7 +131,7 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
         sensor=np.array([sensor.parameters(served[b.name], axis) for b in bearings for axis in ("zeta", "eta")], dtype=float),
         runout=np.vstack(tracks),
         runout_start=np.cumsum([0, *(len(track) for track in tracks)]),
-        seal_poles=_seal_poles(machine, point),
+        seal_lags=_seal_lags(machine, point),
         weight=modes.shapes.T @ gravity_load(rotor, machine.gravity_direction),
     )
     translation = modes.shapes[:, 0]
@@ -143,12 +143,16 @@ def _deflections(rotor: Rotor, positions: list[float], shapes: np.ndarray) -> np
     return np.array([displacement_row(rotor, position, 0.0) @ shapes[:, 0::2] for position in positions])
 
 
-def _seal_poles(machine: Machine, point: OperatingPoint) -> np.ndarray:
-    """Poles (seals, l) [rad/s] of the seals' rational models; they depend on the tables alone."""
-    found = [seal_rational.rational(item, point.seal_pressure, point.speed).poles for item in machine.seals]
-    result = np.zeros((len(found), max((len(poles) for poles in found), default=0)))
-    for row, poles in zip(result, found, strict=True):
-        row[: len(poles)] = poles
+def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
+    """The dynamics (seals, l, l + 1) of the seals' states, the same during the whole run; padded with states that stay zero."""
+    held = [seal_rational.has_states(item) for item in machine.seals]
+    most = max((item.poles for item, states in zip(machine.seals, held, strict=True) if states), default=0)
+    result = np.tile(np.column_stack([-np.eye(most), np.zeros(most)]), (len(held), 1, 1))
+    for lags, item, states in zip(result, machine.seals, held, strict=True):
+        if states:
+            n = item.poles
+            rows = seal_rational.rows(seal_rational.rational(item, point.seal_pressure, point.speed))
+            lags[:n, :n], lags[:n, -1] = rows[:, :-1], rows[:, -1]
     return result
 
 
