@@ -15,6 +15,7 @@ from ambrose import __version__
 from ambrose.cli.check import check, machines
 from ambrose.cli.convert import convert
 from ambrose.cli.export import export
+from ambrose.cli.identify import identify
 from ambrose.cli.simulate import simulate
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
@@ -53,5 +54,5 @@ def main() -> None:
     """
 
 
-for command in (machines, check, synthesize, verify, simulate, convert, export, study_command):
+for command in (machines, check, synthesize, verify, simulate, identify, convert, export, study_command):
     main.add_command(command)

@@ -3,30 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import date
 from typing import Any
 
-from ambrose.core.checks import InvalidInput
+import numpy as np
+
+from ambrose import __version__
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identify.closed_loop import Identification, identify
 from ambrose.identify.explained import Explained, explained
 from ambrose.identify.record_checks import diagnose_records
 from ambrose.identify.record_finding import RecordFinding, refuse
+from ambrose.identify.repeats import Repeats, of_estimates
 from ambrose.identify.result_checks import delay_findings, diagnose_result
 from ambrose.identify.unknowns import expand
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
 from ambrose.machine.record import Record
+from ambrose.machine.units import DIMENSIONS
 
+_NORMAL = 1.96  # standard deviations of a 95 % interval
 _SHORT = 1.0  # [s] of every record on which other delays are tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckedIdentification:
-    """A result, the findings that let it pass, and every record beside the model."""
+    """A result, the findings that let it pass, and every record beside the model; setup: how it was identified.
+
+    repeats: what every record alone gives, where that was asked for; the result's covariance then allows for their scatter.
+    """
 
     result: Identification
     findings: tuple[RecordFinding, ...]
     pieces: tuple[Explained, ...]
+    controller: Any
+    computing_delay: int
+    bending_modes: int
+    repeats: Repeats | None = None
 
     @property
     def good(self) -> bool:
@@ -44,9 +58,13 @@ def checked_identification(
     signals: Sequence[str] | None = None,
     bending_modes: int = 1,
     computing_delay: int = 1,
+    repeats: bool = False,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> CheckedIdentification:
     """``closed_loop.identify`` between diagnose_records and diagnose_result; unknown: none means usual_unknowns.
+
+    repeats: the records repeat one experiment; each is identified alone as well, and a standard deviation below what their
+    scatter allows for is widened to it.
 
     Raises InvalidInput with every error that was found, each with its evidence and remedy.
     """
@@ -72,7 +90,32 @@ def checked_identification(
             return identify(machine, early, controller, result.paths, signals=signals, **other)
 
         findings += delay_findings(again(computing_delay), computing_delay, again)
-    return CheckedIdentification(result, findings, pieces)
+    scatter = None
+    if repeats:
+        scatter, result = _repeated(machine, records, controller, result, signals, setup, progress)
+    return CheckedIdentification(result, findings, pieces, controller, computing_delay, bending_modes, scatter)
+
+
+def _repeated(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: Any,
+    result: Identification,
+    signals: Sequence[str] | None,
+    setup: Mapping[str, Any],
+    progress: Callable[[str], None],
+) -> tuple[Repeats, Identification]:
+    """What every record alone gives, and the common result with a covariance as wide as their scatter."""
+    if len(records) < 2:
+        raise invalid("the number of records", len(records), "at least 2 for repeats", "give every repeat as a record")
+    begin = {**setup, "start": dict(zip(result.paths, result.values.tolist(), strict=True))}
+    found = []
+    for number, record in enumerate(records, 1):
+        progress(f"identifying record {number} of {len(records)} alone")
+        found.append(identify(machine, record, controller, result.paths, signals=signals, **begin))
+    scatter = of_estimates(found)
+    wider = np.maximum(scatter.half_width / _NORMAL / result.standard_deviations, 1.0)
+    return scatter, replace(result, covariance=result.covariance * wider * wider[:, None])
 
 
 def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[str, ...]:
@@ -101,3 +144,76 @@ def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[st
     if not found:
         raise InvalidInput(f"machine {machine.name!r} has nothing to identify; name the parameters")
     return tuple(found)
+
+
+def as_dict(checked: CheckedIdentification) -> dict[str, Any]:
+    """Everything that was found, SI, as plain values for JSON."""
+    result = checked.result
+    half = _NORMAL * result.standard_deviations
+    return {
+        "machine": result.machine,
+        "point": {"speed_rad_s": result.point.speed, "seal_pressure_pa": result.point.seal_pressure},
+        "good": checked.good,
+        "verdict": result.verdict,
+        "parameters": [
+            {
+                "path": path, "unit": _unit(path), "start": start, "value": value, "standard_deviation": deviation,
+                "interval_95": [value - width, value + width],
+            }
+            for path, start, value, deviation, width in zip(
+                result.paths, result.start.tolist(), result.values.tolist(), result.standard_deviations.tolist(),
+                half.tolist(), strict=True,
+            )
+        ],
+        "correlation": result.correlation.tolist(),
+        "column_cosine": result.column_cosine.tolist(),
+        "fit_percent": [{"record": n, "signal": name, "fit": float(fit)} for n, name, fit in result.fit],
+        "residual_tests": [
+            {
+                "signal": test.signal, "excitation": test.excitation, "correlation": float(test.correlation),
+                "limit": float(test.limit), "lag": int(test.lag), "passed": bool(test.passed),
+            }
+            for test in result.tests
+        ],
+        "findings": [
+            {"severity": item.severity, "what": item.what, "evidence": item.evidence, "remedy": item.remedy}
+            for item in checked.findings
+        ],
+        "warnings": list(result.warnings),
+        "converged": result.converged,
+        "iterations": result.iterations,
+        "repeats": None if checked.repeats is None else _repeats_dict(checked.repeats),
+    }  # fmt: skip
+
+
+def _repeats_dict(repeats: Repeats) -> dict[str, Any]:
+    return {
+        "count": repeats.count, "values": repeats.values.tolist(), "mean": repeats.mean.tolist(),
+        "half_width_95": repeats.half_width.tolist(), "rsd_percent": repeats.rsd.tolist(),
+    }  # fmt: skip
+
+
+def _unit(path: str) -> str:
+    return DIMENSIONS[parse_parameter(path).dimension].unit
+
+
+def provenance(checked: CheckedIdentification, records: Sequence[str], controller: str, when: str = "") -> tuple[str, str]:
+    """Where the values are from: one line for the machine's ``source``, and a comment to stand above its file.
+
+    records, controller: their files' names; when: ISO date (today if empty).
+    """
+    result, when = checked.result, when or date.today().isoformat()
+    origin = f"{len(result.paths)} parameters identified {when} from {', '.join(records)} with {controller}"
+    lines = [
+        f"Identified {when} by ambrose {__version__} from {', '.join(records)} (controller {controller}),",
+        f"at {result.point.speed:g} rad/s and a seal pressure of {result.point.seal_pressure:g} Pa.",
+        "The values below are in the file; its tolerances are their 95 % intervals, unless a seal's stated one is wider.",
+        f"Verdict: {result.verdict}",
+    ]
+    lines += [f"Warning: {finding}" for finding in checked.findings]
+    lines += [f"Warning: {text}" for text in result.warnings if text != result.verdict]
+    for path, value, deviation, start in zip(
+        result.paths, result.values, result.standard_deviations, result.start, strict=True
+    ):
+        lines.append(f"  {path} = {value:.6g} {_unit(path)}, standard deviation {deviation:.2g}, began at {start:.6g}")
+    return origin, "".join(f"# {' '.join(line.splitlines())}\n" if line[0] != " " else f"#{line}\n" for line in lines) + "\n"

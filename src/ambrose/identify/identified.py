@@ -1,35 +1,45 @@
-"""The machine with its identified parameters written in, each with a tolerance as wide as it is uncertain."""
+"""The machine with its identified parameters written in, each with a tolerance as wide as it is uncertain, and its origin."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identify.closed_loop import Identification
 from ambrose.machine.description import BiasPoint, Machine, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
 from ambrose.machine.parameters import Parameter, find_uncertain, parse_parameter
 from ambrose.physics import magnet
+from ambrose.physics.seal import coefficients
 
 
-def identified_machine(machine: Machine, result: Identification, coverage: float = 1.96) -> Machine:
+def identified_machine(
+    machine: Machine, result: Identification, coverage: float = 1.96, *, origin: str = "", keep_wider: bool = False
+) -> Machine:
     """The machine with the values found, and tolerances of ``coverage`` standard deviations (1.96: 95 %) relative to them.
 
     A bearing identified at another bias current than its own gets a row in ``measured``. Tolerances of the same parameters are
-    replaced. Raises InvalidInput for what a machine cannot hold (one entry of a seal's matrix, a tabulated coefficient).
+    replaced; keep_wider: not a seal's that is wider than what was found, for it may be the range of operation. A seal holds one
+    coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry, as found or as it was, and
+    the tolerance of the coefficient covers both with their uncertainty. origin: where the values are from, added to
+    ``source``; entries of ``assumed`` about a quantity whose every value was identified are taken out. Raises InvalidInput for
+    what a machine cannot hold (a coefficient from a table or a geometry).
     """
     if result.machine != machine.name:
         raise invalid("the machine of the result", repr(result.machine), repr(machine.name), "take the machine it belongs to")
     check_positive(coverage, "coverage", "1.96 standard deviations cover 95 %")
-    tolerances, values = [], []
-    for path, value, deviation in zip(result.paths, result.values, result.standard_deviations, strict=True):
-        parameter = find_uncertain(machine, path)
-        values.append((parameter, float(value)))
-        width = max(coverage * float(deviation), 1e-15 * abs(value), 1e-300)
-        relative = value != 0
-        tolerances.append(Tolerance(path, width / abs(value) if relative else None, None if relative else width))
-    found = [parameter for parameter, _ in values]
-    kept = [item for item in machine.tolerances if not any(parse_parameter(item.parameter).overlaps(one) for one in found)]
+    found = _found(machine, result, coverage)
+    values = [(one.parameter, one.value) for one in found]
+    tolerances = [_tolerance(one) for one in found]
+    if keep_wider:
+        stated = {item.parameter: item for item in machine.tolerances}
+        tolerances = [
+            _wider(stated.get(item.parameter), item, one.value) if one.parameter.table == "seal" else item
+            for item, one in zip(tolerances, found, strict=True)
+        ]
+    kept = [item for item in machine.tolerances if not any(parse_parameter(item.parameter).overlaps(p) for p, _ in values)]
     own = {parameter.quantity: value for parameter, value in values if parameter.table == "amplifier"}
     couplings = []
     for item in machine.couplings:
@@ -43,7 +53,74 @@ def identified_machine(machine: Machine, result: Identification, coverage: float
         amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
         seals=tuple(_seal(machine, item, result.point, _of("seal", item.name, values)) for item in machine.seals),
         tolerances=(*kept, *tolerances),
+        source="; ".join(part for part in (machine.source, origin) if part),
+        assumed=tuple(row for row in machine.assumed if not _settled(machine, row[0], [p for p, _ in values])),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A parameter of the machine file, its value at the operating point and the half-width of its tolerance, SI."""
+
+    parameter: Parameter
+    value: float
+    width: float
+
+
+def _found(machine: Machine, result: Identification, coverage: float) -> list[_Found]:
+    """The parameters as a machine file holds them: single entries of a seal's matrices made one coefficient."""
+    single: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    found = []
+    for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
+        parameter, width = find_uncertain(machine, path), coverage * deviation
+        if parameter.table == "seal" and parameter.component:
+            single.setdefault((parameter.name, parameter.quantity), []).append((value, width))
+        else:
+            found.append(_Found(parameter, value, max(width, 1e-15 * abs(value), 1e-300)))
+    for (name, quantity), entries in single.items():
+        seal = next(item for item in machine.seals if item.name == name)
+        before = getattr(coefficients(seal, result.point.seal_pressure, result.point.speed), quantity)
+        both = [*entries, *[(before, 0.0)] * (2 - len(entries))]
+        mean = float(np.mean([value for value, _ in both]))
+        width = max(abs(value - mean) + width for value, width in both)
+        found.append(_Found(parse_parameter(f"seal.{name}.{quantity}"), mean, max(width, 1e-300)))
+    return found
+
+
+def _tolerance(one: _Found) -> Tolerance:
+    if one.value == 0:
+        return Tolerance(one.parameter.path, absolute=one.width)
+    return Tolerance(one.parameter.path, relative=one.width / abs(one.value))
+
+
+def _wider(stated: Tolerance | None, found: Tolerance, value: float) -> Tolerance:
+    """The wider of the two, both taken at the value found."""
+    if stated is None:
+        return found
+    widths = [(item.absolute or 0.0) + (item.relative or 0.0) * abs(value) for item in (stated, found)]
+    return stated if widths[0] > widths[1] else found
+
+
+def _settled(machine: Machine, key: str, found: Sequence[Parameter]) -> bool:
+    """Whether an entry of ``assumed`` speaks of a quantity ("bearing.force_per_current") all values of which were found."""
+    table, _, rest = key.partition(".")
+    name, _, quantity = rest.rpartition(".")
+    if table == "amplifier":
+        return any(p.table == table and p.quantity == quantity for p in found)
+    tables = {
+        "bearing": [item.name for item in machine.bearings],
+        "coupling": [item.name for item in machine.couplings],
+        "seal": [item.name for item in machine.seals],
+    }
+    names = [name] if name else tables.get(table, [])
+    if not quantity or not names:
+        return False
+
+    def known(item: str) -> bool:
+        mine = [p.component for p in found if (p.table, p.name, p.quantity) == (table, item, quantity)]
+        return "" in mine or {"zeta", "eta"} <= set(mine)
+
+    return all(known(item) for item in names)
 
 
 _Values = Sequence[tuple[Parameter, float]]
@@ -86,9 +163,9 @@ def _in_the_file(machine: Machine, parameter: Parameter, point: OperatingPoint, 
     if parameter.table != "seal":
         return value
     item = next(seal for seal in machine.seals if seal.name == parameter.name)
-    if parameter.component:
-        remedy = f"identify seal.{item.name}.{parameter.quantity}, one number for both axes"
-        raise invalid(f'parameter "{parameter.path}"', "one entry of a matrix", "a coefficient that a seal holds", remedy)
+    if item.geometry is not None and parameter.quantity in {"K", "k", "C", "c"}:
+        remedy = "remove the geometry, or write a table of what was measured (identify/seal_table.py)"
+        raise InvalidInput(f'parameter "{parameter.path}" comes from the geometry of seal {item.name}; {remedy}')
     if item.table is not None and parameter.quantity in {name for name, _ in item.table.values}:
         remedy = "remove it from the table, or enter the value there by hand"
         raise InvalidInput(f'parameter "{parameter.path}" is tabulated over {item.table.axes[0][0]}; {remedy}')

@@ -1,0 +1,159 @@
+"""One page from one identification: what was found, whether to believe it, and the pictures to see why.
+
+write(identification_report(machine, checked, sources=["prbs.h5"]), "identified.html")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ambrose.identify.checked import CheckedIdentification
+from ambrose.identify.record_finding import ERROR
+from ambrose.identify.seal_result import SealFit
+from ambrose.machine.description import Machine
+from ambrose.report import units
+from ambrose.report.document import Figure, Report, Section, Table, Verdict
+from ambrose.report.identification_figures import (
+    change_figure,
+    correlation_figure,
+    overlay_figure,
+    residual_figure,
+    telling_records,
+    tests_figure,
+)
+from ambrose.report.identification_frf import frf_figure
+from ambrose.report.identification_seal import seal_figure
+from ambrose.report.identification_tables import (
+    findings_table,
+    fit_table,
+    parameters_table,
+    repeats_table,
+    tests_table,
+)
+
+_CHANGE = "How far the records moved every parameter from the machine file's value, with the 95 % interval of what was found."
+_TIME = "Broad the measurement, thin the identified model, and what is left between them. The residual should look like noise: "
+_WHOLE = (
+    "The residual (dark) inside the signal (pale) over the whole record. It should be equally small throughout: a burst is a "
+    "knock, contact or lost samples, a slow growth a drift."
+)
+_FRF = (
+    "Displacement per current command on each axis, measured in closed loop with the excitation as instrument (no bias by "
+    "feedback), with its 95 % band, and the model before and after. Read the model only where the coherence is near 1. "
+)
+_CORRELATION = (
+    "Left: how errors of two parameters go together; near ±1 only their combination is known. Right: how alike their effects "
+    "on the signals are (cosine between columns of the Jacobian); it is no correlation, and mostly of the other sign. Below 0.1 no "
+    "number is written."
+)
+_TESTS = (
+    "Largest correlation of a residual with an excitation over its 99 % limit. Above 1 the model misses something that the "
+    "excitation causes, even where the fit looks good."
+)
+
+
+def identification_report(
+    machine: Machine,
+    checked: CheckedIdentification,
+    *,
+    sources: Sequence[str] = (),
+    controller: str = "",
+    seal: SealFit | None = None,
+    title: str = "",
+    date: str = "",
+) -> Report:
+    """The report of an identification.
+
+    machine: as it was before. sources: the records' files; controller: its file. seal: coefficients over several pressures, as
+    a section of their own. date: ISO date (today if empty).
+    """
+    result = checked.result
+    parameters: list[Table] = [parameters_table(result)]
+    if checked.repeats is not None:
+        parameters.append(repeats_table(checked.repeats))
+    sections = [
+        Section("Parameters", "", (Figure("Change from the start", change_figure(result), _CHANGE),), tuple(parameters), True)
+    ]
+    if seal is not None:
+        sections.append(Section("Seal", "", (seal_figure(seal),)))
+    if checked.findings or result.warnings:
+        table = findings_table(checked.findings, [text for text in result.warnings if text != result.verdict])
+        sections.insert(0, Section("What makes this doubtful", "", (), (table,))) if table.rows else None
+    sections.append(Section("Measured over model", "", tuple(_comparisons(machine, checked)), (fit_table(result),)))
+    pictures = [Figure("Residual tests", tests_figure(result), _TESTS)]
+    if len(result.paths) > 1:
+        pictures.append(Figure("Correlation and column cosine", correlation_figure(result), _CORRELATION))
+    sections.append(Section("Can it be believed?", "", tuple(pictures), (tests_table(result),), folded=True))
+    verdicts = _verdicts(checked)
+    failed = [verdict.label.lower() for verdict in verdicts if verdict.passed is False]
+    words = f"to be doubted: {', '.join(failed)}" if failed else "identified, and nothing speaks against it"
+    return Report(
+        title or "Identification from closed-loop records", machine, tuple(sections), verdicts,
+        _facts(checked, sources, controller), date, result=Verdict("Result", not failed, words),
+    )  # fmt: skip
+
+
+def _comparisons(machine: Machine, checked: CheckedIdentification) -> list[Figure]:
+    figures = []
+    several = len(checked.pieces) > 1
+    for number, piece in telling_records(checked.pieces):
+        where = f", record {number}" if several else ""
+        picture, words = overlay_figure(piece)
+        figures.append(Figure(f"Time{where}", picture, _TIME + words))
+        picture, words = residual_figure(piece)
+        figures.append(Figure(f"Residual over the record{where}", picture, " ".join(part for part in (_WHOLE, words) if part)))
+    found = frf_figure(machine, checked)
+    if found is not None:
+        figures.append(Figure("Frequency response of the plant", found[0], _FRF + found[1]))
+    return figures
+
+
+def _verdicts(checked: CheckedIdentification) -> tuple[Verdict, ...]:
+    result = checked.result
+    passed = all(test.passed for test in result.tests)
+    worst = max(zip(result.paths, result.values, result.standard_deviations, strict=True), key=_relative)
+    least = min(percent for _, _, percent in result.fit)
+    sure = _relative(worst) < 0.15
+    verdicts = [
+        Verdict("Residuals", passed, units.prose(result.verdict)),
+        Verdict("Fit", None, f"{least:.1f} % or better in every signal"),
+        Verdict(
+            "Parameters", sure,
+            f"standard deviations up to {units.number(100 * _relative(worst), 2)} % ({worst[0]}), condition "
+            f"{units.number(result.condition, 2)}, {result.iterations} iterations"
+            + ("" if result.converged else ", NOT converged"),
+        ),
+    ]  # fmt: skip
+    doubts = [text for text in result.warnings if text != result.verdict]
+    errors = sum(finding.severity == ERROR for finding in checked.findings)
+    count = len(checked.findings) + len(doubts)
+    text = "nothing found: channels, signs, rate, controller, timing and limits are as stated"
+    if count:
+        text = f"{count} finding{'s' if count > 1 else ''}, {errors} of them serious; see below"
+    verdicts.append(Verdict("Records", count == 0, text))
+    return tuple(verdicts)
+
+
+def _relative(row: tuple[str, float, float]) -> float:
+    return float(row[2]) / max(abs(float(row[1])), 1e-300)
+
+
+def _facts(checked: CheckedIdentification, sources: Sequence[str], controller: str) -> tuple[tuple[str, str], ...]:
+    result = checked.result
+    spans = [
+        f"{units.number(piece.record.values.shape[1] / piece.record.sample_rate_hz, 4)} s" for piece in checked.pieces
+    ]  # fmt: skip
+    rate = units.number(checked.pieces[0].record.sample_rate_hz, 6)
+    delay = checked.computing_delay
+    known = [
+        ("Records", f"{', '.join(sources) or len(spans)} ({', '.join(spans)} at {rate} Hz)"),
+        ("Controller", controller),
+        ("Operating point", result.point.label),
+        ("Seal pressure", units.quantity(result.point.seal_pressure, "Pa")),
+        ("Speed", f"{units.number(result.point.speed * units.RPM, 4)} rpm"),
+        (
+            "Model",
+            f"{checked.bending_modes} bending mode(s) per plane, computing delay {delay} sample{'' if delay == 1 else 's'}",
+        ),
+    ]
+    return tuple((name, text) for name, text in known if text)
