@@ -14,7 +14,7 @@ from ambrose.machine.record import Record
 _BLOCK = 0.01  # [s] over which a load is averaged before its steps are looked for
 _STEP = 0.02  # of the loads' range: less is no step but the noise of the force transducer
 _BATCHES = 10  # of the averaging window; their scatter gives the mean's standard error
-_SURE = 4.0  # standard errors by which a drift must exceed its limit
+_CHANCE = 1e-3  # probability that noise alone makes any level of a signal drift
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,16 +128,20 @@ def _error(batches: np.ndarray) -> np.ndarray:
 def _check_steady(
     machine: Machine, kind: str, batches: np.ndarray, number: np.ndarray, start: np.ndarray, drift: float
 ) -> None:
-    """Refuse levels at which both halves of the averaged part differ by more than chance and ``drift`` of the range."""
-    half = _BATCHES // 2
-    change = np.abs(batches[:, :, half:].mean(axis=2) - batches[:, :, :half].mean(axis=2))
-    ends = [batches[:, :, :half], batches[:, :, half:]]
-    chance = np.sqrt(sum(part.var(axis=2, ddof=1) for part in ends) / half)
+    """Refuse levels whose trend, over half of the averaged part, is more than chance and ``drift`` of the range."""
+    from scipy.special import stdtrit
+
+    t = np.arange(_BATCHES) - (_BATCHES - 1) / 2
+    slope = batches @ t / (t @ t)
+    left = batches - batches.mean(axis=2, keepdims=True) - slope[:, :, None] * t
+    chance = np.sqrt((left**2).sum(axis=2) / (_BATCHES - 2) / (t @ t)) * _BATCHES / 2
+    change = np.abs(slope) * _BATCHES / 2
+    sure = float(stdtrit(_BATCHES - 2, 1 - _CHANCE / 2 / change.size))
     scale = np.ptp(batches.mean(axis=2), axis=0).max()
     if kind == "y":  # a held position has no range of its own: what matters is its share of the gap
         gaps = [bearing.touchdown_gap or bearing.gap for bearing in machine.bearings]
         scale = max(scale, 0.1 * min((gap for gap in gaps if gap is not None), default=0.0))
-    excess = change - np.maximum(drift * scale, _SURE * chance)
+    excess = change - np.maximum(drift * scale, sure * chance)
     if (excess > 0).any():
         level, axis = (int(place) for place in np.unravel_index(np.argmax(excess), excess.shape))
         unit = "m" if kind == "y" else "A"

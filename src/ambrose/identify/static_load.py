@@ -98,12 +98,13 @@ def identify(
     point, axes = records[0].point, machine.axes
     k_s = _stiffness(machine, point, negative_stiffness)
     forces, places = bearing_forces(machine, point, levels)
+    relative = forces - _unloaded(levels, forces)
     _check_range(machine, levels, places)
+    _check_loaded(axes, relative)
     force = forces - k_s * places
     rows = [_regressed(axis, levels.current[:, i], force[:, i]) for i, axis in enumerate(axes)]
     effect = np.array([_slope(levels.current[:, i], -places[:, i]) for i in range(len(axes))])
     share = np.ptp(k_s * places, axis=0) / np.ptp(force, axis=0)
-    relative = forces - _unloaded(levels, forces)
     local = tuple(_local(levels, i, force[:, i] - _unloaded(levels, force[:, i])) for i in range(len(axes)))
     values, deviations, at_rest, rest_deviations, linearity = (np.array(column) for column in zip(*rows, strict=True))
     warnings = _warnings(axes, relative, share, linearity, values, at_rest)
@@ -157,12 +158,22 @@ def _check_range(machine: Machine, levels: Levels, places: np.ndarray) -> None:
                 f"below {_NEAR:.0%} of the touchdown gap of {gap * 1e6:.0f} um, as it must not touch",
                 "lower the loads, or let the controller hold the position",
             )  # fmt: skip
-        most = float(np.abs(levels.current[:, both]).max())
-        if bearing.max_current is not None and most > _LIMIT * bearing.max_current:
-            raise invalid(
-                f"the current at bearing {bearing.name}", f"{most:.3g} A", f"below its limit of {bearing.max_current:g} A",
-                "lower the loads: at the limit the current no longer answers them",
-            )  # fmt: skip
+        for axis, most in zip(machine.axes[both], np.abs(levels.current[:, both]).max(axis=0), strict=True):
+            if bearing.max_current is not None and most > _LIMIT * bearing.max_current:
+                raise invalid(
+                    f"the current of {axis}", f"{most:.3g} A", f"below its limit of {bearing.max_current:g} A",
+                    "lower the loads: at the limit the current no longer answers them",
+                )  # fmt: skip
+
+
+def _check_loaded(axes: tuple[str, ...], forces: np.ndarray) -> None:
+    most = np.abs(forces).max(axis=0)
+    for axis, own in zip(axes, most, strict=True):
+        if own < _SIDED * most.max():
+            raise InvalidInput(
+                f"axis {axis} carries no load ({own:.3g} N of {most.max():.3g} N); its K_i cannot be told: "
+                "load the rotor along every actuator axis, in both directions"
+            )
 
 
 def _regressed(axis: str, current: np.ndarray, force: np.ndarray) -> tuple[float, float, float, float, float]:
@@ -223,14 +234,8 @@ def _warnings(
     axes: tuple[str, ...], forces: np.ndarray, share: np.ndarray, linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray
 ) -> tuple[str, ...]:
     texts = []
-    most = np.abs(forces).max()
     for i, axis in enumerate(axes):
         low, high = -forces[:, i].min(), forces[:, i].max()
-        if max(low, high) < _SIDED * most:
-            raise InvalidInput(
-                f"axis {axis} carries no load ({max(low, high):.3g} N of {most:.3g} N); its K_i cannot be told: "
-                "load the rotor along every actuator axis, in both directions"
-            )
         if min(low, high) < _SIDED * max(low, high):
             texts.append(
                 f"{axis} was loaded to one side only; friction, hysteresis and saturation then shift its slope unseen: "
