@@ -13,14 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.balancing import balance_system
-from ambrose.core.checks import NumericalFailure, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.scheduled import check_alike
 from ambrose.synthesis.hinf_assumptions import Assumptions, check_assumptions, full_regularisation
-from ambrose.synthesis.hinf_riccati import balancing_states, normal_form, search_gamma
+from ambrose.synthesis.hinf_riccati import Level, balancing_states, normal_form, search_gamma
 from ambrose.synthesis.hinf_scaling import ScaledPlant, scale_plant
 
-_EPSILONS = (1e-3, 1e-2, 1e-1)  # of a regularisation, in the scaled plants' units
+_EPSILON = 1e-3  # of a regularisation, in the scaled plants' units
+_DISTURBANCES = tuple(10.0**-k for k in range(7))  # of every state and output, tried for the sake of good coordinates
+_HARDLY = 1.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,13 +98,18 @@ def scaled_family(plants: Sequence[GeneralizedPlant], grid: np.ndarray) -> Famil
             reference, A=A, B1=b[:, :q], B2=b[:, q:], C1=c[:r], C2=c[r:], D11=D[:r, :q], D12=D[:r, q:] * u,
             D21=D[r:, :q] * y[:, None], D22=D[r:, q:],
         ))  # fmt: skip
-    regular, notes = _regularised(scaled)
+    regular, notes = _regularised(scaled, grid)
     return _balanced(Family(grid, regular, np.diag(t), np.diag(1 / t), 1.0, 1.0, notes), middle)
 
 
-def _regularised(plants: Sequence[ScaledPlant]) -> tuple[tuple[ScaledPlant, ...], tuple[str, ...]]:
+def _regularised(plants: Sequence[ScaledPlant], grid: np.ndarray) -> tuple[tuple[ScaledPlant, ...], tuple[str, ...]]:
     """The plants, with small outputs and disturbances added to all where one of them violates an assumption."""
-    found = [check_assumptions(plant) for plant in plants]
+    found = []
+    for plant, value in zip(plants, grid, strict=True):
+        try:
+            found.append(check_assumptions(plant))
+        except InvalidInput as error:
+            raise InvalidInput(f"grid point {value:g}: {error}") from error
     wanting = [a for a in found if not a.hold]
     if not wanting:
         return tuple(plants), ()
@@ -112,7 +119,7 @@ def _regularised(plants: Sequence[ScaledPlant]) -> tuple[tuple[ScaledPlant, ...]
 def _extended(
     plants: Sequence[ScaledPlant], more: Assumptions, findings: Sequence[str]
 ) -> tuple[tuple[ScaledPlant, ...], tuple[str, ...]]:
-    epsilon = _EPSILONS[0]
+    epsilon = _EPSILON
     notes = (f"{'; '.join(findings)}: every state, control and measurement is weighted with {epsilon:g} instead",)
     return tuple(plant.extended(more.rows, more.columns, epsilon) for plant in plants), notes
 
@@ -123,14 +130,32 @@ def _balanced(family: Family, middle: int) -> Family:
     moduli = moduli[moduli > 1e-6 * moduli.max(initial=1e-300)]
     rate = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
     try:
-        best = search_gamma(normal_form(family.plants[middle])[0], 1e-3, lambda _: None).best
+        best = _level(family.plants[middle])
+        T, inverse = balancing_states(_disturbed(family.plants[middle], best))
     except NumericalFailure as failure:
         raise NumericalFailure(
             f"the plant at {family.grid[middle]:g} alone has no H-infinity controller ({failure}); design that one first"
         ) from failure
-    T, inverse = balancing_states(best)
     root = np.sqrt(rate)
     slow = tuple(
         replace(p, A=p.A / rate, B1=p.B1 / root, B2=p.B2 / root, C1=p.C1 / root, C2=p.C2 / root) for p in family.plants
     )
     return replace(family, plants=slow, rate=rate).in_states(T, inverse).in_units(best.gamma)
+
+
+def _level(plant: ScaledPlant) -> Level:
+    return search_gamma(normal_form(plant)[0], 1e-3, lambda _: None).best
+
+
+def _disturbed(plant: ScaledPlant, best: Level) -> Level:
+    """X and Y with every state disturbed and weighted as much as gamma hardly notices.
+
+    A state that is known exactly, as that of a weight driven by a measurement, has Y = 0: in states that balance such a Y, S
+    would be unbounded.
+    """
+    more = full_regularisation(plant)
+    for epsilon in _DISTURBANCES:
+        level = _level(plant.extended(more.rows, more.columns, epsilon))
+        if level.gamma <= _HARDLY * best.gamma:
+            return level
+    return best
