@@ -92,7 +92,7 @@ def identify(
     signals: Sequence[str] | None = None,
     weights: Mapping[str, float] | None = None,
     bending_modes: int = 1,
-    computing_delay: int = 1,
+    computing_delay: float = 1,
     initial_state: bool = True,
     offset: bool = True,
     max_iterations: int = 50,

@@ -13,8 +13,9 @@ from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.identify.excitation import excitation_order
 from ambrose.identify.output_error import Task, distinct
-from ambrose.identify.sensitivities import LoopModel, ParametricModel, loop_model
-from ambrose.identify.unknowns import expand, nominal_values, ratios
+from ambrose.identify.sensitivities import ParametricModel, loop_model
+from ambrose.identify.timed_loop import COMMAND, EXCITATION, TimedLoop, timed
+from ambrose.identify.unknowns import nominal_values, ratios, split_timing
 from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.machine.record import Record
 from ambrose.plant.assemble import assemble
@@ -27,7 +28,8 @@ _WINDOW = 65_536  # samples in which an excitation is judged at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Experiment:
-    """What is to be found and from what: paths (q,) with their values nominal (q,) at the reference ``point``, SI.
+    """What is to be found and from what: paths (q,) with their values nominal (q,) at the reference ``point``, SI, and
+    their sizes scale (q,).
 
     tasks: one per record; ``place`` of each is that of its loop in ``models``, one per operating point. sizes (p,): the weights
     of the fitted ``signals``.
@@ -35,16 +37,12 @@ class Experiment:
 
     paths: tuple[str, ...]
     nominal: np.ndarray
+    scale: np.ndarray
     point: OperatingPoint
-    models: tuple[LoopModel, ...]
+    models: tuple[ParametricModel, ...]
     tasks: tuple[Task, ...]
     sizes: np.ndarray
     signals: tuple[str, ...]
-
-    @property
-    def scale(self) -> np.ndarray:
-        """The sizes (q,) of the parameters."""
-        return np.where(self.nominal == 0, 1.0, np.abs(self.nominal))
 
 
 def experiment(
@@ -55,33 +53,47 @@ def experiment(
     signals: Sequence[str] | None,
     weights: Mapping[str, float] | None,
     bending_modes: int,
-    computing_delay: int,
+    computing_delay: float,
     initial_state: bool,
     offset: bool,
 ) -> Experiment:
     """The experiment that ``closed_loop.identify`` describes; the same arguments. Raises InvalidInput."""
     points, dt = operating_points(machine, records)
+    _check_delay(computing_delay)
     reference = max(points, key=lambda point: abs(point.seal_pressure))
     plants = [free_mode_reduction(assemble(machine, point), bending_modes) for point in points]
-    paths = expand(machine, unknown)
+    paths, timing = split_timing(machine, unknown)
     main = plants[points.index(reference)]
     shown = fitted_signals(main, records, signals)
-    excitations = driven_inputs(main, records, -(-len(paths) // len(shown)))
-    law = deployed_controller(main, controller, dt, computing_delay)
+    excitations = driven_inputs(main, records, -(-(len(paths) + len(timing)) // len(shown)))
+    exact = not timing and float(computing_delay).is_integer()
+    law = deployed_controller(main, controller, dt, int(computing_delay) if exact else 0)
     factors = [ratios(main, plant, paths) for plant in plants]
-    models = [
+    loops = [
         loop_model(plant, law, paths, nominal_values(plant, paths), excitations, shown, factor)
         for plant, factor in zip(plants, factors, strict=True)
     ]
+    models = loops if exact else [timed(loop, computing_delay, timing) for loop in loops]
     sizes = _sizes(records, shown, weights)
     places = [points.index(replace(record.point, label="")) for record in records]
-    tasks = [
-        Task(*distinct(_rows(record, excitations)), _rows(record, shown), initial_state, offset, sizes, place)
-        for record, place in zip(records, places, strict=True)
-    ]
+    if EXCITATION in timing and not initial_state:
+        text = "the loop has then begun before the first sample that is used"
+        raise invalid("initial_state", False, f"True where {EXCITATION} is unknown", text)
+    tasks = []
+    for record, place in zip(records, places, strict=True):
+        waves, measured = _rows(record, excitations), _rows(record, shown)
+        tail, alike = np.zeros(0), 0
+        model = models[place]
+        if isinstance(model, TimedLoop):
+            waves, measured, tail = model.aligned(waves, measured)
+            alike = model.old_commands
+        tasks.append(Task(*distinct(waves), measured, initial_state, offset, sizes, place, tail, alike))
     reference = next(record.point for record in records if replace(record.point, label="") == reference)
-    nominal = nominal_values(main, paths)
-    return Experiment(paths, nominal, reference, tuple(models), tuple(tasks), sizes, shown)
+    begin = {COMMAND: computing_delay * dt, EXCITATION: 0.0}
+    nominal = np.concatenate([nominal_values(main, paths), [begin[name] for name in timing]])
+    scale = np.where(nominal == 0, 1.0, np.abs(nominal))
+    scale[len(paths) :] = dt
+    return Experiment((*paths, *timing), nominal, scale, reference, tuple(models), tuple(tasks), sizes, shown)
 
 
 def start_values(paths: tuple[str, ...], nominal: np.ndarray, start: Mapping[str, float] | None) -> np.ndarray:
@@ -95,7 +107,9 @@ def start_values(paths: tuple[str, ...], nominal: np.ndarray, start: Mapping[str
 
 
 def radius(models: Sequence[ParametricModel], theta: np.ndarray) -> float:
-    """The largest modulus of the poles of the sampled loops at theta (q,)."""
+    """The largest modulus of the poles of the sampled loops at theta (q,); infinite where a delay is out of reach."""
+    if any(isinstance(model, TimedLoop) and not model.admits(theta) for model in models):
+        return np.inf
     return max(float(np.abs(poles(model.loop(theta)[0])).max()) for model in models)
 
 
@@ -189,8 +203,9 @@ def deployed_controller(plant: Plant, controller: Any, dt: float, delay: int) ->
 
     Raises InvalidInput for a controller of another size or rate.
     """
-    if isinstance(delay, bool) or not isinstance(delay, int | np.integer) or not 0 <= delay <= 20:
-        raise invalid("computing_delay", repr(delay), "a whole number of samples, 0 to 20", "0 or 1 is usual")
+    _check_delay(delay)
+    if not float(delay).is_integer():
+        raise invalid("computing_delay", delay, "a whole number of samples", "take closed_loop.identify for parts of a sample")
     law = named_controller(plant, controller)
     if law.dt is None:
         law = c2d(law, dt, method="tustin")
@@ -200,6 +215,11 @@ def deployed_controller(plant: Plant, controller: Any, dt: float, delay: int) ->
             "record at the controller's rate, or pass the continuous controller",
         )  # fmt: skip
     return delayed(StateSpace(law.A, law.B, law.C, law.D, law.inputs, law.outputs, dt), int(delay))
+
+
+def _check_delay(delay: float) -> None:
+    if isinstance(delay, bool) or not isinstance(delay, int | float | np.integer) or not 0 <= delay <= 20:
+        raise invalid("computing_delay", repr(delay), "a number of samples, 0 to 20", "0 or 1 is usual")
 
 
 def _sizes(records: Sequence[Record], signals: tuple[str, ...], weights: Mapping[str, float] | None) -> np.ndarray:

@@ -9,7 +9,7 @@ does not grow with their length.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,7 +27,8 @@ _LONG_PIECE = 384  # blocks at a time where pieces are compared with each other:
 class Task:
     """A record: the r distinct excitations e, each (k,), and mix (m, r) of them; the p measured signals y, each (k,), and what
     else is estimated. unit (p,): what y is still to be divided by to stand over its weights (None: it does already). place:
-    which of several models made the record. e and y may be views of the record: they are only looked at."""
+    which of several models made the record. tail: the loop's last states, as far as they are known; alike: how many before them
+    are old commands, of one size, some of which may hardly be seen. e and y may be views of the record: only looked at."""
 
     e: Sequence[np.ndarray] | np.ndarray
     mix: np.ndarray
@@ -36,6 +37,8 @@ class Task:
     offset: bool
     unit: np.ndarray | None = None
     place: int = 0
+    tail: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    alike: int = 0
 
     @property
     def samples(self) -> int:
@@ -118,11 +121,11 @@ def normal_equations(system: StateSpace, directions: list[SystemDerivative], tas
     system, directions = _driven(system, directions, task)
     n, p = system.n_states, len(system.outputs)
     basis = _nuisance_basis(system, task)
-    x0, b = np.zeros(n), np.zeros(p)
+    x0, b = np.concatenate([np.zeros(n - len(task.tail)), task.tail]), np.zeros(p)
     if basis.size:
         _, N = _products(lift(system, []), system.A, task, x0, b, with_nuisance=True)
         best = basis @ (basis.T @ N[:, 0])
-        x0, b = best[:n], best[n:]
+        x0, b = x0 + best[:n], best[n:]
     G, N = _products(lift(system, directions), system.A, task, x0, b, with_nuisance=bool(basis.size))
     M = basis.T @ N
     found = (basis @ M).T
@@ -207,8 +210,13 @@ def _nuisance_basis(system: StateSpace, task: Task) -> np.ndarray:
         return np.zeros((n + p, 0))
     Q, F, _ = _sums(system.A, system.C, k)
     G = np.block([[Q, F], [F.T, k * np.eye(p)]])
-    used = np.r_[np.full(n, task.initial_state), np.full(p, task.offset)] & (np.diag(G) > 0)
-    size = np.sqrt(np.where(used, np.diag(G), 1.0))
+    known = len(task.tail)
+    free = np.r_[np.full(n - known, task.initial_state), np.full(known, False), np.full(p, task.offset)]
+    seen = np.diag(G).copy()
+    old = slice(n - known - task.alike, n - known)
+    seen[old] = seen[old].max(initial=0.0)
+    used = free & (seen > 0)
+    size = np.sqrt(np.where(used, seen, 1.0))
     scaled = np.where(used[:, None] & used, G / size / size[:, None], 0.0)
     values, V = np.linalg.eigh(scaled)
     keep = values > _INVISIBLE * values[-1]

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from ambrose.core.checks import NumericalFailure
+from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.response import SystemDerivative, held_derivative
 from ambrose.core.statespace import StateSpace, index_of
 from ambrose.machine.description import Tolerance
@@ -56,18 +57,23 @@ class LoopModel:
     signals: tuple[str, ...]
     factor: np.ndarray
 
+    def plant(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A, B of the continuous plant at theta (q,), and their derivatives (q, n, n), (q, n, a + m)."""
+        step, scaled = self.factor * theta - self.theta0, self.factor[:, None, None]
+        A, B = self.A + np.tensordot(step, self.A_theta, 1), self.B + np.tensordot(step, self.B_theta, 1)
+        return A, B, scaled * self.A_theta, scaled * self.B_theta
+
     def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
         """The sampled loop from ``excitations`` to ``signals`` at theta (q,), and its derivative for each parameter."""
-        step = self.factor * theta - self.theta0
-        A, B = self.A + np.tensordot(step, self.A_theta, 1), self.B + np.tensordot(step, self.B_theta, 1)
-        K, scaled = self.controller, self.factor[:, None, None]
+        A, B, dA_theta, dB_theta = self.plant(theta)
+        K = self.controller
         assert K.dt is not None
-        Ad, Bd, dAd, dBd = held_derivative(A, B, scaled * self.A_theta, scaled * self.B_theta, K.dt)
+        Ad, Bd, dAd, dBd = held_derivative(A, B, dA_theta, dB_theta, K.dt)
         n, nk, a = len(A), K.n_states, len(K.outputs)
         y = self.C[:a]
         closed = np.block([[Ad - Bd[:, :a] @ K.D @ y, Bd[:, :a] @ K.C], [-K.B @ y, K.A]])
         driven = np.vstack([Bd[:, a:], np.zeros((nk, len(self.excitations)))])
-        shown = np.vstack([self._row(name, a) for name in self.signals])
+        shown = np.vstack([self.row(name, a) for name in self.signals])
         D = np.zeros((len(shown), driven.shape[1]))
         directions = []
         for dA, dB in zip(dAd, dBd, strict=True):
@@ -77,7 +83,7 @@ class LoopModel:
             directions.append(SystemDerivative(changed, pushed, np.zeros_like(shown), D))
         return StateSpace(closed, driven, shown, D, self.excitations, self.signals, K.dt), directions
 
-    def _row(self, name: str, a: int) -> np.ndarray:
+    def row(self, name: str, a: int) -> np.ndarray:
         """The row (1, n + nk) of an output signal on the loop's state."""
         K = self.controller
         if name.startswith("u_"):
@@ -101,24 +107,33 @@ def loop_model(
     theta0 (q,): their values in the plant, SI. excitations: e_<axis> or f_<port>; signals: y_, u_, i_<axis>. factor (q,):
     see LoopModel (None: one). Raises InvalidInput for a path or a signal that is not there.
     """
-    general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in paths])
-    system, axes = general.system, plant.axes
+    general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in paths]) if paths else None
+    system, axes = plant.system if general is None else general.system, plant.axes
     u = index_of([f"u_{axis}" for axis in axes], system.inputs, "input")
     m = index_of([f"u_{name[2:]}" if name.startswith("e_") else name for name in excitations], system.inputs, "input")
     shown = [f"y_{axis}" for axis in axes] + [name for name in signals if not name.startswith("u_")]
     rows = index_of(shown, system.outputs, "output")
     B, C = system.B[:, [*u, *m]], system.C[rows]
+    n, inputs = system.n_states, [*u, *m]
+    dA, dB, count, ports = np.zeros((0, n, n)), np.zeros((0, n, len(inputs))), 0, 0
+    if general is not None:
+        dA, dB = _directions(general, inputs)
+        count, ports = general.n_w_blocks, general.n_z_blocks
+    if system.D[:ports, :count].any() or system.D[np.ix_(rows, [*range(count), *inputs])].any():
+        raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
+    factor = np.ones(len(paths)) if factor is None else factor
+    names = tuple(excitations), tuple(signals)
+    return LoopModel(theta0, system.A, B, C, dA, dB, controller, *names, factor)
+
+
+def _directions(general: GeneralizedPlant, inputs: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """A_theta (q, n, n) and B_theta (q, n, inputs): one per block, for a change of the parameter by one SI unit."""
+    system, first = general.system, 0
     dA, dB = [], []
-    first = 0
     for block in general.blocks:
         w = index_of(general.w[first : first + block.n_w], system.inputs, "input")
         z = index_of(general.z[first : first + block.n_z], system.outputs, "output")
         first += block.n_w
         dA.append(system.B[:, w] @ system.C[z])
-        dB.append(system.B[:, w] @ system.D[np.ix_(z, [*u, *m])])
-    count = general.n_w_blocks
-    if system.D[: general.n_z_blocks, :count].any() or system.D[np.ix_(rows, [*range(count), *u, *m])].any():
-        raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
-    factor = np.ones(len(paths)) if factor is None else factor
-    names = tuple(excitations), tuple(signals)
-    return LoopModel(theta0, system.A, B, C, np.stack(dA), np.stack(dB), controller, *names, factor)
+        dB.append(system.B[:, w] @ system.D[np.ix_(z, inputs)])
+    return np.stack(dA), np.stack(dB)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.identify.timed_loop import COMMAND, TIMING
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import find_uncertain
 from ambrose.plant.model import Plant
@@ -44,6 +45,19 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
             if one.overlaps(other):
                 raise InvalidInput(f'parameters "{other.path}" and "{one.path}" are the same number; name it once')
     return tuple(found)
+
+
+def split_timing(machine: Machine, paths: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The machine's parameters among ``paths``, with "*" spelled out, and those of timing: "controller.delay" (or "delay")
+    and "excitation.delay". Raises InvalidInput as ``expand`` does."""
+    paths = [paths] if isinstance(paths, str) else paths
+    named = [COMMAND if path == "delay" else path for path in paths]
+    timing = [path for path in named if path in TIMING]
+    for path in set(timing):
+        if timing.count(path) > 1:
+            raise InvalidInput(f'parameter "{path}" is named twice; name it once')
+    rest = [path for path in named if path not in TIMING]
+    return expand(machine, rest) if rest or not timing else (), tuple(timing)
 
 
 def nominal_values(plant: Plant, paths: Sequence[str]) -> np.ndarray:
