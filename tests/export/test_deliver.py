@@ -12,7 +12,7 @@ import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.export.deliver import bundled_machine, deliver_code, limits
+from ambrose.export.deliver import bundled_machine, deliver, limits
 from ambrose.export.files import read_controller, write_controller
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.design import design
@@ -49,7 +49,7 @@ def test_a_verified_controller_is_written(controllers, tmp_path):
 
 @pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
 def test_the_guides_example_compiles(controllers, tmp_path):
-    deliver_code(read_controller(controllers["hinf"]), tmp_path / "code", name="seal_rig")
+    deliver(read_controller(controllers["hinf"]), tmp_path / "code", name="seal_rig")
     example = re.search(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)
     (tmp_path / "code" / "example.c").write_text(example.group(1))
     driver.build("gcc", ["-c", str(tmp_path / "code" / "example.c"), "-o", str(tmp_path / "example.o")])
@@ -96,8 +96,8 @@ def test_limits_must_be_known(tmp_path):
     file = read_controller(write_controller(tmp_path / "c.json", K))
     assert bundled_machine(file) is None
     with pytest.raises(InvalidInput, match="the error limit is unknown, but must be given in m; state it, or name the machine"):
-        deliver_code(file, tmp_path / "code")
-    done = deliver_code(file, tmp_path / "code", error_limit=1e-3, current_limit=2.0, force=True)
+        deliver(file, tmp_path / "code")
+    done = deliver(file, tmp_path / "code", error_limit=1e-3, current_limit=2.0, force=True)
     assert not done.deployment.verified
     assert "Verified   NOT" in (tmp_path / "code" / "controller.h").read_text()
 

@@ -14,7 +14,13 @@ from ambrose.cli.terminal import AS_JSON, load, progress_shown
 
 @click.command()
 @click.argument("controller", type=click.Path(path_type=Path))
-@click.option("--to", "target", type=click.Choice(["c"]), required=True, help="What to write.")
+@click.option(
+    "--to",
+    "target",
+    type=click.Choice(["c", "mat", "fmu", "st"]),
+    required=True,
+    help="What to write: C99, a MAT-file, FMUs (FMI 2.0 and 3.0) or structured text.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Directory for the files.")
 @click.option("--name", default="controller", show_default=True, help="Prefix of every name in the code, a C identifier.")
 @click.option(
@@ -27,16 +33,17 @@ from ambrose.cli.terminal import AS_JSON, load, progress_shown
 @click.option("--machine", "machine", default=None, help="Default: the bundled machine that the controller was made for.")
 @click.option("--error-limit", type=float, default=None, help="Largest plausible error in m; default: the bearing's gap.")
 @click.option("--current-limit", type=float, default=None, help="Largest current in A; default: the bearing's.")
+@click.option("--sources-only", is_flag=True, help="An FMU without a binary: no C compiler is needed here.")
 @click.option("--force", is_flag=True, help="Export a controller that is not verified, or not stable everywhere.")
 @AS_JSON
 def export(
-    controller: Path, target: str, output: Path, name: str, arithmetic: Any, rate_hz: float | None, delay_samples: int,
+    controller: Path, target: Any, output: Path, name: str, arithmetic: Any, rate_hz: float | None, delay_samples: int,
     sampling: Any, prewarp_hz: float | None, machine: str | None, error_limit: float | None, current_limit: float | None,
-    force: bool, as_json: bool,
+    sources_only: bool, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Sample a controller, verify its loop as it will run, and write it as code for the target."""
     from ambrose.core.checks import check_positive
-    from ambrose.export.deliver import deliver_code
+    from ambrose.export.deliver import deliver
     from ambrose.export.files import read_controller
 
     remedy = "give it in Hz"
@@ -44,10 +51,10 @@ def export(
     prewarp = None if prewarp_hz is None else 6.283185307179586 * check_positive(prewarp_hz, "--prewarp-hz", remedy)
     file = read_controller(controller)
     with progress_shown(as_json) as progress:
-        done = deliver_code(
-            file, output, None if machine is None else load(machine), name=name, arithmetic=arithmetic, sample_time=dt,
-            delay_samples=delay_samples, method=sampling, prewarp=prewarp, error_limit=error_limit,
-            current_limit=current_limit, force=force, progress=progress,
+        done = deliver(
+            file, output, None if machine is None else load(machine), target=target, name=name, arithmetic=arithmetic,
+            sample_time=dt, delay_samples=delay_samples, method=sampling, prewarp=prewarp, error_limit=error_limit,
+            current_limit=current_limit, sources_only=sources_only, force=force, progress=progress,
         )  # fmt: skip
     paths, problems = [str(path) for path in done.paths], list(done.deployment.problems)
     if as_json:

@@ -172,7 +172,7 @@ def _tables(
                 "label": f"{'below' if k < 0 else 'above'}_{abs(k)}" if k else "own",
                 "offset": k,
                 "shift": f" {'-' if k < 0 else '+'} {abs(k)}" if k else "",
-                "table": table(_on_diagonal(increment, k)),
+                "table": table(on_diagonal(increment, k)),
             }
             for k, _ in diagonals_of(block.increment)
         ],
@@ -183,7 +183,7 @@ def _tables(
     }
 
 
-def _on_diagonal(x: np.ndarray, k: int) -> np.ndarray:
+def on_diagonal(x: np.ndarray, k: int) -> np.ndarray:
     """Row by row x[i, i + k], zero outside."""
     values = np.zeros(len(x), x.dtype)
     rows = np.arange(max(0, -k), min(len(x), len(x) - k))
@@ -267,4 +267,4 @@ def _formats(fixed: FixedBlock) -> list[dict[str, str]]:
     ]
 
 
-__all__ = ["Arithmetic", "Cost", "InvalidInput", "generate", "write_code"]
+__all__ = ["Arithmetic", "Cost", "InvalidInput", "generate", "on_diagonal", "single_limits", "write_code"]

@@ -1,11 +1,12 @@
-"""From a controller file to code in a folder: sampled, verified on its machine, limited by it, written."""
+"""From a controller file to files for a target: sampled, verified on its machine, limited by it, written."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,16 +15,45 @@ from ambrose import __version__
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import Method
 from ambrose.export.control_block import HOLD_SAMPLES, WINDUP_TIME, ControlBlock, check_limits, control_block
-from ambrose.export.controller_code import Arithmetic, write_code
-from ambrose.export.file_set import check_place
+from ambrose.export.controller_code import Arithmetic, generate
+from ambrose.export.file_set import check_place, write_files
 from ambrose.export.files import ControllerFile, machine_hash
+from ambrose.export.fmu import fmu_files
+from ambrose.export.mat import mat_files
 from ambrose.export.names import check_identifier
 from ambrose.export.sampling import Deployment, Progress, deploy, unmet
+from ambrose.export.structured_text import Precision, structured_text
 from ambrose.machine.config import bundled_machines, load_machine
 from ambrose.machine.description import Machine
 from ambrose.plant.assemble import assemble
 
 SAMPLE_TIME = 1e-4  # s, where neither the caller nor the controller says one
+Target = Literal["c", "mat", "fmu", "st"]
+Files = Mapping[str, str | bytes]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """What a target writes from: the controller file, its deployment and block, the lines of provenance, and the options."""
+
+    file: ControllerFile
+    deployment: Deployment
+    block: ControlBlock
+    lines: Sequence[str]
+    arithmetic: Arithmetic
+    sources_only: bool
+
+
+TARGETS: Mapping[Target, Callable[[Order], Files]] = {
+    "c": lambda order: generate(order.block, order.arithmetic, order.lines),
+    "mat": lambda order: mat_files(order.block, order.deployment, order.file, order.lines),
+    "fmu": lambda order: fmu_files(order.block, order.arithmetic, order.lines, sources_only=order.sources_only),
+    "st": lambda order: structured_text(order.block, cast(Precision, order.arithmetic), order.lines),
+}
+_ARITHMETIC: Mapping[Target, tuple[Arithmetic, ...]] = {
+    "c": ("double", "float", "fixed32", "fixed16"), "fmu": ("double", "float", "fixed32", "fixed16"),
+    "mat": ("double",), "st": ("double", "float"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +65,12 @@ class Delivery:
     paths: tuple[Path, ...]
 
 
-def deliver_code(
+def deliver(
     file: ControllerFile,
     directory: str | Path,
     machine: Machine | None = None,
     *,
+    target: Target = "c",
     name: str = "controller",
     arithmetic: Arithmetic = "double",
     sample_time: float | None = None,
@@ -50,16 +81,23 @@ def deliver_code(
     current_limit: ArrayLike | None = None,
     windup_time: float = WINDUP_TIME,
     hold_samples: int = HOLD_SAMPLES,
+    sources_only: bool = False,
     force: bool = False,
     progress: Progress = lambda stage: None,
 ) -> Delivery:
-    """C code of a controller file, in ``directory``, after its sampled loop was verified at every point of ``machine``.
+    """Files of a controller file, in ``directory``, after its sampled loop was verified at every point of ``machine``.
 
+    target: "c" (C99), "mat" (MATLAB, Octave), "fmu" (FMI 2.0 and 3.0), "st" (IEC 61131-3); sources_only: an FMU without binary.
     machine: None: the bundled one that the file names, if it is unchanged. sample_time [s]: None: the controller's own, or
     0.1 ms. error_limit [m], current_limit [A]: None: the bearings' gaps (or twice their touchdown gaps) and largest currents.
-    The other arguments: ``deploy``, ``control_block``, ``write_code``. Raises InvalidInput, UnstableSystem.
+    The other arguments: ``deploy``, ``control_block``, ``generate``. Raises InvalidInput, UnstableSystem.
     """
     check_identifier(name, "the name of the block", "choose letters, digits and underscores")
+    if target not in TARGETS:
+        raise invalid("the target", repr(target), " or ".join(TARGETS), "choose one of them")
+    if arithmetic not in _ARITHMETIC[target]:
+        allowed = " or ".join(_ARITHMETIC[target])
+        raise invalid("arithmetic", repr(arithmetic), f"{allowed} for the target {target!r}", "choose it, or another target")
     if isinstance(delay_samples, bool) or not isinstance(delay_samples, int) or delay_samples < 0:
         raise invalid("delay_samples", delay_samples, "a whole number, zero or more", "1 is usual")
     machine = bundled_machine(file) if machine is None else machine
@@ -75,9 +113,9 @@ def deliver_code(
         file, dt, delay_samples * dt, method=method, prewarp=prewarp, plants=plants, force=force, progress=progress
     )
     block = control_block(deployment, name, error_limit, current_limit, windup_time=windup_time, hold_samples=hold_samples)
-    progress("writing the code")
-    paths = write_code(directory, block, arithmetic, provenance(file, machine, deployment))
-    return Delivery(deployment, block, tuple(paths))
+    progress("writing")
+    order = Order(file, deployment, block, provenance(file, machine, deployment), arithmetic, sources_only)
+    return Delivery(deployment, block, tuple(write_files(directory, TARGETS[target](order))))
 
 
 def bundled_machine(file: ControllerFile) -> Machine | None:
@@ -128,4 +166,4 @@ def provenance(file: ControllerFile, machine: Machine | None, deployment: Deploy
     return lines + [f"Unmet      {text}." for text in unmet(deployment)]
 
 
-__all__ = ["Delivery", "bundled_machine", "deliver_code", "limits", "provenance"]
+__all__ = ["TARGETS", "Delivery", "Order", "Target", "bundled_machine", "deliver", "limits", "provenance"]

@@ -70,9 +70,7 @@ def model_description(block: ControlBlock, version: Version, token: str, text: s
         {"fmiVersion": version, "modelName": block.name, "instantiationToken" if three else "guid": token},
         description=text, generationTool=f"ambrose {__version__}", variableNamingConvention="flat",
     )  # fmt: skip
-    simulation = ET.SubElement(
-        root, "CoSimulation", modelIdentifier=block.name, canHandleVariableCommunicationStepSize="false"
-    )
+    simulation = ET.SubElement(root, "CoSimulation", modelIdentifier=block.name, canHandleVariableCommunicationStepSize="false")
     state = ("canGetAndSetFMUState", "canSerializeFMUState") if three else ("canGetAndSetFMUstate", "canSerializeFMUstate")
     for name in state:
         simulation.set(name, "true")

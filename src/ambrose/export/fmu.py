@@ -74,7 +74,9 @@ def fmu(
     code = source_files(block, version, arithmetic, provenance)
     token = "{" + str(uuid.uuid5(_SPACE, "\n".join(code.values()))) + "}"
     code[f"fmi{version[0]}.c"] = code[f"fmi{version[0]}.c"].replace("TOKEN", token)
-    text = f"Controller of {len(block.inputs)} errors to {len(block.outputs)} currents, sampled at {1 / block.sample_time:.9g} Hz"
+    text = (
+        f"Controller of {len(block.inputs)} errors to {len(block.outputs)} currents, sampled at {1 / block.sample_time:.9g} Hz"
+    )
     archive: dict[str, str | bytes] = {"modelDescription.xml": model_description(block, version, token, text)}
     if not sources_only:
         place, suffix = _place(version)
@@ -133,8 +135,8 @@ def _compiled(block: ControlBlock, version: Version, code: Mapping[str, str]) ->
     compiler = next((found for name in _COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:
         raise InvalidInput(
-            f"no C compiler was found ({', '.join(_COMPILERS)}): an FMU with a binary needs one; install one, or write an FMU of "
-            "sources only (--sources-only)"
+            f"no C compiler was found ({', '.join(_COMPILERS)}): an FMU with a binary needs one; install one, or write "
+            "an FMU of sources only (--sources-only)"
         )
     with tempfile.TemporaryDirectory(prefix="ambrose-fmu-") as folder:
         for name, text in code.items():
