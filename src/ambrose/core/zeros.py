@@ -1,0 +1,83 @@
+"""Transmission zeros: the frequencies at which a system loses rank, of any size and rank."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose.core.balancing import balance_system
+from ambrose.core.statespace import StateSpace, as_statespace
+
+
+def invariant_zeros(system: Any, tolerance: float = 1e-9) -> np.ndarray:
+    """Finite invariant zeros (z,) complex [rad/s, or z-plane]; transmission zeros when the system is minimal.
+
+    tolerance: relative to the balanced system matrix, below which a row counts as dependent. Sorted by modulus. Works for
+    rank-deficient and non-square systems: zeros at infinity and the singular part of [A - s, B; C, D] are deflated first.
+    Emami-Naeini & Van Dooren (1982), Automatica 18.
+    """
+    system = as_statespace(system)
+    A, B, C, D = _scaled(system)
+    size = max(float(np.linalg.norm(np.block([[A, B], [C, D]]))), 1e-300)
+    A, B, C, D = _row_reduced(A, B, C, D, tolerance * size)
+    A, C, B, D = (x.T for x in _row_reduced(A.T, C.T, B.T, D.T, tolerance * size))  # the dual: now D is square and invertible
+    n = len(A)
+    if n == 0:
+        return np.zeros(0, complex)
+    # the pencil [A - s, B; C, D]: columns turned so that [C, D] = [0, R] leaves a regular pencil of the size n
+    _, _, Vt = sla.svd(np.hstack([C, D]))
+    V = Vt[len(C) :].T  # null space of [C, D], n columns
+    values = sla.eig(np.hstack([A, B]) @ V, V[:n], right=False, homogeneous_eigvals=True)
+    alpha, beta = values
+    finite = np.abs(beta) > 1e-14 * np.abs(alpha)
+    found = alpha[finite] / beta[finite] * _unit(system)
+    return found[np.lexsort((found.imag, found.real, np.abs(found)))]
+
+
+def _unit(system: StateSpace) -> float:
+    """The rate [rad/s] in which a continuous system's poles are of order one; a sampled system stays as it is."""
+    if system.dt is not None or system.n_states == 0:
+        return 1.0
+    moduli = np.abs(np.linalg.eigvals(system.A))
+    moving = moduli[moduli > 0]
+    return float(np.exp(np.mean(np.log(moving)))) if moving.size else 1.0
+
+
+def _scaled(system: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The matrices in units of time, input and output in which they are of order one; zeros only change by the unit of time."""
+    unit = _unit(system)
+    A, B, C, D = system.A / unit, system.B / unit, system.C, system.D
+    for _ in range(3):
+        A, B, C, _ = balance_system(A, B, C)
+        columns = np.linalg.norm(np.vstack([B, D]), axis=0)
+        columns = np.where(columns > 0, columns, 1.0)
+        B, D = B / columns, D / columns
+        rows = np.linalg.norm(np.hstack([C, D]), axis=1)
+        rows = np.where(rows > 0, rows, 1.0)
+        C, D = C / rows[:, None], D / rows[:, None]
+    return A, B, C, D
+
+
+def _row_reduced(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A system with the same finite zeros whose D has full row rank: outputs that D does not reach hold states at zero."""
+    while True:
+        U, s, _ = sla.svd(D) if D.size else (np.eye(len(D)), np.zeros(0), None)
+        rank = int((s > tolerance).sum())
+        C, D = U.T @ C, U.T @ D
+        held = C[rank:]  # these outputs are zero only if the states they see are
+        C, D = C[:rank], D[:rank]
+        if not held.size:
+            return A, B, C, D
+        _, s, Vt = sla.svd(held)
+        k = int((s > tolerance).sum())
+        if k == 0:
+            return A, B, C, D
+        T = np.vstack([Vt[k:], Vt[:k]]).T  # free states first, then the k held at zero
+        A, B, C = T.T @ A @ T, T.T @ B, C @ T
+        n = len(A) - k
+        C, D = np.vstack([A[n:, :n], C[:, :n]]), np.vstack([B[n:], D])
+        A, B = A[:n, :n], B[:n]
