@@ -9,13 +9,14 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identify.timed_loop import COMMAND, TIMING
 from ambrose.machine.description import Machine
-from ambrose.machine.parameters import find_uncertain
+from ambrose.machine.parameters import QUANTITIES, find_uncertain
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import channels
 
 
 def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
-    """The paths with every "*" replaced by all names (second part) or both axes (fourth part): "bearing.*.stiffness.*".
+    """The paths with every "*" replaced by all names (second part), both axes (fourth part) or a seal's entries:
+    "bearing.*.negative_stiffness.*", "seal.*.K_*".
 
     Raises InvalidInput for a path that leads nowhere, and for two that name the same number.
     """
@@ -32,6 +33,9 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
         spelled = [parts]
         if len(parts) > 1 and parts[1] == "*":
             spelled = [[parts[0], name, *parts[2:]] for name in names.get(parts[0], [])]
+        letter = parts[2].removesuffix("_*") if len(parts) > 2 else ""
+        if parts[0] == "seal" and letter != parts[-1] and letter in QUANTITIES["seal"]:
+            spelled = [[*item[:2], f"{letter}_{entry}"] for item in spelled for entry in QUANTITIES["seal"][letter][1]]
         if len(parts) > 3 and parts[3] == "*":
             spelled = [[*item[:3], axis] for item in spelled for axis in ("zeta", "eta")]
         if not spelled:
