@@ -7,7 +7,7 @@ import scipy.linalg as sla
 from ambrose.core import mechanical
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.core.mechanical import SecondOrder, project, to_statespace, undamped_modes
+from ambrose.core.mechanical import SecondOrder, project, to_common_statespace, to_statespace, undamped_modes
 from ambrose.core.statespace import poles
 
 
@@ -188,3 +188,23 @@ class TestUndampedModes:
     def test_refuses(self, mass, stiffness, count, message):
         with pytest.raises(InvalidInput, match=message):
             undamped_modes(mass, stiffness, count)
+
+
+def test_common_states_answer_like_the_scaled_ones_and_mean_the_same_for_other_matrices():
+    rng = np.random.default_rng(4)
+    n = 4
+    M, K = (X @ X.T + n * np.eye(n) for X in rng.standard_normal((2, n, n)))
+    G = rng.standard_normal((n, n))
+    B, C = rng.standard_normal((n, 2)), rng.standard_normal((3, n))
+    scales = np.array([1.0, 2.0, 5.0, 30.0])
+
+    def system(stiffness):
+        return SecondOrder(M, 0.1 * K, G - G.T, stiffness, B, C, C[:1], ("f1", "f2"), ("a", "b", "c"), ("va",))
+
+    first, second = to_statespace(system(K), 3.0), to_common_statespace(system(K), 3.0, scales)
+    for s in (0.5j, 2j, 1 + 3j):
+        values = [x.C @ np.linalg.solve(s * np.eye(2 * n) - x.A, x.B) + x.D for x in (first, second)]
+        np.testing.assert_allclose(values[0], values[1], rtol=1e-10)
+    other = to_common_statespace(system(K - 40 * np.eye(n)), -2.0, scales)
+    np.testing.assert_array_equal(other.C, second.C)
+    np.testing.assert_array_equal(other.A[:n], second.A[:n])

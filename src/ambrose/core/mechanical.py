@@ -83,6 +83,34 @@ def to_statespace(system: SecondOrder, speed: float = 0.0) -> StateSpace:
     )
 
 
+def to_common_statespace(system: SecondOrder, speed: float, scales: np.ndarray) -> StateSpace:
+    """First-order form in the states q_i and q_i'/s_i for given scales s (n,) [rad/s], at a spin speed [rad/s].
+
+    The states mean the same for every stiffness, damping, mass and speed, as scheduling and run-ups need; ``to_statespace``
+    scales and normalises by the matrices themselves. Raises InvalidInput when the mass matrix is singular.
+    """
+    check_finite(speed, "speed")
+    s = check_shape(scales, "scales", "(n,)", n=system.n)
+    try:
+        inverse = np.linalg.inv(system.mass)
+    except np.linalg.LinAlgError as error:
+        raise invalid("the mass matrix", "singular", "positive definite", "check masses and added mass") from error
+    n = system.n
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, n:] = np.diag(s)
+    A[n:, :n] = -inverse @ system.stiffness / s[:, None]
+    A[n:, n:] = -inverse @ (system.damping + speed * system.gyroscopic) / s[:, None] * s
+    B, C, Cv = inverse @ system.B, system.C, system.Cv
+    return StateSpace(
+        A,
+        np.vstack([np.zeros_like(B), B / s[:, None]]),
+        np.vstack([np.hstack([C, np.zeros_like(C)]), np.hstack([np.zeros_like(Cv), Cv * s])]),
+        np.zeros((len(C) + len(Cv), B.shape[1])),
+        system.inputs,
+        system.outputs + system.velocity_outputs,
+    )
+
+
 def _congruent(L: np.ndarray, X: np.ndarray) -> np.ndarray:
     """L^-1 X L^-T for lower triangular L."""
     half = sla.solve_triangular(L, X, lower=True)

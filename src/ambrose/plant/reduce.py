@@ -13,12 +13,13 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure, check_shape, invalid
-from ambrose.core.mechanical import SecondOrder, project, to_statespace
+from ambrose.core.mechanical import SecondOrder, project, to_common_statespace, to_statespace
 from ambrose.core.statespace import StateSpace, balance
-from ambrose.physics.rotor import finite_element_rotor
+from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.assemble import attached_rotor, bending_modes_of, seal_states, wire, with_seal_states
 from ambrose.plant.model import Plant
 
+_RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state in free_mode_reduction: the pace of a levitated rotor
 _EXTRA_MODES = 24  # bending modes per plane beyond those asked for: rigid-body poles good to 3e-4 rad/s, see tests
 
 
@@ -90,10 +91,14 @@ def with_static_correction(slow: StateSpace, full: SecondOrder) -> StateSpace:
 
 
 def free_mode_reduction(plant: Plant, bending_modes: int = 0) -> Plant:
-    """Galerkin projection on the free rotor's modes: a basis that depends on neither speed nor bearing (for scheduling)."""
+    """Galerkin projection on the free rotor's modes: states that depend on neither speed nor bearing nor seal (for scheduling).
+
+    They are the modal displacements q and the velocities q'/s, s being the free mode's frequency, 300 rad/s for rigid modes.
+    """
     rotor = finite_element_rotor(plant.machine)
     small = attached_rotor(plant.machine, plant.point, rotor, bending_modes)
-    closed = with_seal_states(plant.machine, plant.point, to_statespace(small, plant.point.speed))
+    scales = np.maximum(free_modes(rotor, bending_modes).frequencies, _RIGID_SCALE)
+    closed = with_seal_states(plant.machine, plant.point, to_common_statespace(small, plant.point.speed, scales))
     return wire(plant.machine, plant.point, closed, bending_modes)
 
 
