@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from ambrose.core.statespace import StateSpace, append, series, transfer_function
-from ambrose.core.zeros import invariant_zeros
+from ambrose.core.checks import UnstableSystem
+from ambrose.core.statespace import StateSpace, append, poles, series, transfer_function
+from ambrose.core.zeros import invariant_zeros, minimal
 
 
 def same(found, expected):
@@ -61,3 +62,13 @@ def test_a_tall_system_has_none_in_general():
     rng = np.random.default_rng(1)
     tall = StateSpace(rng.standard_normal((5, 5)), rng.standard_normal((5, 1)), rng.standard_normal((3, 5)), np.zeros((3, 1)))
     assert invariant_zeros(tall).size == 0
+
+
+def test_minimal_drops_hidden_poles_and_nothing_else():
+    seen = transfer_function(np.poly([-3.0]), np.poly([-1.0, -4.0]))
+    cancelled = series(seen, transfer_function([1, 2.0], [1, 2.0], "u2", "y2"))
+    small = minimal(cancelled)
+    same(poles(small), [-1, -4])
+    same(invariant_zeros(small), [-3])
+    with pytest.raises(UnstableSystem):
+        minimal(transfer_function([1.0], [1.0, -1.0]))

@@ -1,4 +1,4 @@
-"""Transmission zeros: the frequencies at which a system loses rank, of any size and rank."""
+"""Zeros: the frequencies at which a system of any size and rank loses rank; and systems without hidden poles."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.balancing import balance_system
+from ambrose.core.checks import check_positive
+from ambrose.core.matrix_equations import balanced_realization
 from ambrose.core.statespace import StateSpace, as_statespace
 
 
@@ -34,6 +36,21 @@ def invariant_zeros(system: Any, tolerance: float = 1e-9) -> np.ndarray:
     finite = np.abs(beta) > 1e-14 * np.abs(alpha)
     found = alpha[finite] / beta[finite] * _unit(system)
     return found[np.lexsort((found.imag, found.real, np.abs(found)))]
+
+
+def minimal(system: Any, tolerance: float = 1e-9) -> StateSpace:
+    """A stable system without the states whose Hankel singular values are below ``tolerance`` of the largest.
+
+    What is left differs by at most twice the sum of those left out, so its poles and zeros are those that can be seen. Raises
+    UnstableSystem. Moore (1981); Glover (1984).
+    """
+    check_positive(tolerance, "tolerance", "1e-9 keeps all that double precision can tell")
+    balanced, hankel, _, _ = balanced_realization(system)
+    k = int((hankel > tolerance * hankel.max(initial=0.0)).sum())
+    k = min(k, balanced.n_states)
+    return StateSpace(
+        balanced.A[:k, :k], balanced.B[:k], balanced.C[:, :k], balanced.D, balanced.inputs, balanced.outputs, balanced.dt
+    )
 
 
 def _unit(system: StateSpace) -> float:

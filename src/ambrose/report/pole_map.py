@@ -37,9 +37,11 @@ def pole_zero_map(systems: Mapping[str, Any], reach: float | None = None) -> Any
     figure = make_subplots(rows=1, cols=len(points), horizontal_spacing=0.3 / (2 + len(points)))
     for column, (title, (crosses, circles)) in enumerate(points.items(), 1):
         _panel(figure, column, theme.plain(title), crosses, circles, radius)
+    for kind in ("poles", "zeros"):  # one entry in the legend, of a panel that has some
+        traces = [trace for trace in figure.data if trace.name == kind]
+        max(traces, key=lambda trace: len(trace.x)).showlegend = True
     theme.dress(figure, 340, legend=True)
-    for column, title in enumerate(titles, 1):
-        crosses = next(iter(list(points.values())[column - 1 : column]))[0]
+    for column, (title, (crosses, _)) in enumerate(zip(titles, points.values(), strict=True), 1):
         count = int((crosses.real > 0).sum())
         verdict = (
             f"{count} of {crosses.size} poles right of the axis" if count else f"all {crosses.size} poles left of the axis"
@@ -66,7 +68,7 @@ def _panel(figure: Any, column: int, title: str, crosses: np.ndarray, circles: n
         figure.add_trace(
             go.Scatter(
                 x=drawn(inside.real), y=drawn(inside.imag), mode="markers", name=kind, legendgroup=kind,
-                showlegend=column == 1,
+                showlegend=False,
                 marker={"symbol": symbol, "size": 10, "color": colours, "line": {"width": 1.8, "color": colours}},
                 hovertemplate=f"{title}<br>%{{x:.5g}} %{{y:+.5g}}j rad/s<extra>{kind}</extra>",
             ),
