@@ -22,6 +22,15 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_s
     help="Scale the control weight until the direct gains match the reference PID's; default: with a constant weight.",
 )
 @click.option("--order", type=int, default=None, help="States of the polished controller; default: half of what mu needs.")
+@click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
+@click.option("--rate-hz", type=float, default=None, help="Design for the delay of a loop sampled at this rate.")
+@click.option("--delay-samples", type=int, default=1, show_default=True, help="With --rate-hz: computing delay.")
+@click.option(
+    "--loss",
+    type=float,
+    default=None,
+    help="With --rate-hz: lower the order until the worst sensitivity rises by so many percent.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("controller.json"), show_default=True)
 @AS_JSON
 def synthesize(
@@ -30,23 +39,51 @@ def synthesize(
     bending_modes: int,
     match_reference: bool | None,
     order: int | None,
+    point: str | None,
+    rate_hz: float | None,
+    delay_samples: int,
+    loss: float | None,
     output: Path,
     as_json: bool,
 ) -> None:
-    """Design a controller on the reduced plant and certify it on the full one, at the nominal operating point."""
+    """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
+    from ambrose.core.checks import check_positive, invalid
     from ambrose.export.files import write_controller
     from ambrose.export.results import certificate_to_dict
-    from ambrose.plant.assemble import assemble
+    from ambrose.stages.plants import plant_at
     from ambrose.synthesis.design import design
+    from ambrose.synthesis.latency import loop_delay
+    from ambrose.synthesis.lowering import lowered
 
     description = load(machine)
+    if loss is not None and rate_hz is None:
+        raise invalid("--rate-hz", "not given", "given with --loss", "say at which rate the controller will run")
+    sample = None if rate_hz is None else 1 / check_positive(rate_hz, "--rate-hz", "10000 is usual")
+    delay = 0.0 if sample is None else loop_delay(sample, delay_samples)
     with progress_shown(as_json) as progress:
         progress("assembling the plant")
-        plant = assemble(description)
+        plant = plant_at(description, point)
         progress(f"designing ({method})")
         result = design(
-            plant, method, bending_modes=bending_modes, match_reference=match_reference, order=order, progress=progress
+            plant,
+            method,
+            bending_modes=bending_modes,
+            match_reference=match_reference,
+            order=order,
+            delay=delay,
+            progress=progress,
         )
+        if loss is not None and sample is not None:
+            progress("lowering the order")
+            result = lowered(
+                plant,
+                result,
+                loss / 100,
+                sample,
+                computing_samples=delay_samples,
+                bending_modes=bending_modes,
+                progress=progress,
+            )
     write_controller(output, result, description)
     certificate = certificate_to_dict(result.certificate)
     if as_json:
