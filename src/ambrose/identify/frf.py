@@ -262,8 +262,10 @@ def _frames(records: tuple[Record, ...], segment: float, overlap: float, window:
 
 
 def _signal(record: Record, name: str) -> np.ndarray:
-    """A signal, or u + e of an axis for v_<axis>."""
+    """A signal, u + e of an axis for v_<axis>, nothing for an excitation that this record does not drive."""
     kind, _, axis = name.partition("_")
+    if kind == "e" and name not in record.signals:
+        return np.zeros(record.values.shape[1])
     if kind != "v" or name in record.signals:
         return record[name]
     command = record[f"u_{axis}"]

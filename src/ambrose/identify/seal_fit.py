@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from ambrose.identify.phasors import find_steps, steps_of
+from ambrose.identify.phasors import Step, find_steps, steps_of
 from ambrose.identify.regression import Line, fit_line
 from ambrose.identify.seal_records import identify as from_records
 from ambrose.identify.seal_result import COEFFICIENTS, ENTRIES, SealFit, averaged, line
@@ -22,6 +22,7 @@ __all__ = [
     "ENTRIES",
     "Line",
     "SealFit",
+    "Step",
     "averaged",
     "find_steps",
     "fit_line",

@@ -1,0 +1,315 @@
+"""Identification of seals in pictures: frequency responses with coherence, coefficients over frequency and over pressure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import FrequencyResponse
+from ambrose.identify.frf import Frf
+from ambrose.identify.regression import Line
+from ambrose.identify.seal_result import COEFFICIENTS, SealFit
+from ambrose.report import theme, units
+
+_UNITS = {"K": "N/m", "k": "N/m", "C": "N s/m", "c": "N s/m"}
+_NAMES = {
+    "K": "K, direct stiffness", "k": "k, cross-coupled stiffness", "C": "C, direct damping", "c": "c, cross-coupled damping",
+}  # fmt: skip
+_MEASURED, _BAND = "#0072b2", "rgba(0,114,178,0.22)"
+_CONFIDENCE, _PREDICTION = "rgba(0,114,178,0.30)", "rgba(0,114,178,0.12)"
+_TRUTH = theme.Style(theme.INK, "2px,3px", "x", 1.4)
+_SPREAD = 1.96  # standard deviations of an error bar: 95 %
+
+Truth = Callable[[float], np.ndarray]  # pressure [Pa] -> K, k, C, c
+
+
+def response_figure(
+    measured: Mapping[str, Frf],
+    models: Mapping[str, Mapping[str, FrequencyResponse]],
+    *,
+    valid_to: Mapping[str, float] | None = None,
+    points: bool = False,
+) -> Any:
+    """Magnitude, phase, coherence of measured responses, a column for each, models on the same lines and their error.
+
+    The error is |model - measured| over |measured|; the pale band is the measurement's own, 95 %.
+
+    measured: title -> Frf of one input and one output; models: title -> label -> response. valid_to: title -> frequency
+    [rad/s] marked by a dashed line. points: draw the measured lines as points (stepped sines). Raises InvalidInput.
+    """
+    from plotly.subplots import make_subplots
+
+    if not measured:
+        raise InvalidInput("no measured response was given; a figure needs at least one")
+    titles = [f"<b>{theme.plain(title)}</b>" for title in measured]
+    figure = make_subplots(
+        rows=4, cols=len(measured), row_heights=[0.4, 0.22, 0.22, 0.16], shared_xaxes=True, shared_yaxes="rows",
+        horizontal_spacing=0.02, vertical_spacing=0.04, subplot_titles=titles,
+    )  # fmt: skip
+    labels = list(dict.fromkeys(label for each in models.values() for label in each))
+    look = dict(zip(labels, theme.candidate_styles(labels).values(), strict=True))
+    sizes = [np.abs(item.values[:, 0, 0]) for item in measured.values()]
+    factor, unit = units.scale("m/A", float(max(size.max() for size in sizes)))
+    for column, (title, item) in enumerate(measured.items(), 1):
+        if item.values.shape[1:] != (1, 1):
+            raise InvalidInput(f"the response {title!r} has {item.values.shape[1:]} entries, but must have one; select() it")
+        _measured(figure, item, factor, column, points)
+        for label, model in models.get(title, {}).items():
+            _modelled(figure, item, model, label, look[label], factor, column)
+        if valid_to and title in valid_to:
+            for row in (1, 2, 3, 4):
+                mark = {"line_dash": "dash", "line_color": theme.MUTED, "line_width": 1.2}
+                figure.add_vline(x=valid_to[title] / units.TWO_PI, row=row, col=column, **mark)
+    theme.dress(figure, 620, legend=True)
+    _response_axes(figure, measured, sizes, factor, unit)
+    return figure
+
+
+def _measured(figure: Any, item: Frf, factor: float, column: int, points: bool) -> None:
+    f, value = item.omega / units.TWO_PI, item.values[:, 0, 0]
+    size, angle = np.abs(value), _angle(value)
+    half = item.radius()[:, 0, 0]
+    slack = np.degrees(np.arcsin(np.minimum(half / np.maximum(size, 1e-300), 1.0)))
+    _fill(figure, f, np.maximum(size - half, 1e-3 * size) * factor, (size + half) * factor, _BAND, 1, column)
+    _fill(figure, f, angle - slack, angle + slack, _BAND, 2, column)
+    _fill(figure, f, np.full(len(f), 1e-3), 100 * half / size, _BAND, 3, column)
+    first = column == 1
+    for row, y in ((1, size * factor), (2, angle), (4, item.coherence[:, 0])):
+        _line(figure, f, y, "measured, with 95 %", theme.Style(_MEASURED, "solid", "circle", 1.3), row, column,
+              shown=first and row == 1, points=points)  # fmt: skip
+
+
+def _modelled(
+    figure: Any, item: Frf, model: FrequencyResponse, label: str, look: theme.Style, factor: float, column: int
+) -> None:
+    f, value = model.omega / units.TWO_PI, model.values[:, 0, 0]
+    shown = not any(trace.name == theme.plain(label) and trace.showlegend for trace in figure.data)
+    _line(figure, f, np.abs(value) * factor, label, look, 1, column, shown=shown)
+    near = _angle(item.values[:, 0, 0])
+    angle = _angle(value)
+    if len(angle) == len(near):
+        angle = angle + 360 * np.round((near - angle) / 360)  # the branch of the measured phase
+    _line(figure, f, angle, label, look, 2, column)
+    if len(angle) == len(near):
+        _line(figure, f, 100 * np.abs(value / item.values[:, 0, 0] - 1), label, look, 3, column)
+
+
+def _response_axes(figure: Any, measured: Mapping[str, Frf], sizes: Sequence[np.ndarray], factor: float, unit: str) -> None:
+    low = min(float(np.quantile(size, 0.02)) for size in sizes) * factor / 2
+    high = max(float(size.max()) for size in sizes) * factor * 1.6
+    f = np.concatenate([item.omega for item in measured.values()]) / units.TWO_PI
+    figure.update_xaxes(**theme.decades(float(f.min()), float(f.max())))
+    figure.update_xaxes(title_text="Frequency [Hz]", row=4)
+    angles = np.concatenate([_angle(item.values[:, 0, 0]) for item in measured.values()])
+    turn = [90 * np.floor(float(angles.min()) / 90), 90 * np.ceil(float(angles.max()) / 90)]
+    for column in range(1, len(measured) + 1):
+        figure.update_yaxes(**theme.decades(low, high), row=1, col=column)
+        figure.update_yaxes(**theme.decades(0.03, 30), row=3, col=column)
+    figure.update_yaxes(title_text=f"[{unit}]", row=1, col=1)
+    figure.update_yaxes(title_text="Phase [°]", range=turn, dtick=90 if turn[1] - turn[0] <= 450 else 180, row=2, col=1)
+    figure.update_yaxes(title_text="Error [%]", row=3, col=1)
+    figure.update_yaxes(title_text="Coherence", range=[0, 1.05], dtick=0.5, row=4, col=1)
+
+
+def frequency_figure(
+    fit: SealFit, constants: SealFit | None = None, *, truth: Truth | None = None, valid_to: float | None = None
+) -> Any:
+    """K, k, C, c over frequency, a colour for each pressure, with 95 % bars (P4, Fig. 12).
+
+    constants: one row per pressure, drawn as lines (seal_result.averaged). truth: pressure -> K, k, C, c, dashed. valid_to
+    [rad/s]: marked; coefficients beyond do not choose the view. The grey crosses are what was found without pressure and
+    taken off. Raises InvalidInput for a fit without frequencies.
+    """
+    if np.isnan(fit.frequency).any():
+        raise InvalidInput("the fit has no frequencies; draw it with pressure_figure")
+    figure = _four_panels()
+    labels = [units.quantity(float(p), "Pa") for p in fit.pressures]
+    style = theme.styles(labels)
+    for number, letter in enumerate(COEFFICIENTS):
+        place = {"row": number // 2 + 1, "col": number % 2 + 1}
+        factor, unit = _shown(letter)
+        shift = np.linspace(-0.6, 0.6, len(labels)) if len(labels) > 1 else np.zeros(1)
+        if fit.systematic.any():
+            one = fit.at(float(fit.pressures[0]))
+            look = theme.Style("#9aa5ad", "solid", "x-thin", 1.0)
+            _points(figure, one.frequency / units.TWO_PI, one.systematic[:, number] * factor, None, "model's error, taken off",
+                    look, unit, place, shown=number == 0)  # fmt: skip
+        for label, pressure, move in zip(labels, fit.pressures.tolist(), shift, strict=True):
+            one = fit.at(pressure)
+            values, deviations = one.column(letter)
+            f = one.frequency / units.TWO_PI
+            bars = _SPREAD * deviations * factor
+            _points(figure, f + move, values * factor, bars, label, style[label], unit, place, shown=number == 0)
+            ends = np.array([0.0, f.max()])
+            if constants is not None:
+                level = np.full(2, constants.at(pressure).column(letter)[0][0] * factor)
+                _line(figure, ends, level, label, style[label], place["row"], place["col"])
+            if truth is not None:
+                level = np.full(2, truth(pressure)[number] * factor)
+                shown = bool(number == 0 and pressure == fit.pressures[-1])
+                _line(figure, ends, level, "truth", _TRUTH, place["row"], place["col"], shown=shown)
+        if valid_to is not None:
+            mark = {"line_dash": "dash", "line_color": theme.MUTED, "line_width": 1.2}
+            figure.add_vline(x=valid_to / units.TWO_PI, **place, **mark)
+        inside = fit.frequency <= (np.inf if valid_to is None else valid_to * 1.01)
+        figure.update_yaxes(title_text=f"[{unit}]", range=_view(fit.rows(inside), letter, factor), **place)
+    theme.dress(figure, 520, legend=True)
+    figure.update_xaxes(title_text="Frequency [Hz]", row=2)
+    figure.update_xaxes(range=[0, float(fit.frequency.max()) / units.TWO_PI * 1.03])
+    return figure
+
+
+def pressure_figure(
+    fit: SealFit, lines: Mapping[str, Line], *, nominal: float | None = None, truth: Truth | None = None
+) -> Any:
+    """K, k, C, c over pressure with 95 % bars, regression lines, their confidence and prediction bands (P5, Fig. 7).
+
+    lines: coefficient -> Line. nominal [Pa]: the design pressure, dashed. truth: pressure -> K, k, C, c.
+    """
+    figure = _four_panels()
+    factor_x, unit_x = units.scale("Pa")
+    top = max(float(fit.pressure.max()), nominal or 0.0) * 1.05
+    span = np.linspace(0.0, top, 60)
+    for number, letter in enumerate(COEFFICIENTS):
+        row, column = number // 2 + 1, number % 2 + 1
+        factor, unit = _shown(letter)
+        first = number == 0
+        if letter in lines:
+            line = lines[letter]
+            middle = line.at(span)
+            for half, colour, name in (
+                (line.prediction(span), _PREDICTION, "next measurement, 95 %"),
+                (line.confidence(span), _CONFIDENCE, "true line, 95 %"),
+            ):
+                low, high = (middle - half) * factor, (middle + half) * factor
+                _fill(figure, span * factor_x, low, high, colour, row, column, name if first else "")
+            ink = theme.Style(theme.INK, "solid", "x", 1.5)
+            _line(figure, span * factor_x, middle * factor, "regression", ink, row, column, shown=first)
+        if truth is not None:
+            values = np.array([truth(float(p))[number] for p in span]) * factor
+            _line(figure, span * factor_x, values, "truth", _TRUTH, row, column, shown=first)
+        values, deviations = fit.column(letter)
+        look = theme.Style(_MEASURED, "solid", "circle", 1.5)
+        _points(figure, fit.pressure * factor_x, values * factor, _SPREAD * deviations * factor, "identified, 95 %", look, unit,
+                {"row": row, "col": column}, shown=first)  # fmt: skip
+        if nominal is not None:
+            mark = {"line_dash": "dash", "line_color": theme.MUTED, "line_width": 1.2}
+            figure.add_vline(x=nominal * factor_x, row=row, col=column, **mark)
+        figure.update_yaxes(title_text=f"[{unit}]", row=row, col=column)
+    theme.dress(figure, 520, legend=True)
+    figure.update_xaxes(title_text=f"Pressure difference [{unit_x}]", row=2)
+    figure.update_xaxes(range=[0, top * factor_x])
+    return figure
+
+
+def overlay_figure(
+    panels: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    axes: Sequence[str],
+    *,
+    drive: tuple[float, float] | None = None,
+) -> Any:
+    """Measured (pale) and modelled displacements over time: a row per panel, a column per axis, all to one scale.
+
+    panels: title -> time (k,) [s], measured (p, k) [m], modelled (p, k) [m]; axes: p names. drive [s]: shaded, when the
+    disturbance acts.
+    """
+    from plotly.subplots import make_subplots
+
+    figure = make_subplots(
+        rows=len(panels), cols=len(axes), shared_xaxes=True, shared_yaxes=True, horizontal_spacing=0.02, vertical_spacing=0.05,
+        subplot_titles=[f"<b>{units.axis_name(axis)}</b>" for axis in axes],
+    )  # fmt: skip
+    largest = max(float(np.abs(item[1]).max()) for item in panels.values())
+    factor, unit = units.scale("m", largest)
+    for (row, (title, (time, measured, modelled))), (column, _) in product(enumerate(panels.items(), 1), enumerate(axes, 1)):
+        first = row == column == 1
+        i = column - 1
+        pale, dark = theme.Style("#a9bccb", "solid", "x", 1.2), theme.Style(theme.INK, "solid", "x", 1.3)
+        _line(figure, 1e3 * time, measured[i] * factor, "measured", pale, row, column, shown=first)
+        _line(figure, 1e3 * time, modelled[i] * factor, "identified model", dark, row, column, shown=first)
+        if drive is not None:
+            figure.add_vrect(x0=1e3 * drive[0], x1=1e3 * drive[1], fillcolor=theme.FAINT, line_width=0, layer="below",
+                             row=row, col=column)  # fmt: skip
+        if column == 1:
+            figure.update_yaxes(title_text=f"{theme.plain(title)} [{unit}]", row=row, col=1)
+    theme.dress(figure, 190 * len(panels), legend=True)
+    figure.update_xaxes(title_text="Time [ms]", row=len(panels))
+    return figure
+
+
+def _four_panels() -> Any:
+    from plotly.subplots import make_subplots
+
+    titles = [f"<b>{_NAMES[letter]}</b>" for letter in COEFFICIENTS]
+    return make_subplots(rows=2, cols=2, subplot_titles=titles, shared_xaxes=True, horizontal_spacing=0.1, vertical_spacing=0.1)
+
+
+def _shown(letter: str) -> tuple[float, str]:
+    """Stiffness in kN/m, damping in N s/m: what seals have."""
+    return (1e-3, "kN/m") if _UNITS[letter] == "N/m" else (1.0, "N s/m")
+
+
+def _view(fit: SealFit, letter: str, factor: float) -> list[float]:
+    values, deviations = fit.column(letter)
+    low, high = float((values - 3 * deviations).min()) * factor, float((values + 3 * deviations).max()) * factor
+    low, high = min(low, 0.0), max(high, 0.0)
+    margin = 0.08 * (high - low)
+    return [low - margin, high + margin]
+
+
+def _angle(value: np.ndarray) -> np.ndarray:
+    """The phase [°], unwrapped, begun within +-180."""
+    return np.degrees(np.unwrap(np.angle(value)))
+
+
+def _line(
+    figure: Any, x: np.ndarray, y: np.ndarray, name: str, look: theme.Style, row: int, column: int, *, shown: bool = False,
+    points: bool = False,
+) -> None:  # fmt: skip
+    import plotly.graph_objects as go
+
+    figure.add_trace(
+        go.Scatter(
+            x=np.float32(x), y=np.float32(y), mode="lines+markers" if points else "lines", name=theme.plain(name),
+            legendgroup=theme.plain(name), showlegend=shown, marker={"size": 4},
+            line={"color": look.colour, "dash": look.dash, "width": look.width},
+            hovertemplate=f"{theme.plain(name)}: %{{x:.4g}} · %{{y:.4g}}<extra></extra>",
+        ),
+        row=row, col=column,
+    )  # fmt: skip
+
+
+def _points(
+    figure: Any, x: np.ndarray, y: np.ndarray, bars: np.ndarray | None, name: str, look: theme.Style, unit: str,
+    place: dict[str, int], *, shown: bool,
+) -> None:  # fmt: skip
+    import plotly.graph_objects as go
+
+    error = None if bars is None else {"type": "data", "array": np.float32(bars), "thickness": 1.2, "width": 2}
+    figure.add_trace(
+        go.Scatter(
+            x=np.float32(x), y=np.float32(y), mode="markers", name=theme.plain(name), legendgroup=theme.plain(name),
+            showlegend=shown, error_y=error,
+            marker={"color": look.colour, "symbol": look.symbol, "size": 6, "line": {"color": look.colour, "width": 1.2}},
+            hovertemplate=f"{theme.plain(name)}: %{{x:.4g}} · %{{y:.4g}} {unit}<extra></extra>",
+        ),
+        **place,
+    )  # fmt: skip
+
+
+def _fill(
+    figure: Any, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, row: int, column: int, name: str = ""
+) -> None:
+    import plotly.graph_objects as go
+
+    figure.add_trace(
+        go.Scatter(
+            x=np.float32(np.r_[x, x[::-1]]), y=np.float32(np.r_[high, low[::-1]]), fill="toself", fillcolor=colour,
+            line={"width": 0}, mode="lines", name=name, showlegend=bool(name), hoverinfo="skip",
+        ),
+        row=row, col=column,
+    )  # fmt: skip
