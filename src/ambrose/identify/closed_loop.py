@@ -14,22 +14,35 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identify import statistics
 from ambrose.identify.experiment import (
+    Experiment,
+    admitted,
     check_records,
     check_start,
     deployed_controller,
     driven_inputs,
     experiment,
-    radius,
+    slowest,
     start_values,
 )
 from ambrose.identify.gauss_newton import Linearised, Minimum, minimise
 from ambrose.identify.lagged_sums import coloured_products
 from ambrose.identify.output_error import Task, jacobian_pieces, normal_equations
+from ambrose.identify.periodic import (
+    Lines,
+    line_equations,
+    line_middle,
+    line_residual,
+    line_scores,
+    lines_of,
+    period_of,
+    told_below,
+)
 from ambrose.identify.residual_scores import residual_scores
-from ambrose.identify.sensitivities import ParametricModel
+from ambrose.identify.sensitivities import ParametricModel, over_weights
 from ambrose.identify.verdict import verdict_of, warnings_of
 from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.machine.record import Record
@@ -48,6 +61,7 @@ __all__ = [
 
 _EARLY = 8000  # samples on which a good start is found
 _NEGLIGIBLE = 1e-5  # a gain of this many variances of the noise: steps of 0.003 standard deviations need no second look
+_FEW = 150  # lines on which a good start is found
 _EXACT = 1e-24  # of the squared signals: a sum of squared residuals below it is rounding
 
 
@@ -95,6 +109,7 @@ def identify(
     computing_delay: float = 1,
     initial_state: bool = True,
     offset: bool = True,
+    period: float | str | None = None,
     max_iterations: int = 50,
 ) -> Identification:
     """The parameters at the paths ``unknown`` (machine/parameters.py; "*" for every name or axis) from closed-loop records.
@@ -103,7 +118,8 @@ def identify(
     controller: from errors [m] to currents [A], axes by place; continuous, it is sampled by Tustin's map; its output acts
     ``computing_delay`` samples later. start: path -> value to begin at (else the machine's). signals: those fitted (None:
     every y_<axis>); u_ and i_<axis> are possible. weights: signal -> size of its noise [m] or [A] (None: the signal's rms).
-    bending_modes: per plane. initial_state, offset: estimated per record, else zero.
+    bending_modes: per plane. initial_state, offset: estimated per record, else zero. period [s], or "auto": the excitation is
+    periodic, and the fit goes over the lines of its spectrum (periodic.py), much faster.
     Raises InvalidInput for records that do not belong to this machine, hold too little excitation or say nothing about a
     parameter, and for a start at which the loop is unstable.
     """
@@ -113,6 +129,8 @@ def identify(
     )
     begin = start_values(given.paths, given.nominal, start)
     check_start(given.models, begin)
+    if period is not None:
+        return _from_lines(machine, given, begin, period, records[0].dt, max_iterations)
     found = solve(given.paths, given.models, given.sizes, given.tasks, begin, given.scale, max_iterations)
     return summary(machine, given.point, given.paths, begin, given.models, given.sizes, given.tasks, found)
 
@@ -134,10 +152,11 @@ def solve(
     model: one, or several of which ``place`` of a task names its own; sizes (p,): the weights of the signals.
     """
     models = _several(model)
+    at = _loops(models, sizes)
 
     def linearise_on(chosen: Sequence[Task]) -> Callable[[np.ndarray], Linearised]:
         def linearise(theta: np.ndarray) -> Linearised:
-            loops = [_weighted(one, theta, sizes) for one in models]
+            loops = at(theta)
             parts = tuple(normal_equations(*loops[task.place], task) for task in chosen)
             H = np.sum([part.equations.H for part in parts], axis=0)
             statistics.check_visible(paths, H, scale)
@@ -147,7 +166,7 @@ def solve(
         return linearise
 
     def stable(theta: np.ndarray) -> bool:
-        return radius(models, theta) < 1
+        return admitted(models, theta) and slowest(loop for loop, _ in at(theta)) < 1
 
     early = [task.first(_EARLY) for task in tasks]
     begun, excited = 0, all(np.any(wave) for task in early for wave in task.e)
@@ -165,12 +184,6 @@ def _several(model: Models) -> Sequence[ParametricModel]:
     return model if isinstance(model, Sequence) else [model]
 
 
-def _weighted(model: ParametricModel, theta: np.ndarray, sizes: np.ndarray) -> tuple[StateSpace, list[Any]]:
-    """The loop and its derivatives with the outputs over their weights; C does not depend on theta."""
-    loop, directions = model.loop(theta)
-    return StateSpace(loop.A, loop.B, loop.C / sizes[:, None], loop.D, loop.inputs, loop.outputs, loop.dt), directions
-
-
 def summary(
     machine: Machine,
     point: OperatingPoint,
@@ -183,7 +196,7 @@ def summary(
 ) -> Identification:
     """What was found, with covariance, residual tests, warnings and verdict."""
     models = _several(model)
-    loops = [_weighted(one, found.x, sizes) for one in models]
+    loops = _loops(models, sizes)(found.x)
     q, names = len(paths), models[0].signals
     H, middle = np.zeros((q, q)), np.zeros((q, q))
     fits: list[tuple[int, str, float]] = []
@@ -196,6 +209,80 @@ def summary(
         middle += coloured_products(jacobian_pieces(loop, directions, task, part), scores.covariance)
         fits += [(number + 1, name, percent) for name, percent in zip(names, scores.fit, strict=True)]
         tests += scores.tests
+    return _identification(machine, point, paths, begin, found, H, middle, fits, tests)
+
+
+def _loops(
+    models: Sequence[ParametricModel], sizes: np.ndarray
+) -> Callable[[np.ndarray], list[tuple[StateSpace, list[SystemDerivative]]]]:
+    """The loops over their weights at theta, remembered for the last theta asked for."""
+    last: dict[bytes, list[tuple[StateSpace, list[SystemDerivative]]]] = {}
+
+    def at(theta: np.ndarray) -> list[tuple[StateSpace, list[SystemDerivative]]]:
+        key = theta.tobytes()
+        if key not in last:
+            last.clear()
+            last[key] = [over_weights(model, theta, sizes) for model in models]
+        return last[key]
+
+    return at
+
+
+def _from_lines(
+    machine: Machine, given: Experiment, begin: np.ndarray, period: float | str, dt: float, most: int
+) -> Identification:
+    """``identify`` from the spectrum of a periodic excitation (periodic.py)."""
+    every = [lines_of(task, period_of(task, period, dt)) for task in given.tasks]
+    at = _loops(given.models, given.sizes)
+
+    def linearise_on(lines: Sequence[Lines]) -> Callable[[np.ndarray], Linearised]:
+        def linearise(theta: np.ndarray) -> Linearised:
+            parts = tuple(line_equations(*at(theta)[one.task.place], one) for one in lines)
+            H = np.sum([part.equations.H for part in parts], axis=0)
+            statistics.check_visible(given.paths, H, given.scale)
+            g = np.sum([part.equations.g for part in parts], axis=0)
+            return Linearised(sum(part.equations.cost for part in parts), H, g, parts)
+
+        return linearise
+
+    def stable(theta: np.ndarray) -> bool:
+        return admitted(given.models, theta) and slowest(loop for loop, _ in at(theta)) < 1
+
+    start, begun, chosen = begin, 0, every
+    few = [one.only(slice(None, None, max(len(one.z) // _FEW, 1))) for one in every]
+    near = minimise(linearise_on(few), begin, given.scale, stable, most, tolerance=1e-4, negligible=1e-6)
+    if near.converged:  # a good start, and where the lines begin to tell nothing
+        start, begun = near.x, near.iterations
+        told = told_below(near.parts, few)
+        chosen = [one.only(slice(int(np.searchsorted(np.angle(one.z), told)) + 1)) for one in every]
+    total = sum(one.weight * float(np.vdot(one.Y, one.Y).real) for one in chosen)
+    negligible = _NEGLIGIBLE / sum(2 * one.Y.size for one in chosen)
+    found = minimise(linearise_on(chosen), start, given.scale, stable, most, floor=_EXACT * total, negligible=negligible)
+    H, middle = np.zeros_like(found.parts[0].equations.H), np.zeros_like(found.parts[0].equations.H)
+    fits: list[tuple[int, str, float]] = []
+    tests: list[statistics.ResidualTest] = []
+    for number, (one, used, part) in enumerate(zip(every, chosen, found.parts, strict=True), 1):
+        H += part.equations.H
+        middle += line_middle(part, used)
+        residual = line_residual(at(found.x)[one.task.place][0], one, part.d)
+        percent, more = line_scores(residual, one, given.signals, "the periodic excitation")
+        fits += [(number, name, value) for name, value in zip(given.signals, percent, strict=True)]
+        tests += more
+    found = replace(found, iterations=found.iterations + begun)
+    return _identification(machine, given.point, given.paths, begin, found, H, middle, fits, tests)
+
+
+def _identification(
+    machine: Machine,
+    point: OperatingPoint,
+    paths: tuple[str, ...],
+    begin: np.ndarray,
+    found: Minimum,
+    H: np.ndarray,
+    middle: np.ndarray,
+    fits: Sequence[tuple[int, str, float]],
+    tests: Sequence[statistics.ResidualTest],
+) -> Identification:
     covariance = statistics.sandwich_covariance(H, middle)
     correlation, cosine = statistics.parameter_correlation(H), statistics.column_cosine(H)
     condition = float(np.linalg.cond(cosine))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 
-_WINDOW = 65_536  # samples in which an excitation is judged at a time
+_WINDOW = 16_384  # samples in which an excitation is judged at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,16 +106,20 @@ def start_values(paths: tuple[str, ...], nominal: np.ndarray, start: Mapping[str
     return values
 
 
-def radius(models: Sequence[ParametricModel], theta: np.ndarray) -> float:
-    """The largest modulus of the poles of the sampled loops at theta (q,); infinite where a delay is out of reach."""
-    if any(isinstance(model, TimedLoop) and not model.admits(theta) for model in models):
-        return np.inf
-    return max(float(np.abs(poles(model.loop(theta)[0])).max()) for model in models)
+def slowest(loops: Iterable[StateSpace]) -> float:
+    """The largest modulus of the poles of sampled loops."""
+    return max(float(np.abs(poles(loop)).max()) for loop in loops)
+
+
+def admitted(models: Sequence[ParametricModel], theta: np.ndarray) -> bool:
+    """Whether every delay at theta (q,) is within what its loop can hold."""
+    return all(model.admits(theta) for model in models if isinstance(model, TimedLoop))
 
 
 def check_start(model: ParametricModel | Sequence[ParametricModel], begin: np.ndarray) -> None:
     """Refuse a start at which a model's loop is unstable."""
-    worst = radius(model if isinstance(model, Sequence) else [model], begin)
+    models = model if isinstance(model, Sequence) else [model]
+    worst = slowest(one.loop(begin)[0] for one in models) if admitted(models, begin) else np.inf
     if not worst < 1:
         raise invalid(
             "the loop at the start values", f"unstable (pole of modulus {worst:.6g})", "stable, as the recorded loop was",

@@ -92,10 +92,11 @@ def _wiring_findings(
         return []
     kinds = [kind for kind in KINDS if kind == "e" or kind in measured.values]
     few = _thinned(measured, 60)
-    rows = ranked(few, expected_responses(plant, delayed(law, delay), few.omega), kinds)
-    best = rows[0]
-    rate = _other_rate(plant, controller, measured, delay, record.sample_rate_hz)
-    here = score(now)
+    expected = expected_responses(plant, delayed(law, delay), few.omega)
+    now = shares(few, expected, Wiring())
+    rows = ranked(few, expected, kinds)
+    best, here = rows[0], score(now)
+    rate = _other_rate(plant, controller, few, delay, record.sample_rate_hz)
     if rate is not None and rate[0] < min(best[0], here - _BETTER) and _clear(now, rate[2]):
         return [_rate_finding(record.sample_rate_hz, rate[1], now, rate[2])]
     if best[1].kind and best[0] < here - _BETTER and _clear(now, best[2]):
@@ -219,8 +220,12 @@ def _following(record: Record, match: ControllerMatch) -> float | None:
     rest = measured_responses([replace(kept, values=np.vstack([match.left, kept.values[len(names) :]]))], match.axes)
     if whole is None or rest is None:
         return None
-    power = float(np.sum(np.abs(rest.values["u"]) ** 2) - np.sum(rest.noise["u"]))
-    return float(np.sqrt(max(power, 0.0) / np.sum(np.abs(whole.values["u"]) ** 2)))
+    size, doubt = (np.sum(np.abs(found.values["u"]) ** 2, axis=(1, 2)) for found in (whole, rest))
+    noise = rest.noise["u"].sum(axis=1)
+    clear = np.argsort(size / np.maximum(noise, 1e-300))[-max(len(size) // 4, 1) :]  # the lines where noise matters least
+    excess = float(doubt[clear].sum() - noise[clear].sum())
+    chance = 3 * float(np.sqrt(np.sum(noise[clear] ** 2)))
+    return float(np.sqrt(max(excess, 0.0) / size[clear].sum())) if excess > chance else 0.0
 
 
 def _controller_findings(machine: Machine, record: Record, number: int, law: StateSpace, delay: int) -> list[RecordFinding]:

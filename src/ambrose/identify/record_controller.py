@@ -78,7 +78,7 @@ def controller_match(machine: Machine, record: Record, law: StateSpace) -> Contr
             for i in np.flatnonzero(best == lag):
                 left[i, begin + lag : begin + lag + found.left.shape[1]] = found.left[i]
                 jumps += [(int(i), begin + lag + at) for at in _jumps(found.left[i], part.u[i])]
-    jumps = jumps if len(jumps) <= a * max(10, total // 2000) else []
+    jumps = jumps if len(jumps) <= a * max(20, total // 500) else []
     return ControllerMatch(axes, residual, best, gain, scaled, left, tuple(jumps))
 
 
@@ -170,4 +170,5 @@ def _jumps(left: np.ndarray, signal: np.ndarray) -> list[int]:
     step = np.abs(np.diff(left))
     quiet = 1.4826 * float(np.median(step))
     large = np.flatnonzero(step > max(_BURST * quiet, _VISIBLE * float(np.std(signal)))) + 1
+    large = large[large > 2 * LAGS]  # a record may begin with anything
     return [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > 50]

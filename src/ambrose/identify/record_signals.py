@@ -10,6 +10,7 @@ from ambrose.machine.record import Record
 
 _LONG, _FEW = 3, 2  # samples of a flat top, and how many flat tops make it clipping
 _CROWDED = 4.0  # samples at the extreme over those one step below it: 2.4 at the crest of a sine in coarse steps
+_STEPPED = 1e-3  # share of equal neighbours from which a signal comes in coarse steps
 _SERIOUS = 1e-3  # share of clipped or repeated samples from which a record is refused
 _AT_LIMIT = 0.999
 _MEASURED = ("y", "u", "i")
@@ -40,8 +41,8 @@ def signal_findings(machine: Machine, record: Record, number: int) -> list[Recor
 def flat_tops(x: np.ndarray) -> tuple[int, float]:
     """Samples of x (k,) that lie at its clipped extreme, and that extreme; 0 where no extreme looks clipped.
 
-    Clipped: several stretches of equal samples at the extreme, and far more samples there than one step below; a sine in
-    coarse quantisation has 2.4 times as many in its top step.
+    Clipped: several stretches of equal samples at the extreme, which a smooth signal has nowhere; in a signal of coarse
+    steps, also far more samples there than one step below (a sine has 2.4 times as many in its top step).
     """
     best, level = 0, 0.0
     for sign in (1.0, -1.0):
@@ -53,10 +54,9 @@ def flat_tops(x: np.ndarray) -> tuple[int, float]:
         others = y[~at]
         if long < _FEW or not others.size:
             continue
-        near = others[others > top - 0.05 * np.ptp(y)]
-        step = max(top - near.max(), 0.01 * np.ptp(y)) if near.size else 0.0
-        below = int((others >= top - step).sum()) if step else 0
-        if at.sum() > _CROWDED * max(below, 1) and at.sum() > best:
+        stepped = np.mean(np.diff(others) == 0) > _STEPPED
+        below = int((others == others.max()).sum()) if stepped else 0
+        if at.sum() > _CROWDED * below and at.sum() > best:
             best, level = int(at.sum()), float(sign * top)
     return best, level
 

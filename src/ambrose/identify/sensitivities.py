@@ -93,6 +93,12 @@ class LoopModel:
         return np.hstack([self.C[i : i + 1], np.zeros((1, K.n_states))])
 
 
+def over_weights(model: ParametricModel, theta: np.ndarray, sizes: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
+    """The loop of a model at theta (q,) and its derivatives, with the outputs over their weights ``sizes`` (p,)."""
+    loop, directions = model.loop(theta)
+    return StateSpace(loop.A, loop.B, loop.C / sizes[:, None], loop.D, loop.inputs, loop.outputs, loop.dt), directions
+
+
 def loop_model(
     plant: Plant,
     controller: StateSpace,

@@ -84,12 +84,12 @@ def identify(
     driven_inputs(plant, records, -(-len(paths) // len(plant.axes)))
     law = deployed_controller(plant, controller, dt, computing_delay)
     factors, covariance = sampled_factors(plant, law, _sizes(plant, noise), decay)
-    signals = tuple(residual_signals(factors, record) for record in records)
+    signals = tuple(residual_signals(factors, record, offset) for record in records)
     error = max(controller_error(factors, record) for record in records)
     if error > _WRONG:
         raise InvalidInput(
             f"the controller given does not explain {100 * error:.0f} % of the recorded currents u_<axis>; it is not the one "
-            "that ran: check its sign, units, sample rate and computing_delay, and the order of the axes"
+            "that ran, or its output was limited: check sign, units, sample rate, computing_delay and the order of the axes"
         )
     model = sampled_residual(plant, factors, paths, nominal, _whitening(covariance))
     found = _fit(plant, model, paths, nominal, begin, signals, initial_state, offset, max_iterations)
@@ -187,9 +187,14 @@ def sampled_factors(
     return coprime_factors(G, K, L, L_K), covariance
 
 
-def residual_signals(factors: CoprimeFactors, record: Record) -> Record:
-    """alpha = V~ e and eps = M~ y - N~ (u + e) of a record: an open-loop experiment on S. Both start from zero states."""
+def residual_signals(factors: CoprimeFactors, record: Record, offset: bool = False) -> Record:
+    """alpha = V~ e and eps = M~ y - N~ (u + e) of a record: an open-loop experiment on S. All filters start from zero states.
+
+    offset: the means of u + e and y, such as the currents that carry the rotor, are taken out before.
+    """
     v, y, e = _command(factors, record)
+    if offset:
+        v, y = v - v.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
     alpha = simulate(factors.V_left, e)
     eps = simulate(select(factors.left, outputs=factors.eps), np.vstack([v, y]))
     return Record(
@@ -230,8 +235,8 @@ def _check_signals(plant: Plant, records: Sequence[Record]) -> None:
                     f"record {number} has no signal {name}; the residual needs every command and displacement of the loop; "
                     "record it, or take closed_loop.identify, which needs the excitation and one displacement only"
                 )
-        for name in record.signals:
-            if name.startswith(("f_", "r_")) and record[name].any():
+        for name in [*plant.named("f"), *[f"r_{axis}" for axis in plant.axes]]:
+            if name in record.signals and record[name].any():
                 raise InvalidInput(
                     f"record {number} holds the excitation {name}; the residual is driven by e_<axis> alone; "
                     "take closed_loop.identify, which allows forces, or record with an excitation current"

@@ -43,8 +43,8 @@ _FRF = (
 )
 _CORRELATION = (
     "Left: how errors of two parameters go together; near ±1 only their combination is known. Right: how alike their effects "
-    "on the signals are (cosine between columns of the Jacobian); it is no correlation, and mostly of the other sign. Below 0.1 no "
-    "number is written."
+    "on the signals are (cosine between columns of the Jacobian); it is no correlation, and mostly of the other sign. Values "
+    "below 0.1 carry no number."
 )
 _TESTS = (
     "Largest correlation of a residual with an excitation over its 99 % limit. Above 1 the model misses something that the "
