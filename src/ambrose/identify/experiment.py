@@ -68,9 +68,10 @@ def experiment(
     excitations = driven_inputs(main, records, -(-(len(paths) + len(timing)) // len(shown)))
     exact = not timing and float(computing_delay).is_integer()
     law = deployed_controller(main, controller, dt, int(computing_delay) if exact else 0)
-    factors = [ratios(main, plant, paths) for plant in plants]
+    factors = [np.ones(len(paths)) if plant is main else ratios(main, plant, paths) for plant in plants]
+    found = nominal_values(main, paths)
     loops = [
-        loop_model(plant, law, paths, nominal_values(plant, paths), excitations, shown, factor)
+        loop_model(plant, law, paths, factor * found, excitations, shown, factor)
         for plant, factor in zip(plants, factors, strict=True)
     ]
     models = loops if exact else [timed(loop, computing_delay, timing) for loop in loops]
@@ -90,7 +91,7 @@ def experiment(
         tasks.append(Task(*distinct(waves), measured, initial_state, offset, sizes, place, tail, alike))
     reference = next(record.point for record in records if replace(record.point, label="") == reference)
     begin = {COMMAND: computing_delay * dt, EXCITATION: 0.0}
-    nominal = np.concatenate([nominal_values(main, paths), [begin[name] for name in timing]])
+    nominal = np.concatenate([found, [begin[name] for name in timing]])
     scale = np.where(nominal == 0, 1.0, np.abs(nominal))
     scale[len(paths) :] = dt
     return Experiment((*paths, *timing), nominal, scale, reference, tuple(models), tuple(tasks), sizes, shown)
