@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ambrose.core.statespace import is_stable
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -50,6 +52,13 @@ def test_own_uncertain_plant():
     for peak in peaks.values():
         assert peak.lower == pytest.approx(peak.upper, rel=1e-3)
     assert peaks["mu"].upper < 0.8 * peaks["H-infinity"].upper
+
+
+def test_youla():
+    found = example("07_youla.py")
+    assert found["theta"] == pytest.approx(0.5, abs=3 * found["deviation"])
+    assert found["deviation"] < 0.01
+    assert not is_stable(found["real"]) and is_stable(found["S"])
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)

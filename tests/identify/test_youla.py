@@ -8,13 +8,15 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
+from ambrose.core.coprime import coprime_factors, injection_gain, observer_controller
 from ambrose.core.frequency import frequency_response
-from ambrose.core.response import simulate, simulate_derivative
+from ambrose.core.response import impulse_response, simulate, simulate_derivative
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.identify import closed_loop as whole_loop
 from ambrose.identify import frf, youla
 from ambrose.identify.identified import identified_machine
+from ambrose.identify.residual_free import finite_response
 from ambrose.identify.residual_model import sampled_residual
 from ambrose.identify.unknowns import nominal_values
 from ambrose.machine.description import Tolerance
@@ -24,6 +26,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
+from ambrose.simulate import virtual_rig
+from ambrose.simulate.scenario import Prbs, Scenario
 from ambrose.synthesis import pid
 
 DT = 1e-4
@@ -190,6 +194,55 @@ def test_response_of_s_without_a_model():
     error = np.abs(measured.values - expected)[strong][:, *i]
     assert np.median(error / np.abs(expected)[strong][:, *i]) < 0.1
     assert np.mean(error**2 / measured.variance[strong][:, *i]) < 3
+
+
+def test_pulse_response_without_a_model_agrees_with_s_and_with_no_other():
+    noisy = record(5000, noise=2e-7)
+    result = identify(noisy)
+    alpha, eps = (result.signals[0].select(names).values for names in (factors().alpha, factors().eps))
+    free = finite_response(alpha, eps, 150)
+    assert free.h.shape == (4, 4, 150) and (free.noise < 1.2 * 2e-7).all()
+    assert (free.disagreement(result.residual) < 1.15).all()  # 600 unknowns: its standard deviation is 6 %
+    other = sampled_residual(plant(), factors(), [PATH], nominal_values(plant(), [PATH]), np.eye(4))
+    wrong = other.loop(0.7 * nominal_values(plant(), [PATH]))[0]
+    assert free.disagreement(wrong).max() > 2
+    expected = impulse_response(result.residual, 150)
+    score = (free.h - expected) / free.deviation
+    assert 0.9 < np.sqrt(np.mean(score**2)) < 1.1
+    with pytest.raises(InvalidInput, match="taps"):
+        finite_response(alpha, eps, 1500)
+    with pytest.raises(InvalidInput, match="does not excite"):
+        finite_response(np.vstack([alpha[:3], alpha[:1]]), eps, 50)
+
+
+def test_nonlinear_rig_under_its_weight():
+    """The magnets that carry the rotor are stiffer, k_s (1 + (i/i_0)^2): that is found, not the machine file's value."""
+    rig = load_machine("seal-rig")
+    rig = replace(rig, sensors=tuple(replace(sensor, noise=1e-7) for sensor in rig.sensors))
+    model = free_mode_reduction(assemble(rig), 1)
+    law = pid.synthesize(model).controller
+    waves = tuple(Prbs(f"e_{axis}", amplitude=0.1, bit_time=1e-3, seed=i) for i, axis in enumerate(AXES))
+    measured = virtual_rig.run(rig, law, Scenario("prbs", 2.0, sequences=waves)).record
+    result = youla.identify(rig, measured, law, ["bearing.*.negative_stiffness.*"])
+    static = np.array([measured[f"i_{axis}"].mean() for axis in AXES]) / rig.bearings[0].bias_current
+    expected = nominal_values(model, result.found.paths) * (1 + static**2)
+    assert result.controller_error < 1e-9 and (static > 0.3).all()
+    np.testing.assert_allclose(result.found.values, expected, rtol=0.03)
+
+
+def test_bad_input_of_the_injected_experiment():
+    G = select(plant().system, U, Y)
+    F, L = injection_gain(G.A.T, G.B.T)[0].T, injection_gain(G.A, G.C)[0]
+    f = coprime_factors(G, observer_controller(G, F, L), L, -G.B)
+    alpha, eps = sequences(200), 1e-7 * sequences(200, seed=3)
+    with pytest.raises(InvalidInput, match="alpha never changes"):
+        youla.identify_injected(plant(), f, [PATH], 0 * alpha, eps, 1e-3)
+    with pytest.raises(InvalidInput, match="eps"):
+        youla.identify_injected(plant(), f, [PATH], alpha, eps[:, :100], 1e-3)
+    with pytest.raises(InvalidInput, match="start values is unstable"):
+        youla.identify_injected(plant(), f, [PATH], alpha, eps, 1e-3, start={PATH: 10e6})
+    with pytest.raises(InvalidInput, match="eps is zero"):
+        youla.identify_injected(plant(), f, [PATH], alpha, 0 * eps, 1e-3)
 
 
 def test_bad_input():
