@@ -84,7 +84,7 @@ def test_agrees_with_time_domain():
 def test_predicted_deviation_against_monte_carlo():
     machine, _, controller, _ = rig()
     values, predicted = [], []
-    for seed in range(50):
+    for seed in range(60):
         found = identify(machine, noisy(clean(), seed), controller, NINE, bending_modes=0, period=P * DT)
         values.append(found.values)
         predicted.append(found.standard_deviations)
