@@ -103,10 +103,11 @@ def test_weights_of_the_bundled_machines():
 
 
 def test_bundled_bandwidths_follow_from_the_printed_times():
-    """P5: integral time close to 0.2 s; P3: settling within 20 ms."""
+    """P5: integral time close to 0.2 s; P3: what W_p alone needs to settle within 20 ms, and a margin for the loop."""
     rig, expander = load_machine("seal-rig").weights, load_machine("turboexpander").weights
     assert rig.bandwidth == pytest.approx(bandwidth_from_integral_time(0.2, rig.peak), rel=0.11)
-    assert expander.bandwidth == pytest.approx(bandwidth_from_settling_time(0.02, expander.peak), rel=0.01)
+    alone = bandwidth_from_settling_time(0.02, expander.peak)
+    assert 2 * alone < expander.bandwidth < 3 * alone
 
 
 def test_weights_survive_the_machine_file():
