@@ -308,7 +308,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     short = {"frequencies": FREQUENCIES[:10], "dwell": 0.9} if options.short else {}
     swept, found, joined = chirps(), cosines(), coupling()
-    sines, table = stepped_sines(**short), correlations()
+    sines, table = stepped_sines(**short), {40.0: correlations()}
+    table |= {f: correlations(f, (0.7 * BAR,)) for f in (5.0, 10.0, 20.0, 80.0, 120.0)}
     pulses = impulses(repeats=5 if options.short else 10)
     from benchmarks import campaign_p4_tables as tables
 

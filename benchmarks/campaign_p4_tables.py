@@ -103,11 +103,14 @@ def _four(values: np.ndarray, deviations: np.ndarray | None) -> str:
     return "  ".join(parts) + "  [kN/m, N s/m]"
 
 
-def correlations(found: dict[float, np.ndarray], pair: tuple[SealFit, SealFit]) -> str:
-    lines = ["P4.5 column cosines at 40 Hz, sine along zeta, time domain (printed: at most 0.04)"]
-    for pressure, J in found.items():
+def correlations(found: dict[float, dict[float, np.ndarray]], pair: tuple[SealFit, SealFit]) -> str:
+    lines = ["P4.5 column cosines, sine along zeta, time domain (printed at 40 Hz: at most 0.04)"]
+    for frequency, pressure, J in ((f, p, J) for f, each in found.items() for p, J in each.items()):
         pairs = {"K-C": J[0, 1], "K-k": J[0, 2], "K-c": J[0, 3], "C-k": J[1, 2], "C-c": J[1, 3], "k-c": J[2, 3]}
-        lines.append(f"  {pressure / BAR:.1f} bar: " + ", ".join(f"{name} {value:6.3f}" for name, value in pairs.items()))
+        lines.append(
+            f"  {frequency:3.0f} Hz {pressure / BAR:.1f} bar: "
+            + ", ".join(f"{name} {value:6.3f}" for name, value in pairs.items())
+        )
     for name, fit in zip(("zeta, then eta", "forward, then stronger backward whirl"), pair, strict=True):
         lines.append(f"  at 1.2 bar, {name}: K-c {fit.cosine[0][0, 3]:.3f}; sd of " + _four(fit.deviations[0], None))
     return "\n".join(lines)

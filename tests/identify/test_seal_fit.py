@@ -178,6 +178,19 @@ def test_steps_are_found_in_a_record_with_a_transient_and_noise():
     assert np.abs(early.blocks[0, 0] / slow.mean - 1) > 1e-2  # the transient is worth discarding
 
 
+def test_both_directions_one_after_the_other_in_one_record():
+    """The bundled scenario's form: zeta, then eta, on both bearings; all four excitations are seen, each step once."""
+    parts = [sines(NOMINAL / 2, axis) for axis in ("zeta", "eta")]
+    joined = replace(parts[0], values=np.hstack([part.values for part in parts]))
+    found = find_steps(joined)
+    np.testing.assert_allclose([s.frequency / HZ for s in found], [20, 60, 20, 60], rtol=1e-4)
+    np.testing.assert_allclose([s.start for s in found], [0, 0.8, 1.6, 2.4], atol=0.06)
+    fit = seal_fit.stepped_sine(rig(), [joined], reference=False)
+    assert len(fit) == 2
+    assert np.isfinite(fit.entries).all()
+    assert np.abs((fit.values - true(NOMINAL / 2)) / [1.6e6, 1.6e6, 4e3, 4e3]).max() < 1e-3
+
+
 def test_whirling_in_a_circle_tells_nothing():
     """Circular forward motion at the seal: K and c, k and C have one and the same effect. A seal that is not there yet."""
     machine = replace(

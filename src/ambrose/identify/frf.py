@@ -160,7 +160,7 @@ def _estimate(
     omega = frames.omega[kept]
     signals = frames.spectra((*u, *y))[:, :, kept] if u != e else np.concatenate([E, frames.spectra(y)[:, :, kept]])
     P = _inverse(np.einsum("akw,bkw->wab", E, E.conj()), omega, e)
-    T = np.einsum("skw,akw,wab->wsb", signals, E.conj(), P)
+    T = np.einsum("skw,akw->wsa", signals, E.conj()) @ P
     m = len(u)
     Tu, Ty = T[:, :m], T[:, m:]
     back = np.linalg.inv(Tu) if u != e else np.broadcast_to(np.eye(m), Tu.shape)

@@ -13,6 +13,7 @@ from ambrose.core.statespace import index_of
 from ambrose.machine.record import Record
 
 _ALIKE = 0.02  # relative difference of successive periods within one step
+_SLACK = 1e-3  # [s] by which steps of two signals may overlap and still follow each other
 _MOST_BLOCKS = 20
 
 
@@ -47,15 +48,27 @@ def steps_of(frequencies: Sequence[float], dwell: float, start: float = 0.0) -> 
 def find_steps(record: Record, signals: Sequence[str] | None = None, least_periods: int = 4) -> tuple[Step, ...]:
     """The stretches of a record in which an excitation is a steady sine, from the times of its rising zero crossings.
 
-    signals: the excitations looked at (None: the strongest e_<axis>). Neighbouring periods that differ by less than 2 %
-    belong to one step. Raises InvalidInput where there is none of ``least_periods`` periods.
+    signals: the excitations looked at (None: every e_<axis>); those driven at the same time count once. Neighbouring periods
+    that differ by less than 2 % belong to one step. Raises InvalidInput where there is none of ``least_periods`` periods.
     """
     names = [name for name in record.signals if name.startswith("e_")] if signals is None else list(signals)
     if not names:
         raise InvalidInput("the record has no excitation e_<axis>; name the signals that carry the sine")
-    wave = record[max(names, key=lambda name: float(np.std(record[name])))]
+    found: list[Step] = []
+    for name in names:
+        for step in _steady(record, name, least_periods):
+            if all(step.start >= other.stop - _SLACK or step.stop <= other.start + _SLACK for other in found):
+                found.append(step)
+    if not found:
+        raise InvalidInput(f"no excitation of the record is a steady sine for {least_periods} periods; excite by stepped sines")
+    return tuple(sorted(found, key=lambda step: step.start))
+
+
+def _steady(record: Record, name: str, least_periods: int) -> list[Step]:
+    """The steps of one signal."""
+    wave = record[name]
     up = np.flatnonzero((wave[:-1] <= 0) & (wave[1:] > 0))
-    times = record.time[up] - wave[up] / (wave[up + 1] - wave[up]) * record.dt
+    times = record.start_time + (up - wave[up] / (wave[up + 1] - wave[up])) * record.dt
     periods = np.diff(times)
     found, first = [], 0
     for i in range(1, len(periods) + 1):
@@ -66,9 +79,7 @@ def find_steps(record: Record, signals: Sequence[str] | None = None, least_perio
             period = np.polyfit(np.arange(i - first - 1), times[inner], 1)[0]
             found.append(Step(float(2 * np.pi / period), float(times[first]), float(times[i])))
         first = i
-    if not found:
-        raise InvalidInput(f"no excitation of the record is a steady sine for {least_periods} periods; excite by stepped sines")
-    return tuple(found)
+    return found
 
 
 def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 0.3, least_blocks: int = 3) -> Phasors:
