@@ -171,6 +171,22 @@ def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method
     assert other.standard_deviations[0] / nominal > 1.5 * scatter
 
 
+def test_sensors_of_different_noise_are_weighted():
+    sizes = np.array([[2e-6], [2e-6], [2e-7], [2e-7]])
+    quiet = simulate(select(loop(), E, Y + U), sequences(3000))
+    noise = sizes * np.random.default_rng(9).standard_normal((4, 3000))
+    values = quiet + simulate(select(loop(), D, Y + U), noise)
+    measured = replace(record(3000), values=np.vstack([values, sequences(3000)]))
+    known = identify(measured, noise=dict(zip(Y, sizes[:, 0], strict=True))).found
+    alike = identify(measured).found
+    assert known.standard_deviations[0] < 0.8 * alike.standard_deviations[0]
+    for result in (known, alike):
+        error = 1 - result.values[0] / nominal_values(plant(), [PATH])[0] - 0.5
+        assert abs(error) * nominal_values(plant(), [PATH])[0] < 3.5 * result.standard_deviations[0]
+    with pytest.raises(InvalidInput, match="noise of y_A_eta"):
+        identify(measured, noise={"y_A_zeta": 1e-6})
+
+
 def test_a_controller_that_is_not_quite_the_one_given_does_less_harm():
     """eps is made of the recorded currents; the whole-loop method simulates them."""
     K = controller()
