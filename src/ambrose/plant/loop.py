@@ -6,6 +6,7 @@ from typing import Any
 
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import c2d
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, connect, rename
 from ambrose.plant.model import Plant
 
@@ -35,11 +36,12 @@ def closed_loop(plant: Plant, controller: Any) -> StateSpace:
 
 
 def named_controller(plant: Plant, controller: Any) -> StateSpace:
-    """``controller`` with inputs err_<axis> [m] and outputs u_<axis> [A]; signals are matched by place.
+    """``controller`` with inputs err_<axis> [m] and outputs u_<axis> [A]; signals are matched by place. A scheduled one is
+    the one at the plant's speed.
 
     Raises InvalidInput when its size does not fit the plant's control axes.
     """
-    controller = as_statespace(controller)
+    controller = as_statespace(controller.at(plant.point.speed) if isinstance(controller, ScheduledSystem) else controller)
     n = len(plant.axes)
     if controller.D.shape != (n, n):
         raise invalid(

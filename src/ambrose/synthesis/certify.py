@@ -11,6 +11,7 @@ from ambrose.core.checks import InvalidInput, UnstableSystem, invalid
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import (
     StateSpace,
     as_statespace,
@@ -143,11 +144,12 @@ def continuous_equivalent(system: StateSpace) -> StateSpace:
 
 
 def match_controller(controller: Any, plant: Plant) -> StateSpace:
-    """``controller`` with its signals in the order of the plant's axes, after comparing them by name.
+    """``controller`` with its signals in the order of the plant's axes, after comparing them by name; a scheduled one is the
+    one at the plant's speed.
 
     Raises InvalidInput that names sizes or signals when the controller was made for other axes.
     """
-    controller = as_statespace(controller)
+    controller = as_statespace(controller.at(plant.point.speed) if isinstance(controller, ScheduledSystem) else controller)
     wanted = {"inputs": [f"err_{a}" for a in plant.axes], "outputs": [f"u_{a}" for a in plant.axes]}
     for side, names in wanted.items():
         have = getattr(controller, side)

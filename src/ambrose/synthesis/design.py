@@ -6,28 +6,34 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from ambrose.core.checks import invalid
+from ambrose.machine.description import Machine, Tolerance
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis import hinf, mu, pid, polish
 from ambrose.synthesis.certify import certify
 from ambrose.synthesis.latency import late
+from ambrose.synthesis.lpv_machine import design_over_speed
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.synthesis.weights import machine_weights
 
-METHODS = ("pid", "hinf", "mu", "polish")
+METHODS = ("pid", "hinf", "mu", "polish", "lpv")
+LEAST_TOLERANCE = 0.05  # relative; narrower tolerances are left to verification, which takes them all
 SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
 
 Progress = Callable[[str], None]
 
 
 def methods_for(plant: Plant) -> tuple[str, ...]:
-    """What the machine file allows: "pid" with [controller], "hinf" with [weights], the others with [[tolerance]] as well."""
+    """What the machine file allows: "pid" with [controller], "hinf" with [weights], mu with [[tolerance]] as well.
+
+    "lpv" is asked for by name: it is one controller for all speeds instead of one for the plant's.
+    """
     machine = plant.machine
     robust = machine.weights is not None and bool(machine.tolerances)
     possible = {"pid": machine.controller is not None, "hinf": machine.weights is not None, "mu": robust, "polish": robust}
-    return tuple(method for method in METHODS if possible[method])
+    return tuple(method for method in METHODS if possible.get(method))
 
 
 def design(
@@ -43,7 +49,8 @@ def design(
     """One controller for a full plant.
 
     method: "pid" (the machine's reference controller), "hinf" (H-infinity for the nominal plant), "mu" (D-K iteration over the
-    machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case). bending_modes: how many
+    machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case), "lpv" (scheduled over
+    the speeds of the operating points with the plant's seal pressure; more choices: ``lpv_machine``). bending_modes: how many
     the design model keeps per plane. match_reference: scale the control weight until the direct gains below 200 Hz match the
     reference controller's, so that controllers are comparable (P5); default: where the machine has a reference controller and
     a constant control weight. order: states of the polished controller. delay [s]: of the sampled loop it is for
@@ -58,16 +65,25 @@ def design(
         raise invalid("order", order, f"None for method {method!r}", "only method 'polish' can choose it")
     if method == "pid":
         return pid.synthesize(plant)
+    if method == "lpv":
+        if delay:
+            raise invalid("delay", delay, "0 for method 'lpv'", "choose another method, or sample it much faster")
+        return design_over_speed(plant, bending_modes=bending_modes, progress=progress)
     machine, weights = plant.machine, machine_weights(plant.machine)
     uncertain = method in {"mu", "polish"}
     small = reduce(plant, bending_modes)
-    model = small if delay == 0 else late(open_model(small, None, uncertain), delay)
+    wide = design_tolerances(machine) if uncertain else None
+    model = late(open_model(small, wide, uncertain), delay)
     synthesize = hinf.synthesize if method == "hinf" else lambda problem: mu.synthesize(problem, order=SCALING_ORDER)
     if match_reference is None:
         constant = machine.weights is not None and machine.weights.control_crossover is None
         match_reference = machine.controller is not None and constant
     reference = None if machine.controller is None else pid.controller(machine.controller, machine)
     extra: dict[str, float] = {}
+    if wide is not None and len(wide) < len(machine.tolerances):
+        names = ", ".join(item.parameter for item in wide)
+        progress(f"designing for {names}; tolerances below {LEAST_TOLERANCE:.0%} are left to verification")
+        extra["design_tolerances"] = float(len(wide))
     if match_reference:
         if reference is None:
             raise invalid("match_reference", True, "False without a [controller] table", "add the reference controller")
@@ -84,6 +100,16 @@ def design(
     if reference is not None:  # of the controller that is returned: polishing moves it
         extra["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
     return on_full_plant(plant, result, extra)
+
+
+def design_tolerances(machine: Machine) -> tuple[Tolerance, ...]:
+    """The tolerances that a design is made for: all of at least 5 %, or all where none is as wide.
+
+    Every real parameter costs D-K iteration states and time; what identification has narrowed to a percent is within the margin
+    that the wide ones force, and verification over all tolerances says whether that is so.
+    """
+    wide = tuple(item for item in machine.tolerances if item.relative is None or item.relative >= LEAST_TOLERANCE)
+    return wide or machine.tolerances
 
 
 def on_full_plant(plant: Plant, result: Synthesis, extra: dict[str, float]) -> Synthesis:
