@@ -21,7 +21,7 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.scheduled import ScheduledSystem, check_grid, interval_points
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.hinf_riccati import normal_form, search_gamma
-from ambrose.synthesis.hinf_scaling import Matrices, ScaledPlant, original_matrices
+from ambrose.synthesis.hinf_scaling import ScaledPlant, original_matrices
 from ambrose.synthesis.lpv_controller import Factors, controller, factors
 from ambrose.synthesis.lpv_family import Family, scaled_family
 from ambrose.synthesis.lpv_inequalities import Shape, Varying, smallest_gamma, well_conditioned
@@ -139,10 +139,7 @@ def _design(job: _Job, values: np.ndarray) -> _Design:
         chosen = family.in_units(smallest * (1 + step))
         try:
             point = factors(well_conditioned(chosen, shape, job.time_limit), shape.varying)
-            scheduled = _scheduled(job, chosen, point, plants)
-            checked = interval_points(values, job.points_between)
-            found = frozen(job.plant_at, scheduled, chosen, point, checked, shape.rates)
-            _require(job, found, chosen.unit)
+            scheduled, found = _verified(job, chosen, point, shape)
         except (AmbroseError, np.linalg.LinAlgError) as failure:
             reason = f"back-off {1 + step:.4g}: {failure}"
             job.say(reason)
@@ -164,16 +161,39 @@ def _optimum(plant: ScaledPlant, family: Family, value: float) -> float:
         raise NumericalFailure(f"the grid point {value:g} alone has no H-infinity controller: {failure}") from failure
 
 
-def _scheduled(job: _Job, family: Family, point: Factors, plants: Sequence[GeneralizedPlant]) -> ScheduledSystem:
-    """The controllers of all grid points in original units and in common, diagonally balanced states; ``point`` moves along."""
+def _verified(job: _Job, family: Family, point: Factors, shape: Shape) -> tuple[ScheduledSystem, tuple[Frozen, ...]]:
+    """The schedule and what was found of it; it gains points of its own where interpolation spoils what R and S allow."""
+    checked = interval_points(family.grid, job.points_between)
+    values = family.grid
+    for _ in range(_REFINED + 1):
+        scheduled = _scheduled(job, family, point, values)
+        found = frozen(job.plant_at, scheduled, family, point, checked, shape.rates)
+        _require(job, found, family.unit)
+        weak = [f.value for f in found if not f.guaranteed <= _HOLDS * family.unit and f.value not in values]
+        if not weak:
+            break
+        values = np.unique(np.append(values, weak))
+        checked = np.unique(np.append(checked, interval_points(values, 1)))
+    return scheduled, found
+
+
+def _scheduled(job: _Job, family: Family, point: Factors, values: np.ndarray) -> ScheduledSystem:
+    """The controllers at the values in original units and in the states of ``point``, where the plant has one there."""
     root = np.sqrt(family.rate)
-    members: list[Matrices] = []
-    for plant, p in zip(family.plants, family.relative, strict=True):
-        A, B, C, D = controller(plant, point, float(p))
-        members.append(original_matrices(plant, (A * family.rate, B * root, C * root, D)))
-    first = plants[0]
-    systems = [StateSpace(*matrices, first.y, first.u) for matrices in members]
-    return ScheduledSystem(family.grid, systems, job.parameter, job.unit)
+    kept, systems = [], []
+    for value in values:
+        given = job.plant_at(float(value))
+        plant = family.scaled(given)
+        try:
+            A, B, C, D = controller(plant, point, float(family.to_relative(value)))
+        except NumericalFailure:
+            if value in family.grid:
+                raise
+            continue
+        matrices = original_matrices(plant, (A * family.rate, B * root, C * root, D))
+        kept.append(value)
+        systems.append(StateSpace(*matrices, given.y, given.u))
+    return ScheduledSystem(kept, systems, job.parameter, job.unit)
 
 
 def balanced_states(scheduled: ScheduledSystem) -> ScheduledSystem:
@@ -215,7 +235,8 @@ def _result(job: _Job, design: _Design, nominal: float | None) -> Synthesis:
         "gamma_designed": gamma,
         "pointwise_largest": float(design.pointwise.max()),
         "guaranteed_between": max(inside, default=float("nan")),
-        "grid_points": float(len(design.scheduled.grid)),
+        "grid_points": float(len(design.family.grid)),
+        "schedule_points": float(len(design.scheduled.grid)),
         "checked_points": float(len(found)),
     }
     certificate = Certificate(
@@ -232,7 +253,7 @@ def _result(job: _Job, design: _Design, nominal: float | None) -> Synthesis:
 
 def _words(job: _Job, design: _Design, worst: Frozen) -> tuple[str, ...]:
     """What is guaranteed, in sentences."""
-    grid = design.scheduled.grid
+    grid = design.family.grid
     speed = "however fast it changes" if job.rate is None else f"up to {job.rate:g} {job.unit}/s either way"
     notes = [
         f"gamma {worst.guaranteed:.4g} holds for a changing {job.parameter}, {speed}: proved at {len(grid)} grid points and "

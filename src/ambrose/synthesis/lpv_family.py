@@ -16,7 +16,7 @@ from ambrose.core.balancing import balance_system
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.scheduled import check_alike
-from ambrose.synthesis.hinf_assumptions import Assumptions, check_assumptions, full_regularisation
+from ambrose.synthesis.hinf_assumptions import check_assumptions, full_regularisation
 from ambrose.synthesis.hinf_riccati import Level, balancing_states, normal_form, search_gamma
 from ambrose.synthesis.hinf_scaling import ScaledPlant, scale_plant
 
@@ -29,7 +29,8 @@ _HARDLY = 1.01
 class Family:
     """plants in scaled states x_s and time t rate; x = T x_s for the original plants; T (n, n) and its inverse, rate [rad/s].
 
-    unit: gamma of the original plants that is 1 here. notes: what was regularised.
+    unit: gamma of the original plants that is 1 here. t, reference: diagonal scaling of the states, and of u and y. notes: what
+    was regularised.
     """
 
     grid: np.ndarray
@@ -38,7 +39,21 @@ class Family:
     inverse: np.ndarray
     rate: float
     unit: float
+    t: np.ndarray
+    reference: ScaledPlant
     notes: tuple[str, ...] = ()
+
+    def scaled(self, plant: GeneralizedPlant) -> ScaledPlant:
+        """A further plant of the same kind in this family's states, time and units."""
+        given = _channels(plant, self.reference, self.t)
+        if self.notes:
+            given = _extended(given)
+        T, inverse = self.T / self.t[:, None], self.inverse * self.t
+        a, b, g = self.rate, np.sqrt(self.rate * self.unit), np.sqrt(self.unit)
+        return replace(
+            given, A=inverse @ given.A @ T / a, B1=inverse @ given.B1 / b, B2=inverse @ given.B2 / np.sqrt(a),
+            C1=given.C1 @ T / b, C2=given.C2 @ T / np.sqrt(a), D11=given.D11 / self.unit, D12=given.D12 / g, D21=given.D21 / g,
+        )  # fmt: skip
 
     @property
     def n(self) -> int:
@@ -91,37 +106,39 @@ def scaled_family(plants: Sequence[GeneralizedPlant], grid: np.ndarray) -> Famil
     C = [np.vstack([p.system.C[:r], p.system.C[r:] * y[:, None]]) for p in plants]
     largest = (np.abs(X).max(axis=0) for X in ([p.system.A for p in plants], B, C))
     t = balance_system(*largest)[3]
-    scaled = []
-    for plant, b, c in zip(plants, [X / t[:, None] for X in B], [X * t for X in C], strict=True):
-        A, D = plant.system.A * t / t[:, None], plant.system.D
-        scaled.append(replace(
-            reference, A=A, B1=b[:, :q], B2=b[:, q:], C1=c[:r], C2=c[r:], D11=D[:r, :q], D12=D[:r, q:] * u,
-            D21=D[r:, :q] * y[:, None], D22=D[r:, q:],
-        ))  # fmt: skip
-    regular, notes = _regularised(scaled, grid)
-    return _balanced(Family(grid, regular, np.diag(t), np.diag(1 / t), 1.0, 1.0, notes), middle)
+    regular, notes = _regularised([_channels(plant, reference, t) for plant in plants], grid)
+    identity = np.eye(len(t))
+    bare = Family(grid, regular, identity * t, identity / t, 1.0, 1.0, t, reference, notes)
+    return _balanced(bare, middle)
+
+
+def _channels(plant: GeneralizedPlant, reference: ScaledPlant, t: np.ndarray) -> ScaledPlant:
+    """A plant with the reference's scaled u and y, in the states x / t."""
+    s, q, r = plant.system, len(plant.w), len(plant.z)
+    B, C, u, y = s.B / t[:, None], s.C * t, reference.u_scale, reference.y_scale[:, None]
+    return replace(
+        reference, A=s.A * t / t[:, None], B1=B[:, :q], B2=B[:, q:] * u, C1=C[:r], C2=C[r:] * y,
+        D11=s.D[:r, :q], D12=s.D[:r, q:] * u, D21=s.D[r:, :q] * y, D22=s.D[r:, q:],
+    )  # fmt: skip
 
 
 def _regularised(plants: Sequence[ScaledPlant], grid: np.ndarray) -> tuple[tuple[ScaledPlant, ...], tuple[str, ...]]:
     """The plants, with small outputs and disturbances added to all where one of them violates an assumption."""
-    found = []
+    findings: tuple[str, ...] = ()
     for plant, value in zip(plants, grid, strict=True):
         try:
-            found.append(check_assumptions(plant))
+            findings = findings or check_assumptions(plant).findings
         except InvalidInput as error:
             raise InvalidInput(f"grid point {value:g}: {error}") from error
-    wanting = [a for a in found if not a.hold]
-    if not wanting:
+    if not findings:
         return tuple(plants), ()
-    return _extended(plants, full_regularisation(plants[0]), wanting[0].findings)
+    notes = (f"{'; '.join(findings)}: every state, control and measurement is weighted with {_EPSILON:g} instead",)
+    return tuple(_extended(plant) for plant in plants), notes
 
 
-def _extended(
-    plants: Sequence[ScaledPlant], more: Assumptions, findings: Sequence[str]
-) -> tuple[tuple[ScaledPlant, ...], tuple[str, ...]]:
-    epsilon = _EPSILON
-    notes = (f"{'; '.join(findings)}: every state, control and measurement is weighted with {epsilon:g} instead",)
-    return tuple(plant.extended(more.rows, more.columns, epsilon) for plant in plants), notes
+def _extended(plant: ScaledPlant) -> ScaledPlant:
+    more = full_regularisation(plant)
+    return plant.extended(more.rows, more.columns, _EPSILON)
 
 
 def _balanced(family: Family, middle: int) -> Family:

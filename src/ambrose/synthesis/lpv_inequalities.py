@@ -67,6 +67,13 @@ class Shape:
     degree: int
     rate: float
 
+    @property
+    def kind(self) -> str:
+        """ "none", "affine" or "polynomial" in the parameter."""
+        if self.varying == "none":
+            return "none"
+        return "affine" if self.degree == 1 else "polynomial"
+
     def terms(self, name: str) -> int:
         return 1 + self.degree if self.varying == name else 1
 
@@ -154,7 +161,10 @@ def _existence(plant: ScaledPlant, dual: bool) -> tuple[np.ndarray, np.ndarray, 
 def _coupling(
     family: Family, shape: Shape, gamma: float | None, largest: float, columns: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> list[Inequality]:
-    """[R I; I S] >= 0 or [R tI; tI S] >= 0, and R and S at most ``largest``, at every point where they differ."""
+    """[R I; I S] >= 0 or [R tI; tI S] >= 0, and R and S at most ``largest``, at every point where that is needed.
+
+    Both are affine in R and S: for polynomials of degree 1 they hold everywhere when they hold at the two ends.
+    """
     n = family.n
     of_R, of_S, last = columns
     basis, zero = symmetric_basis(n), np.zeros((n, n))
@@ -162,7 +172,7 @@ def _coupling(
     low = np.array([svec(sla.block_diag(zero, M)) for M in basis]).T
     off = svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
     bound, items = largest * svec(np.eye(n)), []
-    for p in family.relative if shape.varying != "none" else family.relative[:1]:
+    for p in {"none": family.relative[:1], "affine": family.relative[[0, -1]]}.get(shape.kind, family.relative):
         powers_R, powers_S = p ** np.arange(shape.terms("R")), p ** np.arange(shape.terms("S"))
         rows = np.hstack([np.kron(powers_R, up), np.kron(powers_S, low)])
         if gamma is None:
