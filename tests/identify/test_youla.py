@@ -270,6 +270,9 @@ def test_bad_input():
         identify(good.select([*Y, *E]))
     with pytest.raises(InvalidInput, match="holds no excitation"):
         identify(replace(good, values=np.vstack([good.values[:8], 0 * good.values[8:]])))
+    growing = good.values * np.where(np.arange(12) < 8, 1.0, 0.0)[:, None] * np.exp(np.arange(400) / 60)
+    with pytest.raises(InvalidInput, match=r"grows .* times towards its end"):
+        identify(replace(good, values=np.vstack([growing[:8], good.values[8:]])))
     with pytest.raises(InvalidInput, match="unknown"):
         identify(good, ["bearing.C.negative_stiffness.eta"])
     with pytest.raises(InvalidInput, match="start values is unstable"):

@@ -33,6 +33,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 
 _LOOKED_AT = 10_000  # samples on which the controller is compared with the one that ran
+_GROWTH = 10.0  # of the motion over a record, beyond that of its excitation
 _OTHER, _WRONG = 0.01, 0.5  # of the recorded currents, that the controller given does not explain: doubtful, and refused
 
 
@@ -82,6 +83,7 @@ def identify(
     begin = start_values(paths, nominal, start)
     _check_signals(plant, records)
     driven_inputs(plant, records, -(-len(paths) // len(plant.axes)))
+    _check_bounded(plant, records)
     law = deployed_controller(plant, controller, dt, computing_delay)
     factors, covariance = sampled_factors(plant, law, _sizes(plant, noise), decay)
     signals = tuple(residual_signals(factors, record, offset) for record in records)
@@ -241,6 +243,26 @@ def _check_signals(plant: Plant, records: Sequence[Record]) -> None:
                     f"record {number} holds the excitation {name}; the residual is driven by e_<axis> alone; "
                     "take closed_loop.identify, which allows forces, or record with an excitation current"
                 )
+
+
+def _check_bounded(plant: Plant, records: Sequence[Record]) -> None:
+    """Refuse a record whose motion grows while its excitation does not: S has no such response."""
+    for number, record in enumerate(records, 1):
+        y = record.select(plant.named("y")).values
+        e = np.stack([record[name] for name in [f"e_{axis}" for axis in plant.axes] if name in record.signals])
+        k = y.shape[1]
+        early, late = slice(0, k // 2), slice(4 * k // 5, k)
+        growth = _swing(y[:, late]) / max(_swing(y[:, early]), 1e-300)
+        driven = _swing(e[:, late]) / max(_swing(e[:, early]), 1e-300)
+        if growth > _GROWTH * max(driven, 1.0):
+            raise InvalidInput(
+                f"the motion in record {number} grows {growth:.3g} times towards its end, its excitation does not: the loop "
+                "was not stable, or something else shook it; cut the record before (Record.between), or use another controller"
+            )
+
+
+def _swing(signals: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.var(signals, axis=1))))
 
 
 def _sizes(plant: Plant, noise: Mapping[str, float] | None) -> np.ndarray:
