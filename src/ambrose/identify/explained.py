@@ -15,7 +15,7 @@ from ambrose.identify.experiment import experiment
 from ambrose.machine.description import Machine
 from ambrose.machine.record import Record
 
-_EARLY = 20000  # samples from which the initial state is estimated; it has died out by then
+_EARLY = 5000  # samples from which the initial state is estimated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
