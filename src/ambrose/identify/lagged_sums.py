@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
+_BAND = 512  # frequencies
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaggedSums:
@@ -92,7 +94,12 @@ def coloured_products(pieces: Iterable[np.ndarray], covariance: np.ndarray) -> n
         new = whole.copy()
         new[:, :, :span] = 0.0
         N = scipy.fft.rfft(new, size, axis=2)
-        filtered = np.stack([sum(kernel[i, j] * W[:, j] for j in range(p)) for i in range(p)], axis=1)
-        result += np.real(N.conj().reshape(q, -1) @ filtered.reshape(q, -1).T) / size
+        for start in range(0, W.shape[2], _BAND):  # few enough frequencies at a time to stay in the cache
+            band = slice(start, start + _BAND)
+            part, mixed = np.ascontiguousarray(W[:, :, band]), np.zeros((q, p, W[0, 0, band].size), complex)
+            for i in range(p):
+                for j in range(p):
+                    mixed[:, i] += kernel[i, j, band] * part[:, j]
+            result += np.real(N[:, :, band].conj().reshape(q, -1) @ mixed.reshape(q, -1).T) / size
         joined = whole[:, :, whole.shape[2] - span :]
     return result + result.T

@@ -15,7 +15,7 @@ import numpy as np
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 
-_BLOCK = 32  # samples of a block
+BLOCK = 32  # samples of a block
 _PIECE = 128  # blocks held at a time
 
 
@@ -36,7 +36,7 @@ class Lifted:
     outputs: int
 
 
-def lift(system: StateSpace, directions: Sequence[SystemDerivative], length: int = _BLOCK) -> Lifted:
+def lift(system: StateSpace, directions: Sequence[SystemDerivative], length: int = BLOCK) -> Lifted:
     """The lifted loop over blocks of ``length`` samples; C and D = 0 do not depend on the parameters."""
     A, B, C = system.A, system.B, system.C
     (p, n), m, L, q = C.shape, B.shape[1], length, len(directions)

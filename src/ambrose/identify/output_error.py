@@ -16,11 +16,11 @@ import numpy as np
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identify.gauss_newton import Linearised
-from ambrose.identify.lifted_sensitivities import Lifted, blocks, lift, stream
+from ambrose.identify.lifted_sensitivities import BLOCK, Lifted, blocks, lift, stream
 
 _INVISIBLE = 1e-12  # directions of the initial state seen weaker than this (squared) are left at zero
 _BLIND = 1e-9  # part of a parameter's effect (squared) that must remain beside them
-_LONG_PIECE = 384  # blocks at a time where pieces are compared with each other: 12,288 samples
+_LONG = 12_288  # samples at a time, about, where pieces are compared with each other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +172,7 @@ def _measured_less(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> None
 def residual_pieces(system: StateSpace, task: Task, found: Estimate) -> Iterator[np.ndarray]:
     """The residual over the weights and below it the distinct excitations, (p + r, length) piece by piece."""
     loop, _ = _driven(system, [], task)
-    for start, F in stream(lift(loop, []), list(task.e), found.x0, None, _LONG_PIECE):
+    for start, F in stream(lift(loop, []), list(task.e), found.x0, None, _long(task)):
         _measured_less(F, task, start, found.b)
         stop = min(start + F.shape[1] * F.shape[3], task.samples)
         yield np.vstack([_in_time(F, stop - start)[0], *(e[None, start:stop] for e in task.e)])
@@ -183,8 +183,14 @@ def jacobian_pieces(
 ) -> Iterator[np.ndarray]:
     """J (q, p, length) piece by piece, without the part that initial state and offsets could explain."""
     loop, directions = _driven(system, directions, task)
-    for start, F in stream(lift(loop, directions), list(task.e), found.x0, found.dx0, _LONG_PIECE):
+    for start, F in stream(lift(loop, directions), list(task.e), found.x0, found.dx0, _long(task)):
         yield _in_time(F[1:], min(F.shape[1] * F.shape[3], task.samples - start)) + found.db[:, :, None]
+
+
+def _long(task: Task) -> int:
+    """Blocks at a time, so that the pieces are equally long."""
+    count = max(round(task.samples / _LONG), 1)
+    return -(-task.samples // (count * BLOCK))
 
 
 def _in_time(F: np.ndarray, length: int) -> np.ndarray:
