@@ -13,9 +13,11 @@ import pytest
 
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select, static_gain
 from ambrose.export.files import machine_hash, match_controller, read_controller, write_controller
-from ambrose.machine.description import Machine, MagneticBearing, Sensor, ShaftSection
+from ambrose.machine.description import Machine, MagneticBearing, OperatingPoint, Sensor, ShaftSection
+from ambrose.plant.assemble import assemble
 from ambrose.synthesis.result import Certificate, Synthesis
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -143,7 +145,7 @@ def put(value, *keys):
 BAD_CONTENT = {
     "another format": (put("ambrose-record", "format"), "format is 'ambrose-record'"),
     "no format": (delete("format"), "format is None"),
-    "later version": (put(2, "version"), "version is 2"),
+    "later version": (put(3, "version"), "version is 3"),
     "version as text": (put("1", "version"), "version is '1'"),
     "version true": (put(True, "version"), "version is True"),
     "unknown key": (put(1, "colour"), "unknown key 'colour'"),
@@ -267,3 +269,59 @@ def test_the_hash_follows_the_description():
     assert machine_hash(MACHINE) != machine_hash(replace(MACHINE, modal_damping=0.0051))
     whole = replace(MACHINE, bearings=(replace(MACHINE.bearings[0], bias_current=6), MACHINE.bearings[1]))
     assert machine_hash(whole) == machine_hash(MACHINE)  # 6 and 6.0 are one number
+
+
+def scheduled_synthesis() -> Synthesis:
+    scheduled = ScheduledSystem([100.0, 200.0 + 1e-13, 500.0], [random_controller(3, seed) for seed in range(3)])
+    return synthesis(scheduled.at(150.0), method="lpv", scheduled=scheduled)
+
+
+class TestScheduling:
+    def test_schedule_comes_back_bit_by_bit(self, tmp_path):
+        result = scheduled_synthesis()
+        file = read_controller(write_controller(tmp_path / "k.json", result, MACHINE))
+        assert file.law is file.scheduled
+        np.testing.assert_array_equal(file.scheduled.grid, result.scheduled.grid)
+        for found, given in zip(file.scheduled.systems, result.scheduled.systems, strict=True):
+            for letter in "ABCD":
+                assert getattr(found, letter).tobytes() == getattr(given, letter).tobytes()
+            assert (found.inputs, found.outputs) == (given.inputs, given.outputs)
+        assert (file.scheduled.parameter, file.scheduled.unit, file.scheduled.outside) == ("speed", "rad/s", "refuse")
+        np.testing.assert_array_equal(file.controller.A, result.controller.A)
+
+    def test_fixed_controllers_stay_version_1(self, tmp_path):
+        content = json.loads(write_controller(tmp_path / "k.json", synthesis(random_controller(3))).read_text())
+        assert (content["version"], content["scheduling"]) == (1, None)
+        file = read_controller(tmp_path / "k.json")
+        assert file.scheduled is None
+        assert file.law is file.controller
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (lambda c: c.update(version=1), r"scheduling is given, but must be null in version 1"),
+            (lambda c: c.update(scheduling=None), r"scheduling is NoneType"),
+            (lambda c: c["scheduling"].update(grid=[100.0, 50.0, 500.0]), r"grid of the speed .* ascending"),
+            (lambda c: c["scheduling"].update(grid=[100.0, 500.0]), r"number of systems is 3"),
+            (lambda c: c["scheduling"].update(grid=[100.0, "fast", 500.0]), r"scheduling.grid\[2\]"),
+            (lambda c: c["scheduling"].update(interpolation="cubic"), r"scheduling.interpolation is 'cubic'"),
+            (lambda c: c["scheduling"].update(outside="extrapolate"), r"scheduling.outside"),
+            (lambda c: c["scheduling"].update(colour="red"), r"unknown key 'colour'"),
+            (lambda c: c["scheduling"]["points"][1].pop("D"), r"scheduling.points\[2\] lacks the key 'D'"),
+            (lambda c: c["scheduling"]["points"][2]["A"].pop(), r"rows of scheduling.points\[3\].A"),
+        ],
+    )
+    def test_bad_schedules_are_named(self, tmp_path, change, message):
+        path = write_controller(tmp_path / "k.json", scheduled_synthesis())
+        content = json.loads(path.read_text())
+        change(content)
+        path.write_text(json.dumps(content))
+        with pytest.raises(InvalidInput, match=message):
+            read_controller(path)
+
+    def test_controller_at_the_speed_of_the_plant(self, tmp_path):
+        scheduled = scheduled_synthesis().scheduled
+        plant = assemble(MACHINE, OperatingPoint(speed=300.0))
+        np.testing.assert_array_equal(match_controller(scheduled, plant).A, scheduled.at(300.0).A)
+        with pytest.raises(InvalidInput, match="between 100 and 500 rad/s"):
+            match_controller(scheduled, assemble(MACHINE))

@@ -49,7 +49,7 @@ def simulate(
     from ambrose.stages.trial import simulation
 
     description = load(machine)
-    controller = read_controller(path).controller
+    controller = read_controller(path).law
     with progress_shown(as_json) as progress:
         if linear:
             progress("assembling the plant")
@@ -62,7 +62,7 @@ def simulate(
                 description,
                 controller,
                 load_scenario(scenario),
-                second=None if second is None else read_controller(second).controller,
+                second=None if second is None else read_controller(second).law,
                 point=None if point is None else operating_point(description, point),
                 bending_modes=bending_modes,
                 seed=seed,

@@ -18,17 +18,27 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prog
 @AS_JSON
 def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all its tolerances."""
-    from ambrose.export.files import read_controller
+    from ambrose.core.checks import invalid
+    from ambrose.export.files import match_controller, read_controller
     from ambrose.export.results import checks_to_dict
     from ambrose.stages.plants import full_plants
     from ambrose.stages.proof import over_tolerances, verification
 
     description = load(machine)
-    controller = read_controller(path).controller
+    file = read_controller(path)
+    controller = file.law
     with progress_shown(as_json) as progress:
         plants = full_plants(description)
+        if file.scheduled is not None:
+            low, high = file.scheduled.range
+            plants = tuple(plant for plant in plants if low <= plant.point.speed <= high)
+            if not plants:
+                raise invalid(
+                    "the scheduled range", f"{low:g} to {high:g} rad/s", "one with an operating point of the machine in it",
+                    "design over the machine's own speeds",
+                )  # fmt: skip
         points = verification(plants, controller, progress)
-        over_box = over_tolerances(plants[0], controller, points[0].stable, progress)
+        over_box = over_tolerances(plants[0], match_controller(controller, plants[0]), points[0].stable, progress)
     if as_json:
         found = {"points": [checks_to_dict(r) for r in points], "robust": checks_to_dict(over_box) if over_box else None}
         click.echo(json.dumps({"machine": description.name, **found}))

@@ -100,6 +100,10 @@ def deliver(
         raise invalid("arithmetic", repr(arithmetic), f"{allowed} for the target {target!r}", "choose it, or another target")
     if isinstance(delay_samples, bool) or not isinstance(delay_samples, int) or delay_samples < 0:
         raise invalid("delay_samples", delay_samples, "a whole number, zero or more", "1 is usual")
+    if file.scheduled is not None:
+        low, high = file.scheduled.range
+        what = f"scheduled over {low:g} to {high:g} {file.scheduled.unit} of {file.scheduled.parameter}"
+        raise invalid("the controller", what, "a fixed one", "scheduled controllers run on the rig, not yet as generated code")
     machine = bundled_machine(file) if machine is None else machine
     errors, currents = (None, None) if machine is None else limits(machine)
     error_limit = _given(errors if error_limit is None else error_limit, "the error limit", "m")

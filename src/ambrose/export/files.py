@@ -17,12 +17,14 @@ from typing import Any
 
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
 from ambrose.export.parsing import (
     parse_date,
     parse_keys,
     parse_matrix,
     parse_number,
+    parse_scheduling,
     parse_signals,
     parse_text,
     read_json,
@@ -38,6 +40,7 @@ __all__ = ["ControllerFile", "Provenance", "machine_hash", "match_controller", "
 
 FORMAT = "ambrose-controller"
 VERSION = 1
+SCHEDULED_VERSION = 2  # the same with a table in "scheduling"; version 1 has null there
 INPUT_UNIT = ("err_", "m")
 OUTPUT_UNIT = ("u_", "A")
 STATUSES = ("verified", "unstable", "uncertified")  # as in Synthesis; uncertified: a controller written alone
@@ -62,7 +65,8 @@ class Provenance:
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerFile:
     """What a controller file says. controller: StateSpace from err_<axis> [m] to u_<axis> [A], continuous or sampled;
-    gamma is NaN where the method has none; certificate None where the controller was written without one."""
+    gamma is NaN where the method has none; certificate None where the controller was written without one. scheduled: the
+    controller over a range of speeds, of which ``controller`` is the one at the nominal speed; None for a fixed one."""
 
     controller: StateSpace
     method: str
@@ -70,6 +74,12 @@ class ControllerFile:
     gamma: float
     certificate: Certificate | None
     provenance: Provenance
+    scheduled: ScheduledSystem | None = None
+
+    @property
+    def law(self) -> StateSpace | ScheduledSystem:
+        """What runs: the scheduled controller where there is one."""
+        return self.controller if self.scheduled is None else self.scheduled
 
 
 def write_controller(
@@ -88,6 +98,8 @@ def write_controller(
         content = _content(controller, "given", "uncertified", math.nan, None, machine, date)
     else:
         content = _content(result.controller, result.method, result.status, result.gamma, result.certificate, machine, date)
+        if result.scheduled is not None:
+            content |= {"version": SCHEDULED_VERSION, "scheduling": _scheduling(result.scheduled)}
     return write_text(path, _layout(content), "controller file")
 
 
@@ -120,6 +132,18 @@ def _content(
             "machine_hash": None if machine is None else machine_hash(machine),
             "date": moment.isoformat(timespec="seconds"),
         },
+    }
+
+
+def _scheduling(scheduled: ScheduledSystem) -> dict[str, Any]:
+    """The grid and the matrices at each of its points; inputs, outputs and sample time are those of the file."""
+    return {
+        "parameter": scheduled.parameter,
+        "unit": scheduled.unit,
+        "interpolation": "linear",
+        "outside": scheduled.outside,
+        "grid": scheduled.grid.tolist(),
+        "points": [{letter: getattr(system, letter).tolist() for letter in "ABCD"} for system in scheduled.systems],
     }
 
 
@@ -158,10 +182,11 @@ def _parse(content: Any) -> ControllerFile:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = repr(content.get("format")) if isinstance(content, dict) else type(content).__name__
         raise invalid("format", found, repr(FORMAT), "this is no controller file; write one with `ambrose synthesize -o`")
-    if type(content.get("version")) is not int or content["version"] != VERSION:
-        raise invalid("version", repr(content.get("version")), str(VERSION), "it needs another version of ambrose")
+    version = content.get("version")
+    if type(version) is not int or version not in (VERSION, SCHEDULED_VERSION):
+        raise invalid("version", repr(version), f"{VERSION} or {SCHEDULED_VERSION}", "it needs another version of ambrose")
     parse_keys(content, KEYS, "the file")
-    if content["scheduling"] is not None:
+    if version == VERSION and content["scheduling"] is not None:
         raise invalid("scheduling", "given", "null in version 1", "it needs another version of ambrose")
     inputs = parse_signals(content["inputs"], "inputs", *INPUT_UNIT)
     outputs = parse_signals(content["outputs"], "outputs", *OUTPUT_UNIT)
@@ -185,6 +210,7 @@ def _parse(content: Any) -> ControllerFile:
         parse_number(content["gamma"], "gamma", any_value=True),
         certificate,
         _parse_provenance(content["provenance"]),
+        parse_scheduling(content["scheduling"], controller) if version == SCHEDULED_VERSION else None,
     )
 
 

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace
 
 _LARGEST = 64_000_000  # bytes; a controller with 500 states and 4 axes takes 6 MB
 _AGAIN = "write the file again"
@@ -120,6 +122,27 @@ def parse_signals(value: Any, name: str, prefix: str, unit: str) -> list[str]:
             raise invalid(f"{where}.unit", repr(item["unit"]), repr(unit), f"convert the controller to {unit} and {_AGAIN}")
         names.append(signal)
     return names
+
+
+def parse_scheduling(content: Any, controller: StateSpace) -> ScheduledSystem:
+    """The schedule of a controller file: matrices of the controller's sizes at every point of an ascending grid."""
+    parse_keys(content, ("parameter", "unit", "interpolation", "outside", "grid", "points"), "scheduling")
+    for key, known in (("interpolation", ("linear",)), ("outside", ("refuse", "clamp"))):
+        if content[key] not in known:
+            raise invalid(f"scheduling.{key}", repr(content[key]), " or ".join(known), "it needs another version of ambrose")
+    if not isinstance(content["grid"], list) or not isinstance(content["points"], list):
+        raise invalid("scheduling.grid and points", "no lists", "lists of equal length", _AGAIN)
+    grid = [parse_number(value, f"scheduling.grid[{i + 1}]") for i, value in enumerate(content["grid"])]
+    n, m, p = controller.n_states, len(controller.inputs), len(controller.outputs)
+    sizes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+    systems = []
+    for i, point in enumerate(content["points"]):
+        where = f"scheduling.points[{i + 1}]"
+        parse_keys(point, tuple(sizes), where)
+        A, B, C, D = (parse_matrix(point[letter], f"{where}.{letter}", *size) for letter, size in sizes.items())
+        systems.append(StateSpace(A, B, C, D, controller.inputs, controller.outputs, controller.dt))
+    parameter, unit = (parse_text(content[key], f"scheduling.{key}") for key in ("parameter", "unit"))
+    return ScheduledSystem(grid, systems, parameter, unit, content["outside"])
 
 
 def parse_date(value: Any, name: str) -> str:
