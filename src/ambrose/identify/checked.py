@@ -69,6 +69,8 @@ def checked_identification(
     Raises InvalidInput with every error that was found, each with its evidence and remedy.
     """
     records = tuple(records)
+    if repeats and len(records) < 2:
+        raise invalid("the number of records", len(records), "at least 2 for repeats", "give every repeat as a record")
     unknown = tuple(unknown) or usual_unknowns(machine, records)
     setup: dict[str, Any] = {"bending_modes": bending_modes, "computing_delay": computing_delay}
     paths = expand(machine, unknown)
@@ -106,8 +108,6 @@ def _repeated(
     progress: Callable[[str], None],
 ) -> tuple[Repeats, Identification]:
     """What every record alone gives, and the common result with a covariance as wide as their scatter."""
-    if len(records) < 2:
-        raise invalid("the number of records", len(records), "at least 2 for repeats", "give every repeat as a record")
     begin = {**setup, "start": dict(zip(result.paths, result.values.tolist(), strict=True))}
     found = []
     for number, record in enumerate(records, 1):
