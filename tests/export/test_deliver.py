@@ -16,6 +16,7 @@ from ambrose.export.deliver import bundled_machine, deliver, limits
 from ambrose.export.files import read_controller, write_controller
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.design import design
+from example_blocks import small_controller
 
 GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
 
@@ -25,6 +26,12 @@ def controllers(tmp_path_factory):
     folder, machine = tmp_path_factory.mktemp("controllers"), load_machine("seal-rig")
     plant = assemble(machine)
     return {m: write_controller(folder / f"{m}.json", design(plant, m), machine) for m in ("pid", "hinf")}
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A controller file of no bundled machine."""
+    return write_controller(tmp_path_factory.mktemp("small") / "small.json", small_controller())
 
 
 def call(*arguments):
@@ -82,6 +89,75 @@ def test_bad_input(controllers, tmp_path, options, message):
     assert done.exit_code == 2
     assert message in done.stderr
     assert not (tmp_path / "code").exists()
+
+
+@pytest.mark.parametrize(
+    ("target", "files"),
+    [
+        ("mat", ["rig.mat", "rig_load.m", "rig_vectors.csv"]),
+        ("fmu", ["rig_fmi2.fmu", "rig_fmi3.fmu"]),
+        ("st", ["rig.st", "rig_test.st", "rig_vectors.csv"]),
+    ],
+)
+def test_other_targets(small, tmp_path, target, files):
+    """Written with what was verified, refused unless forced, all or nothing."""
+    limits = ["--error-limit", 1e-3, "--current-limit", 2.0, "--name", "rig", "-o", tmp_path / "out", "--sources-only"]
+    done = call(small, "--to", target, *limits)
+    assert done.exit_code == 2
+    assert "this controller is not deployed: the controller carries no certificate" in done.stderr
+    assert not (tmp_path / "out").exists()
+    done = call(small, "--to", target, *limits, "--force", "--json")
+    assert done.exit_code == 1  # forced
+    assert sorted(Path(f).name for f in json.loads(done.stdout)["files"]) == files
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == files
+
+
+@pytest.mark.parametrize("target", ["c", "mat", "fmu", "st"])
+def test_an_unstable_controller_is_refused_by_every_target(tmp_path, target):
+    K = StateSpace([[5.0]], [[1.0]], [[1.0]], [[0.0]], ["err_A"], ["u_A"])
+    file = write_controller(tmp_path / "k.json", K)
+    done = call(file, "--to", target, "-o", tmp_path / "out", "--error-limit", 1.0, "--current-limit", 1.0)
+    assert done.exit_code == 2
+    assert "the controller itself is unstable (a pole at +5 rad/s)" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--to", "st", "--name", "Function_Block"], "'Function_Block', but must be no word of structured text"),
+        (["--to", "st", "--name", "a__b"], "'a__b', but must be an identifier of IEC 61131-3"),
+        (["--to", "mat", "--name", "end"], "'end', but must be no word of MATLAB"),
+        (["--to", "st", "--arithmetic", "fixed32"], "'fixed32', but must be double or float for the target 'st'"),
+        (["--to", "mat", "--arithmetic", "float"], "'float', but must be double for the target 'mat'"),
+        (["--to", "fmu", "--name", "x y"], "'x y', but must be a C identifier"),
+        (["--to", "fmu", "--name", "fmi2"], "'fmi2', but must be unlike the FMU's own files"),
+    ],
+)
+def test_bad_input_of_other_targets(small, tmp_path, options, message):
+    limits = ["--error-limit", 1e-3, "--current-limit", 2.0, "--force", "-o", tmp_path / "out"]
+    done = call(small, *options, *limits)
+    assert done.exit_code == 2
+    assert message in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("target", ["mat", "fmu", "st"])
+def test_a_full_disk_leaves_nothing(small, tmp_path, monkeypatch, target):
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    options = ["--error-limit", 1e-3, "--current-limit", 2.0, "--force", "--sources-only", "-o", tmp_path / "out"]
+    done = call(small, "--to", target, *options)
+    assert done.exit_code == 2
+    assert "No space left on device; nothing was changed there" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_target_that_does_not_exist(small, tmp_path):
+    with pytest.raises(InvalidInput, match="the target is 'plc', but must be c or mat or fmu or st"):
+        deliver(read_controller(small), tmp_path / "out", target="plc")
 
 
 def test_a_target_that_cannot_be_written(controllers, tmp_path):
