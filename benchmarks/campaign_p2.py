@@ -30,6 +30,8 @@ from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.reduce import free_mode_reduction
+from ambrose.report.campaign import Condition, campaign_report
+from ambrose.report.document import Report, write
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis import pid
@@ -205,10 +207,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--biases", type=float, nargs="+", default=BIASES)
     parser.add_argument("--sources", action="store_true", help="also: what a wrong model does")
+    parser.add_argument("-o", "--output", help="an HTML page with the same in pictures")
     options = parser.parse_args(arguments)
     machine = rig()
     found = [one_bias(machine, bias, options.repeats) for bias in options.biases]
     print("\n\n".join(tables(found, machine)))
+    if options.output:
+        print(f"page: {write(page(found, machine), options.output)}")
     if options.sources:
         for bias in options.biases:
             print(f"\n{bias:g} A, errors [%] of K_i x4, K_s x4, tau_e; fit; residual tests")
@@ -216,6 +221,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 text = " ".join(f"{value:6.1f}" for value in errors)
                 print(f"  {what:36s} {text}   {fit:5.1f} %  {'passed' if passed else 'failed'}")
     return 0
+
+
+def page(found: Sequence[Bias], machine: Machine) -> Report:
+    """The campaign as a page: figure 4 and table 2 of P2, and where the iron saturates."""
+    conditions = []
+    for item in found:
+        names = item.dynamic.paths
+        printed = dict(zip(names[4:8], PRINTED_K_S.get(item.bias, ()), strict=False))
+        conditions.append(
+            Condition(
+                f"{item.bias:g} A", item.bias, {"closed loop": item.dynamic, "static load": item.static},
+                dict(zip(names, item.truth, strict=True)), printed, float(np.mean(item.fit)), item.loaded[0],
+            )
+        )  # fmt: skip
+    return campaign_report(machine, conditions, reference="printed", title="K_i, K_s and tau_e over bias current (paper P2)")
 
 
 def tables(found: Sequence[Bias], machine: Machine) -> list[str]:
