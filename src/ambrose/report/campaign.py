@@ -120,7 +120,7 @@ def _figure(conditions: Sequence[Condition], paths: Sequence[str], unit: str, ax
     apart = _APART * max(float(np.ptp(x)), 1.0)
     factor, shown = _scale(unit, [abs(r.mean[r.paths.index(p)]) for c in conditions for r in c.methods.values() for p in paths
                                   if p in r.paths])  # fmt: skip
-    figure = make_subplots(rows=rows, cols=columns, horizontal_spacing=0.09, vertical_spacing=0.16 / max(rows, 1))
+    figure = make_subplots(rows=rows, cols=columns, horizontal_spacing=0.09, vertical_spacing=0.26 / max(rows, 1))
     named: set[str] = set()
     for number, path in enumerate(paths):
         place = {"row": number // _COLUMNS + 1, "col": number % _COLUMNS + 1}
@@ -155,8 +155,10 @@ def _figure(conditions: Sequence[Condition], paths: Sequence[str], unit: str, ax
                 named.add(method)
         figure.add_annotation(
             text=f"<b>{theme.plain(_short(path))}</b>",
-            x=0.02,
-            y=0.97,
+            x=0,
+            y=1,
+            xanchor="left",
+            yanchor="bottom",
             xref="x domain",
             yref="y domain",
             showarrow=False,
@@ -177,7 +179,7 @@ def _slopes(conditions: Sequence[Condition]) -> Any:
     axes = first.axes if first is not None else ()
     look = theme.styles([c.label for c in conditions])
     rows = -(-len(axes) // _COLUMNS)
-    figure = make_subplots(rows=rows, cols=_COLUMNS, horizontal_spacing=0.09, vertical_spacing=0.16 / max(rows, 1))
+    figure = make_subplots(rows=rows, cols=_COLUMNS, horizontal_spacing=0.09, vertical_spacing=0.26 / max(rows, 1))
     for i, axis in enumerate(axes):
         place = {"row": i // _COLUMNS + 1, "col": i % _COLUMNS + 1}
         for condition in conditions:
