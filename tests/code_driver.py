@@ -1,7 +1,9 @@
 """Compiles generated code with a driver that replays a file of samples, and runs it: the block from C, for comparison."""
 
+import functools
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +51,15 @@ def compilers() -> list[str]:
     return [name for name in ("gcc", "clang") if shutil.which(name)]
 
 
+@functools.cache
+def sanitizers(compiler: str) -> tuple[str, ...]:
+    """SANITIZERS, or nothing where the compiler is installed without their libraries (clang often is)."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "empty.c").write_text("int main(void) { return 0; }\n")
+        done = subprocess.run([compiler, *SANITIZERS, "empty.c"], cwd=folder, capture_output=True, check=False)
+    return tuple(SANITIZERS) if done.returncode == 0 else ()
+
+
 def compiled(
     block: ControlBlock, arithmetic: str, directory: Path, compiler: str, flags: list[str] | None = None, **settings: float
 ) -> Path:
@@ -64,7 +75,7 @@ def compiled(
     (directory / "driver.c").write_text(code.replace("TYPE", kind))
     target = directory / f"run-{compiler}"
     sources = [str(directory / f"{block.name}.c"), str(directory / "driver.c")]
-    build(compiler, [*(["-O1", *SANITIZERS] if flags is None else flags), *sources, "-o", str(target)])
+    build(compiler, [*(["-O1", *sanitizers(compiler)] if flags is None else flags), *sources, "-o", str(target)])
     return target
 
 

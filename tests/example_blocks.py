@@ -42,5 +42,5 @@ def small_block(delay: int = 1, name: str = "small", system: StateSpace | None =
 
 def gain_block(name: str = "gain") -> ControlBlock:
     """A gain without states: nothing to track, nothing to wind up."""
-    K = StateSpace([], [], [], [[2e3, 0.0], [0.0, 3e3]], ["err_x", "err_y"], ["u_x", "u_y"])
+    K = StateSpace([], [], [], [[2.1e3, 0.0], [0.0, 3.1e3]], ["err_x", "err_y"], ["u_x", "u_y"])
     return control_block(deploy(K, 1e-3, 1e-3, force=True), name, 1e-3, 2.0)

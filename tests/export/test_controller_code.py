@@ -9,6 +9,7 @@ import pytest
 import scipy.signal
 
 import code_driver as driver
+import example_blocks as example
 from ambrose import StateSpace, load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.sampling import c2d
@@ -20,6 +21,7 @@ from ambrose.export.sampling import deploy
 from ambrose.export.word_length import floating_error, word_lengths
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.design import design
+from example_blocks import gain_block, rig_block
 
 METHODS = ("pid", "hinf", "mu")
 SAMPLES = 100_000
@@ -124,12 +126,26 @@ def test_compiles_clean_and_passes_its_own_vectors(arithmetic, name, tmp_path):
     block = small_block()
     write_code(tmp_path / "code", block, arithmetic, ["A */ comment"], largest_error=0.5)
     files = [str(tmp_path / "code" / f) for f in ("small.c", "small_test.c")]
-    for flags in (driver.SANITIZERS, ["-O3"]):
+    for flags in (driver.sanitizers(name), ["-O3"]):
         program = tmp_path / "selftest"
         driver.build(name, [*flags, *files, "-o", str(program)])
         done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout
         assert "96 samples, 0 wrong" in done.stdout
+
+
+@pytest.mark.skipif("clang" not in driver.compilers(), reason="no clang")
+@pytest.mark.parametrize("make", [rig_block, example.small_block, gain_block])
+@pytest.mark.parametrize("arithmetic", ["double", "float", "fixed32"])
+def test_every_warning_of_clang_but_two(make, arithmetic, tmp_path):
+    """But padding, which no target's layout can avoid, and the comparison of the current given with the one asked for."""
+    block = make()
+    for name, text in generate(block, arithmetic).items():
+        (tmp_path / name).write_text(text)
+    silent = ["-Wno-padded", "-Wno-float-equal", "-Wno-unknown-warning-option", "-Wno-unsafe-buffer-usage"]
+    sources = [str(tmp_path / f"{block.name}{end}") for end in (".c", "_test.c")]
+    driver.build("clang", ["-Weverything", *silent, "-O2", *sources, "-o", str(tmp_path / "t")])
+    assert subprocess.run([str(tmp_path / "t")], capture_output=True, check=False).returncode == 0
 
 
 @compiler

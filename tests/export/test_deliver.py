@@ -131,7 +131,7 @@ def test_an_unstable_controller_is_refused_by_every_target(tmp_path, target):
         (["--to", "st", "--arithmetic", "fixed32"], "'fixed32', but must be double or float for the target 'st'"),
         (["--to", "mat", "--arithmetic", "float"], "'float', but must be double for the target 'mat'"),
         (["--to", "fmu", "--name", "x y"], "'x y', but must be a C identifier"),
-        (["--to", "fmu", "--name", "fmi2"], "'fmi2', but must be unlike the FMU's own files"),
+        (["--to", "fmu", "--name", "memory"], "'memory', but must be unlike the FMU's own files"),
     ],
 )
 def test_bad_input_of_other_targets(small, tmp_path, options, message):

@@ -4,6 +4,7 @@ import io
 import re
 import shutil
 import subprocess
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmpy.build import build_platform_binary
 from fmpy.validation import validate_fmu
 
 import code_driver as driver
@@ -237,6 +239,24 @@ def test_sources_fit_the_headers_of_the_standard(version_headers, name, arithmet
 @pytest.fixture(params=[("2.0", "fmi2Functions.h"), ("3.0", "fmi3Functions.h")], ids=VERSIONS)
 def version_headers(request):
     return request.param
+
+
+@compiler
+@pytest.mark.skipif(shutil.which("make") is None, reason="no make")
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fmpy_builds_the_sources_itself(version, tmp_path, monkeypatch):
+    """An FMU of sources only: FMPy finds what to compile in the FMU, builds it with CMake, and runs it."""
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=":")  # CMake comes with FMPy
+    block = small_block()
+    (tmp_path / "x.fmu").write_bytes(fmu(block, version, sources_only=True))
+    folder = fmpy.extract(str(tmp_path / "x.fmu"), str(tmp_path / "x"))
+    (tmp_path / "build").mkdir()
+    build_platform_binary(folder, tmp_path / "build", generator="Unix Makefiles")
+    shutil.make_archive(str(tmp_path / "built"), "zip", folder)
+    player = Player(tmp_path / "built.zip", tmp_path / "opened")
+    player.begin()
+    e, valid = driver.adversarial(block, 1000)
+    assert np.abs(player.play(block, e, valid)[0] - run_block(block, e, valid).currents).max() <= 1e-12
 
 
 @compiler

@@ -33,6 +33,7 @@ from ambrose.export.names import check_identifier
 from ambrose.export.rendering import render
 
 _COMPILERS = ("cc", "gcc", "clang")
+_OWN = ("fmi2", "fmi3", "memory", "instance", "counts", "token", "refuse")  # in templates/fmu_memory.h.j2, fmi2.c.j2, fmi3.c.j2
 _TIME_LIMIT = 120.0  # s, for the compiler
 _SPACE = uuid.UUID("5d1b0e5e-8f0a-5c0e-9a55-6d1f2c8f2f10")  # of the tokens: equal code has an equal token
 _FOLDERS = {  # (system, machine): folder of FMI 2.0, folder of FMI 3.0, suffix
@@ -113,9 +114,8 @@ def _check_names(block: ControlBlock) -> None:
     for name in names:
         if names.count(name) > 1:
             raise invalid("a signal's name", repr(name), "unlike the FMU's own variables", "rename() the controller's signals")
-    for name in ("fmi2", "fmi3"):
-        if block.name == name:
-            raise invalid("the name of the block", repr(name), "unlike the FMU's own files", "give another --name")
+    if block.name in _OWN:
+        raise invalid("the name of the block", repr(block.name), "unlike the FMU's own files and words", "give another --name")
     check_identifier(block.name, "the name of the block", "choose letters, digits and underscores")
 
 
