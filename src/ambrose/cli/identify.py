@@ -105,7 +105,7 @@ def _write(machine: Any, checked: Any, records: list[str], controller: str, outp
 
 
 def _print(checked: Any, output: Path, report: Path | None) -> None:
-    from ambrose.report.identification_tables import fit_table, parameters_table, repeats_table, tests_table
+    from ambrose.report.identification_tables import fit_table, parameters_table, repeats_table, residual_tests_table
 
     result = checked.result
     _table(parameters_table(result))
@@ -113,7 +113,7 @@ def _print(checked: Any, output: Path, report: Path | None) -> None:
         _table(repeats_table(checked.repeats))
     _table(fit_table(result))
     if not all(test.passed for test in result.tests):
-        _table(tests_table(result), only_failed=True)
+        _table(residual_tests_table(result), only_failed=True)
     click.echo(f"Verdict: {result.verdict}")
     for finding in checked.findings:
         click.echo(f"Warning: {finding}")

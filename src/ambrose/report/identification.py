@@ -18,8 +18,8 @@ from ambrose.report.identification_figures import (
     correlation_figure,
     overlay_figure,
     residual_figure,
+    residual_tests_figure,
     telling_records,
-    tests_figure,
 )
 from ambrose.report.identification_frf import frf_figure
 from ambrose.report.identification_seal import seal_figure
@@ -28,18 +28,20 @@ from ambrose.report.identification_tables import (
     fit_table,
     parameters_table,
     repeats_table,
-    tests_table,
+    residual_tests_table,
 )
 
 _CHANGE = "How far the records moved every parameter from the machine file's value, with the 95 % interval of what was found."
-_TIME = "Broad the measurement, thin the identified model, and what is left between them. The residual should look like noise: "
+_TIME = "Broad the measurement, thin the identified model, and what is left between them. The residual should look like noise. "
 _WHOLE = (
-    "The residual (dark) inside the signal (pale) over the whole record. It should be equally small throughout: a burst is a "
-    "knock, contact or lost samples, a slow growth a drift."
+    "What the model leaves, on its own scale; written above: its size beside that of the signal. It should be equally small "
+    "throughout: a single burst is a knock, contact or lost samples, bursts to one side at every large motion are the magnets' "
+    "curvature, a slow growth is a drift."
 )
 _FRF = (
     "Displacement per current command on each axis, measured in closed loop with the excitation as instrument (no bias by "
-    "feedback), with its 95 % band, and the model before and after. Read the model only where the coherence is near 1. "
+    "feedback), with its 95 % band, and the model before and after. Third row: model over measurement less 1; dotted the 10 % "
+    "of a model that is good enough for design. Trust what is measured where the coherence is near 1. "
 )
 _CORRELATION = (
     "Left: how errors of two parameters go together; near ±1 only their combination is known. Right: how alike their effects "
@@ -80,10 +82,10 @@ def identification_report(
         table = findings_table(checked.findings, [text for text in result.warnings if text != result.verdict])
         sections.insert(0, Section("What makes this doubtful", "", (), (table,))) if table.rows else None
     sections.append(Section("Measured over model", "", tuple(_comparisons(machine, checked)), (fit_table(result),)))
-    pictures = [Figure("Residual tests", tests_figure(result), _TESTS)]
+    pictures = [Figure("Residual tests", residual_tests_figure(result), _TESTS)]
     if len(result.paths) > 1:
         pictures.append(Figure("Correlation and column cosine", correlation_figure(result), _CORRELATION))
-    sections.append(Section("Can it be believed?", "", tuple(pictures), (tests_table(result),), folded=True))
+    sections.append(Section("Can it be believed?", "", tuple(pictures), (residual_tests_table(result),), folded=True))
     verdicts = _verdicts(checked)
     failed = [verdict.label.lower() for verdict in verdicts if verdict.passed is False]
     words = f"to be doubted: {', '.join(failed)}" if failed else "identified, and nothing speaks against it"
@@ -153,7 +155,7 @@ def _facts(checked: CheckedIdentification, sources: Sequence[str], controller: s
         ("Speed", f"{units.number(result.point.speed * units.RPM, 4)} rpm"),
         (
             "Model",
-            f"{checked.bending_modes} bending mode(s) per plane, computing delay {delay} sample{'' if delay == 1 else 's'}",
+            f"{checked.bending_modes} bending modes per plane, computing delay {delay} sample{'' if delay == 1 else 's'}",
         ),
     ]
     return tuple((name, text) for name, text in known if text)

@@ -11,7 +11,7 @@ from ambrose.identify.closed_loop import Identification
 from ambrose.identify.explained import Explained
 from ambrose.machine.parameters import parse_parameter
 from ambrose.report import theme, units
-from ambrose.report.identification_tables import COVERAGE
+from ambrose.report.identification_tables import COVERAGE, fixed
 from ambrose.report.panels import Panel, panel_figure
 from ambrose.report.record_curves import thinned
 from ambrose.verify.checks import Curve
@@ -20,10 +20,11 @@ _PERIODS = 6  # of the strongest frequency in the telling window
 _ROW, _LEAST = 26, 120  # [px]
 _DIVERGING = ((0.0, "#b2182b"), (0.25, "#f4a582"), (0.5, "#f7f7f7"), (0.75, "#92c5de"), (1.0, "#2166ac"))
 _SYMBOLS = {"force_per_current": "Kᵢ", "negative_stiffness": "Kₛ", "stiffness": "k", "damping": "d"}
+_AMPLIFIER = {"natural_frequency": "ω₀", "damping": "d", "bandwidth": "ω_b", "eddy_bandwidth": "ω_e"}
 
 
 def short(path: str) -> str:
-    """A parameter as it is called among people: "Kᵢ A ζ", "seal center k", "amplifier bandwidth"."""
+    """A parameter as it is called among people: "Kᵢ A ζ", "seal center k", "amplifier ω₀"."""
     parameter = parse_parameter(path)
     component = units.axis_name(parameter.component) if parameter.component else ""
     if parameter.table == "bearing":
@@ -33,7 +34,7 @@ def short(path: str) -> str:
     if parameter.table == "coupling":
         symbol = _SYMBOLS[parameter.quantity]
         return " ".join(part for part in (_once("coupling", parameter.name), symbol, component) if part)
-    return f"amplifier {parameter.quantity.replace('_', ' ')}"
+    return f"amplifier {_AMPLIFIER[parameter.quantity]}"
 
 
 def _once(kind: str, name: str) -> str:
@@ -58,7 +59,7 @@ def change_figure(result: Identification) -> Any:
     )  # fmt: skip
     figure.add_vline(x=0, line={"color": theme.INK, "width": 1})
     for name, at, width in zip(names, value, half, strict=True):
-        text = f"{units.number(float(at), 3)} ± {units.number(float(width), 2)} %"
+        text = f"{fixed(float(at), float(width))} ± {units.number(float(width), 2)} %"
         figure.add_annotation(
             x=1, xref="x domain", y=name, text=text, showarrow=False, xanchor="left", xshift=8, font={"size": 12}
         )
@@ -79,7 +80,7 @@ def overlay_figure(piece: Explained) -> tuple[Any, str]:
     style = theme.overlay_styles(["measured", "model", "residual"])
     figure, beyond = panel_figure(rows, style, height=190)
     span = f"{units.number(float(time[0]), 4)} to {units.number(float(time[-1]), 4)} s"
-    return figure, f"Window {span}, around the largest motion.{' ' + beyond if beyond else ''}"
+    return figure, f"Shown are {span}, around the largest motion.{' ' + beyond if beyond else ''}"
 
 
 def _panel(piece: Explained, i: int, time: np.ndarray, part: slice) -> Panel:
@@ -107,22 +108,20 @@ def _telling(piece: Explained) -> slice:
 
 
 def residual_figure(piece: Explained) -> tuple[Any, str]:
-    """Measured and residual over the whole record: does the residual stay small throughout?"""
+    """The residual over the whole record, on its own scale: does it stay equally small throughout?"""
     time = piece.record.time
     rows = []
     for first in range(0, len(piece.signals), 2):
         row = []
         for i in range(first, min(first + 2, len(piece.signals))):
             unit = piece.record.units[piece.record.signals.index(piece.signals[i])]
-            curves = []
-            for label, values in (("measured", piece.measured), ("residual", piece.residual)):
-                at, thin = thinned(time, values[i : i + 1] - values[i].mean())
-                curves.append((label, Curve("identification.residual", "", "time", at, thin, (piece.signals[i],), "s", unit)))
-            row.append(Panel(units.axis_name(piece.signals[i]), tuple(curves)))
+            at, thin = thinned(time, piece.residual[i : i + 1])
+            curve = Curve("identification.residual", "", "time", at, thin, (piece.signals[i],), "s", unit)
+            sizes = (float(np.std(piece.residual[i])), float(np.std(piece.measured[i])))
+            words = " of ".join(units.quantity(size, unit, 2) for size in sizes) + " rms"
+            row.append(Panel(units.axis_name(piece.signals[i]), (("residual", curve),), (("", words),)))
         rows.append(row)
-    style = theme.overlay_styles(["measured", "model", "residual"])
-    style["measured"] = theme.Style("#c3ccd4", "solid", "circle-open", 1.0)
-    return panel_figure(rows, style, height=130)
+    return panel_figure(rows, {"residual": theme.Style("#0072b2", "solid", "circle-open", 1.0)}, height=120)
 
 
 def correlation_figure(result: Identification) -> Any:
@@ -147,13 +146,14 @@ def correlation_figure(result: Identification) -> Any:
             ),
             row=1, col=column,
         )  # fmt: skip
+    figure.update_annotations(font={"size": 13})
     theme.dress(figure, size, legend=False)
     figure.update_yaxes(autorange="reversed", showgrid=False, ticks="", showline=False)
     figure.update_xaxes(tickangle=-60, showgrid=False, ticks="", showline=False)
     return figure
 
 
-def tests_figure(result: Identification) -> Any:
+def residual_tests_figure(result: Identification) -> Any:
     """Largest correlation of each residual with each excitation, over its 99 % limit: above 1 the model misses something."""
     import plotly.graph_objects as go
 

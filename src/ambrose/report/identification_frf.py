@@ -1,4 +1,4 @@
-"""Measured plant beside the identified model over frequency: magnitude, phase, coherence, with the measurement's own circle."""
+"""Measured plant beside the identified model over frequency: magnitude, phase, ratio and coherence, with confidence bands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from ambrose.plant.model import Plant
 from ambrose.report import theme, units
 
 _LINES = 260  # of a measured curve that are drawn, equally spaced over log frequency
-_HEIGHTS = (0.5, 0.28, 0.22)
+_HEIGHTS = (0.38, 0.22, 0.24, 0.16)
+_DECADES = 4.0  # of magnitude that are shown
+_RATIO = 30.0  # [%] of the view
 _MEASURED, _BAND, _MODEL, _START = "#0072b2", "rgba(0,114,178,0.22)", theme.INK, "#d55e00"
 
 
@@ -78,9 +80,10 @@ def _draw(measured: frf.Frf, models: Sequence[tuple[StateSpace, str, str, str]],
     shown = axes[:per_row]
     titles = [f"<b>{theme.plain(units.axis_name(axis))}</b>" for axis in shown]
     figure = make_subplots(
-        rows=3, cols=len(shown), row_heights=list(_HEIGHTS), shared_xaxes=True, shared_yaxes="rows", horizontal_spacing=0.02,
+        rows=4, cols=len(shown), row_heights=list(_HEIGHTS), shared_xaxes=True, shared_yaxes="rows", horizontal_spacing=0.02,
         vertical_spacing=0.035, subplot_titles=titles,
     )  # fmt: skip
+    measured = _visible(measured)
     f = measured.omega / (2 * np.pi)
     kept = _spread(f)
     grid = np.geomspace(f[0], f[-1], 300)
@@ -88,6 +91,7 @@ def _draw(measured: frf.Frf, models: Sequence[tuple[StateSpace, str, str, str]],
         (frequency_response(model, 2 * np.pi * grid).values, name, colour, dash) for model, name, colour, dash in models
     ]
     radius = measured.radius()
+    ratios = [np.abs(frequency_response(model, measured.omega).values) / np.abs(measured.values) for model, _, _, _ in models]
     factor, unit = units.scale("m/A")
     for column, _ in enumerate(shown, 1):
         i = column - 1
@@ -99,25 +103,46 @@ def _draw(measured: frf.Frf, models: Sequence[tuple[StateSpace, str, str, str]],
         for response, name, colour, dash in responses:
             one = response[:, i, i]
             _line(figure, grid, np.abs(one) * factor, name, colour, 1, column, dash, shown=first)
-            _line(figure, grid, np.degrees(np.unwrap(np.angle(one))) % -360, name, colour, 2, column, dash)
-        _line(figure, f[kept], measured.coherence[kept, i], "coherence", _MEASURED, 3, column)
-    theme.dress(figure, 520, legend=True)
+            _line(figure, grid, _degrees(one), name, colour, 2, column, dash)
+        for ratio, (_, name, colour, dash) in zip(ratios, models, strict=True):
+            _line(figure, f[kept], 100 * (ratio[kept, i, i] - 1), name, colour, 3, column, dash)
+        width = 100 * half / np.abs(value)
+        _fill(figure, f[kept], -width, width, 3, column)
+        _line(figure, f[kept], measured.coherence[kept, i], "coherence", _MEASURED, 4, column)
+    figure.update_annotations(font={"size": 13})
+    theme.dress(figure, 620, legend=True)
     _axes(figure, measured, f, factor, unit, len(shown))
     return figure
 
 
 def _axes(figure: Any, measured: frf.Frf, f: np.ndarray, factor: float, unit: str, columns: int) -> None:
     sizes = np.abs(np.diagonal(measured.values, axis1=1, axis2=2)) * factor
-    low, high = float(np.quantile(sizes, 0.02)) / 2, float(sizes.max()) * 2
+    low, high = float(sizes.min()) / 2, float(sizes.max()) * 2
     figure.update_xaxes(**theme.decades(float(f[0]), float(f[-1])))
-    figure.update_xaxes(title_text="Frequency [Hz]", row=3)
+    figure.update_xaxes(title_text="Frequency [Hz]", row=4)
     for column in range(1, columns + 1):
         figure.update_yaxes(**theme.decades(low, high), row=1, col=column)
-    figure.update_yaxes(range=[-360, 0], dtick=90, row=2)
-    figure.update_yaxes(range=[0, 1.05], dtick=0.5, row=3)
+    figure.update_yaxes(range=[-390, -90], tickvals=[-360, -270, -180, -90], row=2)
+    figure.update_yaxes(range=[-_RATIO, _RATIO], dtick=15, row=3)
+    for level in (-10, 10):
+        figure.add_hline(y=level, line={"color": theme.LIMIT, "width": 1, "dash": "1.5px,2px"}, row=3)
+    figure.update_yaxes(range=[0, 1.05], dtick=0.5, row=4)
     figure.update_yaxes(title_text=f"y per u + e [{unit}]", row=1, col=1)
     figure.update_yaxes(title_text="Phase [°]", row=2, col=1)
-    figure.update_yaxes(title_text="Coherence", row=3, col=1)
+    figure.update_yaxes(title_text="Model / meas. [%]", row=3, col=1)
+    figure.update_yaxes(title_text="Coherence", row=4, col=1)
+
+
+def _visible(measured: frf.Frf) -> frf.Frf:
+    """The lines up to the last at which an axis still responds within some decades of its largest."""
+    sizes = np.abs(np.diagonal(measured.values, axis1=1, axis2=2))
+    seen = np.flatnonzero((sizes > sizes.max(axis=0) / 10**_DECADES).all(axis=1))
+    return measured.between(float(measured.omega[0]), float(measured.omega[seen[-1] if len(seen) else -1]))
+
+
+def _degrees(values: np.ndarray) -> np.ndarray:
+    """Phase from -390 to -30 degrees: levitated by magnets, a plant begins at -180 and lags to about -360."""
+    return (np.degrees(np.angle(values)) + 390) % 360 - 390
 
 
 def _spread(f: np.ndarray) -> np.ndarray:
@@ -149,7 +174,7 @@ def _band(figure: Any, f: np.ndarray, size: np.ndarray, half: np.ndarray, column
 
 
 def _phase(figure: Any, f: np.ndarray, value: np.ndarray, half: np.ndarray, column: int) -> None:
-    angle = np.degrees(np.unwrap(np.angle(value))) % -360
+    angle = _degrees(value)
     spread = np.degrees(np.arcsin(np.minimum(half / np.maximum(np.abs(value), 1e-300), 1.0)))
     _fill(figure, f, angle - spread, angle + spread, 2, column)
     _line(figure, f, angle, "measured, 95 %", _MEASURED, 2, column)

@@ -30,7 +30,7 @@ def parameters_table(result: Identification) -> Table:
     ):
         unit, half = unit_of(path), COVERAGE * float(deviation)
         relative = half / abs(value) if value else math.inf
-        change = f"{units.number(100 * (value / start - 1), 3)} %" if start else ""
+        change = f"{fixed(100 * (value / start - 1), 100 * half / abs(start))} %" if start else ""
         rows.append(
             (
                 Cell(path),
@@ -60,7 +60,7 @@ def fit_table(result: Identification) -> Table:
     return Table("Fit per signal", ("Record", "Signal", "Fit"), tuple(rows), note)
 
 
-def tests_table(result: Identification) -> Table:
+def residual_tests_table(result: Identification) -> Table:
     """Does a residual still follow an excitation, the worst first."""
     ordered = sorted(result.tests, key=lambda test: -abs(test.correlation) / test.limit)
     rows = [
@@ -120,18 +120,18 @@ def repeats_table(repeats: Repeats) -> Table:
 
 def _value(value: float, half: float, unit: str) -> str:
     factor, name = units.scale(unit, value)
-    return units.join(_fixed(value * factor, half * factor), name)
+    return units.join(fixed(value * factor, half * factor), name)
 
 
 def _interval(value: float, half: float, unit: str) -> str:
     factor, name = units.scale(unit, value)
-    low, high = (_fixed((value + side * half) * factor, half * factor) for side in (-1, 1))
+    low, high = (fixed((value + side * half) * factor, half * factor) for side in (-1, 1))
     return units.join(f"{low} … {high}", name)
 
 
-def _fixed(value: float, half: float) -> str:
+def fixed(value: float, half: float) -> str:
     """A number with as many digits as its half-width makes sense of: two of the half-width's."""
     if not (math.isfinite(value) and math.isfinite(half)) or half <= 0 or value == 0:
         return units.number(value, 5)
-    digits = 2 + max(0, math.floor(math.log10(abs(value))) - math.floor(math.log10(half)))
-    return units.number(value, min(max(digits, 3), 9))
+    digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(half))
+    return units.number(value, min(max(digits, 1), 9))
