@@ -15,8 +15,9 @@ import numpy as np
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 
-BLOCK = 32  # samples of a block
-_PIECE = 128  # blocks held at a time
+BLOCK = 16  # samples of a block
+_GROUP = 4  # blocks between which the states are not stepped
+_PIECE = 256  # blocks held at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,11 +25,13 @@ class Lifted:
     """A sampled loop without feedthrough, and its q derivatives, over blocks of L samples.
 
     With X the states at the starts of the blocks and S_j their derivatives: X+ = P X + R u, S_j+ = P S_j + dP_j X + dR_j u;
-    y = O X + T u, dy_j = O S_j + dO_j X + dT_j u. Transposed, for rows of signals: power (n, n) = P'; pushed (mL, n) = R';
-    forced (n + mL, qn) of dP and dR; shown (n, pL) = O'; maps (1 + q, n + mL, pL) of O and T, then of dO_j and dT_j.
+    y = O X + T u, dy_j = O S_j + dO_j X + dT_j u. Transposed, for rows of signals: powers (g + 1, n, n) of P', and of them
+    triangle (g n, g n), for groups of g blocks; pushed (mL, n) = R'; forced (n + mL, qn) of dP and dR; shown (n, pL) = O';
+    maps (1 + q, n + mL, pL) of O and T, then of dO_j and dT_j.
     """
 
-    power: np.ndarray
+    powers: np.ndarray
+    triangle: np.ndarray
     pushed: np.ndarray
     forced: np.ndarray
     shown: np.ndarray
@@ -58,7 +61,11 @@ def lift(system: StateSpace, directions: Sequence[SystemDerivative], length: int
     maps[1:, :n] = dO.transpose(1, 3, 2, 0).reshape(q, n, p * L)
     maps[:, n:] = _toeplitz(h).reshape(1 + q, m * L, p * L)
     pushed = R[::-1].transpose(2, 0, 1).reshape(m * L, n)
-    return Lifted(np.ascontiguousarray(P.T), pushed, np.vstack([by_state, by_input]), shown, maps, p)
+    powers = np.empty((_GROUP + 1, n, n))
+    powers[0] = np.eye(n)
+    for i in range(_GROUP):
+        powers[i + 1] = powers[i] @ P.T
+    return Lifted(powers, _triangle(powers), pushed, np.vstack([by_state, by_input]), shown, maps, p)
 
 
 def stream(
@@ -73,7 +80,6 @@ def stream(
     p, q, k = lifted.outputs, q1 - 1, len(u[0])
     L = pL // p
     x, s = x0, np.zeros((q, n)) if dx0 is None else dx0
-    PT = lifted.power
     for start in range(0, k, piece * L):
         stop = min(start + piece * L, k)
         count = -(-(stop - start) // L)
@@ -81,18 +87,49 @@ def stream(
         for i, signal in enumerate(u):
             XU[:, n + i * L : n + (i + 1) * L] = blocks(signal[start:stop], L)
         driven = XU[:, n:] @ lifted.pushed
-        for b in range(count):
-            XU[b, :n] = x
-            x = x @ PT + driven[b]
+        X, x = _states(lifted, driven[None], x[None])
+        XU[:, :n], x = X[0], x[0]
         F = np.matmul(XU, lifted.maps)
         if q:
-            forced = (XU @ lifted.forced).reshape(count, q, n)
-            S = np.empty((q, count, n))
-            for b in range(count):
-                S[:, b] = s
-                s = s @ PT + forced[b]
+            forced = (XU @ lifted.forced).reshape(count, q, n).transpose(1, 0, 2)
+            S, s = _states(lifted, forced, s)
             F[1:] += S @ lifted.shown
         yield start, F.reshape(1 + q, count, p, L)
+
+
+def _states(lifted: Lifted, driven: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The states (c, count, n) at the starts of blocks, and (c, n) after the last: x+ = x P' + driven (c, count, n).
+
+    In groups of blocks, within which one product with powers of P' takes the place of the recursion.
+    """
+    powers, (c, count, n) = lifted.powers, driven.shape
+    group = len(powers) - 1
+    groups = -(-count // group)
+    padded = np.zeros((c, groups * group, n))
+    padded[:, :count] = driven
+    inside = padded.reshape(c * groups, group * n) @ lifted.triangle  # what a group's own inputs do by each of its ends
+    inside = inside.reshape(c, groups, group, n)
+    states = np.empty((c, groups, group, n))
+    spread = powers[:group].transpose(1, 0, 2).reshape(n, group * n)
+    starts = np.empty((c, groups, n))
+    for g in range(groups):
+        starts[:, g] = x
+        x = x @ powers[group] + inside[:, g, -1]
+    states[:] = (starts @ spread).reshape(states.shape)
+    states[:, :, 1:] += inside[:, :, :-1]
+    states = states.reshape(c, -1, n)
+    rest = count - (groups - 1) * group
+    if rest < group:
+        x = starts[:, -1] @ powers[rest] + inside[:, -1, rest - 1]
+    return states[:, :count], x
+
+
+def _triangle(powers: np.ndarray) -> np.ndarray:
+    """(group n, group n): inputs of block s (rows) to the state after block t >= s, P'^(t - s)."""
+    group, n = len(powers) - 1, powers.shape[1]
+    lag = np.arange(group)[None] - np.arange(group)[:, None]
+    held = np.where((lag >= 0)[:, :, None, None], powers[np.maximum(lag, 0)], 0.0)
+    return held.transpose(0, 2, 1, 3).reshape(group * n, group * n)
 
 
 def blocks(signal: np.ndarray, length: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.identify.gauss_newton import Linearised
 from ambrose.identify.lifted_sensitivities import BLOCK, Lifted, blocks, lift, stream
 
-_INVISIBLE = 1e-12  # directions of the initial state seen weaker than this (squared) are left at zero
+_INVISIBLE = 1e-10  # directions of the initial state seen weaker than this (squared) are left at zero: rounding rules there
 _BLIND = 1e-9  # part of a parameter's effect (squared) that must remain beside them
 _LONG = 12_288  # samples at a time, about, where pieces are compared with each other
 
@@ -142,6 +142,8 @@ def _products(
     n, p, q1 = len(A), len(task.y), len(lifted.maps)
     G, N = np.zeros((q1, q1)), np.zeros((q1, n + p))
     powers, ahead = np.zeros((0, n, n)), np.eye(n)
+    ones = np.repeat(np.eye(p), lifted.shown.shape[1] // p, axis=0)
+    seen_by = np.hstack([lifted.shown.T, ones])  # what a block says of the state at its start, and of the offsets
     for start, F in stream(lifted, list(task.e), x0):
         _measured_less(F, task, start, b)
         flat = F.reshape(q1, -1)
@@ -150,10 +152,10 @@ def _products(
             continue
         count = F.shape[1]
         if count > len(powers):
-            powers = _powers(lifted.power.T, count + 1)
-        N[:, n:] += F.sum(axis=(1, 3))
-        seen = (F.reshape(q1, count, -1) @ lifted.shown.T).reshape(q1, count * n)
-        N[:, :n] += seen @ powers[:count].reshape(count * n, n) @ ahead
+            powers = _powers(lifted.powers[1].T, count + 1)
+        both = (F.reshape(q1 * count, -1) @ seen_by).reshape(q1, count, n + p)
+        N[:, n:] += both[:, :, n:].sum(axis=1)
+        N[:, :n] += both[:, :, :n].reshape(q1, count * n) @ powers[:count].reshape(count * n, n) @ ahead
         ahead = powers[count] @ ahead
     return G, N.T
 
