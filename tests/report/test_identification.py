@@ -137,8 +137,10 @@ def seal_fit(pressures):
     values = np.outer(pressures, [2.0, 15.0, 0.01, -0.01]) + np.array([1e4, 0, 500, 0])
     values[1:-1] *= 1.01
     unknown = np.full((n, 8), np.nan)
+    alone = np.tile(np.eye(4), (n, 1, 1))
     return SealFit(
-        "seal-rig", "center", np.array(pressures), unknown[:, 0], values, 0.01 * np.abs(values) + 1.0, unknown, unknown, np.tile(np.eye(4), (n, 1, 1)), np.tile(np.eye(4), (n, 1, 1)), np.zeros((n, 4)), "test",
+        "seal-rig", "center", np.array(pressures), unknown[:, 0], values, 0.01 * np.abs(values) + 1.0, unknown, unknown, alone,
+        alone, np.zeros((n, 4)), "test",
     )  # fmt: skip
 
 

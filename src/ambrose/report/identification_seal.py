@@ -62,6 +62,7 @@ def seal_figure(fit: SealFit) -> Figure:
             **place,
         )  # fmt: skip
         figure.update_yaxes(title_text=f"[{name}]", **place)
+    figure.update_annotations(font={"size": 13})
     theme.dress(figure, 460, legend=False)
     figure.update_xaxes(title_text=f"Pressure difference [{pressure_unit}]", row=2)
     return Figure(f"Seal {units.axis_name(fit.seal)}: coefficients against pressure", figure, _CAPTION)
