@@ -136,6 +136,25 @@ def worst_gain(loop: BoxLoop, grid: np.ndarray | None = None, seed: int = 1) -> 
     return best
 
 
+def worst_gain_at(loop: BoxLoop, omega: float, seed: int = 1) -> BoxGain:
+    """As ``worst_gain``, at one frequency [rad/s] that is held."""
+    from scipy.optimize import minimize
+
+    k = loop.parameters
+    M = loop.at(np.array([omega]))
+    starts = np.vstack([np.zeros((1, k)), corners(k), samples(k, seed=seed)])
+    found = gains(M, loop, starts)[:, 0]
+    best = BoxGain(-np.inf, omega, starts[0])
+    for i in np.argsort(found)[::-1][:_STARTS]:
+        result = minimize(
+            lambda x: _log_gain(M[0], loop, x), starts[i], jac=True, bounds=[(-1, 1)] * k, method="L-BFGS-B"
+        )  # fmt: skip
+        delta = np.clip(result.x, -1, 1)
+        value = float(gains(M, loop, delta[None])[0, 0])
+        best = max(best, BoxGain(value, omega, delta), key=lambda item: item.value)
+    return best
+
+
 def _gain_limit(M: np.ndarray, n: int) -> np.ndarray:
     """What the gain cannot exceed anywhere in the box, (w,), by norms alone: frequencies where it is low need no search."""
     M11, M12, M21, M22 = (np.linalg.norm(X, 2, axis=(1, 2)) for X in (M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]))

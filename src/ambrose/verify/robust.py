@@ -113,6 +113,21 @@ def _unit_problem(plant: Plant | GeneralizedPlant, tolerances: Sequence[Toleranc
     return design_plant(plant, Weights(one, one, 1.0, 1.0), tolerances)
 
 
+def box_loops(
+    plant: Plant | GeneralizedPlant, controller: Any, tolerances: Sequence[Tolerance] | None = None
+) -> tuple[BoxLoop, BoxLoop, BoxLoop]:
+    """S_o, S_i [-] and K S_o [A/m] (up to sign) of a loop with its real parameters pulled out, for ``core.box`` and its search.
+
+    plant, tolerances: as for ``check``. Raises InvalidInput, UnstableSystem.
+    """
+    unit = _unit_problem(plant, tolerances)
+    closed = lft(unit, as_statespace(controller))
+    n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
+    w, z = list(unit.w), list(unit.z)
+    control = select(closed, w[:n_w] + w[n_w + a :], z[:n_z] + z[n_z + a :])
+    return (*_sensitivity_loops(closed, unit), box_loop(control, unit.blocks))
+
+
 def _sensitivity_loops(closed: StateSpace, unit: GeneralizedPlant) -> tuple[BoxLoop, BoxLoop]:
     """(w_delta, w2) -> (z_delta, -S_o w2), and (w_delta, w1) -> (z_delta, S_i w1): v = u + w1."""
     n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
