@@ -61,6 +61,16 @@ def test_youla():
     assert not is_stable(found["real"]) and is_stable(found["S"])
 
 
+def test_identify():
+    found = example("06_identify.py")
+    result, machine = found["result"], found["machine"]
+    truth = [*machine.bearings[0].force_per_current, *machine.bearings[1].force_per_current]
+    assert result.values[:4] == pytest.approx(truth, rel=0.03)  # the weight has moved the working point: K_i -2, K_s +14 %
+    assert result.values[-1] == pytest.approx(machine.seals[0].k, rel=0.01)
+    assert len(found["identified"].tolerances) == 10
+    assert found["refusal"].startswith("channels are mixed up: y_A_zeta and y_A_eta are swapped")
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
 def test_prints_something_when_run(path):
     done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=120, check=False)
