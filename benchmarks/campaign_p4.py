@@ -268,6 +268,26 @@ def opposed(frequency: float = 40.0, pressure: float = 1.2 * BAR) -> tuple[SealF
     return seal_fit.stepped_sine(known, plane, **options), seal_fit.stepped_sine(known, [forward, backward], **options)
 
 
+def misjudged_amplifier(pressure: float = 1.2 * BAR, damping: float = 0.9) -> dict[str, SealFit]:
+    """Why P4 sees damping fall with frequency, pressure or not: the amplifier's damping taken as 0.9 of its natural frequency,
+    one reading of the misprint (the rig has 1.17). From commanded currents through that model, and from measured ones."""
+    true = rig()
+    wrong = replace(true, amplifier=replace(true.amplifier, damping=damping * float(true.amplifier.natural_frequency or 0)))
+    known, _ = bearings(wrong, parallel_prbs(true))
+    frequencies, dwell = (15.0, 35.0, 55.0, 75.0, 95.0), 0.8
+    records = []
+    for i, p in enumerate((0.0, pressure)):
+        for j, axis in enumerate(("zeta", "eta")):
+            sines = tuple(SteppedSine(f"e_{b}_{axis}", 0.1, tuple(f * HZ for f in frequencies), dwell) for b in "AB")
+            scenario = Scenario("stepped sine", dwell * len(frequencies), stepped_sines=sines)
+            records.append(measure(true, scenario, p, 40 + 2 * i + j))
+    steps = seal_fit.steps_of([f * HZ for f in frequencies], dwell)
+    return {
+        currents: seal_fit.stepped_sine(known, records, steps=steps, currents=currents)
+        for currents in ("commanded", "measured")
+    }
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Impulses:
     """P5.1, P5.2: coefficients per pressure, their lines, and per pressure time (k,), measured and modelled y (4, k),
@@ -315,7 +335,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     for text in (
         tables.chirps(swept), tables.cosines(found), tables.coupling(joined), tables.stepped(sines),
-        tables.correlations(table, opposed()), tables.impulses(pulses),
+        tables.correlations(table, opposed()), tables.impulses(pulses), tables.misjudged(misjudged_amplifier()),
     ):  # fmt: skip
         print(text, end="\n\n")
     if options.output is not None:

@@ -140,3 +140,14 @@ def impulses(found: Impulses) -> str:
             f"r^2 {line.r_squared:.4f}, no slope with probability {line.slope_probability:.1g}"
         )
     return "\n".join(lines)
+
+
+def misjudged(found: dict[str, SealFit]) -> str:
+    """What a wrong amplifier does to the coefficients, and what is left of it."""
+    lines = ["Amplifier's damping misjudged (0.9 of its natural frequency, truth 1.17), 1.2 bar: C [N s/m]"]
+    for currents, fit in found.items():
+        at = ", ".join(f"{f:.0f}" for f in fit.frequency / HZ)
+        apparent = " ".join(f"{x:6.0f}" for x in fit.systematic[:, 2])
+        left = " ".join(f"{x:5.0f}" for x in fit.values[:, 2] - truth(float(fit.pressures[0]))[2])
+        lines.append(f"  {currents} currents, {at} Hz: without pressure {apparent}; error after taking it off {left}")
+    return "\n".join(lines)
