@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ambrose.identify.checked import CheckedIdentification
 from ambrose.identify.record_finding import ERROR
-from ambrose.identify.seal_result import SealFit
+from ambrose.identify.seal_result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.description import Machine
 from ambrose.report import units
 from ambrose.report.document import Figure, Report, Section, Table, Verdict
@@ -22,7 +24,6 @@ from ambrose.report.identification_figures import (
     telling_records,
 )
 from ambrose.report.identification_frf import frf_figure
-from ambrose.report.identification_seal import seal_figure
 from ambrose.report.identification_tables import (
     findings_table,
     fit_table,
@@ -30,6 +31,7 @@ from ambrose.report.identification_tables import (
     repeats_table,
     residual_tests_table,
 )
+from ambrose.report.seal_figures import pressure_figure
 
 _CHANGE = "How far the records moved every parameter from the machine file's value, with the 95 % interval of what was found."
 _TIME = "Broad the measurement, thin the identified model, and what is left between them. The residual should look like noise. "
@@ -40,8 +42,12 @@ _WHOLE = (
 )
 _FRF = (
     "Displacement per current command on each axis, measured in closed loop with the excitation as instrument (no bias by "
-    "feedback), with its 95 % band, and the model before and after. Third row: model over measurement less 1; dotted the 10 % "
-    "of a model that is good enough for design. Trust what is measured where the coherence is near 1. "
+    "feedback), with its 95 % band, and the model before and after. Third row: the model's error beside the "
+    "measurement's own (pale). Trust what is measured where the coherence is near 1. "
+)
+_SEAL = (
+    "Points are the identified coefficients; from three pressures on, the line is the weighted regression, the dark band holds "
+    "the true line, the pale one the next measurement. k decides stability: compare it with C times the whirl frequency."
 )
 _CORRELATION = (
     "Left: how errors of two parameters go together; near ±1 only their combination is known. Right: how alike their effects "
@@ -77,7 +83,7 @@ def identification_report(
         Section("Parameters", "", (Figure("Change from the start", change_figure(result), _CHANGE),), tuple(parameters), True)
     ]
     if seal is not None:
-        sections.append(Section("Seal", "", (seal_figure(seal),)))
+        sections.append(Section("Seal", "", (_seal_figure(seal),)))
     if checked.findings or result.warnings:
         table = findings_table(checked.findings, [text for text in result.warnings if text != result.verdict])
         sections.insert(0, Section("What makes this doubtful", "", (), (table,))) if table.rows else None
@@ -93,6 +99,12 @@ def identification_report(
         title or "Identification from closed-loop records", machine, tuple(sections), verdicts,
         _facts(checked, sources, controller), date, result=Verdict("Result", not failed, words),
     )  # fmt: skip
+
+
+def _seal_figure(fit: SealFit) -> Figure:
+    rows = fit if np.isnan(fit.frequency).all() else averaged(fit)
+    lines = {letter: line(rows, letter) for letter in COEFFICIENTS} if len(rows.pressures) > 2 else {}
+    return Figure(f"Seal {units.axis_name(fit.seal)}: coefficients against pressure", pressure_figure(rows, lines), _SEAL)
 
 
 def _comparisons(machine: Machine, checked: CheckedIdentification) -> list[Figure]:

@@ -262,8 +262,9 @@ def _view(fit: SealFit, letter: str, factor: float) -> list[float]:
 
 
 def _angle(value: np.ndarray) -> np.ndarray:
-    """The phase [°], unwrapped, begun within +-180."""
-    return np.degrees(np.unwrap(np.angle(value)))
+    """The phase [°], unwrapped, begun within -270 to 90: what begins around -180 on all axes stands on one side."""
+    angle = np.degrees(np.unwrap(np.angle(value)))
+    return angle - 360.0 * np.ceil((angle[0] - 90.0) / 360.0) if len(angle) else angle
 
 
 def _line(
