@@ -27,6 +27,8 @@ from ambrose.plant.assemble import assemble, seal_coefficients
 
 CURRENTS = ("measured", "commanded")
 _ONE_DIRECTION = 1e-3  # of the larger singular value: below, the motions at the seal do not span the plane
+_NEAR_SPEED = 1.0  # [Hz]
+_UNSURE = 0.3  # standard deviation over value that is worth a warning
 _UNDECIDABLE = 1e-6  # eigenvalue of the scaled normal matrix of K, k, C, c
 
 
@@ -71,7 +73,28 @@ def identify(
         raise InvalidInput(
             "no frequency was driven both with and without pressure; add records under pressure, with the same frequencies"
         )
-    return _result(machine, name, rows)
+    return replace(_result(machine, name, rows), warnings=_warnings(records, rows))
+
+
+def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]) -> tuple[str, ...]:
+    """What makes rows doubtful: unbalance at the same frequency, and k lost in noise."""
+    texts = []
+    speeds = {abs(record.point.speed) for record in records if record.point.speed}
+    for w in dict.fromkeys(item.frequency for _, item in rows):
+        for speed in speeds:
+            if abs(w - speed) < _NEAR_SPEED * 2 * np.pi:
+                texts.append(
+                    f"the step at {w / 2 / np.pi:g} Hz lies at the speed of {speed / 2 / np.pi:g} Hz, where unbalance answers "
+                    "too; leave it out, or take records with and without excitation"
+                )
+    for pressure, item in rows:
+        k, deviation = item.pair[1].real, float(np.std(item.pairs[:, 1].real, ddof=1)) / len(item.pairs) ** 0.5
+        if deviation > _UNSURE * abs(k):
+            texts.append(
+                f"at {pressure:g} Pa and {item.frequency / 2 / np.pi:g} Hz k = {k:.3g} has the standard deviation "
+                f"{deviation:.2g}: the motion drowns in noise; excite more, dwell longer, or leave the frequency out"
+            )
+    return tuple(texts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
