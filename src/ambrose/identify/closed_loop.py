@@ -59,8 +59,9 @@ __all__ = [
     "summary",
 ]
 
-_EARLY = 8000  # samples on which a good start is found
-_NEGLIGIBLE = 1e-5  # a gain of this many variances of the noise: steps of 0.003 standard deviations need no second look
+_EARLY = 5000  # samples on which a good start is found
+_NEGLIGIBLE = 1e-4  # a gain of this many variances of the noise: steps of 0.01 standard deviations need no second look
+_NEAR = 10.0  # the same for the start, which all samples improve on
 _FEW = 150  # lines on which a good start is found
 _EXACT = 1e-24  # of the squared signals: a sum of squared residuals below it is rounding
 
@@ -171,7 +172,8 @@ def solve(
     early = [task.first(_EARLY) for task in tasks]
     begun, excited = 0, all(np.any(wave) for task in early for wave in task.e)
     if excited and max(task.samples for task in tasks) > 3 * _EARLY:
-        near = minimise(linearise_on(early), begin, scale, stable, most, tolerance=1e-4)
+        small = _NEAR / sum(task.samples * len(task.y) for task in early)
+        near = minimise(linearise_on(early), begin, scale, stable, most, tolerance=1e-4, negligible=small)
         if near.converged:  # a good start from the first second; what is found is decided by all samples
             begin, begun = near.x, near.iterations
     total = sum(float(np.vdot(y, y)) for task in tasks for y in (task.measured(i, 0, task.samples) for i in range(len(task.y))))
@@ -250,7 +252,8 @@ def _from_lines(
 
     start, begun, chosen = begin, 0, every
     few = [one.only(slice(None, None, max(len(one.z) // _FEW, 1))) for one in every]
-    near = minimise(linearise_on(few), begin, given.scale, stable, most, tolerance=1e-4, negligible=1e-6)
+    small = _NEAR / sum(2 * one.Y.size for one in few)
+    near = minimise(linearise_on(few), begin, given.scale, stable, most, tolerance=1e-4, negligible=small)
     if near.converged:  # a good start, and where the lines begin to tell nothing
         start, begun = near.x, near.iterations
         told = told_below(near.parts, few)

@@ -79,27 +79,27 @@ def coloured_products(pieces: Iterable[np.ndarray], covariance: np.ndarray) -> n
     the last are equally long.
     """
     p, _, longest = covariance.shape
-    span, size, joined = longest - 1, 0, np.zeros((0, p, 0))
-    kernel, result = np.zeros(0), np.zeros((0, 0))
+    span, size, q = longest - 1, 0, 0
+    kernel, result, whole = np.zeros(0), np.zeros((0, 0)), np.zeros((0, p, 0))
     half = covariance.copy()
     half[:, :, 0] /= 2  # one side of the sum, of which the other is the transpose
     for piece in pieces:
-        q, _, length = piece.shape
+        length = piece.shape[2]
         if not size:
-            size = scipy.fft.next_fast_len(span + length, real=True)
-            kernel, joined, result = scipy.fft.rfft(half, size, axis=2), np.zeros((q, p, span)), np.zeros((q, q))
+            q, size = len(piece), scipy.fft.next_fast_len(span + length, real=True)
+            kernel, result, whole = scipy.fft.rfft(half, size, axis=2), np.zeros((q, q)), np.zeros((q, p, size))
             kernel[:, :, 1 : (size + 1) // 2] *= 2  # the frequencies that stand for their negatives too
-        whole = np.concatenate([joined, piece], axis=2)
-        W = scipy.fft.rfft(whole, size, axis=2)
-        new = whole.copy()
-        new[:, :, :span] = 0.0
-        N = scipy.fft.rfft(new, size, axis=2)
+            kernel *= np.exp(2j * np.pi * span / size * np.arange(kernel.shape[2]))  # the piece begins ``span`` samples later
+        whole[:, :, span : span + length] = piece
+        whole[:, :, span + length :] = 0.0
+        W, N = scipy.fft.rfft(whole, axis=2), scipy.fft.rfft(piece, size, axis=2)
         for start in range(0, W.shape[2], _BAND):  # few enough frequencies at a time to stay in the cache
             band = slice(start, start + _BAND)
-            part, mixed = np.ascontiguousarray(W[:, :, band]), np.zeros((q, p, W[0, 0, band].size), complex)
+            part = np.ascontiguousarray(W[:, :, band])
+            mixed = np.zeros_like(part)
             for i in range(p):
                 for j in range(p):
                     mixed[:, i] += kernel[i, j, band] * part[:, j]
             result += np.real(N[:, :, band].conj().reshape(q, -1) @ mixed.reshape(q, -1).T) / size
-        joined = whole[:, :, whole.shape[2] - span :]
+        whole[:, :, :span] = whole[:, :, length : span + length].copy()
     return result + result.T

@@ -186,7 +186,9 @@ def jacobian_pieces(
     """J (q, p, length) piece by piece, without the part that initial state and offsets could explain."""
     loop, directions = _driven(system, directions, task)
     for start, F in stream(lift(loop, directions), list(task.e), found.x0, found.dx0, _long(task)):
-        yield _in_time(F[1:], min(F.shape[1] * F.shape[3], task.samples - start)) + found.db[:, :, None]
+        piece = _in_time(F[1:], min(F.shape[1] * F.shape[3], task.samples - start))
+        piece += found.db[:, :, None]
+        yield piece
 
 
 def _long(task: Task) -> int:
