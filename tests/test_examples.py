@@ -77,3 +77,13 @@ def test_prints_something_when_run(path):
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()
     assert not done.stderr
+
+
+def test_lpv():
+    found = example("08_lpv.py")
+    margins = found["margins"]
+    assert found["lpv"].status == "verified"
+    assert 1 <= margins["gamma_optimal"] / margins["pointwise_largest"] < 1.1
+    assert margins["full_sensitivity_peak"] < 3  # zone A of ISO 14839-3 on the full plant at every speed
+    assert max(window.settling for window in found["windows"]) < 0.02  # P3.7
+    assert [trace.outcome for trace in found["traces"].values()] == ["completed", "diverged"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.scheduled import check_grid, interval_points
+from ambrose.core.scheduled import check_grid
 from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
@@ -21,7 +21,6 @@ from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.weights import Weights
 
 POINTS = 8  # of a grid that is not given
-_BETWEEN = 1  # speeds in every interval at which the full plant is looked at
 
 
 def speed_grid(machine: Machine, point: OperatingPoint, count: int = POINTS) -> np.ndarray:
@@ -63,7 +62,7 @@ def design_over_speed(
     weights: Weights | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
-    """A controller scheduled over speed for a full plant, verified on the full plant at the grid's speeds and half-way between.
+    """A controller scheduled over speed for a full plant, verified on the full plant at every speed of its schedule.
 
     speeds (k,) [rad/s]: the grid (None: ``speed_grid``), which holds the plant's own speed in its range; rate [rad/s^2]: the
     fastest run-up (None: any); bending_modes: per plane in the design model; degree, backoff: see ``lpv.synthesize``. The
@@ -82,7 +81,7 @@ def design_over_speed(
     )  # fmt: skip
     if result.scheduled is None:
         raise InvalidInput("the synthesis returned no schedule")
-    checked = interval_points(result.scheduled.grid, _BETWEEN)
+    checked = result.scheduled.grid
     found = []
     for speed in checked:
         full = assemble(machine, replace(point, speed=float(speed)))
