@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
+from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import StateSpace, poles
+from ambrose.core.statespace import StateSpace, poles, select
 from ambrose.identify import closed_loop, static_load
 from ambrose.identify.closed_loop import Identification
-from ambrose.identify.repeats import Repeats, of_estimates, repeats
+from ambrose.identify.repeats import Repeats, ScatterStudy, of_estimates, repeats, scatter_study
 from ambrose.identify.static_load import StaticLoad
 from ambrose.machine.description import Amplifier, Machine, Notch, OperatingPoint, PidSettings
 from ambrose.machine.record import Record
@@ -202,13 +203,62 @@ def wrong_models(
     return rows
 
 
+def other_loops(bias: float, duration: float = 2.0) -> list[tuple[str, float, float, float]]:
+    """What, fit [%], stated deviation of K_s (mean of four) and of tau_e [%]: loops that P2 may have had."""
+    rows = []
+    for what, machine, gain in (
+        ("as in the campaign", rig(), 1.5),
+        ("PID gain 2.0 instead of 1.5", rig(), 2.0),
+        ("tau_e 0.021 ms (as printed, in ms)", rig(lag=21e-6), 1.5),
+    ):
+        law, point = controller(machine, bias, gain), OperatingPoint(bias_current=bias)
+        record = virtual_rig.run(machine, law, sequences(machine, 1, duration), point=point, seed=1).record
+        result = closed_loop.identify(machine, record, law, NINE)
+        values, deviations = in_seconds(result)
+        relative = 100 * deviations / values
+        rows.append((what, float(np.mean([f for *_, f in result.fit])), float(relative[4:8].mean()), float(relative[8])))
+    return rows
+
+
+def scatter(bias: float, runs: int, duration: float, *, linear: bool) -> ScatterStudy:
+    """Predicted against observed scatter: white sensor noise on the linear loop, or repeats on the rig."""
+    machine = rig()
+    law, point = controller(machine, bias), OperatingPoint(bias_current=bias)
+    names = [[f"{kind}_{axis}" for axis in machine.axes] for kind in "yed"]
+    lag = 1 / float(machine.amplifier.eddy_bandwidth or 0)
+    first = virtual_rig.run(machine, law, sequences(machine, 1, duration), point=point).record
+    e = np.stack([first[name] for name in names[1]])
+    loop = loop_of(free_mode_reduction(assemble(machine, point), 1), c2d(law, DT, "tustin", delay=DT))
+    driven = select(loop, [*names[1], *names[2]], names[0])
+
+    def one(seed: int) -> Identification:
+        if linear:
+            y = simulate(driven, np.vstack([e, NOISE * np.random.default_rng(seed).standard_normal(e.shape)]))
+            signals = (*names[0], *names[1])
+            record = Record(machine.name, 1 / DT, signals, ("m",) * 4 + ("A",) * 4, np.vstack([y, e]), point)
+        else:
+            record = virtual_rig.run(machine, law, sequences(machine, seed + 1, duration), point=point, seed=seed).record
+        return closed_loop.identify(machine, record, law, NINE)
+
+    given = [magnet.linearised(bearing, bias) for bearing in machine.bearings]
+    file = np.ravel([[c.force_per_current for c in given], [c.negative_stiffness for c in given]])
+    return scatter_study(one, runs, np.append(file if linear else at_work(machine, first, bias), 1 / lag))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--biases", type=float, nargs="+", default=BIASES)
     parser.add_argument("--sources", action="store_true", help="also: what a wrong model does")
     parser.add_argument("-o", "--output", help="an HTML page with the same in pictures")
+    parser.add_argument("--scatter", type=int, default=0, metavar="RUNS", help="only: predicted against observed scatter")
     options = parser.parse_args(arguments)
+    if options.scatter:
+        for bias in options.biases:
+            for linear in (True, False):
+                print(f"{bias:g} A, {'linear loop' if linear else 'rig'}: ", end="")
+                print(scatter(bias, options.scatter, 2.0, linear=linear).verdict)
+        return 0
     machine = rig()
     found = [one_bias(machine, bias, options.repeats) for bias in options.biases]
     print("\n\n".join(tables(found, machine)))
@@ -220,6 +270,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for what, errors, fit, passed in wrong_models(machine, bias):
                 text = " ".join(f"{value:6.1f}" for value in errors)
                 print(f"  {what:36s} {text}   {fit:5.1f} %  {'passed' if passed else 'failed'}")
+            for what, fit, stiffness, lag in other_loops(bias):
+                print(f"  {what:36s} fit {fit:.1f} %, stated deviation of K_s {stiffness:.2f} %, of tau_e {lag:.1f} %")
     return 0
 
 
