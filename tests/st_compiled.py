@@ -113,3 +113,59 @@ def _run(code: str, folder: Path, given: bytes) -> bytes:
     done = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return subprocess.run([str(folder / "driver")], input=given, capture_output=True, check=True, timeout=120).stdout
+
+
+STRUCPP = Path(os.environ.get("STRUCPP", "/nonexistent"))
+STRUCPP_AVAILABLE = (
+    (STRUCPP / "dist/node/cli.js").exists() and shutil.which("g++") is not None and shutil.which("node") is not None
+)
+STRUCPP_REASON = "no STruC++: set the environment variable STRUCPP to its built repository"
+
+
+def replay_strucpp(
+    files: dict[str, str], block: ControlBlock, folder: Path, errors: np.ndarray, valid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[int, int, bool]]:  # fmt: skip
+    """Through STruC++ to C++17: currents (k, p), status (k,), and what the test program has after 100 cycles."""
+    m, p, name = len(block.inputs), len(block.outputs), block.name
+    (folder / "all.st").write_text(files[f"{name}.st"] + files[f"{name}_test.st"])
+    translate = ["node", str(STRUCPP / "dist/node/cli.js"), "all.st", "-o", "all.cpp"]
+    done = subprocess.run(translate, cwd=folder, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
+    sets = [f"fb.{s.upper()} = r.e[{j}]; fb.VALID_{s.upper()} = r.valid[{j}] != 0;" for j, s in enumerate(block.inputs)]
+    gets = [f"r.u[{i}] = static_cast<double>(fb.{s.upper()});" for i, s in enumerate(block.outputs)]
+    (folder / "main.cpp").write_text(f"""#include <cstdio>
+#include "all.hpp"
+using namespace strucpp;
+#pragma pack(push, 1)
+struct row {{ double e[{m}], u[{p}]; unsigned char valid[{m}]; }};
+#pragma pack(pop)
+int main()
+{{
+    static {name.upper()} fb;
+    static Program_{name.upper()}_TEST test;
+    row r;
+    for (int k = 0; k < 100; k++)
+        test.run();
+    unsigned found[3] = {{static_cast<unsigned>(int(test.SAMPLE)), static_cast<unsigned>(int(test.WRONG)), bool(test.DONE)}};
+    std::fwrite(found, sizeof found, 1, stdout);
+    while (std::fread(&r, sizeof r, 1, stdin) == 1) {{
+        {" ".join(sets)}
+        fb();
+        {" ".join(gets)}
+        unsigned status = (bool(fb.HELD) ? 1u : 0u) + (bool(fb.FAULT) ? 2u : 0u) + (bool(fb.LIMITED) ? 4u : 0u);
+        std::fwrite(r.u, sizeof r.u, 1, stdout);
+        std::fwrite(&status, sizeof status, 1, stdout);
+    }}
+}}
+""")
+    include = str(STRUCPP / "src/runtime/include")
+    build = ["g++", "-std=c++17", "-w", "-O1", "-I", include, "main.cpp", "all.cpp", "-o", "driver"]
+    done = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    rows = np.zeros(len(errors), [("e", float, m), ("u", float, p), ("valid", "u1", m)])
+    rows["e"], rows["valid"] = errors, valid
+    out = subprocess.run([str(folder / "driver")], input=rows.tobytes(), capture_output=True, check=True, timeout=120).stdout
+    samples, wrong, finished = np.frombuffer(out[:12], "u4").tolist()
+    found = np.frombuffer(out[12:], [("u", float, p), ("status", "u4")])
+    assert len(found) == len(errors)
+    return found["u"], found["status"], (samples, wrong, bool(finished))

@@ -1,4 +1,4 @@
-"""Structured text parsed by blark and run, and compiled by MATIEC where it is installed; compared with the block in Python."""
+"""Structured text parsed by blark and run, compiled by MATIEC and by STruC++ where installed; against the block in Python."""
 
 import csv
 import re
@@ -85,6 +85,18 @@ def test_compiled_by_matiec(make, tmp_path):
     assert np.abs(found - expected.currents).max() <= 1e-12 * block.current_limit.max()
     assert (status == expected.status).all()
     assert st_compiled.selftest(block.name, tmp_path) == (96, 0, True)
+
+
+@pytest.mark.skipif(not st_compiled.STRUCPP_AVAILABLE, reason=st_compiled.STRUCPP_REASON)
+@pytest.mark.parametrize("make", [rig_block, direct_block])
+def test_compiled_by_strucpp(make, tmp_path):
+    block = make()
+    e, valid = driver.adversarial(block, 100_000)
+    expected = run_block(block, e, valid)
+    found, status, selftest = st_compiled.replay_strucpp(structured_text(block), block, tmp_path, e, valid)
+    assert np.abs(found - expected.currents).max() <= 1e-12 * block.current_limit.max()
+    assert (status == expected.status).all()
+    assert selftest == (96, 0, True)
 
 
 @matiec

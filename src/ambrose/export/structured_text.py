@@ -43,7 +43,7 @@ KEYWORDS = frozenset(_WORDS.split())
 _IDENTIFIER = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 _OWN = """
 reset track held fault limited e u d state carry last missing error_limit current_limit ni no nx nw first i j o good
-asked given sum change block sample samples wrong done errors valid currents status expected largest tolerance direct
+asked given sum change check block sample samples wrong done errors valid currents status expected largest tolerance direct
 to_current from_error unwind transfer_error transfer_current
 """  # what the function block and the test declare besides signals
 _WIDTH = 118
@@ -90,7 +90,7 @@ def _check_names(block: ControlBlock) -> None:
             raise invalid(what, repr(name), wanted, remedy)
         if name.lower() in KEYWORDS | own:
             raise invalid(what, repr(name), "no word of structured text or of the function block", remedy)
-    every = [block.name, *block.inputs, *block.outputs, f"{block.name}_test"]
+    every = [block.name, *block.inputs, *block.outputs, f"{block.name}_test", f"{block.name}_check"]
     every += [f"{part}_{name}" for part, names in (("valid", block.inputs), ("given", block.outputs)) for name in names]
     lower = [name.lower() for name in every]
     for name in every:
