@@ -26,7 +26,7 @@ from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Prbs, Scenario
+from ambrose.simulate.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis import pid
 
 DT, K, LIMIT = 1e-4, 12000, 0.5
@@ -174,6 +174,46 @@ def test_decimated_record_under_the_old_rate(record):
 def test_decimated_record_under_its_own_rate_does_not_show_the_controller():
     half = replace(rig(), values=rig().values[:, ::2].copy(), sample_rate_hz=5e3)
     assert any("not the one that ran" in item.what and "record every sample" in item.remedy for item in findings(half))
+
+
+@cache
+def pulse():
+    """One parallel impulse on the rig: the records of P5."""
+    machine, _, controller = setting()
+    pulses = tuple(Pulse(f"e_{axis}", 0.4, start=0.01, duration=0.01) for axis in ("A_zeta", "B_zeta"))
+    return virtual_rig.run(machine, controller, Scenario("pulse", 0.4, pulses=pulses, sample_time=DT)).record
+
+
+@pytest.mark.parametrize(("channels", "words"), [MIXED[0], MIXED[1], MIXED[5]])
+def test_one_impulse_tells_mixed_up_channels(channels, words):
+    assert all(item.severity == "warning" and "start values" in item.what for item in findings(pulse()))
+    assert words in only(findings(change(pulse(), **channels)), "error", "channels are mixed up").what
+
+
+def test_a_pressure_that_changes_within_the_record():
+    moving = replace(
+        synthetic(), signals=(*synthetic().signals, "p_seal"), units=(*synthetic().units, "Pa"),
+        values=np.vstack([synthetic().values, np.linspace(1e5, 2e5, K)]),
+    )  # fmt: skip
+    assert "1e+05 to 2e+05 Pa" in only(findings(moving), "error", "operating point changes").evidence
+
+
+def test_every_operating_point_is_compared_with_its_own_model():
+    _, _, controller = setting()
+    still = replace(setting()[0].operation.points[1], label="")
+    machine, plant, _ = setting()
+    plant = free_mode_reduction(assemble(machine, still), 1)
+    law = c2d(named_controller(plant, controller), DT, "tustin", delay=DT)
+    e = synthetic().values[12:]
+    values = np.vstack([simulate(select(closed_loop(plant, law), names("e"), names("yui")), e), e])
+    other = replace(synthetic(), values=values, point=still)
+    assert diagnose_records(machine, [synthetic(), other], controller) == ()
+    bad = change(other, y_B_eta=("y_B_eta", -1))
+    assert (
+        "y_B_eta has the wrong sign" in only(diagnose_records(machine, [synthetic(), bad], controller), "error", "mixed").what
+    )
+    begin = {"seal.center.k": 1.02 * machine.seals[0].k}
+    assert diagnose_records(machine, [synthetic()], controller, start=begin) == ()
 
 
 def test_held_samples_tell_the_true_rate():

@@ -13,7 +13,7 @@ from ambrose import __version__
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identify.closed_loop import Identification, identify
 from ambrose.identify.explained import Explained, explained
-from ambrose.identify.record_checks import diagnose_records
+from ambrose.identify.record_checks import FAR_FROM_START, diagnose_records
 from ambrose.identify.record_finding import RecordFinding, refuse
 from ambrose.identify.repeats import Repeats, of_estimates
 from ambrose.identify.result_checks import delay_findings, diagnose_result
@@ -81,6 +81,7 @@ def checked_identification(
     result = identify(machine, records, controller, unknown, start=start, signals=signals, **setup)
     progress("checking the result")
     pieces = explained(machine, records, controller, result, **setup)
+    findings = tuple(finding for finding in findings if finding.what != FAR_FROM_START)  # it is no matter any more
     findings += diagnose_result(machine, result, pieces)
     refuse(findings)
     if not all(test.passed for test in result.tests) and not any("u follows" in finding.what for finding in findings):

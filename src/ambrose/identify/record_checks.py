@@ -30,10 +30,13 @@ from ambrose.identify.record_wiring import (
     score,
     shares,
 )
+from ambrose.identify.unknowns import ratios
 from ambrose.machine.description import Machine
 from ambrose.machine.record import Record
+from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 
+FAR_FROM_START = "the machine as it is described, with the start values, responds otherwise than the record"
 _RATES = (0.1, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 10.0)  # true over stated
 _SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}  # share of power from which other explanations are tried
 _BETTER = 1.0  # by how much a score must fall: a factor e in what is left unexplained
@@ -61,18 +64,54 @@ def diagnose_records(
     broken = any(finding.severity == ERROR for finding in findings)
     alike = len({(record.machine, record.sample_rate_hz) for record in records}) == 1 and records[0].machine == machine.name
     if alike and not any("no excitation" in finding.what or "never changes" in finding.what for finding in findings):
-        try:
-            plant = plant_at(machine, records[0].point, start or {}, bending_modes)
-            law = deployed_controller(plant, controller, records[0].dt, 0)
-        except AmbroseError:  # which identify() explains with all it knows
-            return _sorted(findings)
-        measured = measured_responses(records, plant.axes)
-        mixed = [] if measured is None else _wiring_findings(plant, controller, law, measured, records[0], computing_delay)
-        findings += [finding for finding in mixed if finding.severity == ERROR or not broken]
-        if not broken and not any(finding.severity == ERROR for finding in mixed):
-            for number, record in enumerate(records, 1):
-                findings += _controller_findings(machine, record, number, law, computing_delay)
+        for chosen in _by_point(records):
+            findings += _loop_findings(
+                machine, records, chosen, controller, start or {}, bending_modes, computing_delay, broken
+            )
     return _sorted(findings)
+
+
+def _by_point(records: Sequence[Record]) -> list[list[int]]:
+    """The numbers of the records at each operating point, from 0."""
+    points = [replace(record.point, label="") for record in records]
+    return [
+        [n for n, other in enumerate(points) if other == point] for i, point in enumerate(points) if point not in points[:i]
+    ]
+
+
+def _loop_findings(
+    machine: Machine,
+    records: Sequence[Record],
+    chosen: Sequence[int],
+    controller: Any,
+    start: Mapping[str, float],
+    bending_modes: int,
+    delay: int,
+    broken: bool,
+) -> list[RecordFinding]:
+    """What the records at one operating point show against the model of their loop."""
+    own = [records[n] for n in chosen]
+    try:
+        plant = plant_at(machine, own[0].point, start, bending_modes)
+        law = deployed_controller(plant, controller, own[0].dt, 0)
+    except AmbroseError:  # which identify() explains with all it knows
+        return []
+    measured = measured_responses(own, plant.axes)
+    mixed = [] if measured is None else _wiring_findings(plant, controller, law, measured, own[0], delay)
+    findings = [finding for finding in mixed if finding.severity == ERROR or not broken]
+    if not broken and not any(finding.severity == ERROR for finding in mixed):
+        for n, record in zip(chosen, own, strict=True):
+            findings += _controller_findings(machine, record, n + 1, law, delay)
+    return findings
+
+
+def _start_at(machine: Machine, records: Sequence[Record], record: Record, start: Mapping[str, float]) -> dict[str, float]:
+    """The start values, which hold at the highest pressure of all records, at that of one of them."""
+    if not start:
+        return {}
+    reference = max((other.point for other in records), key=lambda point: abs(point.seal_pressure))
+    factors = ratios(assemble(machine, reference), assemble(machine, record.point), tuple(start))
+    return {path: value * factor for (path, value), factor in zip(start.items(), factors.tolist(), strict=True)}
 
 
 def _sorted(findings: Sequence[RecordFinding]) -> tuple[RecordFinding, ...]:
@@ -203,7 +242,7 @@ def _unexplained(now: Mapping[str, float]) -> list[RecordFinding]:
     return [
         RecordFinding(
             WARNING,
-            "the machine as it is described, with the start values, responds otherwise than the record",
+            FAR_FROM_START,
             f"it leaves {_percent(share)} of the displacements' power unexplained",
             "usual where unknown parameters are far from their start; else it is another machine, point or controller",
         )

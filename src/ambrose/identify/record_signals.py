@@ -13,6 +13,7 @@ _CROWDED = 4.0  # samples at the extreme over those one step below it: 2.4 at th
 _STEPPED = 1e-3  # share of equal neighbours from which a signal comes in coarse steps
 _SERIOUS = 1e-3  # share of clipped or repeated samples from which a record is refused
 _AT_LIMIT = 0.999
+_STEADY = 0.05  # change of speed or pressure within a record, over its largest
 _MEASURED = ("y", "u", "i")
 
 
@@ -35,7 +36,7 @@ def signal_findings(machine: Machine, record: Record, number: int) -> list[Recor
     moving = [name for name in shown if np.ptp(record[name]) > 0]
     for name in moving:
         findings += _at_limit(machine, record, name, where) or _clipped(record, name, where)
-    return findings + _repeated(record, moving, where)
+    return [*findings, *_repeated(record, moving, where), *_moving_point(record, where)]
 
 
 def flat_tops(x: np.ndarray) -> tuple[int, float]:
@@ -95,6 +96,24 @@ def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[R
     evidence = f"{count} samples ({100 * share:.2g} %) reach the bearing's {what} of {limit:.4g} {unit}"
     text = "is saturated" if kind != "y" else "reaches the touchdown bearing"
     return [RecordFinding(ERROR if share > _SERIOUS or kind == "y" else WARNING, f"{where}: {name} {text}", evidence, remedy)]
+
+
+def _moving_point(record: Record, where: str) -> list[RecordFinding]:
+    """Speed or pressure that changes during the record: the model holds at one operating point."""
+    findings = []
+    for name, unit in zip(record.signals, record.units, strict=True):
+        if name.partition("_")[0] in {"p", "speed"}:
+            low, high = float(record[name].min()), float(record[name].max())
+            if high - low > _STEADY * max(abs(low), abs(high)):
+                findings.append(
+                    RecordFinding(
+                        ERROR,
+                        f"{where}: the operating point changes",
+                        f"{name} goes from {low:.4g} to {high:.4g} {unit}",
+                        "cut the record into stretches at one speed and pressure, and identify those",
+                    )
+                )
+    return findings
 
 
 def _repeated(record: Record, names: list[str], where: str) -> list[RecordFinding]:
