@@ -21,7 +21,7 @@ from ambrose.physics import seal
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
+from ambrose.plant.uncertainty import perturbed, uncertain
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import Scenario, SteppedSine
 from ambrose.synthesis import pid
@@ -339,6 +339,18 @@ def test_the_machine_that_results_has_the_coefficients_and_survives_its_file(for
     assert widths["seal.center.k"].relative == 1.0  # the range of operation, wider than what the fit leaves open
     assert widths["seal.center.C"].absolute > 0
     assemble(made, replace(made.operation.nominal, whirl_frequency=40 * HZ))
+
+
+def test_what_was_measured_replaces_what_was_computed_from_geometry():
+    machine = load_machine("turboexpander")
+    fit = replace(measured((0.0, 2.0e6, 4.0e6)), machine=machine.name, seal=machine.seals[0].name)
+    made = seal_fit.identified_seal(machine, fit)
+    assert made.seals[0].geometry is None
+    assert seal.coefficients(made.seals[0], 2.0e6).k == pytest.approx(true(2.0e6)[1], rel=1e-6)
+    assert loads_machine(dumps_machine(made)).seals == made.seals
+    before, after = ([item.parameter for item in one.tolerances] for one in (machine, made))
+    assert before == after  # the eight entries keep their tolerances of their own
+    assert len(uncertain(assemble(made)).blocks) == len(before)
 
 
 def test_a_table_must_reach_the_operating_points():

@@ -9,6 +9,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identify.seal_result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.description import Machine, Seal, SealTable, Tolerance
+from ambrose.machine.parameters import parse_parameter
+from ambrose.plant.assemble import seal_coefficients
 
 FORMS = ("line", "table", "frequency")
 
@@ -36,15 +38,26 @@ def identified_seal(
     table, widths = {"line": _line, "table": _table, "frequency": _grid}[form](machine, fit, level, up_to)
     _covers(machine, item, table)
     still = tuple(x for x in item.scales_with_pressure if x == "M")
-    changed = replace(item, K=0.0, k=0.0, C=0.0, c=0.0, table=table, scales_with_pressure=still)
+    dependence = item.frequency_dependence if form == "frequency" else "synchronous"
+    changed = replace(
+        item,
+        K=0.0,
+        k=0.0,
+        C=0.0,
+        c=0.0,
+        table=table,
+        geometry=None,
+        frequency_dependence=dependence,
+        scales_with_pressure=still,
+    )
     tolerances = list(machine.tolerances)
-    for letter, width in zip(COEFFICIENTS, widths, strict=True):
-        path = f"seal.{fit.seal}.{letter}"
-        at = next((i for i, one in enumerate(tolerances) if one.parameter == path), None)
-        if at is None:
-            tolerances.append(Tolerance(path, absolute=float(width)))
-        elif not _wider(machine, changed, tolerances[at], float(width)):
-            tolerances[at] = Tolerance(path, absolute=float(width))
+    for letter, width in zip(COEFFICIENTS, widths.tolist(), strict=True):
+        stated = [i for i, one in enumerate(tolerances) if _names(one, fit.seal, letter)]  # of both axes, or of single entries
+        for i in stated:
+            if not _wider(machine, changed, tolerances[i], letter, width):
+                tolerances[i] = Tolerance(tolerances[i].parameter, absolute=width)
+        if not stated:
+            tolerances.append(Tolerance(f"seal.{fit.seal}.{letter}", absolute=width))
     seals = tuple(changed if one is item else one for one in machine.seals)
     return replace(machine, seals=seals, tolerances=tuple(tolerances))
 
@@ -95,15 +108,17 @@ def _covers(machine: Machine, item: Seal, table: SealTable) -> None:
             )  # fmt: skip
 
 
-def _wider(machine: Machine, item: Seal, tolerance: Tolerance, width: float) -> bool:
-    """Whether a stated tolerance is wider than the one found, at the nominal operating point."""
-    from ambrose.physics.seal import coefficients
+def _names(tolerance: Tolerance, seal: str, letter: str) -> bool:
+    parameter = parse_parameter(tolerance.parameter)
+    return (parameter.table, parameter.name, parameter.quantity) == ("seal", seal, letter)
 
+
+def _wider(machine: Machine, item: Seal, tolerance: Tolerance, letter: str, width: float) -> bool:
+    """Whether a stated tolerance is wider than the one found, at the nominal operating point."""
     if tolerance.absolute is not None:
         return tolerance.absolute >= width
-    point = machine.operation.nominal
-    value = getattr(coefficients(item, point.seal_pressure, point.speed, point.whirl_frequency), tolerance.parameter[-1])
-    return abs(value) * (tolerance.relative or 0.0) >= width
+    value = getattr(seal_coefficients(item, machine.operation.nominal), letter)
+    return bool(abs(value) * (tolerance.relative or 0.0) >= width)
 
 
 def _quantile(level: float) -> float:

@@ -63,7 +63,7 @@ def identify(
     if reference and 0.0 not in groups:
         raise InvalidInput("no record was taken without pressure; add one, or pass reference=False and trust the model")
     found = {pressure: _at_pressure(machine, name, groups[pressure], steps, settle, currents) for pressure in sorted(groups)}
-    lacking = _lacking(machine, name, found[0.0]) if reference else {}
+    lacking = _lacking(machine, name, found[0.0], groups[0.0][0].point) if reference else {}
     rows = [
         (pressure, _corrected(item, lacking, found[0.0] if reference else []))
         for pressure, items in found.items() for item in items
@@ -204,13 +204,15 @@ def _stiffness(model: _Model, i: int, driven: list[tuple[Phasors, bool]]) -> _St
     )
 
 
-def _lacking(machine: Machine, name: str, items: list[_Stiffness]) -> dict[float, tuple[np.ndarray, np.ndarray]]:
+def _lacking(
+    machine: Machine, name: str, items: list[_Stiffness], point: OperatingPoint
+) -> dict[float, tuple[np.ndarray, np.ndarray]]:
     """Per frequency, pair (2,) and matrix (2, 2) found at zero pressure beyond what the machine states there."""
     item = next(one for one in machine.seals if one.name == name)
-    own = seal_coefficients(item, OperatingPoint(seal_pressure=0.0))
     result = {}
     for found in items:
         w = found.frequency
+        own = seal_coefficients(item, replace(point, whirl_frequency=w))
         a, b = own.K + 1j * w * own.C, own.k + 1j * w * own.c
         result[_key(w)] = (found.pair - np.array([a, b]), found.matrix - np.array([[a, b], [-b, a]]))
     return result
