@@ -57,7 +57,7 @@ def files_of(content):
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("make", [small_block, lambda: small_block(0), lambda: small_block(3), gain_block, rig_block])
 def test_validation_finds_nothing(version, make, tmp_path):
-    (tmp_path / "x.fmu").write_bytes(fmu(make(), version, provenance=['<&"> Controller']))
+    (tmp_path / "x.fmu").write_bytes(fmu(make(), version, provenance=['<&"> Controller'], sources_only=make is not gain_block))
     assert validate_fmu(str(tmp_path / "x.fmu")) == []
 
 
@@ -330,7 +330,7 @@ def test_contents_and_repeatable_bytes(version):
     assert {"sources/small.c", "sources/small.h", "sources/small_fmu.h", f"sources/fmi{version[0]}.c"} < set(found)
     assert b"from &lt;here&gt; &amp; there" in found["documentation/index.html"]
     assert b"TOKEN" not in found[f"sources/fmi{version[0]}.c"]
-    other = files_of(fmu(replace(block, hold_samples=3), version))["modelDescription.xml"]
+    other = files_of(fmu(replace(block, hold_samples=3), version, sources_only=True))["modelDescription.xml"]
     assert other != found["modelDescription.xml"]  # another code, another token
 
 
@@ -395,6 +395,14 @@ def test_nothing_half_written_when_the_disk_is_full(tmp_path, monkeypatch):
     with pytest.raises(InvalidInput, match="No space left on device; nothing was changed"):
         write_files(tmp_path / "new", fmu_files(small_block(), sources_only=True))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_limits_are_those_of_the_code(tmp_path):
+    """In single precision 0.3 A is a little more: the description says so, and no output leaves its range."""
+    block = replace(small_block(), current_limit=np.array([0.3]))
+    (tmp_path / "x.fmu").write_bytes(fmu(block, "3.0", "float", sources_only=True))
+    found = {v.name: v for v in fmpy.read_model_description(str(tmp_path / "x.fmu")).modelVariables}
+    assert float(found["u_x"].max) == float(np.float32(0.3)) > 0.3
 
 
 def test_gain_has_nothing_to_track():

@@ -20,7 +20,7 @@ from typing import get_args
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.export.control_block import ControlBlock, transfers
-from ambrose.export.controller_code import Arithmetic, generate
+from ambrose.export.controller_code import Arithmetic, generate, single_limits
 from ambrose.export.fmi_description import (
     Version,
     build_description,
@@ -72,6 +72,8 @@ def fmu(
     """One FMU as the bytes of its archive; equal input gives equal bytes where the compiler does. Arguments and errors:
     ``fmu_files``."""
     _check_names(block)
+    if arithmetic == "float":
+        block = single_limits(block)
     code = source_files(block, version, arithmetic, provenance)
     token = "{" + str(uuid.uuid5(_SPACE, "\n".join(code.values()))) + "}"
     code[f"fmi{version[0]}.c"] = code[f"fmi{version[0]}.c"].replace("TOKEN", token)
