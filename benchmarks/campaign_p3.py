@@ -20,10 +20,11 @@ from ambrose.core.box import corners, default_grid, gains, unstable_poles
 from ambrose.core.box_search import gain_bound, worst_gain
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.statespace import StateSpace
+from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis import hinf, mu
@@ -146,6 +147,12 @@ def unbalance(found: Designs, controller: Any, count: int = 15) -> tuple[BoxUnba
     return unbalance_over_box(found.judged, controller, speeds), unbalance_over_box(at, controller, speeds)
 
 
+def with_states(found: Designs) -> Plant:
+    """The judged plant with the seal's true frequency dependence in place of the constants of 140 Hz."""
+    seal = replace(found.machine.seals[0], frequency_dependence="states")
+    return reduce(assemble(replace(found.machine, seals=(seal,)), found.full.point), BENDING_MODES)
+
+
 def unstable_corners(plant: Plant, controller: Any) -> int:
     """Of 256, on any model."""
     loop = loop_over_box(plant, controller, plant.bearing_named("f"), plant.bearing_named("q"))
@@ -185,6 +192,12 @@ def main(page: Path | None) -> None:
         k = int(np.argmax(curve.bound))
         print(f"P3.5  {what}: nominal {curve.nominal.max() * 1e6:.3f} um, search {curve.found.max() * 1e6:.3f}, bound "
               f"{curve.bound[k] * 1e6:.3f} at {curve.speeds[k] / HZ:.0f} Hz")  # fmt: skip
+    states = with_states(found)
+    abscissa = spectral_abscissa(closed_loop(states, found.hinf))
+    s = sensitivities(states, found.mu)
+    print(f"Seal with states: the H-infinity controller's nominal loop has a pole at {abscissa:+.1f} rad/s;")
+    print(f"      mu: nominal S_o {s.output[0].max():.2f}, {(s.unstable > 0).sum()} of {len(s.unstable)} members unstable,")
+    print(f"      worst S_o by search {s.worst:.3f}, bound {s.bound:.3f}")
     if page is not None:
         draw(shown, page)
 

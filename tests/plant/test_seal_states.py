@@ -10,7 +10,8 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, poles, select
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble, seal_coefficients
+from ambrose.physics.seal_rational import linearised, rational
+from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction, modal_reduction, reduce
 from ambrose.plant.uncertainty import perturbed, uncertain
@@ -57,18 +58,33 @@ def test_reduced_plant_follows_the_full_one(bending_modes):
     assert reduction.T_L @ reduction.T_R == pytest.approx(np.eye(reduction.plant.rotor.n_states), abs=1e-8)
 
 
-def test_a_tolerance_is_a_constant_spring_or_damper_of_the_synchronous_size():
-    """K_xx + 40 % of K at the whirl frequency: a spring from the rotor to ground beside the seal with its states."""
+def test_tolerances_move_the_static_stiffness_and_what_comes_with_motion():
+    """K_xx adds 40 % of H_d(0) at the seal, C_xx 40 % of H_d(s) - H_d(0), both 40 % of H_d; k_xy, c_xy the same of H_c."""
     full = small(STATES)
-    nominal = seal_coefficients(STATES.seals[0], POINT)
-    assert nominal == seal_coefficients(MACHINE.seals[0], POINT)
-    moved = perturbed(full, {"seal.piston.K_xx": 1.0})
     ports = ["f_piston_x", "f_piston_y"], ["q_piston_x", "q_piston_y"]
-    before, after = (frequency_response(select(p.system, *ports), OMEGA).values for p in (full, moved))
-    change = np.linalg.inv(after) - np.linalg.inv(before)
-    expected = np.zeros((2, 2))
-    expected[0, 0] = 0.4 * nominal.K
-    assert change == pytest.approx(np.broadcast_to(expected, change.shape), abs=1e-3 * nominal.K)
+
+    def stiffness(plant):
+        return np.linalg.inv(frequency_response(select(plant.system, *ports), OMEGA).values)
+
+    def change(**delta):
+        return stiffness(perturbed(full, {f"seal.piston.{name}": value for name, value in delta.items()})) - before
+
+    before, model = stiffness(full), rational(STATES.seals[0], POINT.seal_pressure)
+    at = [linearised(model, w) for w in OMEGA]
+    rest = linearised(model, 0.0)
+    direct = np.array([c.K + 1j * w * c.C for c, w in zip(at, OMEGA, strict=True)])
+    cross = np.array([c.k + 1j * w * c.c for c, w in zip(at, OMEGA, strict=True)])
+    size = np.abs(direct).max()
+    for delta, entry, expected in (
+        ({"K_xx": 1.0}, (0, 0), 0.4 * rest.K + 0 * direct),
+        ({"C_xx": 1.0}, (0, 0), 0.4 * (direct - rest.K)),
+        ({"K_yy": -1.0, "C_yy": -1.0}, (1, 1), -0.4 * direct),
+        ({"k_xy": 1.0, "c_xy": 1.0}, (0, 1), 0.4 * cross),
+        ({"k_yx": 1.0, "c_yx": 1.0}, (1, 0), -0.4 * cross),
+    ):
+        found, wanted = change(**delta), np.zeros((len(OMEGA), 2, 2), dtype=complex)
+        wanted[:, *entry] = expected
+        assert np.abs(found - wanted).max() < 1e-5 * size, delta
     assert len(uncertain(full).blocks) == 8
 
 

@@ -3,9 +3,9 @@
     H_d(s) = K_0 + C_0 s + d (s - A)^-1 b,   H_c(s) = k_0 + c_0 s + e (s - A)^-1 b
 
 meet the direct and cross-coupled dynamic stiffness K + j w C and k + j w c of the coefficients. The poles
-(``core.rational_fit``) are stable and common to both, and to every pressure and speed of a table; a seal from geometry has those
-of its reference pressure. So the model is causal, and its states keep their meaning while the operating point varies. The linear
-plant and the virtual rig hold the same model: q_x' = A q_x + b x and q_y' = A q_y + b y are the states.
+(``core.rational_fit``) are stable and common to both, and to every pressure and speed of a table; a seal from geometry has
+those of its reference pressure. So the model is causal, and its states keep their meaning while the operating point varies.
+The linear plant and the virtual rig hold the same model: q_x' = A q_x + b x and q_y' = A q_y + b y are the states.
 """
 
 from __future__ import annotations
@@ -99,17 +99,29 @@ def linearised(model: RationalSeal, frequency: float) -> SealCoefficients:
 
 
 def system(model: RationalSeal, name: str) -> StateSpace:
-    """The part with states: displacements q_<name>_x, q_<name>_y [m] -> forces h_<name>_x, h_<name>_y [N] on the rotor."""
+    """The part with states: displacements q_<name>_x, q_<name>_y [m] -> forces h_<name>_x, h_<name>_y [N] on the rotor.
+
+    Further outputs d_<name>_x, d_<name>_y, e_<name>_x, e_<name>_y [N]: d (s - A)^-1 b and e (s - A)^-1 b of each displacement.
+    """
     zero, none = np.zeros_like(model.A), np.zeros_like(model.b)[:, None]
-    b = model.b[:, None]
-    return StateSpace(
-        np.block([[model.A, zero], [zero, model.A]]),
-        np.block([[b, none], [none, b]]),
-        -np.block([[model.direct, model.cross], [-model.cross, model.direct]]),
-        np.zeros((2, 2)),
-        [f"q_{name}_x", f"q_{name}_y"],
-        [f"h_{name}_x", f"h_{name}_y"],
-    )
+    b, direct, cross, no = model.b[:, None], model.direct, model.cross, np.zeros_like(model.b)
+    C = np.block([[-direct, -cross], [cross, -direct], [direct, no], [no, direct], [cross, no], [no, cross]])
+    outputs = [f"{letter}_{name}_{axis}" for letter in "hde" for axis in "xy"]
+    A, B = np.block([[model.A, zero], [zero, model.A]]), np.block([[b, none], [none, b]])
+    return StateSpace(A, B, C, np.zeros((6, 2)), [f"q_{name}_x", f"q_{name}_y"], outputs)
+
+
+def parts(model: RationalSeal) -> tuple[tuple[float, float], tuple[float, float]]:
+    """(K(0), k(0)), the static stiffness [N/m], and (d A^-1 b, e A^-1 b) [N/m].
+
+    The second times the displacement, and C_0 times the velocity, complete the states' d (s - A)^-1 b to H(s) - H(0), the part
+    that comes with motion and vanishes at rest.
+    """
+    if not len(model.b):
+        return (model.static.K, model.static.k), (0.0, 0.0)
+    still = np.linalg.solve(model.A, model.b)
+    direct, cross = float(model.direct @ still), float(model.cross @ still)
+    return (model.static.K - direct, model.static.k - cross), (direct, cross)
 
 
 def lag(x: float, states: np.ndarray, row: np.ndarray) -> float:

@@ -60,7 +60,7 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
         damping += pair.T @ d @ pair
     for annular in machine.seals:
         pair = np.array([rows[f"{annular.name}_x"], rows[f"{annular.name}_y"]])
-        constant = _seal_model(annular, point).static if has_states(annular) else seal_coefficients(annular, point)
+        constant = seal_model(annular, point).static if has_states(annular) else seal_coefficients(annular, point)
         k, d, m = seal.matrices(constant)
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
@@ -91,16 +91,19 @@ def gyroscopic_of(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
 
 
 def with_seal_states(machine: Machine, point: OperatingPoint, rotor: StateSpace) -> StateSpace:
-    """A rotor (full or reduced, of ``attached_rotor``) with the states of its frequency-dependent seals, after its own."""
+    """A rotor (full or reduced, of ``attached_rotor``) with the states of its frequency-dependent seals, after its own.
+
+    Outputs d_<seal>_<axis> and e_<seal>_<axis> [N] of ``seal_rational.system`` are added.
+    """
     seals = [item for item in machine.seals if has_states(item) and point.seal_pressure > 0]
     if not seals:
         return rotor
     places = [f"{item.name}_{axis}" for item in seals for axis in "xy"]
-    parts = [seal_rational.system(_seal_model(item, point), item.name) for item in seals]
+    parts = [seal_rational.system(seal_model(item, point), item.name) for item in seals]
     return connect(
         [rename(rotor, {f"f_{place}": f"F_{place}" for place in places}), *parts],
         inputs=list(rotor.inputs),
-        outputs=list(rotor.outputs),
+        outputs=[*rotor.outputs, *(name for part in parts for name in part.outputs if not name.startswith("h_"))],
         sums={f"F_{place}": [f"f_{place}", f"h_{place}"] for place in places},
     )
 
@@ -110,7 +113,8 @@ def seal_states(machine: Machine, point: OperatingPoint) -> int:
     return sum(2 * item.poles for item in machine.seals if has_states(item)) if point.seal_pressure > 0 else 0
 
 
-def _seal_model(item: Seal, point: OperatingPoint) -> seal_rational.RationalSeal:
+def seal_model(item: Seal, point: OperatingPoint) -> seal_rational.RationalSeal:
+    """The rational model of a seal with states, at the point's pressure and speed."""
     return seal_rational.rational(item, point.seal_pressure, point.speed)
 
 

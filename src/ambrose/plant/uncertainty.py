@@ -16,10 +16,11 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
-from ambrose.machine.description import Amplifier, Tolerance
+from ambrose.machine.description import Amplifier, Seal, Tolerance
 from ambrose.machine.parameters import Parameter, find_uncertain
-from ambrose.physics import magnet, sensor
-from ambrose.plant.assemble import force_sums, magnets, plant_inputs, plant_outputs, seal_coefficients
+from ambrose.physics import magnet, seal_rational, sensor
+from ambrose.physics.seal_rational import has_states
+from ambrose.plant.assemble import force_sums, magnets, plant_inputs, plant_outputs, seal_coefficients, seal_model
 from ambrose.plant.model import Plant
 
 
@@ -106,12 +107,49 @@ _SEAL_ENTRIES = {"xx": ("x", "x", -1.0), "yy": ("y", "y", -1.0), "xy": ("x", "y"
 def _seal_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     letter, name = parameter.quantity, parameter.name
     item = next(item for item in plant.machine.seals if item.name == name)
+    if has_states(item) and plant.point.seal_pressure > 0:
+        return _impedance_channels(plant, item, parameter)
     nominal = float(getattr(seal_coefficients(item, plant.point), letter))
-    entries = [parameter.component] if parameter.component else ["xx", "yy"] if letter in {"K", "C"} else ["xy", "yx"]
     signal = "q" if letter in {"K", "k"} else "qdot"
     return [
         Channel(f"F_{name}_{row}", nominal, ((f"{signal}_{name}_{column}", sign),))
-        for row, column, sign in (_SEAL_ENTRIES[entry] for entry in entries)
+        for row, column, sign in _seal_entries(parameter)
+    ]
+
+
+def _seal_entries(parameter: Parameter) -> list[tuple[str, str, float]]:
+    """The matrix entries that a path names: (row, column, sign) of the force."""
+    both = ["xx", "yy"] if parameter.quantity in {"K", "C"} else ["xy", "yx"]
+    return [_SEAL_ENTRIES[entry] for entry in ([parameter.component] if parameter.component else both)]
+
+
+def _impedance_channels(plant: Plant, item: Seal, parameter: Parameter) -> list[Channel]:
+    """Of a seal with states: K, k are the static stiffness H(0); C, c scale H(s) - H(0), all that comes with motion.
+
+    Damping and the stiffness that rises with frequency are one mechanism and cannot change alone (Kramers and Kronig). A C or c
+    of the size of the coefficient at the whirl frequency is the whole of H(s) - H(0).
+    """
+    model, letter, name = seal_model(item, plant.point), parameter.quantity, parameter.name
+    cross = letter in {"k", "c"}
+    still, lacking = (pair[cross] for pair in seal_rational.parts(model))
+    if letter in {"K", "k"}:
+        return [
+            Channel(f"F_{name}_{row}", still, ((f"q_{name}_{column}", sign),)) for row, column, sign in _seal_entries(parameter)
+        ]
+    nominal = float(getattr(seal_coefficients(item, plant.point), letter))
+    slope = model.static.c if cross else model.static.C
+    unit = nominal if nominal else 1.0
+    return [
+        Channel(
+            f"F_{name}_{row}",
+            nominal,
+            (
+                (f"{'e' if cross else 'd'}_{name}_{column}", sign / unit),
+                (f"q_{name}_{column}", sign * lacking / unit),
+                (f"qdot_{name}_{column}", sign * slope / unit),
+            ),
+        )
+        for row, column, sign in _seal_entries(parameter)
     ]
 
 
