@@ -13,6 +13,7 @@ from ambrose.core.response import simulate, simulate_derivative
 from ambrose.core.sampling import c2d
 from ambrose.identify import excitation
 from ambrose.identify.closed_loop import identify
+from ambrose.identify.identified import identified_machine
 from ambrose.identify.sensitivities import loop_model
 from ambrose.identify.timed_loop import AHEAD, COMMAND, EXCITATION, timed
 from ambrose.identify.unknowns import expand, nominal_values
@@ -137,6 +138,9 @@ def test_a_delay_is_found_beside_the_machine(delay, begin):
     assert found.paths[-1] == COMMAND
     np.testing.assert_allclose(found.values, nominal, rtol=1e-6)
     assert found.converged and not found.warnings
+    updated = identified_machine(machine, found)
+    assert updated.controller.delay == found.values[-1]
+    assert [tolerance.parameter for tolerance in updated.tolerances] == list(KNOWN)
 
 
 @pytest.mark.parametrize("late", [-1.0, 1.0, 0.7])

@@ -9,6 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identify.closed_loop import Identification
+from ambrose.identify.timed_loop import COMMAND, TIMING
 from ambrose.machine.description import BiasPoint, Machine, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
 from ambrose.machine.parameters import Parameter, find_uncertain, parse_parameter
 from ambrose.physics import magnet
@@ -24,8 +25,9 @@ def identified_machine(
     replaced; keep_wider: not a seal's that is wider than what was found, for it may be the range of operation. A seal holds one
     coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry, as found or as it was, and
     the tolerance of the coefficient covers both with their uncertainty. origin: where the values are from, added to
-    ``source``; entries of ``assumed`` about a quantity whose every value was identified are taken out. Raises InvalidInput for
-    what a machine cannot hold (a coefficient from a table or a geometry).
+    ``source``; a delay that was found goes into the controller's settings. Entries of ``assumed`` about a quantity whose every
+    value was identified are taken out. Raises InvalidInput for what a machine cannot hold (a coefficient from a table or a
+    geometry).
     """
     if result.machine != machine.name:
         raise invalid("the machine of the result", repr(result.machine), repr(machine.name), "take the machine it belongs to")
@@ -46,8 +48,10 @@ def identified_machine(
         mine = _of("coupling", item.name, values)
         stiffness, damping = _pair(item.stiffness, "stiffness", mine), _pair(item.damping, "damping", mine)
         couplings.append(replace(item, stiffness=stiffness, damping=damping))
+    pid, delays = machine.controller, dict(zip(result.paths, result.values.tolist(), strict=True))
     return replace(
         machine,
+        controller=replace(pid, delay=delays[COMMAND]) if pid is not None and COMMAND in delays else pid,
         bearings=tuple(_bearing(item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
         couplings=tuple(couplings),
         amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
@@ -72,6 +76,8 @@ def _found(machine: Machine, result: Identification, coverage: float) -> list[_F
     single: dict[tuple[str, str], list[tuple[float, float]]] = {}
     found = []
     for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
+        if path in TIMING:
+            continue  # no parameter of the machine; the controller's settings take its delay
         parameter, width = find_uncertain(machine, path), coverage * deviation
         if parameter.table == "seal" and parameter.component:
             single.setdefault((parameter.name, parameter.quantity), []).append((value, width))

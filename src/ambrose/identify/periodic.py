@@ -133,14 +133,15 @@ def lines_of(task: Task, P: int) -> Lines:
 def line_equations(loop: StateSpace, directions: Sequence[SystemDerivative], lines: Lines) -> LineFit:
     """r'r, J'J and J'r at the lines, scaled as in time domain; ``loop`` from all excitations to outputs over their weights."""
     A, B, C, z, task = loop.A, loop.B @ lines.task.mix, loop.C, lines.z, lines.task
-    L, X = _resolvents(A, B @ lines.U, C, z)
+    T, Z = sla.schur(A, output="complex")
+    L, X = _rows(T, Z, C, z), _columns(T, Z, B @ lines.U, z)
     R = lines.Y - C @ X
     root = np.sqrt(lines.weight)
     N, d = np.zeros((2 * R.size, 0)), np.zeros(len(A))
     if task.initial_state:
         N, d = _transient(L, R, z)
         pushed = z * d[:, None]
-        X = X + _states(A, pushed, z)
+        X = X + _columns(T, Z, pushed, z)
         R = lines.Y - C @ X
     J = np.zeros((len(z), len(C), 0), complex)
     if directions:
@@ -174,7 +175,8 @@ def told_below(fits: Sequence[LineFit], all_lines: Sequence[Lines]) -> float:
 def line_residual(loop: StateSpace, lines: Lines, d: np.ndarray) -> np.ndarray:
     """The residual (p, l) at all lines, with the transient d (n,) found at some."""
     driven = loop.B @ lines.task.mix @ lines.U + lines.z * d[:, None]
-    return np.asarray(lines.Y - loop.C @ _states(loop.A, driven, lines.z))
+    T, Z = sla.schur(loop.A, output="complex")
+    return np.asarray(lines.Y - loop.C @ _columns(T, Z, driven, lines.z))
 
 
 def _real(values: np.ndarray) -> np.ndarray:
@@ -186,25 +188,24 @@ def _complex(values: np.ndarray) -> np.ndarray:
     return np.asarray(values[:half] + 1j * values[half:])
 
 
-def _resolvents(A: np.ndarray, driven: np.ndarray, C: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """C (z I - A)^-1 (l, p, n) and (z I - A)^-1 driven (n, l) for driven (n, l), by substitution in Schur form: all lines at
-    once, and no eigenvectors, which equal poles and pure delays do not have."""
-    T, Z = sla.schur(A, output="complex")
-    n = len(A)
-    poles = 1.0 / (z - np.diag(T)[:, None])
-    left, X = np.empty((n, len(C), len(z)), complex), Z.conj().T @ driven
-    rows = C @ Z
-    for i in range(n if len(C) else 0):
+def _rows(T: np.ndarray, Z: np.ndarray, C: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """C (z I - A)^-1 (l, p, n) for A = Z T Z' in complex Schur form, by substitution at all lines at once; no eigenvectors,
+    which equal poles and pure delays do not have."""
+    n, poles, rows = len(T), 1.0 / (z - np.diag(T)[:, None]), C @ Z
+    left = np.empty((n, len(C), len(z)), complex)
+    for i in range(n):
         known = np.tensordot(T[:i, i], left[:i], 1) if i else 0.0
         left[i] = (rows[:, i, None] + known) * poles[i]
-    for i in range(n - 1, -1, -1):
-        X[i] = (X[i] + T[i, i + 1 :] @ X[i + 1 :]) * poles[i]
     L = left.reshape(n, -1).T @ Z.conj().T
-    return L.reshape(len(C), len(z), n).transpose(1, 0, 2), Z @ X
+    return L.reshape(len(C), len(z), n).transpose(1, 0, 2)
 
 
-def _states(A: np.ndarray, driven: np.ndarray, z: np.ndarray) -> np.ndarray:
-    return _resolvents(A, driven, np.zeros((0, len(A))), z)[1]
+def _columns(T: np.ndarray, Z: np.ndarray, driven: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """(z I - A)^-1 driven (n, l) for driven (n, l), likewise."""
+    X, poles = Z.conj().T @ driven, 1.0 / (z - np.diag(T)[:, None])
+    for i in range(len(T) - 1, -1, -1):
+        X[i] = (X[i] + T[i, i + 1 :] @ X[i + 1 :]) * poles[i]
+    return np.asarray(Z @ X)
 
 
 def _transient(L: np.ndarray, R: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
