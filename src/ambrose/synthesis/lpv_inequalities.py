@@ -84,11 +84,16 @@ class Shape:
 
 def smallest_gamma(family: Family, shape: Shape, time_limit: float) -> tuple[float, float, Lyapunov]:
     """The smallest gamma in the family's units, a lower bound of it, and R and S there. Raises NumericalFailure."""
-    cost, items = _program(family, shape, None, 0.0, _LARGEST)
+    cost, items = first_program(family, shape)
     found = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
     _check(found, f"gamma cannot be minimised over the {len(family.grid)} grid points", time_limit)
     bound = found.bound if found.dual_error < _TIGHT else float("nan")
     return found.value, bound, _lyapunov(found.x, family.n, shape)
+
+
+def first_program(family: Family, shape: Shape) -> tuple[np.ndarray, list[Inequality]]:
+    """Cost and inequalities of the first pass; the variables are svec(R_j), svec(S_j) and gamma."""
+    return _program(family, shape, None, 0.0, _LARGEST)
 
 
 def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapunov:
