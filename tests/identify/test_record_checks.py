@@ -25,6 +25,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
+from ambrose.report.identification import identification_report
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis import pid
@@ -433,6 +434,19 @@ def test_a_wrong_delay_without_controller_outputs_is_found_after_the_fit():
     seen = [name for name in synthetic().signals if name[0] in "ye"]
     checked = checked_identification(machine, [synthetic().select(seen)], controller, NINE, computing_delay=0)
     assert any("delay of 1 instead of 0 samples" in item.what for item in checked.findings)
+
+
+def test_an_unknown_delay_is_found_and_not_complained_about():
+    machine, _, controller = setting()
+    whole = checked_identification(machine, [synthetic()], controller, (*NINE, "delay"), computing_delay=0)
+    assert whole.result.values[-1] == pytest.approx(DT, rel=0.01)
+    assert not any("follows the controller after" in item.what for item in whole.findings)
+    rows = identification_report(machine, whole).sections[0].tables[0].cells
+    assert rows[-1][0].text == "controller.delay" and rows[-1][2].text.endswith("ms")
+    assert len(whole.pieces[0].residual[0]) == K and np.std(whole.pieces[0].residual) < 0.05 * np.std(whole.pieces[0].measured)
+    late = checked_identification(machine, [synthetic()], controller, (*NINE, "excitation.delay"))
+    assert late.pieces[0].residual.shape == late.pieces[0].record.select(names("y")).values.shape
+    assert abs(late.result.values[-1]) < 0.05 * DT
 
 
 def test_an_unknown_that_is_not_excited_is_doubted_or_refused():

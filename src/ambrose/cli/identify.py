@@ -23,7 +23,7 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_s
 )  # fmt: skip
 @click.option("--start", multiple=True, metavar="PATH=VALUE", help="SI value to begin at; default: the machine's (repeatable).")
 @click.option("--signals", multiple=True, metavar="NAME", help="Signals to fit, y_, u_ or i_<axis>; default: every y_<axis>.")
-@click.option("--delay-samples", type=int, default=1, show_default=True, help="From measured errors to acting currents.")
+@click.option("--delay-samples", type=float, default=1, show_default=True, help="From measured errors to acting currents.")
 @click.option("--bending-modes", type=int, default=1, show_default=True, help="Bending modes per plane in the model.")
 @click.option("--repeats", "repeated", is_flag=True, help="The records are repeats: identify each alone, too.")
 @click.option("--report", type=click.Path(path_type=Path), help="A page: parameters, measured over model, residual tests.")
@@ -31,7 +31,7 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_s
 @AS_JSON
 def identify(
     machine: str, records: tuple[Path, ...], path: Path, unknown: tuple[str, ...], start: tuple[str, ...],
-    signals: tuple[str, ...], delay_samples: int, bending_modes: int, repeated: bool, report: Path | None, output: Path,
+    signals: tuple[str, ...], delay_samples: float, bending_modes: int, repeated: bool, report: Path | None, output: Path,
     as_json: bool,
 ) -> None:  # fmt: skip
     """Identify parameters from records of the closed loop; write the machine with them and their uncertainty.

@@ -13,11 +13,12 @@ from ambrose import __version__
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identify.closed_loop import Identification, identify
 from ambrose.identify.explained import Explained, explained
-from ambrose.identify.record_checks import FAR_FROM_START, diagnose_records
+from ambrose.identify.record_checks import FAR_FROM_START, OTHER_DELAY, diagnose_records
 from ambrose.identify.record_finding import RecordFinding, refuse
 from ambrose.identify.repeats import Repeats, of_estimates
 from ambrose.identify.result_checks import delay_findings, diagnose_result
-from ambrose.identify.unknowns import expand
+from ambrose.identify.timed_loop import COMMAND, TIMING
+from ambrose.identify.unknowns import split_timing
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
 from ambrose.machine.record import Record
@@ -38,7 +39,7 @@ class CheckedIdentification:
     findings: tuple[RecordFinding, ...]
     pieces: tuple[Explained, ...]
     controller: Any
-    computing_delay: int
+    computing_delay: float
     bending_modes: int
     repeats: Repeats | None = None
 
@@ -57,7 +58,7 @@ def checked_identification(
     start: Mapping[str, float] | None = None,
     signals: Sequence[str] | None = None,
     bending_modes: int = 1,
-    computing_delay: int = 1,
+    computing_delay: float = 1,
     repeats: bool = False,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> CheckedIdentification:
@@ -73,9 +74,12 @@ def checked_identification(
         raise invalid("the number of records", len(records), "at least 2 for repeats", "give every repeat as a record")
     unknown = tuple(unknown) or usual_unknowns(machine, records)
     setup: dict[str, Any] = {"bending_modes": bending_modes, "computing_delay": computing_delay}
-    paths = expand(machine, unknown)
+    paths = [path for kind in split_timing(machine, unknown) for path in kind]
     progress("checking the records")
-    findings = diagnose_records(machine, records, controller, start=start, **setup)
+    known = {path: value for path, value in (start or {}).items() if path not in TIMING}
+    findings = diagnose_records(machine, records, controller, start=known, **setup)
+    if COMMAND in paths:  # then the delay is found, not given
+        findings = tuple(finding for finding in findings if OTHER_DELAY not in finding.what)
     refuse(findings)
     progress(f"identifying {len(paths)} parameters")
     result = identify(machine, records, controller, unknown, start=start, signals=signals, **setup)
@@ -84,11 +88,11 @@ def checked_identification(
     findings = tuple(finding for finding in findings if finding.what != FAR_FROM_START)  # it is no matter any more
     findings += diagnose_result(machine, result, pieces)
     refuse(findings)
-    if not all(test.passed for test in result.tests) and not any("u follows" in finding.what for finding in findings):
+    if not all(test.passed for test in result.tests) and not any(OTHER_DELAY in finding.what for finding in findings):
         early = [record.between(record.start_time, record.start_time + _SHORT) for record in records]
         setup["start"] = dict(zip(result.paths, result.values.tolist(), strict=True))
 
-        def again(delay: int) -> Identification:
+        def again(delay: float) -> Identification:
             other = {**setup, "computing_delay": delay}
             return identify(machine, early, controller, result.paths, signals=signals, **other)
 
@@ -195,7 +199,7 @@ def _repeats_dict(repeats: Repeats) -> dict[str, Any]:
 
 
 def _unit(path: str) -> str:
-    return DIMENSIONS[parse_parameter(path).dimension].unit
+    return "s" if path in TIMING else DIMENSIONS[parse_parameter(path).dimension].unit
 
 
 def provenance(checked: CheckedIdentification, records: Sequence[str], controller: str, when: str = "") -> tuple[str, str]:

@@ -36,6 +36,7 @@ from ambrose.machine.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 
+OTHER_DELAY = "the recorded u follows the controller after"
 FAR_FROM_START = "the machine as it is described, with the start values, responds otherwise than the record"
 _RATES = (0.1, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 10.0)  # true over stated
 _SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}  # share of power from which other explanations are tried
@@ -51,7 +52,7 @@ def diagnose_records(
     *,
     start: Mapping[str, float] | None = None,
     bending_modes: int = 1,
-    computing_delay: int = 1,
+    computing_delay: float = 1,
 ) -> tuple[RecordFinding, ...]:
     """What is wrong or doubtful about these records, errors first; () where nothing is. Arguments as ``identify``.
 
@@ -64,10 +65,10 @@ def diagnose_records(
     broken = any(finding.severity == ERROR for finding in findings)
     alike = len({(record.machine, record.sample_rate_hz) for record in records}) == 1 and records[0].machine == machine.name
     if alike and not any("no excitation" in finding.what or "never changes" in finding.what for finding in findings):
+        delay = round(computing_delay)
         for chosen in _by_point(records):
-            findings += _loop_findings(
-                machine, records, chosen, controller, start or {}, bending_modes, computing_delay, broken
-            )
+            begin = _start_at(machine, records, records[chosen[0]], start or {})
+            findings += _loop_findings(machine, records, chosen, controller, begin, bending_modes, delay, broken)
     return _sorted(findings)
 
 
@@ -336,7 +337,7 @@ def _timing(match: ControllerMatch, delay: int, where: str) -> list[RecordFindin
         return [
             RecordFinding(
                 WARNING,
-                f"{where}: the recorded u follows the controller after {_samples(lag)}, not {delay}",
+                f"{where}: {OTHER_DELAY} {_samples(lag)}, not {delay}",
                 f"u differs from K(-y) by {100 * float(given.max()):.2g} % after {delay} and by "
                 f"{100 * float(match.least.max()):.2g} % after {_samples(lag)}",
                 f"give {lag} as delay, unless u is recorded before it acts; one sample is 2 to 5 % in the stiffness",

@@ -11,6 +11,7 @@ from ambrose.identify.closed_loop import Identification
 from ambrose.identify.explained import Explained
 from ambrose.identify.record_finding import ERROR, WARNING, RecordFinding
 from ambrose.identify.record_wiring import measured_responses
+from ambrose.identify.timed_loop import COMMAND, TIMING
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import parse_parameter
 
@@ -30,6 +31,8 @@ def _signs(result: Identification) -> list[RecordFinding]:
     """Values that no machine has."""
     findings = []
     for path, value in zip(result.paths, result.values, strict=True):
+        if path in TIMING:
+            continue
         parameter = parse_parameter(path)
         positive = parameter.table == "amplifier" or parameter.quantity == "force_per_current"
         if positive and value <= 0:
@@ -57,7 +60,7 @@ def _sizes(result: Identification) -> list[RecordFinding]:
     """Values far from where they began, of parameters that designers know."""
     far = []
     for path, value, start in zip(result.paths, result.values, result.start, strict=True):
-        known = parse_parameter(path).table in {"bearing", "amplifier"}
+        known = path not in TIMING and parse_parameter(path).table in {"bearing", "amplifier"}
         if known and start > 0 and value > 0 and not 1 / _FAR < value / start < _FAR:
             far.append(f"{path} is {value / start:.3g} times its start")
     if not far:
@@ -71,9 +74,9 @@ def _common_factor(result: Identification) -> list[RecordFinding]:
     ratios = [
         value / start
         for path, value, start in zip(result.paths, result.values, result.start, strict=True)
-        if parse_parameter(path).table == "bearing" and start > 0
+        if path.startswith("bearing.") and start > 0
     ]
-    kinds = {parse_parameter(path).quantity for path in result.paths if parse_parameter(path).table == "bearing"}
+    kinds = {parse_parameter(path).quantity for path in result.paths if path.startswith("bearing.")}
     if len(ratios) < 4 or len(kinds) < 2:
         return []
     mean = float(np.mean(ratios))
@@ -142,12 +145,12 @@ def _bursts(piece: Explained, number: int) -> list[RecordFinding]:
     return findings
 
 
-def delay_findings(result: Identification, delay: int, again: Callable[[int], Identification]) -> tuple[RecordFinding, ...]:
+def delay_findings(result: Identification, delay: float, again: Callable[[float], Identification]) -> tuple[RecordFinding, ...]:
     """Whether another computing delay explains the records clearly better; ``again`` identifies with a given one.
 
     Only asked where the residuals still follow the excitation.
     """
-    if all(test.passed for test in result.tests):
+    if all(test.passed for test in result.tests) or COMMAND in result.paths:
         return ()
 
     def left(found: Identification) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ambrose.identify.closed_loop import Identification
 from ambrose.identify.explained import Explained
+from ambrose.identify.timed_loop import TIMING
 from ambrose.machine.parameters import parse_parameter
 from ambrose.report import theme, units
 from ambrose.report.identification_tables import COVERAGE, fixed
@@ -25,6 +26,8 @@ _AMPLIFIER = {"natural_frequency": "ω₀", "damping": "d", "bandwidth": "ω_b",
 
 def short(path: str) -> str:
     """A parameter as it is called among people: "Kᵢ A ζ", "seal center k", "amplifier ω₀"."""
+    if path in TIMING:
+        return f"delay of the {path.partition('.')[0]}"
     parameter = parse_parameter(path)
     component = units.axis_name(parameter.component) if parameter.component else ""
     if parameter.table == "bearing":

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from ambrose.identify.closed_loop import Identification
 from ambrose.identify.record_finding import ERROR, RecordFinding
 from ambrose.identify.repeats import Repeats
+from ambrose.identify.timed_loop import TIMING
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.units import DIMENSIONS
 from ambrose.report import units
@@ -19,7 +20,7 @@ _UNSURE = 0.1  # half-width over value that is marked
 
 def unit_of(path: str) -> str:
     """The SI unit of a parameter."""
-    return DIMENSIONS[parse_parameter(path).dimension].unit
+    return "s" if path in TIMING else DIMENSIONS[parse_parameter(path).dimension].unit
 
 
 def parameters_table(result: Identification) -> Table:
