@@ -1,7 +1,8 @@
 """The whole chain, one call per stage: machine file -> plants -> controller -> verification -> simulation -> report.
 
 Read this first. Each stage is a plain function of the results before it (package ``stages``); ``run`` calls them in order and
-leaves what they made in one directory. A second run for the same machine takes the controllers up from there.
+leaves what they made in one directory. A second run for the same machine takes the controllers up from there. The last stage
+commissions: it identifies the machine from a record of the virtual rig and runs a controller for it there as C code.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from typing import Any
 
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.export.results import certificate_to_dict, checks_to_dict, write_json
+from ambrose.identify.checked import as_dict
 from ambrose.machine.description import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.report.candidate import Candidate
+from ambrose.report.candidate import Candidate, points_of
+from ambrose.stages.commission import NAME, Commissioning, commission
 from ambrose.stages.control import kept_or_designed
 from ambrose.stages.plants import full_plants, model_comparison
 from ambrose.stages.proof import campbell_map, over_tolerances, verification
@@ -36,7 +39,8 @@ class Study:
 
     candidates: the controllers that the machine file allows (PID, H-infinity, mu), each with its checks and traces.
     speed_curves: the Campbell map with the first of them, for machines that turn. failed: (controller, why) for those that
-    could not be designed.
+    could not be designed. commissioned: what commissioning on the rig gave, its controller among the candidates (None: not
+    possible, see failed).
     """
 
     machine: Machine
@@ -45,6 +49,7 @@ class Study:
     candidates: tuple[Candidate, ...]
     speed_curves: tuple[Curve, ...] = ()
     failed: tuple[tuple[str, str], ...] = ()
+    commissioned: Commissioning | None = None
 
     @property
     def best(self) -> Candidate:
@@ -63,7 +68,7 @@ def _failures(candidate: Candidate) -> int:
 
 
 def run(machine: Machine, directory: Path, progress: Progress = lambda stage: None) -> Study:
-    """All stages in order; leaves controller-<method>.json, checks.json and report.html in ``directory``.
+    """All stages in order; leaves controller-<method>.json, commissioned/, checks.json and report.html in ``directory``.
 
     Raises InvalidInput for a machine with neither controller settings nor weights, and where ``directory`` cannot be written.
     """
@@ -85,8 +90,16 @@ def run(machine: Machine, directory: Path, progress: Progress = lambda stage: No
     if not candidates:
         why = "; ".join(f"{name}: {text}" for name, text in failed) or "it has no [controller] and no [weights]; add one"
         raise InvalidInput(f"no controller for machine {machine.name!r}: {why}")
+    commissioned = None
+    if {"pid", "polish"} <= {candidate.synthesis.method for candidate in candidates}:
+        try:
+            commissioned = commission(plants, candidates[0].synthesis, directory / "commissioned", progress)
+            candidates.append(commissioned.candidate)
+        except AmbroseError as error:
+            progress(f"not commissioned; {error}")
+            failed.append(("commissioning", str(error)))
     speed_curves = campbell_map(plants[0], candidates[0].synthesis.controller, progress)
-    study = Study(machine, plants, reduced, tuple(candidates), speed_curves, tuple(failed))
+    study = Study(machine, plants, reduced, tuple(candidates), speed_curves, tuple(failed), commissioned)
     progress("writing the report")
     write_json(directory / "checks.json", results(study))
     write_report(study, directory / "report.html")
@@ -109,6 +122,7 @@ def results(study: Study) -> dict[str, Any]:
         "passed": study.passed,
         "best": study.best.name,
         "failed": dict(study.failed),
+        "commissioned": commissioned_results(study.commissioned) if study.commissioned else None,
         "controllers": {
             c.name: {
                 "status": c.synthesis.status,
@@ -121,8 +135,21 @@ def results(study: Study) -> dict[str, Any]:
     }
 
 
+def commissioned_results(commissioned: Commissioning) -> dict[str, Any]:
+    """The commissioning as plain data: the identification, the sampled loop, what ran on the rig."""
+    deployment = commissioned.deployment
+    return {
+        "identification": as_dict(commissioned.checked),
+        "sampled": [checks_to_dict(checks) for checks in (*deployment.checks, *([deployment.box] if deployment.box else []))],
+        "files": [str(path) for path in commissioned.files],
+        "compiled": commissioned.from_code,
+        "rig": {label: trace.outcome for label, trace in commissioned.candidate.traces if "rig" in trace.scenario},
+    }
+
+
 def write_report(study: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
+    from ambrose.report.commissioning import commissioning_section
     from ambrose.report.comparison import comparison_report
     from ambrose.report.document import write
 
@@ -142,8 +169,20 @@ def write_report(study: Study, path: Path) -> None:
         ),
         comparison=model_comparison(full, reduced),
         over_speed=[(full.point.label, curve) for curve in study.speed_curves],
+        more=[
+            commissioning_section(
+                study.commissioned.checked,
+                study.candidates[0],
+                study.commissioned.candidate,
+                points_of(study.machine, study.candidates),
+                study.commissioned.in_words,
+            )
+        ]
+        if study.commissioned is not None
+        else [],
         facts=(
             ("Verified on", f"the full model at {len(study.plants)} operating points, and over all tolerances"),
+            *((f"{NAME} verified on", "the identified machine") for _ in [study.commissioned] if study.commissioned),
             *((f"No {name}", why) for name, why in study.failed),
         ),
     )

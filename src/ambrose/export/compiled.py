@@ -165,6 +165,11 @@ def _at(values: np.ndarray) -> Any:
     return values.ctypes.data_as(ctypes.c_void_p)
 
 
+def has_compiler() -> bool:
+    """Whether the code can be compiled here."""
+    return any(shutil.which(name) for name in COMPILERS)
+
+
 def _library(block: ControlBlock, arithmetic: Arithmetic, compiler: str | None) -> Any:
     found = compiler or next((name for name in COMPILERS if shutil.which(name)), None)
     if found is None or shutil.which(found) is None:

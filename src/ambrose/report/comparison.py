@@ -45,6 +45,7 @@ def comparison_report(
     comparison: Labelled = (),
     over_speed: Labelled = (),
     facts: Sequence[tuple[str, str]] = (),
+    more: Sequence[Section] = (),
     title: str = "Comparison of controllers",
     date: str = "",
 ) -> Report:
@@ -52,7 +53,8 @@ def comparison_report(
 
     candidates: in the order of the columns, with a name each; their operating points are matched by label. node_positions (n,)
     [m], shapes (n, k), frequencies (k,) [rad/s], models, comparison, facts, date: as for ``verification_report``. over_speed:
-    (candidate or operating point, Curve) pairs of maps over speed, one figure each. Raises InvalidInput for no candidates or
+    (candidate or operating point, Curve) pairs of maps over speed, one figure each; more: sections of other stages, before the
+    machine's. Raises InvalidInput for no candidates or
     names that do not tell them apart.
     """
     points = points_of(machine, candidates)
@@ -77,7 +79,7 @@ def comparison_report(
             "Linear model: valid while currents and displacements stay inside their limits. The panels of a figure share axes."
         )
         sections.append(Section("Time responses", words, responses))
-    sections += _over_speed(over_speed)
+    sections += [*_over_speed(over_speed), *more]
     sections.append(machine_section(machine, node_positions, shapes, frequencies, models))
     sections += _models(comparison)
     sections.append(_details(candidates, points))

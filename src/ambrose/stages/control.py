@@ -15,8 +15,11 @@ from ambrose.synthesis.result import Synthesis
 Progress = Callable[[str], None]
 
 
-def kept_or_designed(plant: Plant, method: str, path: Path, progress: Progress) -> Synthesis:
-    """The controller at ``path`` if it was made for exactly this machine (certified again), else a new one, written there."""
+def kept_or_designed(plant: Plant, method: str, path: Path, progress: Progress, *, delay: float = 0.0) -> Synthesis:
+    """The controller at ``path`` if it was made for exactly this machine (certified again), else a new one, written there.
+
+    delay [s]: of the sampled loop that a new one is designed for.
+    """
     try:
         kept = read_controller(path)
         if kept.certificate and (kept.provenance.machine_hash, kept.method) == (machine_hash(plant.machine), method):
@@ -24,6 +27,6 @@ def kept_or_designed(plant: Plant, method: str, path: Path, progress: Progress) 
             return on_full_plant(plant, old, {})
     except AmbroseError:
         pass  # absent, or not readable any more: designed anew
-    synthesis = design(plant, method, progress=progress)
+    synthesis = design(plant, method, delay=delay, progress=progress)
     write_controller(path, synthesis, plant.machine)
     return synthesis

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.export.files import match_controller
+from ambrose.machine.description import Tolerance
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.stages.plants import plants_along_speed
@@ -33,8 +34,12 @@ def verification(plants: tuple[Plant, ...], controller: Any, progress: Progress)
     return tuple(results)
 
 
-def over_tolerances(plant: Plant, controller: Any, stable: bool, progress: Progress) -> Checks | None:
+def over_tolerances(
+    plant: Plant, controller: Any, stable: bool, progress: Progress, tolerances: Sequence[Tolerance] | None = None
+) -> Checks | None:
     """The checks over the machine's tolerances; None without tolerances, for an unstable loop or a sampled controller.
+
+    tolerances: None: all. Otherwise those, and of all together only the number of unstable corners and samples.
 
     Worst cases are searched on the full model; stability is proved on the reduced one, with one bending mode per plane.
     """
@@ -42,13 +47,14 @@ def over_tolerances(plant: Plant, controller: Any, stable: bool, progress: Progr
         return None
     progress("verifying over all tolerances")
     weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
-    found = robust.check(plant, controller, weights=weights)
+    found = robust.check(plant, controller, tolerances, weights)
     proof = [
         replace(check, detail=f"{check.detail}; on the reduced model with one bending mode per plane")
-        for check in robust.check(reduce(plant, 1), controller).checks
+        for check in robust.check(reduce(plant, 1), controller, tolerances).checks
         if check.name == "robust.stability.proved"
     ]
-    return replace(found, checks=(*found.checks, *proof))
+    every = [] if tolerances is None else [robust.stability(plant, controller)]
+    return replace(found, checks=(*found.checks, *proof, *every))
 
 
 def campbell_map(plant: Plant, controller: Any, progress: Progress) -> tuple[Curve, ...]:

@@ -22,7 +22,7 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis import polish
 from ambrose.synthesis.certify import certify, generalized_certificate
 from ambrose.synthesis.controller_reduction import reduce_controller
-from ambrose.synthesis.design import on_full_plant
+from ambrose.synthesis.design import design_tolerances, on_full_plant
 from ambrose.synthesis.latency import late, loop_delay
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.result import Synthesis
@@ -119,7 +119,9 @@ def lowered(
     """
     weights = scale_control(machine_weights(plant.machine), result.certificate.margins.get("control_weight_factor", 1.0))
     delay = loop_delay(sample_time, computing_samples)
-    problem = design_plant(late(open_model(reduce(plant, bending_modes), None, True), delay), weights)
+    problem = design_plant(
+        late(open_model(reduce(plant, bending_modes), design_tolerances(plant.machine), True), delay), weights
+    )
     measure = sampled_sensitivity(reduce(plant, bending_modes + 1), sample_time, computing_samples)
     found = lower(problem, result.controller, measure, loss, progress=progress)
     before, after = result.controller.n_states, found.controller.n_states
@@ -136,12 +138,12 @@ def lowered(
 
 
 def sampled_sensitivity(plant: Plant, sample_time: float, computing_samples: int = 1) -> Measure:
-    """A measure: the largest sigma_max(S_o) of the sampled loop over the machine's tolerances, at corners or five levels.
+    """A measure: the largest sigma_max(S_o) of the sampled loop over the design's tolerances, at corners or five levels.
 
     plant: reduced, its bending modes kept so that spillover counts. sample_time [s]; the controller is sampled by Tustin's map
     and acts ``computing_samples`` later. Raises InvalidInput for a machine without tolerances.
     """
-    names = [tolerance.parameter for tolerance in plant.machine.tolerances]
+    names = [tolerance.parameter for tolerance in design_tolerances(plant.machine)]
     if not names:
         raise invalid("the machine's tolerances", "none", "at least one", "add a [[tolerance]]")
     points = _points(len(names))

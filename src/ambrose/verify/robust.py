@@ -18,12 +18,13 @@ the full one: the proof needs the reduced one (it solves eigenproblems of twice 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.box import BoxLoop, box_loop, corners, default_grid, gains, samples, unstable_poles
+from ambrose.core.box import BoxLoop, Sweep, box_loop, corners, default_grid, gains, samples, unstable_poles
 from ambrose.core.box import sweep as box_sweep
 from ambrose.core.box_search import BoxGain, BoxMargin, box_margin, gain_bound, peak_at, proved_margin, worst_gain
 from ambrose.core.checks import check_shape, invalid
@@ -99,6 +100,17 @@ def check(
     return Checks(label, True, tuple(checks), tuple(curves), tuple(notes))
 
 
+def stability(plant: Plant | GeneralizedPlant, controller: Any, tolerances: Sequence[Tolerance] | None = None) -> Check:
+    """How many corners and samples of the whole box are unstable: the quick verdict where parameters are many.
+
+    Arguments as for ``check``. Raises InvalidInput, and UnstableSystem for a loop that is unstable at its centre.
+    """
+    output, _, _ = box_loops(plant, controller, tolerances)
+    found = _corner_check(output, box_sweep(output))
+    names = f"all {output.parameters} tolerances"
+    return replace(found, name="robust.stability.all", title=f"Unstable points over {names}")
+
+
 def _label(plant: Plant | GeneralizedPlant) -> str:
     if not isinstance(plant, Plant):
         return f"{plant.system.n_states} states"
@@ -158,15 +170,7 @@ def _named(loop: BoxLoop, delta: np.ndarray) -> str:
 def _stability(loop: BoxLoop, tell: Progress) -> tuple[list[Check], list[str]]:
     around = box_sweep(loop)
     tell("stability over the box", 0.1)
-    points = np.vstack([corners(loop.parameters), samples(loop.parameters)])
-    unstable = unstable_poles(loop, points, around) > 0
-    where = f"; for one, {_named(loop, points[np.argmax(unstable)])}" if unstable.any() else ""
-    checks = [
-        judge(
-            "robust.stability.box", "Unstable points of the tolerance box", int(unstable.sum()), "-",
-            Demand(0.0, "<=", "every tolerance"), f"{len(points)} corners and samples{where}",
-        )
-    ]  # fmt: skip
+    checks = [_corner_check(loop, around)]
     tell("stability margin", 0.2)
     margin = box_margin(loop, around)
     checks.append(_margin_check(loop, margin))
@@ -181,6 +185,16 @@ def _stability(loop: BoxLoop, tell: Progress) -> tuple[list[Check], list[str]]:
         information("robust.stability.proved", "Tolerances times this are proved stable", proved, "-", f"{verdict}; mixed mu")
     )
     return checks, []
+
+
+def _corner_check(loop: BoxLoop, around: Sweep) -> Check:
+    points = np.vstack([corners(loop.parameters), samples(loop.parameters)])
+    unstable = unstable_poles(loop, points, around) > 0
+    where = f"; for one, {_named(loop, points[np.argmax(unstable)])}" if unstable.any() else ""
+    return judge(
+        "robust.stability.box", "Unstable points of the tolerance box", int(unstable.sum()), "-",
+        Demand(0.0, "<=", "every tolerance"), f"{len(points)} corners and samples{where}",
+    )  # fmt: skip
 
 
 def _margin_check(loop: BoxLoop, margin: BoxMargin) -> Check:

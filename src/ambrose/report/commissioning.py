@@ -1,0 +1,79 @@
+"""The commissioning in the comparison's page: what was identified, what runs as code, and how it does on the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ambrose.identify.checked import CheckedIdentification
+from ambrose.report import tables, units
+from ambrose.report.candidate import Candidate
+from ambrose.report.document import Cell, Figure, Section, Table
+from ambrose.report.identification_figures import change_figure
+from ambrose.report.identification_tables import findings_table, parameters_table
+from ambrose.simulate.trace import Trace
+
+_WORDS = (
+    "The virtual rig stands for the machine on site. A record taken under the reference controller identifies the machine "
+    "file's uncertain entries; a robust controller is designed for what was found and for the delay of its sampled loop, "
+    "exported as C, and the compiled code is run on the rig. Full identification: commissioned/identified.html."
+)
+_CHANGE = (
+    "How far the record moved every parameter from the machine file. The negative stiffness differs most: the rotor's weight "
+    "loads the magnets, and the file states them unloaded."
+)
+
+
+def commissioning_section(
+    checked: CheckedIdentification,
+    reference: Candidate,
+    commissioned: Candidate,
+    points: Sequence[str],
+    deployed: Sequence[tuple[str, str]],
+) -> Section:
+    """points: labels of the operating points in order; deployed: (what, words) about the sampled controller and its code."""
+    found = [
+        _rig_table(reference, commissioned, points),
+        tables.named_table("The code", deployed, ("What", "")),
+        _verdict(checked),
+    ]
+    found.append(parameters_table(checked.result))
+    if checked.findings or len(checked.result.warnings) > 1:
+        found.append(
+            findings_table(checked.findings, [text for text in checked.result.warnings if text != checked.result.verdict])
+        )
+    figures = (Figure("What the record changed", change_figure(checked.result), _CHANGE),)
+    return Section("Commissioned on the rig", _WORDS, figures, tuple(found), True)
+
+
+def _verdict(checked: CheckedIdentification) -> Table:
+    mark = "pass" if all(test.passed for test in checked.result.tests) else "fail"
+    fits = [percent for _, _, percent in checked.result.fit]
+    rows = ((Cell(checked.result.verdict, mark), Cell(f"{min(fits):.1f} to {max(fits):.1f} %", "number")),)
+    return Table("The identification", ("Residual tests", "Fit of the displacements"), rows)
+
+
+def _rig_table(reference: Candidate, commissioned: Candidate, points: Sequence[str]) -> Table:
+    rows: list[tuple[str | Cell, ...]] = []
+    for point in points:
+        pair = [_on_the_rig(candidate, point) for candidate in (reference, commissioned)]
+        if any(trace is not None for trace in pair):
+            rows.append((point, *(cell for trace in pair for cell in _outcome(trace))))
+    columns = ("Operating point", "Outcome", "Largest displacement", "Outcome", "Largest displacement")
+    groups = (("", 1), (f"{reference.name}, in Python", 2), (f"{commissioned.name}, compiled C code", 2))
+    scenarios = dict.fromkeys(
+        trace.scenario for _, trace in commissioned.traces if "rig" in trace.scenario
+    )  # the same for both
+    return Table(f"On the nonlinear rig: {', '.join(scenarios)}", columns, tuple(rows), groups=groups)
+
+
+def _on_the_rig(candidate: Candidate, point: str) -> Trace | None:
+    return next((trace for label, trace in candidate.traces if label == point and "rig" in trace.scenario), None)
+
+
+def _outcome(trace: Trace | None) -> tuple[Cell, Cell]:
+    if trace is None:
+        return Cell("not run", "none"), Cell("")
+    largest = units.quantity(float(np.abs(trace.record.values).max()), "m")
+    return Cell(trace.text, "pass" if trace.outcome == "completed" else "fail"), Cell(largest, "number")

@@ -1,0 +1,161 @@
+"""Stage: commissioning as on site, with the nonlinear virtual rig in place of the machine.
+
+Record under the reference controller -> identified machine -> robust controller for it and for the delay of its sampled loop ->
+C code, verified as it will run -> the compiled code on the rig at every operating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ambrose.core.checks import InvalidInput
+from ambrose.export.compiled import CompiledBlock, has_compiler
+from ambrose.export.control_block import control_block
+from ambrose.export.controller_code import write_code
+from ambrose.export.deliver import SAMPLE_TIME, limits, provenance
+from ambrose.export.files import read_controller
+from ambrose.export.sampling import Deployment, deploy
+from ambrose.identify.checked import CheckedIdentification, checked_identification, usual_unknowns
+from ambrose.identify.checked import provenance as origin_of
+from ambrose.identify.identified import identified_machine
+from ambrose.identify.unknowns import expand
+from ambrose.machine.config import dumps_machine
+from ambrose.machine.description import Machine
+from ambrose.machine.writing import write_text
+from ambrose.plant.model import Plant
+from ambrose.report.candidate import Candidate
+from ambrose.simulate import virtual_rig
+from ambrose.simulate.scenario import load_scenario
+from ambrose.simulate.trace import Trace
+from ambrose.stages.control import kept_or_designed
+from ambrose.stages.plants import full_plants
+from ambrose.stages.proof import over_tolerances, verification
+from ambrose.stages.trial import SCENARIOS, experiment, simulation
+from ambrose.synthesis.design import design_tolerances
+from ambrose.synthesis.latency import loop_delay
+from ambrose.synthesis.result import Synthesis
+
+NAME = "mu, commissioned"
+METHOD = "polish"
+EXCITATION = "prbs"
+_RECORDED = 2.0  # s
+_COMPUTING = 1  # sample
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commissioning:
+    """checked: the identification; machine: as identified; candidate: the controller, verified on the identified machine, its
+    rig traces from the C code; deployment: the sampled loop; files: the code; from_code: whether it was compiled here."""
+
+    checked: CheckedIdentification
+    machine: Machine
+    candidate: Candidate
+    deployment: Deployment
+    files: tuple[Path, ...]
+    from_code: bool
+
+    @property
+    def in_words(self) -> tuple[tuple[str, str], ...]:
+        """(what, words) about the sampled controller and its code."""
+        deployed, box = self.deployment, self.deployment.box
+        rate = 1 / (deployed.controller.dt or SAMPLE_TIME)
+        rows = [
+            ("Controller", f"{deployed.controller.n_states} states, {rate:g} Hz, {deployed.delay} sample of computing delay"),
+            ("Runs on the rig as", "the compiled C code" if self.from_code else "its law in Python: no C compiler here"),
+            ("Files", ", ".join(path.name for path in self.files)),
+        ]
+        if box is not None:
+            worst, unstable = box["sampled.sensitivity.box"], box["sampled.stability.box"]
+            rows.insert(1, ("Sampled loop", f"{unstable.value:.0f} unstable of {unstable.detail}"))
+            rows.insert(2, ("Worst sampled sensitivity", f"{worst.value:.3g} at {worst.detail}"))
+        return tuple(rows)
+
+
+def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path, progress: Progress) -> Commissioning:
+    """Everything under ``directory``: record.h5, identified.toml, identified.html, controller.json and the code.
+
+    plants: of the machine that stands for the real one, the nominal first; reference: the controller that holds it. Raises
+    InvalidInput where the reference controller does not hold the nominal plant or the machine lacks what a robust design needs,
+    and what the stages raise.
+    """
+    if reference.status != "verified":
+        raise InvalidInput("the reference controller does not hold the nominal plant, so there is nothing to record")
+    directory.mkdir(parents=True, exist_ok=True)
+    record = recorded(plants[0], reference.controller, directory / "record.h5", progress)
+    checked, machine = identified(plants[0].machine, record, reference.controller, directory, progress)
+    known = full_plants(machine)
+    delay = loop_delay(_sample_time(machine), _COMPUTING)
+    progress("controller for the identified machine and its sampled loop")
+    synthesis = kept_or_designed(known[0], METHOD, directory / "controller.json", progress, delay=delay)
+    deployment, program, files = coded(known, directory, progress)
+    candidate = examined(plants, known, synthesis, program, progress)
+    return Commissioning(checked, machine, candidate, deployment, files, isinstance(program, CompiledBlock))
+
+
+def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> Any:
+    """Two seconds of the rig at an operating point, a binary sequence added to every current."""
+    progress(f"recording {_RECORDED:g} s on the virtual rig at {plant.point.label}")
+    scenario = replace(load_scenario(EXCITATION), duration=_RECORDED)
+    trace = virtual_rig.run(plant.machine, controller, scenario, point=plant.point, path=path)
+    if trace.outcome != "completed":
+        raise InvalidInput(f"no record to identify from: {trace.text}")
+    return trace.record
+
+
+def identified(
+    machine: Machine, record: Any, controller: Any, directory: Path, progress: Progress
+) -> tuple[CheckedIdentification, Machine]:
+    """The identification, and the machine with what was found; leaves identified.toml and identified.html."""
+    from ambrose.report.document import write
+    from ambrose.report.identification import identification_report
+
+    paths = expand(machine, usual_unknowns(machine, [record]))
+    checked = checked_identification(machine, [record], controller, paths, progress=progress)
+    origin, comment = origin_of(checked, ["record.h5"], "the reference controller")
+    found = identified_machine(machine, checked.result, origin=origin, keep_wider=True)
+    write_text(directory / "identified.toml", comment + dumps_machine(found), "machine file")
+    page = identification_report(machine, checked, sources=["record.h5"], controller="the reference controller")
+    write(page, directory / "identified.html")
+    return checked, found
+
+
+def coded(
+    plants: tuple[Plant, ...], directory: Path, progress: Progress
+) -> tuple[Deployment, CompiledBlock | Any, tuple[Path, ...]]:
+    """Sampled, verified as it will run, written as C and, where there is a compiler, running; else its law in Python."""
+    machine = plants[0].machine
+    file, dt = read_controller(directory / "controller.json"), _sample_time(machine)
+    narrow = tuple(replace(plant, machine=replace(machine, tolerances=design_tolerances(machine))) for plant in plants)
+    deployment = deploy(file, dt, _COMPUTING * dt, plants=narrow, progress=progress)
+    errors, currents = limits(machine)
+    if errors is None or currents is None:
+        raise InvalidInput(f"machine {machine.name!r} states no gap or max_current of a bearing; the code needs both as limits")
+    block = control_block(deployment, "controller", errors, currents)
+    progress("writing the C code")
+    files = tuple(write_code(directory / "code", block, "double", provenance(file, machine, deployment)))
+    return deployment, CompiledBlock(block) if has_compiler() else block.system, files
+
+
+def examined(
+    plants: tuple[Plant, ...], known: tuple[Plant, ...], synthesis: Synthesis, program: Any, progress: Progress
+) -> Candidate:
+    """Verified on the identified machine ``known``; the program runs the rig, which is the machine of ``plants``."""
+    checks = verification(known, synthesis.controller, progress)
+    wide = design_tolerances(known[0].machine)
+    over_box = over_tolerances(known[0], synthesis.controller, checks[0].stable, progress, wide)
+    traces: list[tuple[str, Trace]] = []
+    for plant, model in zip(plants, known, strict=True):
+        label = plant.point.label
+        traces += [(label, simulation(model, synthesis.controller, name)) for name in SCENARIOS]
+        progress(f"the C code on the virtual rig at {label}")
+        traces.append((label, experiment(plant, program, SCENARIOS[-1])))
+    return Candidate(NAME, synthesis, checks, over_box, tuple(traces))
+
+
+def _sample_time(machine: Machine) -> float:
+    settings = machine.controller
+    return settings.sample_time if settings is not None and settings.sample_time is not None else SAMPLE_TIME
