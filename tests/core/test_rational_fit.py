@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.rational_fit import fit_rational
+from ambrose.core.rational_fit import fit_on_poles, fit_rational
 
 OMEGA = np.geomspace(1.0, 1000.0, 60)
 
@@ -79,6 +79,21 @@ def test_weights_decide_where_it_fits():
     low = OMEGA < 30
     plain, weighted = (fit_rational(OMEGA, H, 2, weight=w).response(OMEGA)[0] for w in (None, np.where(low, 100.0, 1.0)))
     assert np.abs(weighted - H)[low].max() < 0.3 * np.abs(plain - H)[low].max()
+
+
+def test_given_poles_are_kept_and_the_rest_is_the_best_on_them():
+    """On the poles of a fit the fit comes back; on others' the error is that of linear least squares, larger."""
+    H = np.array([1 / (1 + 1j * OMEGA / 20) + 3, 5 / (4 + 1j * OMEGA)])
+    fit = fit_rational(OMEGA, H, 2)
+    again = fit_on_poles(OMEGA, H, fit.poles)
+    np.testing.assert_allclose(again.response(OMEGA), fit.response(OMEGA), rtol=1e-9)
+    other = fit_on_poles(OMEGA, H, [-7.0, -50.0])
+    assert other.poles.tolist() == [-7.0, -50.0]
+    assert other.error.max() > 1e3 * again.error.max()
+    basis = np.column_stack([1 / (1j * OMEGA + 7), 1 / (1j * OMEGA + 50), np.ones_like(OMEGA)])
+    rows, right = np.vstack([basis.real, basis.imag]), np.concatenate([H[0].real, H[0].imag])
+    best = basis @ np.linalg.lstsq(rows, right, rcond=None)[0]
+    np.testing.assert_allclose(other.response(OMEGA)[0], best, rtol=1e-8)
 
 
 @pytest.mark.parametrize(
