@@ -40,7 +40,11 @@ _IMPLIED = {"stability.abscissa", "robust.stability.box", "robust.performance"} 
 def result(candidates: Sequence[Candidate]) -> Verdict:
     """How it all turned out: "1 of 3 controllers passes every check: mu"."""
     good = [candidate.name for candidate in candidates if candidate.passed]
-    count = f"{len(good)} of {len(candidates)} controllers passes every check" if good else "no controller passes every check"
+    count = (
+        f"{len(good)} of {len(candidates)} controllers {'passes' if len(good) == 1 else 'pass'} every check"
+        if good
+        else "no controller passes every check"
+    )
     return Verdict("", bool(good), count + (f": {', '.join(good)}" if good else ""))
 
 

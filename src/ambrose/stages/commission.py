@@ -38,7 +38,7 @@ from ambrose.synthesis.design import design_tolerances
 from ambrose.synthesis.latency import loop_delay
 from ambrose.synthesis.result import Synthesis
 
-NAME = "mu, commissioned"
+NAME = "commissioned"
 METHOD = "polish"
 EXCITATION = "prbs"
 _RECORDED = 2.0  # s
