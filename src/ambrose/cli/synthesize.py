@@ -14,7 +14,7 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_s
 
 @click.command()
 @MACHINE
-@click.option("--method", type=click.Choice(["pid", "hinf", "mu", "polish"]), default="pid", show_default=True)
+@click.option("--method", type=click.Choice(["pid", "hinf", "mu", "polish", "lpv"]), default="pid", show_default=True)
 @click.option("--bending-modes", type=int, default=0, show_default=True, help="Bending modes per plane in the design model.")
 @click.option(
     "--match-reference/--own-gain",
@@ -31,6 +31,13 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_s
     default=None,
     help="With --rate-hz: lower the order until the worst sensitivity rises by so many percent.",
 )
+@click.option(
+    "--speeds-hz",
+    type=float,
+    nargs=2,
+    default=None,
+    help="With --method lpv: lowest and highest speed; default: those of the operating points at the same seal pressure.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("controller.json"), show_default=True)
 @AS_JSON
 def synthesize(
@@ -43,6 +50,7 @@ def synthesize(
     rate_hz: float | None,
     delay_samples: int,
     loss: float | None,
+    speeds_hz: tuple[float, float] | None,
     output: Path,
     as_json: bool,
 ) -> None:
@@ -56,6 +64,7 @@ def synthesize(
     from ambrose.synthesis.lowering import lowered
 
     description = load(machine)
+    hertz = 6.283185307179586  # rad/s
     if loss is not None and rate_hz is None:
         raise invalid("--rate-hz", "not given", "given with --loss", "say at which rate the controller will run")
     sample = None if rate_hz is None else 1 / check_positive(rate_hz, "--rate-hz", "10000 is usual")
@@ -71,6 +80,7 @@ def synthesize(
             match_reference=match_reference,
             order=order,
             delay=delay,
+            speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
             progress=progress,
         )
         if loss is not None and sample is not None:

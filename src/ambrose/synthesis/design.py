@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from ambrose.core.checks import invalid
 from ambrose.machine.description import Machine, Tolerance
 from ambrose.plant.model import Plant
@@ -12,7 +14,7 @@ from ambrose.plant.reduce import reduce
 from ambrose.synthesis import hinf, mu, pid, polish
 from ambrose.synthesis.certify import certify
 from ambrose.synthesis.latency import late
-from ambrose.synthesis.lpv_machine import design_over_speed
+from ambrose.synthesis.lpv_machine import POINTS, design_over_speed
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.tuning import direct_gain_mismatch, tune_control_weight
@@ -44,14 +46,15 @@ def design(
     match_reference: bool | None = None,
     order: int | None = None,
     delay: float = 0.0,
+    speeds: tuple[float, float] | None = None,
     progress: Progress = lambda text: None,
 ) -> Synthesis:
     """One controller for a full plant.
 
     method: "pid" (the machine's reference controller), "hinf" (H-infinity for the nominal plant), "mu" (D-K iteration over the
     machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case), "lpv" (scheduled over
-    the speeds of the operating points with the plant's seal pressure; more choices: ``lpv_machine``). bending_modes: how many
-    the design model keeps per plane. match_reference: scale the control weight until the direct gains below 200 Hz match the
+    ``speeds``, lowest and highest [rad/s]; None: those of the operating points with the plant's seal pressure).
+    bending_modes: how many the design model keeps per plane. match_reference: scale the control weight until the direct gains below 200 Hz match the
     reference controller's, so that controllers are comparable (P5); default: where the machine has a reference controller and
     a constant control weight. order: states of the polished controller. delay [s]: of the sampled loop it is for
     (``latency.loop_delay``), inside the design model; certified without it, as ``export.sampling`` verifies the sampled loop.
@@ -63,12 +66,15 @@ def design(
         raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", "choose one of them")
     if order is not None and method != "polish":
         raise invalid("order", order, f"None for method {method!r}", "only method 'polish' can choose it")
+    if speeds is not None and method != "lpv":
+        raise invalid("speeds", speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
     if method == "pid":
         return pid.synthesize(plant)
     if method == "lpv":
         if delay:
             raise invalid("delay", delay, "0 for method 'lpv'", "choose another method, or sample it much faster")
-        return design_over_speed(plant, bending_modes=bending_modes, progress=progress)
+        grid = None if speeds is None else np.linspace(*speeds, POINTS)
+        return design_over_speed(plant, grid, bending_modes=bending_modes, progress=progress)
     machine, weights = plant.machine, machine_weights(plant.machine)
     uncertain = method in {"mu", "polish"}
     small = reduce(plant, bending_modes)
