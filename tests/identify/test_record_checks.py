@@ -360,6 +360,12 @@ def test_saturated_currents_of_the_rig_and_touchdown():
     assert any("y_B_eta reaches the touchdown bearing" in item.what for item in findings(deep))
 
 
+def test_a_record_given_twice():
+    machine, _, controller = setting()
+    found = diagnose_records(machine, [synthetic(), replace(synthetic())], controller)
+    assert "record 2 is record 1 once more" in only(found, "error", "once more").what
+
+
 def test_a_dead_channel():
     dead = with_values(synthetic(), "y_B_eta", lambda x: 0 * x + 1e-6)
     assert "all 12000 samples are 1e-06" in only(findings(dead), "error", "y_B_eta never changes").evidence

@@ -57,11 +57,12 @@ def diagnose_records(
     """What is wrong or doubtful about these records, errors first; () where nothing is. Arguments as ``identify``.
 
     Looks for: no excitation; dead, clipped, saturated, held, repeated and missing samples; swapped and inverted channels; a
-    wrong sample rate; another controller, delay or channel skew; an excitation that the machine does not follow. Records that
-    do not belong together or to the machine are left to ``identify``, which refuses them.
+    wrong sample rate; a record given twice; another controller, delay or channel skew; an excitation that the machine does not
+    follow. Records that do not belong together or to the machine are left to ``identify``, which refuses them.
     """
     records = (records,) if isinstance(records, Record) else tuple(records)
     findings = [finding for n, record in enumerate(records, 1) for finding in signal_findings(machine, record, n)]
+    findings += _twice(records)
     broken = any(finding.severity == ERROR for finding in findings)
     alike = len({(record.machine, record.sample_rate_hz) for record in records}) == 1 and records[0].machine == machine.name
     if alike and not any("no excitation" in finding.what or "never changes" in finding.what for finding in findings):
@@ -70,6 +71,23 @@ def diagnose_records(
             begin = _start_at(machine, records, records[chosen[0]], start or {})
             findings += _loop_findings(machine, records, chosen, controller, begin, bending_modes, delay, broken)
     return _sorted(findings)
+
+
+def _twice(records: Sequence[Record]) -> list[RecordFinding]:
+    """Records that hold the same samples: they add nothing, and make every interval too narrow."""
+    findings = []
+    for n, record in enumerate(records):
+        for other in range(n):
+            if record.signals == records[other].signals and np.array_equal(record.values, records[other].values):
+                findings.append(
+                    RecordFinding(
+                        ERROR,
+                        f"record {n + 1} is record {other + 1} once more",
+                        f"all {record.values.size} numbers are the same",
+                        "give every record once; repeats are measured anew",
+                    )
+                )
+    return findings
 
 
 def _by_point(records: Sequence[Record]) -> list[list[int]]:

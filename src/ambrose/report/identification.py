@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.identify.checked import CheckedIdentification
-from ambrose.identify.record_finding import ERROR
 from ambrose.identify.seal_result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.description import Machine
 from ambrose.report import units
@@ -139,11 +138,10 @@ def _verdicts(checked: CheckedIdentification) -> tuple[Verdict, ...]:
         ),
     ]  # fmt: skip
     doubts = [text for text in result.warnings if text != result.verdict]
-    errors = sum(finding.severity == ERROR for finding in checked.findings)
     count = len(checked.findings) + len(doubts)
     text = "nothing found: channels, signs, rate, controller, timing and limits are as stated"
     if count:
-        text = f"{count} finding{'s' if count > 1 else ''}, {errors} of them serious; see below"
+        text = f"{count} finding{'s' if count > 1 else ''}; see below"
     verdicts.append(Verdict("Records", count == 0, text))
     return tuple(verdicts)
 
@@ -158,7 +156,7 @@ def _facts(checked: CheckedIdentification, sources: Sequence[str], controller: s
         f"{units.number(piece.record.values.shape[1] / piece.record.sample_rate_hz, 4)} s" for piece in checked.pieces
     ]  # fmt: skip
     rate = units.number(checked.pieces[0].record.sample_rate_hz, 6)
-    delay = checked.computing_delay
+    delay, modes = checked.computing_delay, checked.bending_modes
     known = [
         ("Records", f"{', '.join(sources) or len(spans)} ({', '.join(spans)} at {rate} Hz)"),
         ("Controller", controller),
@@ -167,7 +165,7 @@ def _facts(checked: CheckedIdentification, sources: Sequence[str], controller: s
         ("Speed", f"{units.number(result.point.speed * units.RPM, 4)} rpm"),
         (
             "Model",
-            f"{checked.bending_modes} bending modes per plane, computing delay {delay} sample{'' if delay == 1 else 's'}",
+            f"{modes} bending mode{'s' * (modes != 1)} per plane, computing delay {delay:g} sample{'s' * (delay != 1)}",
         ),
     ]
     return tuple((name, text) for name, text in known if text)
