@@ -5,6 +5,7 @@
 
 import importlib.util
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,6 +14,8 @@ import pytest
 
 from ambrose.core.statespace import poles, spectral_abscissa
 from ambrose.plant.loop import closed_loop
+from ambrose.simulate import virtual_rig
+from ambrose.simulate.scenario import Pulse, Scenario
 
 pytestmark = pytest.mark.literature
 FILE = Path(__file__).parents[2] / "benchmarks" / "campaign_p3.py"
@@ -108,6 +111,20 @@ def test_P3_6_currents_and_settling(families):
         assert family.settling(0.02, places)[0] <= 20.05e-3
         assert family.settling(0.05, places).max() < 20e-3
         assert family.settling(0.02, places).max() < 23e-3
+
+
+def test_P3_4_and_P3_6_on_the_nonlinear_rig(found):
+    """The mu controller sampled at 10 kHz with one sample of delay, seal as constants and with states; H-infinity cannot."""
+    point = found.full.point
+    seal = replace(found.machine.seals[0], frequency_dependence="states")
+    scenario = Scenario("P3.4", 0.06, pulses=(Pulse("f_A_zeta", 100.0, 5e-3, 2e-3),))
+    for machine in (found.machine, replace(found.machine, seals=(seal,))):
+        trace = virtual_rig.run(machine, found.mu, scenario, point=point)
+        assert trace.outcome == "completed" and trace.stable
+        assert 8e-6 < np.abs(trace.record["y_A_zeta"]).max() < 12e-6
+        assert 0.2e-6 < np.abs(trace.record["y_A_eta"]).max() < 1.5e-6
+        assert np.abs(trace.record["i_A_zeta"]).max() < 1.1
+    assert not virtual_rig.run(machine, found.hinf, scenario, point=point).stable
 
 
 def test_mu_with_eight_real_parameters_is_fast(found):

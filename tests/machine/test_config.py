@@ -285,7 +285,27 @@ def bearings(draw, name, place):
 
 
 @st.composite
+def gas_seals(draw):
+    diameter, share = draw(positive), st.floats(0, 1)
+    clearance = st.floats(0.001, 0.04).map(lambda part: part * diameter)
+    one = {draw(st.sampled_from(["exit_pressure", "inlet_pressure"])): draw(positive)}
+    wall = st.tuples(positive, st.floats(-1, 1))
+    return d.GasSealGeometry(
+        draw(positive), diameter, draw(clearance), draw(clearance), draw(positive), **one, hole_depth=draw(share),
+        hole_area_ratio=draw(share), stator_friction=draw(wall), rotor_friction=draw(wall), inlet_loss=draw(share),
+        exit_recovery=draw(share), preswirl=draw(st.floats(-2, 2)), speed=draw(st.none() | positive),
+        max_frequency=draw(positive), gas_constant=draw(positive), viscosity=draw(st.none() | positive),
+    )  # fmt: skip
+
+
+@st.composite
 def seals(draw, name, place):
+    if draw(st.booleans()):
+        mode, poles = draw(st.sampled_from(d.FREQUENCY_DEPENDENCE)), draw(st.integers(1, 12))
+        return d.Seal(
+            name, draw(place), M=draw(signed), reference_pressure=draw(positive), geometry=draw(gas_seals()),
+            frequency_dependence=mode, poles=poles,
+        )  # fmt: skip
     axes = draw(st.lists(st.sampled_from(d.SEAL_AXES), max_size=3, unique=True))
     names = draw(st.lists(st.sampled_from(d.SEAL_COEFFICIENTS), min_size=1, unique=True)) if axes else []
     table = None
