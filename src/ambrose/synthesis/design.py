@@ -54,10 +54,11 @@ def design(
     method: "pid" (the machine's reference controller), "hinf" (H-infinity for the nominal plant), "mu" (D-K iteration over the
     machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case), "lpv" (scheduled over
     ``speeds``, lowest and highest [rad/s]; None: those of the operating points with the plant's seal pressure).
-    bending_modes: how many the design model keeps per plane. match_reference: scale the control weight until the direct gains below 200 Hz match the
-    reference controller's, so that controllers are comparable (P5); default: where the machine has a reference controller and
-    a constant control weight. order: states of the polished controller. delay [s]: of the sampled loop it is for
-    (``latency.loop_delay``), inside the design model; certified without it, as ``export.sampling`` verifies the sampled loop.
+    bending_modes: how many the design model keeps per plane. match_reference: scale the control weight until the direct gains
+    below 200 Hz match the reference controller's, so that controllers are comparable (P5); default: where the machine has a
+    reference controller and a constant control weight. order: states of the polished controller. delay [s]: of the sampled loop
+    it is for (``latency.loop_delay``), inside the design model; certified without it, as ``export.sampling`` verifies the
+    sampled loop.
     The certificate's margins gain "full_spectral_abscissa" and "full_sensitivity_peak", recomputed on ``plant``; a controller
     that does not hold it has the status "unstable". Raises InvalidInput for an unknown method or a machine file that lacks
     what the method needs.
