@@ -166,6 +166,8 @@ def stations_table(machine: Machine) -> Table:
         words = [f"{name} {units.quantity(value, unit)}" for name, value, unit in values if value]
         words += [] if seal.reference_pressure is None else [f"at {units.quantity(seal.reference_pressure, 'Pa')}"]
         words += [] if seal.table is None else ["coefficients from a table"]
+        words += [] if seal.geometry is None else ["coefficients from its geometry"]
+        words += [] if seal.frequency_dependence == "synchronous" else [f"frequency dependence with {seal.poles} poles"]
         rows.append((seal.position, _titled("seal", seal.name), ", ".join(words) or "no coefficients"))
     for coupling in machine.couplings:
         words = _pair_of("stiffness", coupling.stiffness, "N/m")
