@@ -34,7 +34,7 @@ def run_block(
     e, good = _inputs(errors, valid, block)
     with np.errstate(invalid="ignore"):
         good &= np.abs(e) <= block.error_limit
-    e, status = _held(e, good, block.hold_samples)
+    e, status = held(e, good, block.hold_samples)
     x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
     carry, largest = np.zeros_like(x), np.abs(x)
     w = block.winding
@@ -65,7 +65,7 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
     e = given.astype(np.int64)
     one = 1 << s
     good &= (e >= -one) & (e <= one)
-    e, status = _held(e, good, block.hold_samples)
+    e, status = held(e, good, block.hold_samples)
     n = block.n_states
     X, largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
     edge = 1 << fixed.state_bits
@@ -108,7 +108,7 @@ def _inputs(errors: ArrayLike, valid: ArrayLike | None, block: ControlBlock) -> 
     return e, check_shape(valid, "valid", "(k, m)", k=len(e), m=e.shape[1]) != 0
 
 
-def _held(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
+def held(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
     """Bad samples replaced by the channel's last good one (zero before the first), and the status (k,) without limiting."""
     row = np.arange(len(e))[:, None]
     last = np.maximum.accumulate(np.where(good, row, -1), axis=0)

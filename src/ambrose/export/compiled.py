@@ -10,6 +10,7 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ class CompiledBlock:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
         self.block, self.arithmetic, self.status = block, arithmetic, 0
         self._words = _Words.of(block, arithmetic)
-        self._library = _library(block, arithmetic, compiler)
+        self._library = library(block.name, generate(block, arithmetic), compiler)
         size = self._library[f"{block.name}_size"]
         size.restype = ctypes.c_size_t
         self._memory = ctypes.create_string_buffer(size())
@@ -170,18 +171,18 @@ def has_compiler() -> bool:
     return any(shutil.which(name) for name in COMPILERS)
 
 
-def _library(block: ControlBlock, arithmetic: Arithmetic, compiler: str | None) -> Any:
+def library(block: str, files: Mapping[str, str], compiler: str | None) -> Any:
+    """The generated ``files`` of a block by this name, compiled and loaded. Raises InvalidInput."""
     found = compiler or next((name for name in COMPILERS if shutil.which(name)), None)
     if found is None or shutil.which(found) is None:
         wanted = compiler or " or ".join(COMPILERS)
         raise InvalidInput(f"there is no C compiler {wanted} on this computer; install one to run the C code here")
-    files = generate(block, arithmetic)
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        for name, text in {**files, "size.c": _SIZE.format(name=block.name)}.items():
+        for name, text in {**files, "size.c": _SIZE.format(name=block)}.items():
             (place / name).write_text(text)
         target = place / "block.so"
-        sources = [str(place / f"{block.name}.c"), str(place / "size.c")]
+        sources = [str(place / f"{block}.c"), str(place / "size.c")]
         done = subprocess.run(
             [found, *_FLAGS, *sources, "-o", str(target)], capture_output=True, text=True, check=False, timeout=_TIME_LIMIT
         )

@@ -108,7 +108,7 @@ def _facts(block: ControlBlock, fixed: FixedBlock | None, arithmetic: str, prove
         "ni": len(block.inputs), "no": len(block.outputs), "nx": block.n_states, "winding": block.winding,
         "low": low, "padded": block.n_states + low + high,
         "sample_time": f"{block.sample_time:.9g}", "rate": f"{1 / block.sample_time:.9g}",
-        "delay": block.delay, "delay_text": _delay_text(block), "hold": block.hold_samples,
+        "delay": block.delay, "delay_text": delay_text(block.delay), "hold": block.hold_samples,
         "windup": f"{block.windup_time:g} s",
         "error_unit": part["inputs"], "current_unit": part["outputs"],
         "inputs": signals(block.inputs, block.error_limit, "m"),
@@ -120,10 +120,11 @@ def _facts(block: ControlBlock, fixed: FixedBlock | None, arithmetic: str, prove
     }  # fmt: skip
 
 
-def _delay_text(block: ControlBlock) -> str:
-    if block.delay == 0:
+def delay_text(delay: int) -> str:
+    """What the design assumes of the time from errors to currents, delay [samples]."""
+    if delay == 0:
         return "The design assumes that the currents are set at once: within a small part of the sample."
-    count = "1 sample" if block.delay == 1 else f"{block.delay} samples"
+    count = "1 sample" if delay == 1 else f"{delay} samples"
     return f"The design assumes that the currents are set {count} after the errors were measured, and held."
 
 
@@ -135,7 +136,7 @@ def _reach(block: ControlBlock) -> tuple[int, int]:
 
 def _floating_tables(block: ControlBlock, arithmetic: str) -> dict[str, Any]:
     def table(x: np.ndarray) -> str:
-        return _array(x, lambda v: _literal(float(v), arithmetic))
+        return array(x, lambda v: literal(float(v), arithmetic))
 
     return {
         **_tables(block.increment, block.B, block.C, block.D, block.unwind[: block.winding], block, table),
@@ -143,7 +144,7 @@ def _floating_tables(block: ControlBlock, arithmetic: str) -> dict[str, Any]:
         "current_limit": table(block.current_limit),
         "transfer_error": table(block.from_error.T),
         "transfer_current": table(block.from_output.T),
-        "floor": _literal(FLOOR[arithmetic], arithmetic),
+        "floor": literal(FLOOR[arithmetic], arithmetic),
     }
 
 
@@ -192,20 +193,21 @@ def on_diagonal(x: np.ndarray, k: int) -> np.ndarray:
 
 
 def _integers(x: np.ndarray) -> str:
-    return _array(x, lambda v: str(int(v)))
+    return array(x, lambda v: str(int(v)))
 
 
-def _literal(value: float, arithmetic: str) -> str:
+def literal(value: float, arithmetic: str) -> str:
+    """A number as C writes it, with all its digits."""
     text = f"{value:.17g}" if arithmetic == "double" else f"{float(np.float32(value)):.9g}"
     if not any(c in text for c in ".en"):
         text += ".0"
     return text if arithmetic == "double" else f"{text}f"
 
 
-def _array(x: np.ndarray, form: Any, indent: str = "    ") -> str:
+def array(x: np.ndarray, form: Any, indent: str = "    ") -> str:
     """A C initialiser, its lines at most _WIDTH wide."""
     if x.ndim > 1:
-        rows = ",\n".join(f"{indent}{_array(row, form, indent + '    ')}" for row in x)
+        rows = ",\n".join(f"{indent}{array(row, form, indent + '    ')}" for row in x)
         return "{\n" + rows + "\n" + indent[4:] + "}"
     lines, line = [], ""
     for i, value in enumerate(x):
@@ -229,7 +231,7 @@ def _vectors(block: ControlBlock, fixed: FixedBlock | None, arithmetic: str) -> 
         number_format, number_cast = "%.17g", "double"
 
         def table(x: np.ndarray) -> str:
-            return _array(x, lambda v: _literal(float(v), arithmetic))
+            return array(x, lambda v: literal(float(v), arithmetic))
 
     return {
         "errors": table(run.errors), "currents": table(run.currents), "tolerance": table(tolerance),
@@ -267,4 +269,7 @@ def _formats(fixed: FixedBlock) -> list[dict[str, str]]:
     ]
 
 
-__all__ = ["Arithmetic", "Cost", "InvalidInput", "generate", "on_diagonal", "single_limits", "write_code"]
+__all__ = [
+    "Arithmetic", "Cost", "InvalidInput", "array", "delay_text", "generate", "literal", "on_diagonal", "single_limits",
+    "write_code",
+]  # fmt: skip

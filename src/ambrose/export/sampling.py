@@ -87,15 +87,15 @@ def deploy(
     status = getattr(controller, "status", None)
     source = as_statespace(getattr(controller, "controller", controller))
     count = whole_samples(delay, sample_time)
-    problems = list(_own_problems(source, status, examined=bool(plants)))
+    problems = list(own_problems(source, status, examined=bool(plants)))
     if problems and not force:
-        raise UnstableSystem(_refusal(problems))
+        raise UnstableSystem(refusal(problems))
     sampled, increment, form = _sampled(source, sample_time, method, prewarp)
     late = delayed(sampled, count)
     checks, box = _verified(late, plants, progress)
     problems += _loop_problems(checks, box)
     if problems and not force:
-        raise UnstableSystem(_refusal(problems))
+        raise UnstableSystem(refusal(problems))
     return Deployment(sampled, increment, form.sizes, count, method, source, checks, box, tuple(problems))
 
 
@@ -114,42 +114,51 @@ def fastest_allowed(controller: StateSpace) -> float:
     return float(np.abs(poles(controller)).max(initial=0.0) / np.pi)
 
 
-def _own_problems(source: StateSpace, status: str | None, *, examined: bool) -> list[str]:
-    found = []
+def check_rate(source: StateSpace, dt: float) -> None:
+    """Refuse a sample time [s] that is too long for a continuous controller's fastest pole. Raises InvalidInput."""
+    needed = fastest_allowed(source)
+    if 1 / dt < needed:
+        remedy = f"sample at {needed:.4g} Hz or more, or roll the controller off below {np.pi / dt:.4g} rad/s"
+        fastest = f"{needed * np.pi:.4g} rad/s"
+        raise invalid("the sample rate", f"{1 / dt:.4g} Hz", f"at least {needed:.4g} Hz for a pole at {fastest}", remedy)
+
+
+def own_problems(source: StateSpace, status: str | None, *, examined: bool) -> list[str]:
+    """What speaks against a controller before its loop is closed, one sentence each."""
+    return status_problems(status, examined=examined) + instability(source)
+
+
+def status_problems(status: str | None, *, examined: bool) -> list[str]:
+    """What a controller's own status says against it; ``examined``: whether its loop is about to be."""
     if status is None or status == "uncertified":
-        if not examined:
-            found.append("the controller carries no certificate: it was never verified on a plant")
-    elif status != "verified":
-        found.append(f"the controller's status is {status!r}, not 'verified'")
-    # integrators are meant to be on the boundary
+        return [] if examined else ["the controller carries no certificate: it was never verified on a plant"]
+    return [] if status == "verified" else [f"the controller's status is {status!r}, not 'verified'"]
+
+
+def instability(source: StateSpace, where: str = "") -> list[str]:
+    """One sentence if the controller itself is unstable; integrators are meant to be on the boundary."""
     size = max(float(np.abs(poles(source)).max(initial=0.0)), 1.0)
     abscissa = spectral_abscissa(source)
-    if source.n_states and abscissa > 1e-9 * size:
-        found.append(
-            f"the controller itself is unstable (a pole at {abscissa:+.4g} rad/s): it runs away whenever the loop is open"
-        )
-    return found
+    if not source.n_states or abscissa <= 1e-9 * size:
+        return []
+    pole = f"a pole at {abscissa:+.4g} rad/s"
+    return [f"the controller itself is unstable{where} ({pole}): it runs away whenever the loop is open"]
 
 
-def _refusal(problems: Sequence[str]) -> str:
+def refusal(problems: Sequence[str]) -> str:
+    """The message of a deployment refused."""
     text = "; ".join(problems)
     return f"this controller is not deployed: {text}; design or verify it again, or say that it is wanted all the same (force)"
 
 
-def _sampled(
-    source: StateSpace, dt: float, method: Method, prewarp: float | None
-) -> tuple[StateSpace, np.ndarray, ModalForm]:  # fmt: skip
+def _sampled(source: StateSpace, dt: float, method: Method, prewarp: float | None) -> tuple[StateSpace, np.ndarray, ModalForm]:
     """The sampled controller, its A - I from the continuous modal form (no digits lost to 1 - 1e-7), and that form."""
     if source.dt is not None:
         if abs(source.dt - dt) > 1e-9 * dt:
             raise invalid("the sample time", f"{dt:g} s", f"the controller's {source.dt:g} s", "it is sampled already")
         form = modal_form(source)
         return form.system, form.system.A - np.eye(form.system.n_states), form
-    needed = fastest_allowed(source)
-    if 1 / dt < needed:
-        remedy = f"sample at {needed:.4g} Hz or more, or roll the controller off below {np.pi / dt:.4g} rad/s"
-        fastest = f"{needed * np.pi:.4g} rad/s"
-        raise invalid("the sample rate", f"{1 / dt:.4g} Hz", f"at least {needed:.4g} Hz for a pole at {fastest}", remedy)
+    check_rate(source, dt)
     form = modal_form(source)
     K, n = form.system, form.system.n_states
     sampled = c2d(K, dt, method, prewarp=prewarp)

@@ -53,10 +53,11 @@ def vectors(block: ControlBlock, fixed: FixedBlock | None = None, single: bool =
 def as_csv(block: ControlBlock, run: Vectors) -> str:
     """The vectors as CSV: errors, flags, currents, status, with a line of names."""
     titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *block.outputs, "status"]
-    return _csv(titles, [run.errors, run.valid, run.currents, run.status[:, None]])
+    return csv_text(titles, [run.errors, run.valid, run.currents, run.status[:, None]])
 
 
-def _csv(titles: Sequence[str], columns: Sequence[np.ndarray]) -> str:
+def csv_text(titles: Sequence[str], columns: Sequence[np.ndarray]) -> str:
+    """CSV with a line of titles above columns (k, ...), with all their digits."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(titles)
@@ -65,4 +66,4 @@ def _csv(titles: Sequence[str], columns: Sequence[np.ndarray]) -> str:
     return stream.getvalue()
 
 
-__all__ = ["SAMPLES", "Vectors", "as_csv", "vectors"]
+__all__ = ["SAMPLES", "Vectors", "as_csv", "csv_text", "vectors"]

@@ -34,3 +34,14 @@ class ControlProgram(Protocol):
 
     def step(self, errors: np.ndarray) -> np.ndarray:
         """One sample: currents (a,) [A] from errors (a,) [m]."""
+
+
+@runtime_checkable
+class ScheduledProgram(ControlProgram, Protocol):
+    """A program whose law changes with speed: it is told the speed before every step; called with a speed [rad/s] it returns
+    its law there, frozen, as ``system`` is at the present one."""
+
+    def schedule(self, speed: float) -> None:
+        """The speed [rad/s] of the next step."""
+
+    def __call__(self, speed: float) -> StateSpace: ...

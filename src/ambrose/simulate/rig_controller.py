@@ -30,7 +30,10 @@ class Law(NamedTuple):
 
 def sample_time(controller: Any | ControllerAt, machine: Machine, wanted: float | None) -> float:
     """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms. Raises InvalidInput."""
-    own = None if _scheduled(controller) else as_statespace(law_of(controller)).dt
+    if isinstance(controller, ControlProgram):
+        own: float | None = controller.sample_time
+    else:
+        own = getattr(controller, "dt", None) if _scheduled(controller) else as_statespace(controller).dt
     if own is not None:
         if wanted is not None and abs(own - wanted) > 1e-9 * own:
             raise invalid("the sample time", f"{wanted:g} s", f"the controller's own {own:g} s", "leave it out")

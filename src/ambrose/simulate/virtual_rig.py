@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.simulate.control_program import ControlProgram
+from ambrose.simulate.control_program import ControlProgram, ScheduledProgram
 from ambrose.simulate.rig_controller import ControllerAt, Law, closed_loop_poles, deployed, sample_time, taking_over
 from ambrose.simulate.rig_drive import Drive, Plan, plan, sample, stretch
 from ambrose.simulate.rig_outcome import judged, watch
@@ -210,6 +210,7 @@ def _stepped(
     nothing, work = np.zeros(0), rig.work(0)
     log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, a))
     advance = compiled()[0]
+    scheduled = program if isinstance(program, ScheduledProgram) else None
     for k in range(count):
         rows = slice(k, k + 1)
         done = advance(
@@ -219,6 +220,8 @@ def _stepped(
             motion.overflow = np.nan
             kept = log[: k + 1]
             return kept[np.isfinite(kept).all(axis=1)], errors[: k + 1].T
+        if scheduled is not None:
+            scheduled.schedule(float(drive.speed[k]))
         motion.held[:] = np.clip(program.step(errors[k]), -law.limit, law.limit)
     return log, errors.T
 
