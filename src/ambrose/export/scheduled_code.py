@@ -156,7 +156,8 @@ def _facts(block: ScheduledBlock, arithmetic: Precision, provenance: Sequence[st
 def _motion(block: ScheduledBlock) -> str:
     if not block.motion.proved:
         return "For a moving speed their bound is not proved: no common quadratic Lyapunov function was found."
-    return f"For any motion of the speed they stay within +-{block.motion.states.max(initial=0.0):.3g}, which is proved and conservative."
+    farthest = block.motion.states.max(initial=0.0)
+    return f"For any motion of the speed they stay within +-{farthest:.3g}, which is proved and conservative."
 
 
 def _tables(block: ScheduledBlock, arithmetic: Precision) -> dict[str, Any]:

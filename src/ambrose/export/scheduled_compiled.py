@@ -17,8 +17,8 @@ from ambrose.export.scheduled_code import Precision, generate_scheduled
 class CompiledSchedule:
     """A scheduled block's C code in this process: errors [m] and speeds [rad/s] to currents [A].
 
-    sample_time [s], delay [samples], system, schedule: as the rig asks of a program; called with a speed [rad/s]: the law there,
-    frozen; status: the bits of the last step.
+    sample_time [s], delay [samples], system, schedule: as the rig asks of a program; called with a speed [rad/s]: the law
+    there, frozen; status: the bits of the last step.
     """
 
     def __init__(self, block: ScheduledBlock, arithmetic: Precision = "double", compiler: str | None = None) -> None:
@@ -94,8 +94,8 @@ class CompiledSchedule:
 
 
 def probed_at(code: CompiledSchedule, speed: float) -> StateSpace:
-    """The law that the running code follows at a frozen speed [rad/s]: its states and inputs are set one by one, and one step is
-    taken from each. Raises InvalidInput where a current stays limited however small the step."""
+    """The law that the running code follows at a frozen speed [rad/s]: its states and inputs are set one by one, and one step
+    is taken from each. Raises InvalidInput where a current stays limited however small the step."""
     block = code.block
     n, m = block.n_states, len(block.inputs)
     code.schedule(speed)

@@ -46,7 +46,8 @@ def run_scheduled(
     carry, largest = np.zeros_like(x), np.abs(x)
     to_state = np.concatenate([block.increment, block.B], axis=2).astype(kind)
     to_current = np.concatenate([block.C, block.D], axis=2).astype(kind)
-    unwind, limit = block.unwind.astype(kind), block.current_limit.astype(kind)
+    unwind, limit = block.unwind.astype(kind), np.asarray(block.current_limit, kind)
+    lowest = np.negative(limit)
     e, share = e.astype(kind), share.astype(kind)
     currents = np.empty((len(e), len(block.outputs)), kind)
     floor = FLOOR["float" if single else "double"]
@@ -54,7 +55,7 @@ def run_scheduled(
         z = np.concatenate([x, e[k]])
         low, high, a = (1 - share[k]) * z, share[k] * z, i[k]
         u = to_current[a] @ low + to_current[a + 1] @ high
-        cut = np.minimum(np.maximum(u, -limit), limit)
+        cut = np.minimum(np.maximum(u, lowest), limit)
         currents[k] = cut
         d = to_state[a] @ low + to_state[a + 1] @ high
         if (cut != u).any():
