@@ -290,6 +290,14 @@ def test_noise_between_controller_and_recorder_is_no_other_controller():
     assert findings(record) == ()
 
 
+@pytest.mark.parametrize("step", [1.5e-8, 2.5e-7])
+def test_a_coarse_converter_is_no_other_controller(step):
+    values = synthetic().values.copy()
+    values[:4] = np.round(values[:4] / step) * step
+    values[4:8] = np.round(values[4:8] / 1e-3) * 1e-3
+    assert findings(replace(synthetic(), values=values)) == ()
+
+
 def test_an_unstable_controller_is_compared_through_its_innovation():
     machine, *_ = setting()
     rng = np.random.default_rng(3)

@@ -17,7 +17,7 @@ from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.identify.experiment import deployed_controller
 from ambrose.identify.moved_plant import plant_at
-from ambrose.identify.record_controller import LAGS, ControllerMatch, controller_match
+from ambrose.identify.record_controller import LAGS, ControllerMatch, controller_match, resolution_residual
 from ambrose.identify.record_finding import ERROR, WARNING, RecordFinding
 from ambrose.identify.record_signals import signal_findings
 from ambrose.identify.record_wiring import (
@@ -42,6 +42,7 @@ _RATES = (0.1, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 10.0)  # true over state
 _SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}  # share of power from which other explanations are tried
 _BETTER = 1.0  # by how much a score must fall: a factor e in what is left unexplained
 _CLEARLY = 3.0  # and the worst of its relations by this factor
+_COARSE = 1.5  # times what the steps of a coarse converter make of the controller's residual
 _MINOR, _OTHER = 0.02, 0.2  # residual of the controller that is no matter, and that of another controller
 
 
@@ -295,6 +296,8 @@ def _controller_findings(machine: Machine, record: Record, number: int, law: Sta
     worst = int(np.argmax(match.least))
     if findings or match.least[worst] <= _MINOR:
         return findings + _timing(match, delay, where)
+    if (match.least <= _MINOR + _COARSE * resolution_residual(machine, record, law)).all():
+        return []
     following = _following(record, match)
     if following is not None and following <= _MINOR:  # noise between the controller and the recorder
         return []

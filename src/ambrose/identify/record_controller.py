@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.response import simulate
+from ambrose.core.response import impulse_response, simulate
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.machine.description import Machine
 from ambrose.machine.record import Record
 
 LAGS = 6  # samples, the longest delay that is tried
 _BLOCK = 8000  # samples that are compared at once, with an initial state of their own
+_REMEMBERED = 200  # samples of the law's impulse response
 _MARGINAL = 1 + 1e-9
 _AT_LIMIT = 0.999
 _BURST, _VISIBLE = 60.0, 3e-4  # over the median jump of the residual, and over the rms of the signal
@@ -172,3 +173,16 @@ def _jumps(left: np.ndarray, signal: np.ndarray) -> list[int]:
     large = np.flatnonzero(step > max(_BURST * quiet, _VISIBLE * float(np.std(signal)))) + 1
     large = large[large > 2 * LAGS]  # a record may begin with anything
     return [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > 50]
+
+
+def resolution_residual(machine: Machine, record: Record, law: StateSpace) -> np.ndarray:
+    """What coarse steps of the recorded y make of the residual (a,), over the rms of u: steps/sqrt(12) through the law."""
+    steps = []
+    for axis in machine.axes:
+        change = np.abs(np.diff(record[f"y_{axis}"]))
+        moved = change[change > 0]
+        stepped = len(moved) < 0.98 * len(change) or len(np.unique(np.round(moved / moved.min(), 3))) < 0.1 * len(moved)
+        steps.append(float(moved.min()) if len(moved) and stepped else 0.0)
+    energy = np.sum(impulse_response(law, _REMEMBERED) ** 2, axis=2)
+    made = np.sqrt(energy @ (np.array(steps) ** 2 / 12))
+    return made / np.array([max(float(np.std(record[f"u_{axis}"])), 1e-300) for axis in machine.axes])
