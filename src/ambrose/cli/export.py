@@ -33,15 +33,21 @@ from ambrose.cli.terminal import AS_JSON, load, progress_shown
 @click.option("--machine", "machine", default=None, help="Default: the bundled machine that the controller was made for.")
 @click.option("--error-limit", type=float, default=None, help="Largest plausible error in m; default: the bearing's gap.")
 @click.option("--current-limit", type=float, default=None, help="Largest current in A; default: the bearing's.")
+@click.option(
+    "--speed-limit", type=float, default=None, help="Scheduled: largest plausible speed in rad/s; default: twice the range's."
+)
+@click.option("--speed-rate", type=float, default=None, help="Scheduled: how fast it follows the speed, in rad/s^2.")
 @click.option("--sources-only", is_flag=True, help="An FMU without a binary: no C compiler is needed here.")
 @click.option("--force", is_flag=True, help="Export a controller that is not verified, or not stable everywhere.")
 @AS_JSON
 def export(
     controller: Path, target: Any, output: Path, name: str, arithmetic: Any, rate_hz: float | None, delay_samples: int,
     sampling: Any, prewarp_hz: float | None, machine: str | None, error_limit: float | None, current_limit: float | None,
-    sources_only: bool, force: bool, as_json: bool,
+    speed_limit: float | None, speed_rate: float | None, sources_only: bool, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    """Sample a controller, verify its loop as it will run, and write it as code for the target."""
+    """Sample a controller, verify its loop as it will run, and write it as code for the target.
+
+    A controller scheduled over speed is written as C in floating point, verified at frozen speeds over its range."""
     from ambrose.core.checks import check_positive
     from ambrose.export.deliver import deliver
     from ambrose.export.files import read_controller
@@ -54,7 +60,8 @@ def export(
         done = deliver(
             file, output, None if machine is None else load(machine), target=target, name=name, arithmetic=arithmetic,
             sample_time=dt, delay_samples=delay_samples, method=sampling, prewarp=prewarp, error_limit=error_limit,
-            current_limit=current_limit, sources_only=sources_only, force=force, progress=progress,
+            current_limit=current_limit, speed_limit=speed_limit, speed_rate=speed_rate, sources_only=sources_only, force=force,
+            progress=progress,
         )  # fmt: skip
     paths, problems = [str(path) for path in done.paths], list(done.deployment.problems)
     if as_json:

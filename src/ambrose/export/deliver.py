@@ -22,6 +22,10 @@ from ambrose.export.fmu import fmu_files
 from ambrose.export.mat import mat_files
 from ambrose.export.names import check_identifier
 from ambrose.export.sampling import Deployment, Progress, deploy, unmet
+from ambrose.export.scheduled_block import ScheduledBlock, check_speed_limits, scheduled_block
+from ambrose.export.scheduled_code import generate_scheduled
+from ambrose.export.scheduled_deliver import check_deliverable, scheduled_provenance
+from ambrose.export.scheduled_deploy import ScheduledDeployment, deploy_scheduled
 from ambrose.export.structured_text import Precision, structured_text
 from ambrose.machine.config import bundled_machines, load_machine
 from ambrose.machine.description import Machine
@@ -60,8 +64,8 @@ _ARITHMETIC: Mapping[Target, tuple[Arithmetic, ...]] = {
 class Delivery:
     """What was written, and what it was verified on."""
 
-    deployment: Deployment
-    block: ControlBlock
+    deployment: Deployment | ScheduledDeployment
+    block: ControlBlock | ScheduledBlock
     paths: tuple[Path, ...]
 
 
@@ -81,6 +85,8 @@ def deliver(
     current_limit: ArrayLike | None = None,
     windup_time: float = WINDUP_TIME,
     hold_samples: int = HOLD_SAMPLES,
+    speed_limit: float | None = None,
+    speed_rate: float | None = None,
     sources_only: bool = False,
     force: bool = False,
     progress: Progress = lambda stage: None,
@@ -90,20 +96,13 @@ def deliver(
     target: "c" (C99), "mat" (MATLAB, Octave), "fmu" (FMI 2.0 and 3.0), "st" (IEC 61131-3); sources_only: an FMU without binary.
     machine: None: the bundled one that the file names, if it is unchanged. sample_time [s]: None: the controller's own, or
     0.1 ms. error_limit [m], current_limit [A]: None: the bearings' gaps (or twice their touchdown gaps) and largest currents.
-    The other arguments: ``deploy``, ``control_block``, ``generate``. Raises InvalidInput, UnstableSystem.
+    speed_limit [rad/s], speed_rate [rad/s^2]: of a scheduled controller, which is written as C in floating point
+    (``scheduled_block``). The other arguments: ``deploy``, ``deploy_scheduled``, ``control_block``, ``generate``. Raises
+    InvalidInput, UnstableSystem.
     """
-    check_identifier(name, "the name of the block", "choose letters, digits and underscores")
-    if target not in TARGETS:
-        raise invalid("the target", repr(target), " or ".join(TARGETS), "choose one of them")
-    if arithmetic not in _ARITHMETIC[target]:
-        allowed = " or ".join(_ARITHMETIC[target])
-        raise invalid("arithmetic", repr(arithmetic), f"{allowed} for the target {target!r}", "choose it, or another target")
-    if isinstance(delay_samples, bool) or not isinstance(delay_samples, int) or delay_samples < 0:
-        raise invalid("delay_samples", delay_samples, "a whole number, zero or more", "1 is usual")
-    if file.scheduled is not None:
-        low, high = file.scheduled.range
-        what = f"scheduled over {low:g} to {high:g} {file.scheduled.unit} of {file.scheduled.parameter}"
-        raise invalid("the controller", what, "a fixed one", "scheduled controllers run on the rig, not yet as generated code")
+    _check_order(file, target, name, arithmetic, delay_samples)
+    if file.scheduled is None and not (speed_limit is None and speed_rate is None):
+        raise invalid("speed_limit or speed_rate", "given", "left out", "this controller is not scheduled over speed")
     machine = bundled_machine(file) if machine is None else machine
     errors, currents = (None, None) if machine is None else limits(machine)
     error_limit = _given(errors if error_limit is None else error_limit, "the error limit", "m")
@@ -112,6 +111,18 @@ def deliver(
     check_limits(current_limit, len(file.controller.outputs), "current_limit", "give the largest control current in A")
     check_place(directory)  # all this before the verification, which takes seconds
     dt = sample_time or file.controller.dt or SAMPLE_TIME
+    if file.scheduled is not None:
+        check_speed_limits(file.scheduled.grid, speed_limit, speed_rate)
+        over = deploy_scheduled(
+            file, dt, delay_samples * dt, method=method, prewarp=prewarp, machine=machine, force=force, progress=progress
+        )
+        law = scheduled_block(
+            over, name, error_limit, current_limit, windup_time=windup_time, hold_samples=hold_samples,
+            speed_limit=speed_limit, rate_limit=speed_rate,
+        )  # fmt: skip
+        progress("writing")
+        written = generate_scheduled(law, cast(Precision, arithmetic), scheduled_provenance(file, machine, over))
+        return Delivery(over, law, tuple(write_files(directory, written)))
     plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.points]
     deployment = deploy(
         file, dt, delay_samples * dt, method=method, prewarp=prewarp, plants=plants, force=force, progress=progress
@@ -120,6 +131,20 @@ def deliver(
     progress("writing")
     order = Order(file, deployment, block, provenance(file, machine, deployment), arithmetic, sources_only)
     return Delivery(deployment, block, tuple(write_files(directory, TARGETS[target](order))))
+
+
+def _check_order(file: ControllerFile, target: Target, name: str, arithmetic: str, delay_samples: int) -> None:
+    """What can be refused before anything is computed. Raises InvalidInput."""
+    check_identifier(name, "the name of the block", "choose letters, digits and underscores")
+    if target not in TARGETS:
+        raise invalid("the target", repr(target), " or ".join(TARGETS), "choose one of them")
+    if file.scheduled is not None:
+        check_deliverable(file.scheduled, target, arithmetic)
+    if arithmetic not in _ARITHMETIC[target]:
+        allowed = " or ".join(_ARITHMETIC[target])
+        raise invalid("arithmetic", repr(arithmetic), f"{allowed} for the target {target!r}", "choose it, or another target")
+    if isinstance(delay_samples, bool) or not isinstance(delay_samples, int) or delay_samples < 0:
+        raise invalid("delay_samples", delay_samples, "a whole number, zero or more", "1 is usual")
 
 
 def bundled_machine(file: ControllerFile) -> Machine | None:

@@ -120,7 +120,7 @@ def scheduled_block(
     check_positive(windup_time, "windup_time", f"give it in seconds, e.g. {WINDUP_TIME:g}")
     if isinstance(hold_samples, bool) or not isinstance(hold_samples, int) or not 0 <= hold_samples <= 32767:
         raise invalid("hold_samples", hold_samples, "a whole number from 0 to 32767", f"{HOLD_SAMPLES} is usual")
-    farthest, rate = _speed_limits(K.grid, speed_limit, rate_limit)
+    farthest, rate = check_speed_limits(K.grid, speed_limit, rate_limit)
     dt = float(K.dt or 0.0)
     law = _Points.of(deployment)
     unwind = _unwinding(law, currents, dt / windup_time)
@@ -138,7 +138,8 @@ def scheduled_block(
     )  # fmt: skip
 
 
-def _speed_limits(grid: np.ndarray, speed_limit: float | None, rate_limit: float | None) -> tuple[float, float]:
+def check_speed_limits(grid: np.ndarray, speed_limit: float | None, rate_limit: float | None) -> tuple[float, float]:
+    """speed_limit [rad/s] and rate_limit [rad/s^2] as they apply to a grid (k,) [rad/s]. Raises InvalidInput."""
     largest = float(np.abs(grid).max())
     limit = _BEYOND * largest if speed_limit is None else float(check_shape(speed_limit, "speed_limit", "()"))
     if not limit >= largest:
