@@ -8,6 +8,7 @@ one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +16,17 @@ from ambrose.core.lft import FullBlock, RealBlock
 from ambrose.core.mu_structure import Structure
 
 Entry = tuple[int, int, complex, int]  # row, column, coefficient, variable
+_CHUNK = 1_000_000  # products of two entries held at once
+_DENSE = 500  # coefficients up to which dense arrays are faster than sparse ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
-    """S_a as sparse entries (row, column, mix), except for full blocks, kept apart by their diagonal; and all of them dense."""
+    """S_a as sparse entries at the positions (row, column); those of full blocks are kept apart by their diagonal.
+
+    mix (positions, variables): S_a at the positions; half (variables, positions above or on the diagonal, numbered in
+    ``upper``): the same with those off the diagonal twice, so that tr(H S_a) = Re sum half H[column, row] for Hermitian H.
+    """
 
     n_w: int
     n_z: int
@@ -27,8 +34,9 @@ class Basis:
     count: int  # variables
     row: np.ndarray
     column: np.ndarray
-    mix: np.ndarray  # (entries, variables) complex: coefficient of each sparse entry
-    dense: np.ndarray  # (variables, N N) complex: every S_a, flat, N = n_w + n_z + n_x
+    upper: np.ndarray
+    mix: Any  # dense or sparse
+    half: Any
     full: tuple[tuple[int, np.ndarray], ...]  # (variable, diagonal of S_a)
     trace: np.ndarray  # (variables,) tr X
     is_g: np.ndarray  # (variables,) bool
@@ -41,7 +49,47 @@ class Basis:
     def assemble(self, x: np.ndarray) -> np.ndarray:
         """S (b, N, N) for variables x (b, variables)."""
         N = self.n_w + self.n_z + self.n_x
-        return (x @ self.dense).reshape(len(x), N, N)
+        S = np.zeros((len(x), N, N), complex)
+        if len(self.row):
+            S[:, self.row, self.column] = (self.mix @ x.T).T
+        diagonal = np.arange(N)
+        for variable, weight in self.full:
+            S[:, diagonal, diagonal] += x[:, variable, None] * weight
+        return S
+
+    def traces(self, K: np.ndarray) -> np.ndarray:
+        """tr(K S_a) for every variable and Hermitian K (b, N, N), (b, variables)."""
+        values = np.zeros((len(K), self.count))
+        if len(self.row):
+            values += (self.half @ K[:, self.column[self.upper], self.row[self.upper]].T).real.T
+        diagonal = np.einsum("bii->bi", K).real
+        for variable, weight in self.full:
+            values[:, variable] += diagonal @ weight
+        return values
+
+    def curvature(self, K: np.ndarray) -> np.ndarray:
+        """tr(K S_a K S_b) for Hermitian K (b, N, N), (b, variables, variables)."""
+        H = np.zeros((len(K), self.count, self.count))
+        if len(self.row):
+            step = max(1, _CHUNK // (len(self.row) * len(self.upper)))
+            for start in range(0, len(K), step):
+                H[start : start + step] = self._curvature(K[start : start + step])
+        for variable, weight in self.full:
+            column = self.traces((K * weight) @ K)
+            H[:, :, variable] = column
+            H[:, variable, :] = column
+        return H
+
+    def _curvature(self, K: np.ndarray) -> np.ndarray:
+        """The same without the full blocks: K[q, r] K[s, p] over the positions (p, q) and (r, s), and the coefficients."""
+        b, N = len(K), K.shape[1]
+        flat = np.ascontiguousarray(K.reshape(b, N * N).T)  # neighbours in memory: the members of the batch
+        p, q = self.row[self.upper], self.column[self.upper]
+        pairs = flat[q * N + self.row[:, None]]
+        pairs *= flat[self.column[:, None] * N + p]
+        once = (self.mix.T @ pairs.reshape(len(self.row), -1)).reshape(self.count, len(p), b)
+        twice = self.half @ once.swapaxes(0, 1).reshape(len(p), -1)
+        return np.asarray(twice.real.reshape(self.count, self.count, b).transpose(2, 0, 1))
 
 
 def _hermitian(r: int) -> list[list[tuple[int, int, complex]]]:
@@ -87,14 +135,16 @@ def _frozen(
     sizes: tuple[int, int, int], entries: list[Entry], full: list[tuple[int, np.ndarray]], trace: list[float], is_g: list[bool]
 ) -> Basis:
     """The lists as arrays."""
-    count, N = len(trace), sum(sizes)
-    mix, dense = np.zeros((len(entries), count), complex), np.zeros((count, N, N), complex)
-    for k, (p, q, c, variable) in enumerate(entries):
-        mix[k, variable] = c
-        dense[variable, p, q] += c
-    for variable, diagonal in full:
-        dense[variable, np.arange(N), np.arange(N)] = diagonal
-    index = np.array([entry[:2] for entry in entries], int).reshape(-1, 2)
-    return Basis(
-        *sizes, count, index[:, 0], index[:, 1], mix, dense.reshape(count, N * N), tuple(full), np.array(trace), np.array(is_g)
-    )
+    from scipy.sparse import csr_array
+
+    number = {position: i for i, position in enumerate(sorted({entry[:2] for entry in entries}))}
+    place = np.array(list(number), int).reshape(-1, 2)
+    coefficient, variable = [entry[2] for entry in entries], [entry[3] for entry in entries]
+    position = [number[entry[:2]] for entry in entries]
+    mix: Any = np.zeros((len(place), len(trace)), complex)
+    np.add.at(mix, (position, variable), coefficient)
+    upper = np.flatnonzero(place[:, 0] <= place[:, 1])
+    half: Any = mix[upper].T * np.where(place[upper, 0] < place[upper, 1], 2.0, 1.0)
+    if mix.size > _DENSE:
+        mix, half = csr_array(mix), csr_array(half)
+    return Basis(*sizes, len(trace), place[:, 0], place[:, 1], upper, mix, half, tuple(full), np.array(trace), np.array(is_g))

@@ -65,8 +65,8 @@ class _Path:
         K[:, : n_w + n_z, : n_w + n_z] = V @ P @ V.conj().swapaxes(1, 2)
         K[:, n_w + n_z :, n_w + n_z :] = np.linalg.inv(X)
         self.basis, self.S, self.V, self.P, self.kernel = basis, S, V, P, K
-        self.gradient = basis.trace - self.traces(K)
-        self.hessian = self._second(K)
+        self.gradient = basis.trace - basis.traces(K)
+        self.hessian = basis.curvature(K)
 
     def part(self, members: np.ndarray) -> _Path:
         """The same for some members of the batch."""
@@ -75,26 +75,6 @@ class _Path:
         for name in ("P", "S", "V", "gradient", "hessian", "kernel"):
             setattr(new, name, getattr(self, name)[members])
         return new
-
-    def traces(self, K: np.ndarray) -> np.ndarray:
-        """tr(K S_a) for every variable, (b, variables)."""
-        basis = self.basis
-        values = (K[:, basis.column, basis.row] @ basis.mix).real
-        diagonal = np.einsum("bii->bi", K).real
-        for variable, weight in basis.full:
-            values[:, variable] += diagonal @ weight
-        return values
-
-    def _second(self, K: np.ndarray) -> np.ndarray:
-        """tr(K S_a K S_b), (b, variables, variables)."""
-        basis = self.basis
-        left = K[:, basis.column[:, None], basis.row[None, :]]  # K[q_e, r_f]
-        H = (basis.mix.T @ (left * left.swapaxes(1, 2)) @ basis.mix).real
-        for variable, weight in basis.full:
-            column = self.traces((K * weight) @ K)
-            H[:, :, variable] = column
-            H[:, variable, :] = column
-        return H
 
     def tangent(self) -> np.ndarray:
         """d(gradient)/d(beta) at fixed x, (b, variables)."""
@@ -108,7 +88,7 @@ class _Path:
         half = dV @ P @ V.conj().swapaxes(1, 2)
         dK = np.zeros_like(self.kernel)
         dK[:, :n, :n] = half + half.conj().swapaxes(1, 2) - V @ (P @ dF @ P) @ V.conj().swapaxes(1, 2)
-        return -self.traces(dK)
+        return -self.basis.traces(dK)
 
 
 def _solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
