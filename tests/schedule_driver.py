@@ -2,15 +2,17 @@
 
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import code_driver as driver
 from ambrose import StateSpace
+from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.export.scheduled_block import ScheduledBlock, scheduled_block
 from ambrose.export.scheduled_code import generate_scheduled
-from ambrose.export.scheduled_deploy import deploy_scheduled
+from ambrose.export.scheduled_deploy import deploy_scheduled, response
 
 ERROR, CURRENT, DT = 1e-3, 2.0, 1e-4
 GRID = (100.0, 250.0, 300.0, 600.0)  # rad/s
@@ -77,7 +79,7 @@ def gain_schedule() -> ScheduledSystem:
     return ScheduledSystem(GRID, systems)
 
 
-def block_of(schedule: ScheduledSystem, name: str = "lpv", **settings: float) -> ScheduledBlock:
+def block_of(schedule: ScheduledSystem, name: str = "lpv", **settings: Any) -> ScheduledBlock:
     return scheduled_block(deploy_scheduled(schedule, DT, DT, force=True), name, ERROR, CURRENT, **settings)
 
 
@@ -156,3 +158,14 @@ def adversarial_speeds(block: ScheduledBlock, count: int, seed: int = 0) -> np.n
         v[start : start + k] = part
         start += k
     return v
+
+
+def apart_in_gain(sampled: ScheduledSystem, meant: ScheduledSystem, dt: float) -> float:
+    """The largest relative distance of frequency responses at the grid points from Tustin's map of a continuous schedule."""
+    omega = np.geomspace(1e-4, 0.99, 100) * np.pi / dt
+    worst = 0.0
+    for v in meant.grid:
+        expected = response(c2d(meant.at(float(v)), dt, "tustin"), omega)
+        found = response(sampled.at(float(v)), omega)
+        worst = max(worst, float((np.linalg.norm(found - expected, 2, (1, 2)) / np.linalg.norm(expected, 2, (1, 2))).max()))
+    return worst

@@ -209,7 +209,8 @@ def _unwinding(law: _Points, currents: np.ndarray, rate: float) -> np.ndarray:
             P = sla.solve_discrete_are(A.T, c.T, rate**2 * np.eye(n), np.eye(p))
             L = A @ np.linalg.solve(np.eye(p) + c @ P @ c.T, c @ P).T
         except np.linalg.LinAlgError as error:
-            message = f"no anti-windup gain was found at {law.grid[i]:.4g} rad/s ({error}); give a longer windup_time"
+            where = f"at {law.grid[i]:.4g} rad/s ({error})"
+            message = f"no anti-windup gain was found {where}: an integrator that no output sees, or too long a windup_time"
             raise NumericalFailure(message) from error
         gain[i] = L / size[:, None] / currents
     return gain

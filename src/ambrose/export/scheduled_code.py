@@ -25,7 +25,7 @@ from ambrose.export.scheduled_run import run_scheduled
 from ambrose.export.vectors import csv_text
 
 Precision = Literal["double", "float"]
-SAMPLES = 128
+_TAIL = 24  # samples without a speed, at the end
 _BYTES = {"double": 8, "float": 4}
 _TOLERANCE = {"double": 1e-12, "float": 1e-4}  # of the current asked for, of the current limit
 _HZ = 2 * np.pi
@@ -67,7 +67,7 @@ def write_scheduled(
 def check_precision(arithmetic: str) -> None:
     """Refuse fixed point for a schedule. Raises InvalidInput."""
     if arithmetic not in get_args(Precision):
-        remedy = "fixed point needs bounds on every state for any motion of the speed, which peak gains do not give"
+        remedy = "fixed point would need tight bounds on every state for any motion of the speed; use double or float"
         raise invalid("arithmetic of a scheduled controller", repr(arithmetic), "double or float", remedy)
 
 
@@ -97,18 +97,19 @@ class ScheduledVectors:
 
 
 def vectors(block: ScheduledBlock, arithmetic: Precision = "double") -> ScheduledVectors:
-    """A short run that meets every branch: a sweep through the range and beyond, grid points, limiting, flags, no speed."""
+    """A short run that meets every branch: sweeps beyond both ends, limiting everywhere, grid points, flags, no speed."""
     rng = np.random.default_rng(7)
-    m, (low, high) = len(block.inputs), block.range
-    e = rng.uniform(-1, 1, (SAMPLES, m)) * np.exp2(-rng.integers(0, 16, (SAMPLES, m)))
-    e[:8], e[0, 0], e[40:60], e[70] = 0.0, 1.0, 1.0, 3.0
-    valid = np.ones((SAMPLES, m), np.int64)
-    valid[64:82, m - 1] = 0
-    speeds = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), SAMPLES)
-    speeds[:2] = np.nan
-    speeds[16 : 16 + len(block.grid)] = block.grid[: SAMPLES // 4][: len(speeds[16:])]
-    speeds[90:108] = np.nan
-    speeds[110] = 2 * block.speed_limit
+    m, k, (low, high) = len(block.inputs), len(block.grid), block.range
+    swept, limited = 64, max(24, 2 * k)
+    count = swept + limited + k + _TAIL
+    e = rng.uniform(-1, 1, (count, m)) * np.exp2(-rng.integers(0, 16, (count, m)))
+    e[:8], e[0, 0], e[30] = 0.0, 1.0, 3.0
+    e[swept : swept + limited] = 1.0
+    valid = np.ones((count, m), np.int64)
+    valid[40:58, m - 1] = 0
+    wide = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), swept)
+    speeds = np.concatenate([wide, np.linspace(high, low, limited), block.grid, np.full(_TAIL, np.nan)])
+    speeds[:2], speeds[-4:] = np.nan, [2 * block.speed_limit, low, high, low]
     e = e * block.error_limit
     if arithmetic == "float":
         e, speeds = e.astype(np.float32).astype(float), speeds.astype(np.float32).astype(float)
@@ -143,7 +144,7 @@ def _facts(block: ScheduledBlock, arithmetic: Precision, provenance: Sequence[st
         "windup": f"{block.windup_time:g} s",
         "low": f"{low:.6g}", "high": f"{high:.6g}", "low_hz": f"{low / _HZ:.4g}", "high_hz": f"{high / _HZ:.4g}",
         "lowest": literal(low, arithmetic), "highest": literal(high, arithmetic),
-        "speed_limit": literal(block.speed_limit, arithmetic),
+        "speed_limit": literal(block.speed_limit, arithmetic), "plausible": f"{block.speed_limit:.6g}",
         "speed_rate": f"{block.rate_limit:.9g}" if limited else "",
         "rate_text": f" The schedule follows at {block.rate_limit:.6g} rad/s^2 at most." if limited else "",
         "motion_text": _motion(block),
@@ -155,9 +156,9 @@ def _facts(block: ScheduledBlock, arithmetic: Precision, provenance: Sequence[st
 
 def _motion(block: ScheduledBlock) -> str:
     if not block.motion.proved:
-        return "For a moving speed their bound is not proved: no common quadratic Lyapunov function was found."
+        return "While the speed moves no bound is proved."
     farthest = block.motion.states.max(initial=0.0)
-    return f"For any motion of the speed they stay within +-{farthest:.3g}, which is proved and conservative."
+    return f"For any motion of the speed: within +-{farthest:.3g} (proved, conservative)."
 
 
 def _tables(block: ScheduledBlock, arithmetic: Precision) -> dict[str, Any]:
@@ -193,7 +194,7 @@ def _replayed(block: ScheduledBlock, run: ScheduledVectors, arithmetic: Precisio
         tolerance = np.maximum(_TOLERANCE["float"] * block.current_limit, 4 * run.rounding)
     known = ~np.isnan(run.speeds)
     return {
-        "samples": SAMPLES, "errors": table(run.errors), "valid": whole(run.valid), "currents": table(run.currents),
+        "samples": len(run.errors), "errors": table(run.errors), "valid": whole(run.valid), "currents": table(run.currents),
         "speeds": table(np.where(known, run.speeds, 0.0)), "known": whole(known), "status": whole(run.status),
         "tolerance": table(tolerance),
     }  # fmt: skip

@@ -30,7 +30,7 @@ def scheduled_provenance(file: ControllerFile, machine: Machine | None, deployme
     lines = [
         f"Controller {file.method}, written {made.date} by ambrose {made.package_version}; code by ambrose {__version__}.",
         f"Machine    {made.machine or 'not recorded'}, hash {made.machine_hash or 'not recorded'}.",
-        f"Sampled    by {deployment.method} at every grid point, {deployment.delay} samples of computing delay in the loop.",
+        f"Sampled    by {deployment.method} at every grid point, computing delay in the loop [samples]: {deployment.delay}.",
         f"Between    grid points within {deployment.deviation:.2g} of the gain of the sampled continuous controller (worst at "
         f"{deployment.deviation_at:.6g} rad/s).",
     ]

@@ -50,7 +50,7 @@ class ScheduledDeployment:
     from; deviation [-]: largest distance, half-way between grid points, from the sampled continuous interpolation, relative
     to its gain at the same frequency, found at the speed deviation_at. speeds (s,), checks: the verification over the range;
     points: at the machine's own operating points in the range; outside: the others, where the code clamps; box: over the
-    tolerances at the slowest, the nominal and the fastest speed; problems: what speaks against deploying it, one sentence each.
+    tolerances at the slowest, a middle and the fastest speed; problems: what speaks against deploying it, one sentence each.
     """
 
     sampled: ScheduledSystem
@@ -227,8 +227,8 @@ def _verified(deployment: ScheduledDeployment, machine: Machine, progress: Progr
     swept = [replace(start, speed=float(v), label=f"{v:.6g} rad/s") for v in deployment.speeds]
     boxes = []
     if machine.tolerances:
-        ends = sorted({low, min(max(start.speed, low), high), high})
-        for speed in ends:
+        inner = start.speed if low < start.speed < high else float(deployment.source.grid[len(deployment.source.grid) // 2])
+        for speed in sorted({low, inner, high}):
             progress(f"verifying the sampled loop over the tolerances at {speed:.4g} rad/s")
             plant = assemble(machine, replace(start, speed=speed))
             boxes.append(replace(box_check(plant, _late(deployment, plant)), label=f"over the tolerances at {speed:.6g} rad/s"))
