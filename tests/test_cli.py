@@ -104,7 +104,7 @@ def test_study_compares_the_controllers(study):
     directory, done = study
     assert done.exit_code == 0, done.stderr  # the polished mu controller meets every check
     made = {f"controller-{method}.json" for method in ("pid", "hinf", "mu", "polish")} | {"checks.json", "report.html"}
-    assert {path.name for path in directory.iterdir()} == made
+    assert {path.name for path in directory.iterdir()} == made | {"commissioned"}
     found = json.loads(done.stdout)
     assert found["best"] == "mu, polished"
     stable = {name: [point["stable"] for point in c["points"]] for name, c in found["controllers"].items()}
@@ -182,6 +182,12 @@ BAD = {
     ),
     "unwritable target": (["synthesize", RIG, "-o", "{tmp}/no/such/folder/c.json"], "folder"),
     "unknown method": (["synthesize", RIG, "--method", "magic"], "magic"),
+    "a loss without a sample rate": (["synthesize", RIG, "--method", "mu", "--loss", "5"], "--rate-hz"),
+    "a negative sample rate": (["synthesize", RIG, "--rate-hz", "-1"], "--rate-hz"),
+    "a sample rate of zero": (["synthesize", RIG, "--rate-hz", "0"], "--rate-hz"),
+    "a negative loss": (["synthesize", RIG, "--rate-hz", "10000", "--loss", "-5", "-o", "{tmp}/c.json"], "--loss"),
+    "a negative computing delay": (["synthesize", RIG, "--rate-hz", "10000", "--delay-samples", "-1"], "computing delay"),
+    "a design at an unknown operating point": (["synthesize", RIG, "--point", "mars"], "nominal pressure"),
     "no controller given": (["verify", RIG], "--controller"),
 }
 

@@ -28,6 +28,8 @@ def test_the_delay_counts_computing_and_half_a_sample_of_holding():
     assert loop_delay(1e-4, 0) == pytest.approx(0.5e-4)
     with pytest.raises(InvalidInput, match="sample time"):
         loop_delay(0.0)
+    with pytest.raises(InvalidInput, match="computing delay"):
+        loop_delay(1e-4, -1)
 
 
 def test_only_the_currents_are_late(plant):

@@ -22,7 +22,7 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_s
     help="Scale the control weight until the direct gains match the reference PID's; default: with a constant weight.",
 )
 @click.option("--order", type=int, default=None, help="States of the polished controller; default: half of what mu needs.")
-@click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
+@click.option("--point", default=None, help="Label of an operating point, or its beginning; default: the design point.")
 @click.option("--rate-hz", type=float, default=None, help="Design for the delay of a loop sampled at this rate.")
 @click.option("--delay-samples", type=int, default=1, show_default=True, help="With --rate-hz: computing delay.")
 @click.option(
@@ -67,6 +67,8 @@ def synthesize(
     hertz = 6.283185307179586  # rad/s
     if loss is not None and rate_hz is None:
         raise invalid("--rate-hz", "not given", "given with --loss", "say at which rate the controller will run")
+    if loss is not None:  # before the design, which takes a while
+        check_positive(loss, "--loss", "5 allows 5 %", zero_allowed=True)
     sample = None if rate_hz is None else 1 / check_positive(rate_hz, "--rate-hz", "10000 is usual")
     delay = 0.0 if sample is None else loop_delay(sample, delay_samples)
     with progress_shown(as_json) as progress:
