@@ -87,7 +87,7 @@ def test_every_value_of_the_small_machine():
         ),
         operation=d.Operation(
             (d.OperatingPoint(6000 * rpm, 2e5, 4.0, 40 * hz, "nominal"), d.OperatingPoint(label="standstill")),
-            (0.0, 12000 * rpm),
+            (0.0, 12000 * rpm), "nominal",
         ),
         tolerances=(
             d.Tolerance("seal.center.K", absolute=0.1e6),

@@ -43,9 +43,9 @@ def simulate(
     from ambrose.export.files import read_controller
     from ambrose.machine.parameters import operating_point
     from ambrose.machine.record import write_record
+    from ambrose.plant.assemble import assemble
     from ambrose.simulate import virtual_rig
     from ambrose.simulate.scenario import load_scenario
-    from ambrose.stages.plants import plant_at
     from ambrose.stages.trial import simulation
 
     description = load(machine)
@@ -53,7 +53,8 @@ def simulate(
     with progress_shown(as_json) as progress:
         if linear:
             progress("assembling the plant")
-            plant = plant_at(description, point)
+            nominal = description.operation.nominal
+            plant = assemble(description, nominal if point is None else operating_point(description, point))
             progress(f"simulating {scenario}")
             trace = simulation(plant, controller, scenario)
         else:

@@ -127,7 +127,8 @@ def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[st
     """What is identified when nothing is named: the machine's uncertain parameters, K_i and K_s of every bearing and axis, and
     the amplifier's lag (its bandwidth, or its natural frequency).
 
-    A seal's coefficient that scales with the pressure is left out where no record was taken under pressure.
+    A seal's coefficient that scales with the pressure is left out where no record was taken under pressure; so is one that a
+    table or a geometry gives, for it could not be written back.
     """
     found = [
         f"bearing.{item.name}.{quantity}.{axis}"
@@ -143,6 +144,9 @@ def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[st
         if parameter.table == "seal":
             seal = next(item for item in machine.seals if item.name == parameter.name)
             if parameter.quantity in seal.scales_with_pressure and not pressed:
+                continue
+            tabulated = seal.table is not None and parameter.quantity in dict(seal.table.values)
+            if tabulated or seal.geometry is not None:
                 continue
         if not any(parameter.overlaps(parse_parameter(path)) for path in found):
             found.append(tolerance.parameter)

@@ -245,14 +245,23 @@ class OperatingPoint:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """The points at which the machine is verified, and its speed range [rad/s]; the first point is the nominal one."""
+    """The points at which the machine is verified, and its speed range [rad/s]; the first point is the nominal one.
+
+    design_point: label of the point that controllers are designed for; empty: the nominal one.
+    """
 
     points: tuple[OperatingPoint, ...] = (OperatingPoint(label="standstill"),)
     speed_range: Pair = (0.0, 0.0)
+    design_point: str = ""
 
     @property
     def nominal(self) -> OperatingPoint:
         return self.points[0]
+
+    @property
+    def design(self) -> OperatingPoint:
+        """The point that controllers are designed for."""
+        return next((point for point in self.points if point.label == self.design_point and point.label), self.nominal)
 
 
 @dataclass(frozen=True, slots=True)

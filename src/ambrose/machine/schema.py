@@ -260,6 +260,7 @@ class OperationTable(Table):
     speed_range: Annotated[tuple[float, float], PairOf("angular rate", "lowest, highest", scalar=False)] = optional(
         "[lowest, highest] spin speed"
     )
+    design_point: Words = optional("label of the point that controllers are designed for; default: the nominal one")
     point: list[PointTable] = optional("operating points at which the machine is verified; default: standstill")
 
     def given(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from ambrose.machine import validate_parts as parts
 from ambrose.machine import validate_seals
 from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, Machine, PidSettings
 from ambrose.machine.parameters import Parameter, find_uncertain
-from ambrose.machine.wording import complaint, listed, not_positive, number, shown
+from ambrose.machine.wording import complaint, listed, not_positive, number, shown, suggestion
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
@@ -186,6 +186,10 @@ def _operation(machine: Machine) -> Iterator[str]:
         if point.label and point.label in labels:
             yield f'{where}: label "{point.label}" is taken by an earlier point; give every point its own label'
         labels.add(point.label)
+    wanted = operation.design_point
+    if wanted and wanted not in labels:
+        known = suggestion(wanted, sorted(labels - {""}))
+        yield f'[operation]: design_point is "{wanted}", which is no point\'s label; {known}'
 
 
 def _tolerances(machine: Machine) -> Iterator[str]:

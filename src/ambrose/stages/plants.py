@@ -20,16 +20,18 @@ from ambrose.verify.checks import Curve
 
 
 def full_plants(machine: Machine) -> tuple[Plant, ...]:
-    """The full finite-element plant at every operating point of the machine; the first is the nominal one."""
-    return tuple(assemble(machine, point) for point in machine.operation.points)
+    """The full finite-element plant at every operating point of the machine; the first is the one designs are made for."""
+    first = machine.operation.design
+    others = [point for point in machine.operation.points if point is not first]
+    return tuple(assemble(machine, point) for point in (first, *others))
 
 
 def plant_at(machine: Machine, label: str | None) -> Plant:
-    """The full plant at the operating point of that label, or of which it is the beginning (None: the nominal one).
+    """The full plant at the operating point of that label, or of which it is the beginning (None: the design point).
 
     Raises InvalidInput.
     """
-    return assemble(machine, machine.operation.nominal if label is None else operating_point(machine, label))
+    return assemble(machine, machine.operation.design if label is None else operating_point(machine, label))
 
 
 def plants_along_speed(plant: Plant) -> Callable[[float], Plant]:
