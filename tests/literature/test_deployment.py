@@ -1,7 +1,7 @@
 """P5's mu controller as C code on the rig: designed for its sampled loop, at zero, nominal and twice nominal seal pressure.
 
-P5 tries its controllers under an impulse at these pressures (section 5.5). Here what runs is the generated C, compiled, in place
-of the controller, with its sampling, one sample of computing delay, limits and rounding.
+P5 tries its controllers under an impulse at these pressures (section 5.5). Here what runs is the generated C, compiled, in
+place of the controller, with its sampling, one sample of computing delay, limits and rounding.
 """
 
 from __future__ import annotations
