@@ -2,7 +2,9 @@
 
 The rotor is written in the mass-orthonormal modes of the free rotor - all of them for the full model, so nothing is lost
 but a change of coordinates. There the rigid-body modes have exactly no stiffness; in nodal coordinates rounding of the
-element stiffness (norm 1e14) would disturb them in the sixth digit.
+element stiffness (norm 1e14) would disturb them in the sixth digit. Its states are the modal displacements q and q'/s, with
+scales s of the free rotor alone: they mean the same at every speed, seal pressure and bias current, so that a run-up may carry
+them from one plant to the next. Poles of the slow modes are good to 1e-8 rad/s (tests/plant/test_assemble.py).
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.core.mechanical import SecondOrder, to_statespace
+from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import Machine, OperatingPoint, Seal
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
@@ -20,15 +22,34 @@ from ambrose.physics.seal_rational import has_states
 from ambrose.plant.model import Plant
 from ambrose.plant.ports import ports, sensor_ports
 
+_RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state: the pace of a levitated rotor
+
 
 def assemble(machine: Machine, point: OperatingPoint | None = None) -> Plant:
     """The full finite-element plant (4 DOF per node) at an operating point (default: the machine's nominal one).
 
-    Raises InvalidInput where the point lies outside a seal's table or a bearing's measured bias currents.
+    Its states mean the same at every operating point, see ``attached_statespace``. Raises InvalidInput where the point lies
+    outside a seal's table or a bearing's measured bias currents.
     """
     point = machine.operation.nominal if point is None else point
-    rotor = to_statespace(attached_rotor(machine, point, finite_element_rotor(machine)), point.speed)
-    return wire(machine, point, with_seal_states(machine, point, rotor))
+    return wire(machine, point, attached_statespace(machine, point, finite_element_rotor(machine)))
+
+
+def attached_statespace(machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None) -> StateSpace:
+    """``attached_rotor`` as a state space, and the states of the seals after its own.
+
+    States: modal displacements q of the free rotor and q'/s, s (n,) [rad/s] being ``state_scales``. Neither speed nor seal nor
+    bearing moves them.
+    """
+    attached = attached_rotor(machine, point, rotor, bending_modes)
+    scales = state_scales(rotor, bending_modes)
+    return with_seal_states(machine, point, to_common_statespace(attached, point.speed, scales))
+
+
+def state_scales(rotor: Rotor, bending_modes: int | None = None) -> np.ndarray:
+    """The scale s (n,) [rad/s] of each velocity state: the free mode's frequency, 300 rad/s for the four rigid ones."""
+    count = bending_modes_of(rotor) if bending_modes is None else bending_modes
+    return np.maximum(free_modes(rotor, count).frequencies, _RIGID_SCALE)
 
 
 def bending_modes_of(rotor: Rotor) -> int:

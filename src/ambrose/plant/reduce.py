@@ -13,13 +13,20 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure, check_shape, invalid
-from ambrose.core.mechanical import SecondOrder, project, to_common_statespace, to_statespace
+from ambrose.core.mechanical import SecondOrder, project, to_statespace, velocity_scales
 from ambrose.core.statespace import StateSpace, balance
-from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.plant.assemble import attached_rotor, bending_modes_of, seal_states, wire, with_seal_states
+from ambrose.physics.rotor import finite_element_rotor
+from ambrose.plant.assemble import (
+    attached_rotor,
+    attached_statespace,
+    bending_modes_of,
+    seal_states,
+    state_scales,
+    wire,
+    with_seal_states,
+)  # fmt: skip
 from ambrose.plant.model import Plant
 
-_RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state in free_mode_reduction: the pace of a levitated rotor
 _EXTRA_MODES = 24  # bending modes per plane beyond those asked for: rigid-body poles good to 3e-4 rad/s, see tests
 
 
@@ -75,7 +82,7 @@ def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: boo
         for L, R in ((T_L, T_R), (L_res, R_res))
     )
     reduced = with_static_correction(slow, full) if static_correction else slow
-    lift_L, lift_R = _lift(second_order, full)
+    lift_L, lift_R = _lift(second_order, full, state_scales(rotor))
     own = np.eye(seal_states(machine, point))
     left, right = sla.block_diag(T_L @ lift_L, own), sla.block_diag(lift_R @ T_R, own)
     reduced = with_seal_states(machine, point, reduced)
@@ -93,13 +100,11 @@ def with_static_correction(slow: StateSpace, full: SecondOrder) -> StateSpace:
 def free_mode_reduction(plant: Plant, bending_modes: int = 0) -> Plant:
     """Galerkin projection on the free rotor's modes: states that depend on neither speed nor bearing nor seal (for scheduling).
 
-    They are the modal displacements q and the velocities q'/s, s being the free mode's frequency, 300 rad/s for rigid modes.
+    They are those of ``assemble``, see ``assemble.attached_statespace``, of the modes kept.
     """
-    rotor = finite_element_rotor(plant.machine)
-    small = attached_rotor(plant.machine, plant.point, rotor, bending_modes)
-    scales = np.maximum(free_modes(rotor, bending_modes).frequencies, _RIGID_SCALE)
-    closed = with_seal_states(plant.machine, plant.point, to_common_statespace(small, plant.point.speed, scales))
-    return wire(plant.machine, plant.point, closed, bending_modes)
+    machine, point = plant.machine, plant.point
+    closed = attached_statespace(machine, point, finite_element_rotor(machine), bending_modes)
+    return wire(machine, point, closed, bending_modes)
 
 
 def leading(system: SecondOrder, count: int) -> SecondOrder:
@@ -133,17 +138,21 @@ def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return (T_L / s[:, None]) / t, (T_R * s) * t[:, None], L_res / t, R_res * t[:, None]
 
 
-def _lift(small: SecondOrder, full: SecondOrder) -> tuple[np.ndarray, np.ndarray]:
-    """From the full rotor's state (mass-normalised modes, scaled velocities) to that of its leading coordinates, and back."""
+def _lift(small: SecondOrder, full: SecondOrder, scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """From ``assemble``'s rotor state (q, q'/s) with scales s (n,) to the state of ``to_statespace(small)``, and back.
+
+    The latter is z = L^T q of the k leading coordinates, M = L L^T, and z' in scales of its own. Orthogonal in the full mass.
+    """
     k, n = small.n, full.n
-    R = np.eye(n)[:, :k]
-    if not np.array_equal(full.mass, np.eye(n)):  # a seal with inertia mixes the modes
-        R = sla.cholesky(full.mass, lower=True).T[:, :k] @ sla.inv(sla.cholesky(small.mass, lower=True)).T
-    s_small, s_full = (np.diag(to_statespace(system).A[: system.n, system.n :]) for system in (small, full))
-    zero = np.zeros((n, k))
-    up = np.block([[R, zero], [zero, R * s_small / s_full[:, None]]])
-    down = np.block([[R.T, zero.T], [zero.T, R.T / s_small[:, None] * s_full]])
-    return down, up
+    L = sla.cholesky(small.mass, lower=True)
+    K = sla.solve_triangular(L, sla.solve_triangular(L, small.stiffness, lower=True).T, lower=True)
+    own = velocity_scales(K)[:, None]
+    up, down = np.zeros((n, k)), sla.solve_triangular(L, full.mass[:k], lower=True)
+    up[:k] = sla.solve_triangular(L, np.eye(k), lower=True).T
+    return (
+        sla.block_diag(down, down * scales / own),
+        sla.block_diag(up, up * own.T / scales[:, None]),
+    )
 
 
 def modal_sum_bound(A: np.ndarray, B: np.ndarray, C: np.ndarray, omega: np.ndarray, static: bool) -> np.ndarray:
