@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.export.results import certificate_to_dict, checks_to_dict, write_json
+from ambrose.export.results import certificate_to_dict, checks_to_dict, plain, write_json
 from ambrose.identify.checked import as_dict
 from ambrose.machine.description import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
@@ -22,15 +22,16 @@ from ambrose.plant.reduce import reduce
 from ambrose.report.candidate import Candidate, points_of
 from ambrose.stages.commission import NAME, Commissioning, commission
 from ambrose.stages.control import kept_or_designed
-from ambrose.stages.plants import full_plants, model_comparison
+from ambrose.stages.plants import covers, full_plants, model_comparison, schedulable
 from ambrose.stages.proof import campbell_map, over_tolerances, verification
+from ambrose.stages.run_up import RunUp, run_ups
 from ambrose.stages.trial import simulations
 from ambrose.synthesis.design import methods_for
 from ambrose.synthesis.result import Synthesis
 from ambrose.verify.checks import Curve
 
 Progress = Callable[[str], None]
-TITLES = {"pid": "PID", "hinf": "H-infinity", "mu": "mu", "polish": "mu, polished"}
+TITLES = {"pid": "PID", "hinf": "H-infinity", "mu": "mu", "polish": "mu, polished", "lpv": "LPV"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +41,7 @@ class Study:
     candidates: the controllers that the machine file allows (PID, H-infinity, mu), each with its checks and traces.
     speed_curves: the Campbell map with the first of them, for machines that turn. failed: (controller, why) for those that
     could not be designed. commissioned: what commissioning on the rig gave, its controller among the candidates (None: not
-    possible, see failed).
+    possible, see failed). run_ups: scheduled and robust controllers while the machine runs up.
     """
 
     machine: Machine
@@ -50,21 +51,24 @@ class Study:
     speed_curves: tuple[Curve, ...] = ()
     failed: tuple[tuple[str, str], ...] = ()
     commissioned: Commissioning | None = None
+    run_ups: tuple[RunUp, ...] = ()
 
     @property
     def best(self) -> Candidate:
         """The candidate that meets most checks, robust ones included; unstable points count against it."""
-        return max(self.candidates, key=lambda candidate: -_failures(candidate))
+        return max(self.candidates, key=lambda candidate: -_failures(candidate, len(self.plants)))
 
     @property
     def passed(self) -> bool:
         """Whether one controller meets every check at every operating point and over the tolerances."""
-        return _failures(self.best) == 0
+        return _failures(self.best, len(self.plants)) == 0
 
 
-def _failures(candidate: Candidate) -> int:
+def _failures(candidate: Candidate, points: int) -> int:
+    """Checks that are not met; an unstable point, and one that a schedule leaves out, count for a hundred."""
     verifications = [*candidate.checks, *([candidate.robust] if candidate.robust else [])]
-    return sum(100 if not v.stable else sum(check.passed is False for check in v.checks) for v in verifications)
+    left_out = 100 * (points - len(candidate.checks))
+    return left_out + sum(100 if not v.stable else sum(check.passed is False for check in v.checks) for v in verifications)
 
 
 def run(machine: Machine, directory: Path, progress: Progress = lambda stage: None) -> Study:
@@ -78,7 +82,7 @@ def run(machine: Machine, directory: Path, progress: Progress = lambda stage: No
     progress("reducing it")
     reduced = reduce(plants[0])
     candidates, failed = [], []
-    for method in methods_for(plants[0]):
+    for method in [*methods_for(plants[0]), *(["lpv"] if schedulable(plants[0]) else [])]:
         progress(f"{TITLES[method]}: controller")
         try:
             synthesis = kept_or_designed(plants[0], method, directory / f"controller-{method}.json", progress)
@@ -99,7 +103,8 @@ def run(machine: Machine, directory: Path, progress: Progress = lambda stage: No
             progress(f"not commissioned; {error}")
             failed.append(("commissioning", str(error)))
     speed_curves = campbell_map(plants[0], candidates[0].synthesis.controller, progress)
-    study = Study(machine, plants, reduced, tuple(candidates), speed_curves, tuple(failed), commissioned)
+    rising = run_ups(plants[0], tuple(candidates), progress)
+    study = Study(machine, plants, reduced, tuple(candidates), speed_curves, tuple(failed), commissioned, rising)
     progress("writing the report")
     write_json(directory / "checks.json", results(study))
     write_report(study, directory / "report.html")
@@ -108,10 +113,11 @@ def run(machine: Machine, directory: Path, progress: Progress = lambda stage: No
 
 def examined(plants: tuple[Plant, ...], method: str, synthesis: Synthesis, progress: Progress) -> Candidate:
     """A controller with all that verification and simulation say about it."""
-    name = TITLES[method]
-    checks = verification(plants, synthesis.controller, lambda stage: progress(f"{name}: {stage}"))
+    name, law = TITLES[method], synthesis.law
+    within = tuple(plant for plant in plants if covers(law, plant))  # a schedule says nothing about other speeds
+    checks = verification(within, law, lambda stage: progress(f"{name}: {stage}"))
     over_box = over_tolerances(plants[0], synthesis.controller, checks[0].stable, lambda stage: progress(f"{name}: {stage}"))
-    traces = simulations(plants, synthesis.controller, lambda stage: progress(f"{name}: {stage}"))
+    traces = simulations(within, law, lambda stage: progress(f"{name}: {stage}"))
     return Candidate(name, synthesis, checks, over_box, traces)
 
 
@@ -122,6 +128,16 @@ def results(study: Study) -> dict[str, Any]:
         "passed": study.passed,
         "best": study.best.name,
         "failed": dict(study.failed),
+        "run_up": {
+            run.name: {
+                where: [
+                    {"start_s": s.start, "speed_rad_s": s.speed, "peak_m": s.peak, "settling_s": plain(s.settling)}
+                    for s in found
+                ]
+                for where, found in (("linear", run.linear_steps), ("rig", run.rig_steps))
+            }
+            for run in study.run_ups
+        },
         "commissioned": commissioned_results(study.commissioned) if study.commissioned else None,
         "controllers": {
             c.name: {
@@ -152,10 +168,15 @@ def write_report(study: Study, path: Path) -> None:
     from ambrose.report.commissioning import commissioning_section
     from ambrose.report.comparison import comparison_report
     from ambrose.report.document import write
+    from ambrose.report.run_up import run_up_section
 
     rotor = finite_element_rotor(study.machine)
     modes = free_modes(rotor, 2)
     plane = slice(0, None, 2)  # the modes come in x/y pairs; the drawing shows x
+    more = [run_up_section(study.run_ups, study.machine.requirements.settling_time)] if study.run_ups else []
+    if (done := study.commissioned) is not None:
+        points = points_of(study.machine, study.candidates)
+        more.append(commissioning_section(done.checked, study.candidates[0], done.candidate, points, done.in_words))
     full, reduced = study.plants[0], study.reduced
     report = comparison_report(
         study.machine,
@@ -169,17 +190,7 @@ def write_report(study: Study, path: Path) -> None:
         ),
         comparison=model_comparison(full, reduced),
         over_speed=[(full.point.label, curve) for curve in study.speed_curves],
-        more=[
-            commissioning_section(
-                study.commissioned.checked,
-                study.candidates[0],
-                study.commissioned.candidate,
-                points_of(study.machine, study.candidates),
-                study.commissioned.in_words,
-            )
-        ]
-        if study.commissioned is not None
-        else [],
+        more=more,
         facts=(
             ("Verified on", f"the full model at {len(study.plants)} operating points, and over all tolerances"),
             *((f"{NAME} verified on", "the identified machine") for _ in [study.commissioned] if study.commissioned),

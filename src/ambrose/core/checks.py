@@ -85,7 +85,7 @@ def check_positive(x: float, name: str, remedy: str, *, zero_allowed: bool = Fal
     """``x`` as a float, after refusing NaN, infinity and numbers below (or at) zero. Raises InvalidInput."""
     array = check_finite(x, name)
     if array.ndim or np.iscomplexobj(array):
-        raise invalid(name, array.tolist(), "one real number", remedy)
+        raise invalid(name, array.tolist() if array.size < 5 else f"of shape {array.shape}", "one real number", remedy)
     value = float(array)
     if value < 0 or (value == 0 and not zero_allowed):
         raise invalid(name, value, "zero or positive" if zero_allowed else "positive", remedy)

@@ -1,7 +1,7 @@
 """Stage: commissioning as on site, with the nonlinear virtual rig in place of the machine.
 
 Record under the reference controller -> identified machine -> robust controller for it and for the delay of its sampled loop ->
-C code, verified as it will run -> the compiled code on the rig at every operating point.
+C code -> the law read back out of the running code, verified -> the code on the rig at every operating point.
 """
 
 from __future__ import annotations
@@ -11,8 +11,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ambrose.core.checks import InvalidInput
-from ambrose.export.compiled import CompiledBlock, has_compiler
+from ambrose.core.sampling import delayed
+from ambrose.core.statespace import StateSpace
+from ambrose.export.compiled import CompiledBlock, has_compiler, probed
 from ambrose.export.control_block import control_block
 from ambrose.export.controller_code import write_code
 from ambrose.export.deliver import SAMPLE_TIME, limits, provenance
@@ -48,15 +52,22 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commissioning:
-    """checked: the identification; machine: as identified; candidate: the controller, verified on the identified machine, its
-    rig traces from the C code; deployment: the sampled loop; files: the code; from_code: whether it was compiled here."""
+    """checked: the identification; machine: as identified; candidate: the controller, verified on the identified machine as it
+    runs (sampled, late, its law read out of the code), its rig traces from the code; deployment: the sampled loop as designed;
+    files: the code; apart: largest difference between the law of the running code and the design's, relative to the largest
+    entry (None: there is no C compiler here, the law in Python ran)."""
 
     checked: CheckedIdentification
     machine: Machine
     candidate: Candidate
     deployment: Deployment
     files: tuple[Path, ...]
-    from_code: bool
+    apart: float | None
+
+    @property
+    def from_code(self) -> bool:
+        """Whether compiled C code ran on the rig."""
+        return self.apart is not None
 
     @property
     def in_words(self) -> tuple[tuple[str, str], ...]:
@@ -65,9 +76,11 @@ class Commissioning:
         rate = 1 / (deployed.controller.dt or SAMPLE_TIME)
         rows = [
             ("Controller", f"{deployed.controller.n_states} states, {rate:g} Hz, {deployed.delay} sample of computing delay"),
-            ("Runs on the rig as", "the compiled C code" if self.from_code else "its law in Python: no C compiler here"),
+            ("Runs on the rig as", "its law in Python: no C compiler here" if self.apart is None else "the compiled C code"),
             ("Files", ", ".join(path.name for path in self.files)),
         ]
+        if self.apart is not None:
+            rows.insert(2, ("Law read back out of the running code", f"within {self.apart:.1g} of the design's"))
         if box is not None:
             worst, unstable = box["sampled.sensitivity.box"], box["sampled.stability.box"]
             rows.insert(1, ("Sampled loop", f"{unstable.value:.0f} unstable of {unstable.detail}"))
@@ -92,8 +105,9 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     progress("controller for the identified machine and its sampled loop")
     synthesis = kept_or_designed(known[0], METHOD, directory / "controller.json", progress, delay=delay)
     deployment, program, files = coded(known, directory, progress)
-    candidate = examined(plants, known, synthesis, program, progress)
-    return Commissioning(checked, machine, candidate, deployment, files, isinstance(program, CompiledBlock))
+    law, apart = running_law(program, deployment)
+    candidate = examined(plants, known, synthesis, delayed(law, deployment.delay), program, progress)
+    return Commissioning(checked, machine, candidate, deployment, files, apart)
 
 
 def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> Any:
@@ -125,7 +139,7 @@ def identified(
 
 def coded(
     plants: tuple[Plant, ...], directory: Path, progress: Progress
-) -> tuple[Deployment, CompiledBlock | Any, tuple[Path, ...]]:
+) -> tuple[Deployment, CompiledBlock | StateSpace, tuple[Path, ...]]:
     """Sampled, verified as it will run, written as C and, where there is a compiler, running; else its law in Python."""
     machine = plants[0].machine
     file, dt = read_controller(directory / "controller.json"), _sample_time(machine)
@@ -140,13 +154,27 @@ def coded(
     return deployment, CompiledBlock(block) if has_compiler() else block.system, files
 
 
+def running_law(program: CompiledBlock | StateSpace, deployment: Deployment) -> tuple[StateSpace, float | None]:
+    """The law that runs, without the computing delay, and how far it is from the design's: read out of the code, if it is one."""
+    if not isinstance(program, CompiledBlock):
+        return program, None
+    law, meant = probed(program), program.system
+    return law, max(float(np.abs(getattr(law, m) - getattr(meant, m)).max() / np.abs(getattr(meant, m)).max()) for m in "ABCD")
+
+
 def examined(
-    plants: tuple[Plant, ...], known: tuple[Plant, ...], synthesis: Synthesis, program: Any, progress: Progress
+    plants: tuple[Plant, ...],
+    known: tuple[Plant, ...],
+    synthesis: Synthesis,
+    running: StateSpace,
+    program: Any,
+    progress: Progress,
 ) -> Candidate:
-    """Verified on the identified machine ``known``; the program runs the rig, which is the machine of ``plants``."""
-    checks = verification(known, synthesis.controller, progress)
+    """What ``running`` (sampled, with its delay) does is verified on the identified machine ``known`` point by point; over the
+    tolerances the proof is of the continuous controller. The program runs the rig, which is the machine of ``plants``."""
+    checks = verification(known, running, progress)
     wide = design_tolerances(known[0].machine)
-    over_box = over_tolerances(known[0], synthesis.controller, checks[0].stable, progress, wide)
+    over_box = over_tolerances(known[0], synthesis.controller, synthesis.certificate.stable, progress, wide)
     traces: list[tuple[str, Trace]] = []
     for plant, model in zip(plants, known, strict=True):
         label = plant.point.label

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import poles, select
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import operating_point
@@ -16,6 +18,7 @@ from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.synthesis.lpv_machine import speed_grid
 from ambrose.verify.checks import Curve
 
 
@@ -32,6 +35,25 @@ def plant_at(machine: Machine, label: str | None) -> Plant:
     Raises InvalidInput.
     """
     return assemble(machine, machine.operation.design if label is None else operating_point(machine, label))
+
+
+def schedulable(plant: Plant) -> bool:
+    """Whether the operating points around the plant's give a range of speeds to schedule over."""
+    try:
+        speed_grid(plant.machine, plant.point)
+    except InvalidInput:
+        return False
+    return plant.machine.weights is not None
+
+
+def covers(law: Any, plant: Plant) -> bool:
+    """Whether a law is meant for the plant's speed and seal pressure: a schedule has a range, and a pressure it was made at."""
+    if not isinstance(law, ScheduledSystem):
+        return True
+    low, high = law.range
+    design = plant.machine.operation.design
+    slack = 1e-9 * high
+    return low - slack <= plant.point.speed <= high + slack and plant.point.seal_pressure == design.seal_pressure
 
 
 def plants_along_speed(plant: Plant) -> Callable[[float], Plant]:

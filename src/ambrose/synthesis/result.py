@@ -44,3 +44,8 @@ class Synthesis:
     history: tuple[Mapping[str, float], ...] = ()
     notes: tuple[str, ...] = ()
     scheduled: ScheduledSystem | None = None
+
+    @property
+    def law(self) -> StateSpace | ScheduledSystem:
+        """What runs: the schedule where there is one, else the controller."""
+        return self.controller if self.scheduled is None else self.scheduled

@@ -1,0 +1,86 @@
+"""The run-up on the comparison's page: what follows every step on the way up, and the first and the last of them in time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ambrose.report import theme, units
+from ambrose.report.document import Cell, Figure, Section, Table
+from ambrose.report.panels import Panel, panel_figure
+from ambrose.simulate.spin_up import Step
+from ambrose.simulate.trace import Trace
+from ambrose.verify.checks import Curve
+
+_SPAN = 0.1  # s, of the first and the last panel
+_WORDS = (
+    "The machine runs up while a force or the set point steps every 50 ms. A scheduled controller changes with the speed, a "
+    "fixed one was designed for one speed. Speeds are those at the start of a step; settling is to 5 % of its own peak."
+)
+
+
+class RunUp(Protocol):
+    """What the section needs of one controller's run-up."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def linear(self) -> Trace: ...
+    @property
+    def rig(self) -> Trace: ...
+    @property
+    def linear_steps(self) -> tuple[Step, ...]: ...
+    @property
+    def rig_steps(self) -> tuple[Step, ...]: ...
+
+
+def run_up_section(runs: Sequence[RunUp], limit: float | None) -> Section:
+    """runs: one per controller, in order; limit [s]: the settling time asked for (None: no verdict)."""
+    return Section("Run-up", _WORDS, (_figure(runs),), (_table(runs, limit),))
+
+
+def _table(runs: Sequence[RunUp], limit: float | None) -> Table:
+    rows: list[tuple[str | Cell, ...]] = []
+    for k, step in enumerate(runs[0].linear_steps):
+        cells = [_settling(found[k], limit) for run in runs for found in (run.linear_steps, run.rig_steps) if k < len(found)]
+        rows.append(
+            (Cell(units.quantity(step.start, "s"), "number"), Cell(units.quantity(step.speed, "rad/s"), "number"), *cells)
+        )
+    columns = ("Step at", "Speed", *("Linear", "Rig") * len(runs))
+    groups = (("", 2), *((f"{run.name}, settles in", 2) for run in runs))
+    note = "" if limit is None else f"Asked for: {units.quantity(limit, 's')}."
+    return Table("Settling after every step", columns, tuple(rows), note, groups=groups, by_cell=True)
+
+
+def _settling(step: Step, limit: float | None) -> Cell:
+    if not np.isfinite(step.settling):
+        return Cell("not within 50 ms", "fail")
+    return Cell(units.quantity(step.settling, "s"), "fail" if limit is not None and step.settling > limit else "number")
+
+
+def _figure(runs: Sequence[RunUp]) -> Figure:
+    names = [run.name for run in runs]
+    last = min(run.linear.record.time[-1] for run in runs)
+    rows = []
+    for where in ("linear", "rig"):
+        panels = []
+        for words, start in (("first 100 ms", 0.0), ("last 100 ms", float(last) - _SPAN)):
+            curves = tuple((run.name, _piece(getattr(run, where), start)) for run in runs)
+            panels.append(Panel(f"{'Virtual rig' if where == 'rig' else 'Linear loop'}, {words}", curves))
+        rows.append(panels)
+    picture, hidden = panel_figure(rows, theme.styles(names))
+    words = (
+        "Displacement at the first sensor, from the start of the shown piece: low speed on the left, high speed on the right."
+    )
+    return Figure("Steps at the lowest and the highest speed", picture, f"{words} {hidden}".strip())
+
+
+def _piece(trace: Trace, start: float) -> Curve:
+    name = next(signal for signal in trace.record.signals if signal.startswith("y_"))
+    time, values = trace.record.time, trace.record[name]
+    inside = (time >= start - 1e-9) & (time <= start + _SPAN + 1e-9)
+    x = time[inside] - start
+    level = values - np.mean(values)  # the rig's rotor rests where its weight leaves it
+    return Curve("run-up", "displacement", "time", x, level[inside][None], (units.axis_name(name),), "s", "m")

@@ -1,0 +1,47 @@
+"""Stage: controllers compared while the machine runs up, on the linear loop and on the nonlinear virtual rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ambrose.plant.model import Plant
+from ambrose.report.candidate import Candidate
+from ambrose.simulate import virtual_rig
+from ambrose.simulate.scenario import load_scenario
+from ambrose.simulate.spin_up import Step, spin_up, steps
+from ambrose.simulate.trace import Trace
+
+SCENARIO = "spin-up-steps"  # P3: 20 to 300 Hz in 1 s, a step of force or set point every 50 ms
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunUp:
+    """One controller on the way up: linear and on the rig, with what followed each step."""
+
+    name: str
+    linear: Trace
+    rig: Trace
+    linear_steps: tuple[Step, ...]
+    rig_steps: tuple[Step, ...]
+
+
+def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress) -> tuple[RunUp, ...]:
+    """The scheduled candidates and the robust ones beside them; none where no schedule covers the scenario's speeds."""
+    scenario = load_scenario(SCENARIO)
+    low, high = scenario.speed_at(0.0), scenario.speed_at(scenario.duration)
+    schedules = [c.synthesis.scheduled for c in candidates if c.synthesis.scheduled is not None]
+    if not any(s.range[0] <= low * (1 + 1e-9) and high <= s.range[1] * (1 + 1e-9) for s in schedules):
+        return ()
+    found = []
+    for candidate in candidates:
+        if candidate.synthesis.method not in {"lpv", "mu"}:  # the scheduled one, and the fixed one that is robust
+            continue
+        law = candidate.synthesis.law
+        progress(f"{candidate.name}: running up, {SCENARIO}")
+        linear = spin_up(plant, law, scenario)
+        rig = virtual_rig.run(plant.machine, law, scenario, point=plant.point)
+        y = plant.named("y")
+        found.append(RunUp(candidate.name, linear, rig, steps(linear, scenario, y), steps(rig, scenario, y)))
+    return tuple(found)
