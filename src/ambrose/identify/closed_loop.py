@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identify import statistics
@@ -170,16 +171,54 @@ def solve(
         return admitted(models, theta) and slowest(loop for loop, _ in at(theta)) < 1
 
     early = [task.first(_EARLY) for task in tasks]
+    _check_driven(paths, at(begin), scale, early, tasks)
     begun, excited = 0, all(np.any(wave) for task in early for wave in task.e)
     if excited and max(task.samples for task in tasks) > 3 * _EARLY:
         small = _NEAR / sum(task.samples * len(task.y) for task in early)
-        near = minimise(linearise_on(early), begin, scale, stable, most, tolerance=1e-4, negligible=small)
-        if near.converged:  # a good start from the first second; what is found is decided by all samples
+        near = _near(linearise_on(early), begin, scale, stable, most, small)
+        if near is not None:  # a good start from the first second; what is found is decided by all samples
             begin, begun = near.x, near.iterations
     total = sum(float(np.vdot(y, y)) for task in tasks for y in (task.measured(i, 0, task.samples) for i in range(len(task.y))))
     small = _NEGLIGIBLE / sum(task.samples * len(task.y) for task in tasks)
     found = minimise(linearise_on(tasks), begin, scale, stable, most, floor=_EXACT * total, negligible=small)
     return replace(found, iterations=found.iterations + begun)
+
+
+def _check_driven(
+    paths: tuple[str, ...],
+    loops: Sequence[tuple[StateSpace, list[SystemDerivative]]],
+    scale: np.ndarray,
+    early: Sequence[Task],
+    tasks: Sequence[Task],
+) -> None:
+    """Refuse parameters of which the excitation shows nothing at the start values; what noise makes of an initial state is no
+    sign of them. The first samples mostly do; else all of them decide."""
+    if any(len(task.tail) for task in tasks):
+        return
+    for chosen in (early, tasks):
+        still = [replace(task, initial_state=False) for task in chosen]
+        H = np.sum([normal_equations(*loops[task.place], task).equations.H for task in still], axis=0)
+        try:
+            return statistics.check_visible(paths, H, scale)
+        except InvalidInput:
+            if chosen is tasks:
+                raise
+
+
+def _near(
+    linearise: Callable[[np.ndarray], Linearised],
+    begin: np.ndarray,
+    scale: np.ndarray,
+    stable: Callable[[np.ndarray], bool],
+    most: int,
+    small: float,
+) -> Minimum | None:
+    """Where a part of the data leads, or None where it says too little for that, or leads nowhere."""
+    try:
+        near = minimise(linearise, begin, scale, stable, most, tolerance=1e-4, negligible=small)
+    except (InvalidInput, NumericalFailure):  # the part does not show every parameter; all of it may
+        return None
+    return near if near.converged else None
 
 
 def _several(model: Models) -> Sequence[ParametricModel]:
@@ -253,8 +292,8 @@ def _from_lines(
     start, begun, chosen = begin, 0, every
     few = [one.only(slice(None, None, max(len(one.z) // _FEW, 1))) for one in every]
     small = _NEAR / sum(2 * one.Y.size for one in few)
-    near = minimise(linearise_on(few), begin, given.scale, stable, most, tolerance=1e-4, negligible=small)
-    if near.converged:  # a good start, and where the lines begin to tell nothing
+    near = _near(linearise_on(few), begin, given.scale, stable, most, small)
+    if near is not None:  # a good start, and where the lines begin to tell nothing
         start, begun = near.x, near.iterations
         told = told_below(near.parts, few)
         chosen = [one.only(slice(int(np.searchsorted(np.angle(one.z), told)) + 1)) for one in every]
@@ -290,7 +329,7 @@ def _identification(
     correlation, cosine = statistics.parameter_correlation(H), statistics.column_cosine(H)
     condition = float(np.linalg.cond(cosine))
     warnings = warnings_of(paths, found, covariance, correlation)
-    verdict = verdict_of(tests)
+    verdict = verdict_of(tests, found.converged)
     if not all(test.passed for test in tests):
         warnings.append(verdict)
     return Identification(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import NumericalFailure
+from ambrose.core.checks import InvalidInput, NumericalFailure
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +54,9 @@ def minimise(
 
     scale (q,): the size of a parameter, for the stopping rule |step| <= tolerance * max(|x|, scale); a step whose predicted
     gain is below 1e-12 of the cost, or a cost below ``floor``, also ends it. One below ``negligible`` of the cost is taken and
-    ends it, without a look at where it leads. allowed(x): steps are shortened until true. Raises NumericalFailure where J has
-    a zero column.
+    ends it, without a look at where it leads. allowed(x): steps are shortened until true, and until ``linearise`` does not raise
+    InvalidInput (a point at which nothing can be told); at the start that is raised. Raises NumericalFailure where J has a zero
+    column.
     """
     damping, growth, refused = 1e-6, 2.0, 0
     state = linearise(x)
@@ -74,7 +75,7 @@ def minimise(
             trial = x + step
             if predicted <= negligible * state.cost and damping < 1e-3 and allowed(trial):
                 return Minimum(trial, state.cost - predicted, True, iteration + 1, refused, state.parts)
-            found = linearise(trial) if allowed(trial) else None  # most trials are accepted: then nothing was in vain
+            found = _tried(linearise, trial) if allowed(trial) else None  # most are accepted: then nothing was in vain
             gain = (state.cost - found.cost) / predicted if found is not None else -1.0
             if found is not None and gain > 0:
                 damping, growth = max(damping * max(1 / 9, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
@@ -85,3 +86,11 @@ def minimise(
                 return Minimum(x, state.cost, False, iteration, refused, state.parts)
         x, state = trial, found
     return Minimum(x, state.cost, False, max_iterations, refused, state.parts)
+
+
+def _tried(linearise: Callable[[np.ndarray], Linearised], trial: np.ndarray) -> Linearised | None:
+    """The normal equations at a trial step, or None where they say nothing, as at the edge of stability."""
+    try:
+        return linearise(trial)
+    except InvalidInput:
+        return None

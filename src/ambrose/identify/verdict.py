@@ -9,6 +9,7 @@ import numpy as np
 from ambrose.identify.gauss_newton import Minimum
 from ambrose.identify.statistics import ResidualTest
 
+HARDLY_VISIBLE = "hardly visible in these records"
 _UNSURE, _ALIKE = 0.3, 0.98  # standard deviation over value, and correlation, that are worth a warning
 
 
@@ -20,7 +21,7 @@ def warnings_of(paths: tuple[str, ...], found: Minimum, covariance: np.ndarray, 
     for path, value, deviation in zip(paths, found.x, np.sqrt(np.diag(covariance)), strict=True):
         if value != 0 and deviation > _UNSURE * abs(value):
             texts.append(
-                f"{path} = {value:.4g} has the standard deviation {deviation:.2g}: hardly visible in these records; "
+                f"{path} = {value:.4g} has the standard deviation {deviation:.2g}: {HARDLY_VISIBLE}; "
                 "excite its axis more, record longer, or take it as known"
             )
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1)), strict=True):
@@ -31,8 +32,12 @@ def warnings_of(paths: tuple[str, ...], found: Minimum, covariance: np.ndarray, 
     return texts
 
 
-def verdict_of(tests: Sequence[ResidualTest]) -> str:
-    """One sentence: do the residuals still follow an excitation, and what to look for if so."""
+def verdict_of(tests: Sequence[ResidualTest], converged: bool = True) -> str:
+    """One sentence: did the fit converge, do the residuals still follow an excitation, and what to look for if so."""
+    return ("" if converged else "NOT CONVERGED, these values are not the best ones; ") + _of_residuals(tests)
+
+
+def _of_residuals(tests: Sequence[ResidualTest]) -> str:
     failed = [test for test in tests if not test.passed]
     if not failed:
         return "the residuals hold no trace of the excitation: the model explains all that the records tell (99 %)"

@@ -126,7 +126,7 @@ def _verdicts(checked: CheckedIdentification) -> tuple[Verdict, ...]:
     passed = all(test.passed for test in result.tests)
     worst = max(zip(result.paths, result.values, result.standard_deviations, strict=True), key=_relative)
     least = min(percent for _, _, percent in result.fit)
-    sure = _relative(worst) < 0.15
+    sure = _relative(worst) < 0.15 and result.converged
     verdicts = [
         Verdict("Residuals", passed, units.prose(result.verdict)),
         Verdict("Fit", None, f"{least:.1f} % or better in every signal"),

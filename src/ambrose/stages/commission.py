@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.export.compiled import CompiledBlock, has_compiler, probed
@@ -123,7 +123,10 @@ def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> A
 def identified(
     machine: Machine, record: Any, controller: Any, directory: Path, progress: Progress
 ) -> tuple[CheckedIdentification, Machine]:
-    """The identification, and the machine with what was found; leaves identified.toml and identified.html."""
+    """The identification, and the machine with what was found; leaves identified.toml and identified.html.
+
+    Raises NumericalFailure where the fit did not converge.
+    """
     from ambrose.report.document import write
     from ambrose.report.identification import identification_report
 
@@ -134,6 +137,8 @@ def identified(
     write_text(directory / "identified.toml", comment + dumps_machine(found), "machine file")
     page = identification_report(machine, checked, sources=["record.h5"], controller="the reference controller")
     write(page, directory / "identified.html")
+    if not checked.result.converged:
+        raise NumericalFailure(f"{checked.result.verdict}; no controller is designed for them, see identified.html")
     return checked, found
 
 
@@ -155,11 +160,12 @@ def coded(
 
 
 def running_law(program: CompiledBlock | StateSpace, deployment: Deployment) -> tuple[StateSpace, float | None]:
-    """The law that runs, without the computing delay, and how far it is from the design's: read out of the code, if it is one."""
+    """The law that runs, without the computing delay, read out of the code if it is one; and how far it is from the design's."""
     if not isinstance(program, CompiledBlock):
         return program, None
-    law, meant = probed(program), program.system
-    return law, max(float(np.abs(getattr(law, m) - getattr(meant, m)).max() / np.abs(getattr(meant, m)).max()) for m in "ABCD")
+    law = probed(program)
+    pairs = [(getattr(law, letter), getattr(program.system, letter)) for letter in "ABCD"]
+    return law, max(float(np.abs(found - meant).max() / np.abs(meant).max()) for found, meant in pairs if meant.any())
 
 
 def examined(
