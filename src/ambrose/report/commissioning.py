@@ -17,11 +17,12 @@ from ambrose.simulate.trace import Trace
 _WORDS = (
     "The virtual rig stands for the machine on site. A record taken under the reference controller identifies the machine "
     "file's uncertain entries; a robust controller is designed for what was found and for the delay of its sampled loop, "
-    "exported as C, and the compiled code is run on the rig. Full identification: commissioned/identified.html."
+    "exported as C, and tried on the rig. Its checks above are those of the sampled loop, with the computing delay, on the "
+    "identified machine. Full identification: commissioned/identified.html."
 )
 _CHANGE = (
-    "How far the record moved every parameter from the machine file. The negative stiffness differs most: the rotor's weight "
-    "loads the magnets, and the file states them unloaded."
+    "How far the record moved every parameter from the machine file. A magnet's force per current and negative stiffness "
+    "belong to its static load: entries stated for an unloaded magnet differ where it carries weight."
 )
 
 
@@ -31,10 +32,15 @@ def commissioning_section(
     commissioned: Candidate,
     points: Sequence[str],
     deployed: Sequence[tuple[str, str]],
+    *,
+    from_code: bool = True,
 ) -> Section:
-    """points: labels of the operating points in order; deployed: (what, words) about the sampled controller and its code."""
+    """points: labels of the operating points in order; deployed: (what, words) about the sampled controller and its code.
+
+    from_code: whether the rig ran compiled code (otherwise its law in Python).
+    """
     found = [
-        _rig_table(reference, commissioned, points),
+        _rig_table(reference, commissioned, points, "compiled C code" if from_code else "its law in Python"),
         tables.named_table("The code", deployed, ("What", "")),
         _verdict(checked),
     ]
@@ -54,14 +60,14 @@ def _verdict(checked: CheckedIdentification) -> Table:
     return Table("The identification", ("Residual tests", "Fit of the displacements"), rows)
 
 
-def _rig_table(reference: Candidate, commissioned: Candidate, points: Sequence[str]) -> Table:
+def _rig_table(reference: Candidate, commissioned: Candidate, points: Sequence[str], program: str) -> Table:
     rows: list[tuple[str | Cell, ...]] = []
     for point in points:
         pair = [_on_the_rig(candidate, point) for candidate in (reference, commissioned)]
         if any(trace is not None for trace in pair):
             rows.append((point, *(cell for trace in pair for cell in _outcome(trace))))
     columns = ("Operating point", "Outcome", "Largest displacement", "Outcome", "Largest displacement")
-    groups = (("", 1), (f"{reference.name}, in Python", 2), (f"{commissioned.name}, compiled C code", 2))
+    groups = (("", 1), (f"{reference.name}, in Python", 2), (f"{commissioned.name}, {program}", 2))
     scenarios = dict.fromkeys(
         trace.scenario for _, trace in commissioned.traces if "rig" in trace.scenario
     )  # the same for both

@@ -160,7 +160,7 @@ def coded(
 
 
 def running_law(program: CompiledBlock | StateSpace, deployment: Deployment) -> tuple[StateSpace, float | None]:
-    """The law that runs, without the computing delay, read out of the code if it is one; and how far it is from the design's."""
+    """The law that runs, without the computing delay, read out of code if it is code; and how far it is from the design's."""
     if not isinstance(program, CompiledBlock):
         return program, None
     law = probed(program)
