@@ -1,14 +1,17 @@
 """From a scheduled controller to code: verified at frozen speeds, refused, delivered, commanded, and running the rig."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput, UnstableSystem
@@ -17,6 +20,7 @@ from ambrose.export import scheduled_deploy
 from ambrose.export.deliver import deliver, limits
 from ambrose.export.files import read_controller, write_controller
 from ambrose.export.scheduled_block import scheduled_block
+from ambrose.export.scheduled_code import write_scheduled
 from ambrose.export.scheduled_compiled import CompiledSchedule, probed_at
 from ambrose.export.scheduled_deploy import deploy_scheduled, sensitivity_peak
 from ambrose.export.scheduled_run import run_scheduled
@@ -30,6 +34,7 @@ from ambrose.verify import nominal
 from ambrose.verify.checks import Check, Checks
 from schedule_driver import block_of, small_schedule
 
+GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
 DT = 1e-4
 TOP = 300.0  # rad/s
 compiler = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
@@ -176,6 +181,15 @@ def test_what_a_schedule_cannot_be(file, tmp_path, options, message):
     assert done.exit_code == 2
     assert message in done.stderr
     assert not (tmp_path / "code").exists()
+
+
+@compiler
+def test_the_guides_example_compiles(tmp_path):
+    write_scheduled(tmp_path, block_of(small_schedule(), "turbo"))
+    example = re.findall(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)[1]
+    assert "turbo_step" in example
+    (tmp_path / "example.c").write_text(example)
+    driver.build("gcc", ["-c", str(tmp_path / "example.c"), "-o", str(tmp_path / "example.o")])
 
 
 def test_speeds_mean_nothing_to_a_fixed_controller(rig, tmp_path):
