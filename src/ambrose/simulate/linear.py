@@ -30,6 +30,7 @@ _ESCAPE = 1e-3  # [m] where an unstable loop is stopped when no displacement lim
 _LARGEST = 500_000_000  # numbers in one simulation: 4 GB
 _FROZEN = 5  # speeds of a run-up at which the poles are looked at
 _FEWEST, _MOST = 32, 1024  # intervals of constant speed in a run-up
+_SAME_STATES = 1e-6  # of an output's row of C: rounding of loops whose states mean the same at all speeds
 _CLOSE, _TOLERATED = 1e-3, 1e-2  # error of a run-up, as a fraction of the peak: aimed at, and refused
 
 
@@ -47,12 +48,14 @@ def run(
     """Simulate a closed loop from rest.
 
     loop: the closed loop of plant/loop.py, a StateSpace (or python-control system) with inputs e_, d_, r_, f_ and outputs y_,
-    u_, i_, q_, qdot_; or, for a speed that changes, a function from speed [rad/s] to that, always in the same states.
+    u_, i_, q_, qdot_; or, for a speed that changes, a function from speed [rad/s] to that, always in the same states, such as
+    those of ``plant.assemble`` and ``plant.reduce.free_mode_reduction`` (``plant.reduce.reduce`` has others at every speed).
     machine, point: written into the record. mass [kg]: of the rotor, needed where an unbalance is given as a grade. outputs:
     the signals to record (None: all). displacement_limit [m]: the record ends where a displacement q_ (y_ where there is
     none) passes it; None: 1 mm for an unstable loop, else nowhere. dt [s]: None takes the loop's, the scenario's, or 0.1 ms
     divided as the fastest sine demands. A sampled loop sees the mean of a smooth disturbance over each sample.
-    Raises InvalidInput, and NumericalFailure where a run-up does not converge.
+    Raises InvalidInput, also where the states of loops at different speeds are not the same (their displacements and velocities
+    are read from the states in another way), and NumericalFailure where a run-up does not converge.
     """
     if scenario.only_for_the_rig:
         what = ", ".join(scenario.only_for_the_rig)
@@ -69,7 +72,9 @@ def run(
     names, c = waveforms(scenario, first.inputs, step, k, mass)
     shown = list(first.outputs if outputs is None else outputs)
     watched = [name for name in first.outputs if name.startswith("q_")] or [n for n in first.outputs if n.startswith("y_")]
-    pole, pole_speed = _rightmost(loop_at, scenario, speed)
+    frozen = _frozen(loop_at, scenario, speed)
+    _check_same_states(frozen, watched)
+    pole, pole_speed = _rightmost(frozen)
     stable = pole is None or pole.real < 0
     limit = np.inf if stable else _ESCAPE
     if displacement_limit is not None:
@@ -187,22 +192,52 @@ def _held_speed(task: _Task, count: int) -> np.ndarray:
     return simulate_piecewise(systems(), [task.piece(probe, first, last) for first, last in spans], stop=task.stop)
 
 
-def _rightmost(loop_at: LoopAt, scenario: Scenario, speed: float) -> tuple[complex | None, float]:
-    """The rightmost pole [rad/s] over the speeds of the scenario, and the speed it belongs to."""
+def _frozen(loop_at: LoopAt, scenario: Scenario, speed: float) -> list[tuple[float, StateSpace]]:
+    """Speeds [rad/s] of the scenario and the loops there; one alone where the loop is the same at every speed."""
     times = np.linspace(0.0, scenario.ramp or scenario.duration, _FROZEN)
     speeds = [scenario.speed_at(time) for time in times] if scenario.runs_up else [speed]
-    found: list[tuple[float, complex, float]] = []
-    systems: dict[int, StateSpace] = {}
+    found: dict[int, tuple[float, StateSpace]] = {}
     for value in speeds:
         system = as_statespace(loop_at(value))
-        if id(system) in systems:  # the same loop at every speed
-            continue
-        systems[id(system)] = system
+        found.setdefault(id(system), (value, system))  # the same loop at every speed
+    return list(found.values())
+
+
+def _check_same_states(frozen: Sequence[tuple[float, StateSpace]], watched: Sequence[str]) -> None:
+    """Displacements and velocities are the same sums of states at every speed, as they are of a rotor's own coordinates.
+
+    A basis or a scaling that depends on the speed shows there; carried over, such states would jump from speed to speed.
+    """
+    (start, first), *others = frozen
+    rows = [name for name in first.outputs if name.startswith("qdot_")]
+    rows = [*watched, *rows]
+    for speed, system in others:
+        for name in ("n_states", "inputs", "outputs", "dt"):
+            if getattr(system, name) != getattr(first, name):
+                raise invalid(
+                    f"{name} of the loop at {speed:g} rad/s", getattr(system, name),
+                    f"as at {start:g} rad/s, {getattr(first, name)}", "close the loop with the same parts at every speed",
+                )  # fmt: skip
+        ours, theirs = (x.C[index_of(rows, x.outputs, "output")] for x in (first, system))
+        change = np.abs(theirs - ours).max(axis=1, initial=0.0) / np.abs(ours).max(axis=1, initial=1e-300)
+        if change.max(initial=0.0) > _SAME_STATES:
+            k = int(np.argmax(change))
+            raise invalid(
+                "the states of the loop", f"others at {speed:g} than at {start:g} rad/s ({rows[k]} reads them {change[k]:.1%} "
+                "otherwise)", "the same at every speed, for the run-up carries them over",
+                "take plants of assemble or free_mode_reduction; reduce has a basis of its own at every speed",
+            )  # fmt: skip
+
+
+def _rightmost(frozen: Sequence[tuple[float, StateSpace]]) -> tuple[complex | None, float]:
+    """The rightmost pole [rad/s] of the loops, and the speed it belongs to."""
+    found: list[tuple[float, complex, float]] = []
+    for value, system in frozen:
         z = poles(system)
         s = z if system.dt is None else np.log(np.maximum(np.abs(z), 1e-300)) / system.dt + 1j * np.angle(z) / system.dt
         found += [(float(pole.real), complex(pole), value) for pole in s]
     if not found:
-        return None, speed
+        return None, frozen[0][0]
     _, pole, at = max(found, key=lambda entry: (entry[0], entry[1].imag))
     return pole, at
 
