@@ -87,3 +87,16 @@ def test_lpv():
     assert margins["full_sensitivity_peak"] < 3  # zone A of ISO 14839-3 on the full plant at every speed
     assert max(window.settling for window in found["windows"]) < 0.02  # P3.7
     assert [trace.outcome for trace in found["traces"].values()] == ["completed", "diverged"]
+
+
+def test_deploy():
+    found = example("09_deploy.py")
+    deployment, verdicts = found["deployment"], found["verdicts"]
+    assert deployment.problems == ()
+    for designed in deployment.checks:  # what was read back out of the running code is what was designed
+        peak = verdicts[designed.label]["sensitivity.output.max"].value
+        assert peak == pytest.approx(designed["sensitivity.output.max"].value, rel=1e-9)
+    assert [verdicts[label]["sensitivity.output.max"].passed for label in verdicts] == [True, False, False]
+    assert [trace.outcome for trace in found["runs"].values()] == ["completed"] * 3
+    assert "unstable at twice nominal pressure" in found["refusal"]
+    assert "malloc" not in found["files"]["seal_rig.c"]
