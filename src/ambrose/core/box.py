@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.box_elimination import determinants_at, transfers_at
 from ambrose.core.checks import UnstableSystem, check_shape, invalid
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.lft import Block, RealBlock
@@ -107,16 +108,9 @@ def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
 
 def transfers(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
     """T(delta) (d, w, p, m)."""
-    n = len(loop.owner)
-    wide = delta[:, loop.owner][:, None, None, :]  # on the columns of M11 and M21
     step = max(1, _CHUNK // max(1, len(M)))
-    parts = []
-    for start in range(0, len(delta), step):
-        D = wide[start : start + step]
-        right = np.broadcast_to(M[:, :n, n:], (len(D), len(M), n, M.shape[2] - n))
-        inner = np.linalg.solve(np.eye(n) - M[:, :n, :n] * D, right)
-        parts.append(M[:, n:, n:] + (M[:, n:, :n] * D) @ inner)
-    return np.concatenate(parts) if parts else np.zeros((0, len(M), M.shape[1] - n, M.shape[2] - n), complex)
+    parts = [transfers_at(M, loop.owner, delta[start : start + step]) for start in range(0, max(1, len(delta)), step)]
+    return np.concatenate(parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,18 +195,17 @@ def _restless(omega: np.ndarray, h: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 
 def _determinants(part: Sweep, loop: BoxLoop, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """h = det(I - M11 diag(delta)) and |dh/d(ln omega)| / |h|, (d, w) each (Jacobi's formula); the latter is 0 at 0 and inf."""
-    eye = np.eye(len(loop.owner))
-    step = max(1, _CHUNK // max(1, len(part.omega)))
-    h, rate = np.empty((len(delta), len(part.omega)), complex), np.empty((len(delta), len(part.omega)))
-    for start in range(0, len(delta), step):
-        wide = delta[start : start + step][:, loop.owner][:, None, None, :]
-        X = eye - part.M11 * wide
-        h[start : start + step] = np.linalg.det(X)
-        singular = h[start : start + step] == 0
-        X[singular] = eye
-        traces = np.einsum("dwii->dw", np.linalg.solve(X, part.slope * wide))
-        rate[start : start + step] = np.where(singular, np.inf, np.abs(traces))
+    """h = det(I - M11 diag(delta)) and |dh/d(ln omega)| / |h|, (d, w) each; the latter is 0 at 0 and infinity."""
+    both = np.concatenate([part.M11, part.M11 + _BESIDE * part.slope])
+    step = max(1, _CHUNK // max(1, len(both)))
+    h, beside = np.split(
+        np.concatenate([determinants_at(both, loop.owner, delta[i : i + step]) for i in range(0, max(1, len(delta)), step)]),
+        2,
+        1,
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = np.abs(beside / h - 1) / _BESIDE
+    rate[h == 0] = np.inf
     rate[:, (part.omega == 0) | np.isinf(part.omega)] = 0.0
     return h, rate
 
