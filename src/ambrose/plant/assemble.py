@@ -81,7 +81,7 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
         damping += pair.T @ d @ pair
     for annular in machine.seals:
         pair = np.array([rows[f"{annular.name}_x"], rows[f"{annular.name}_y"]])
-        constant = seal_model(annular, point).static if has_states(annular) else seal_coefficients(annular, point)
+        constant = seal_model(machine, annular, point).static if has_states(annular) else seal_coefficients(annular, point)
         k, d, m = seal.matrices(constant)
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
@@ -120,7 +120,7 @@ def with_seal_states(machine: Machine, point: OperatingPoint, rotor: StateSpace)
     if not seals:
         return rotor
     places = [f"{item.name}_{axis}" for item in seals for axis in "xy"]
-    parts = [seal_rational.system(seal_model(item, point), item.name) for item in seals]
+    parts = [seal_rational.system(seal_model(machine, item, point), item.name) for item in seals]
     return connect(
         [rename(rotor, {f"f_{place}": f"F_{place}" for place in places}), *parts],
         inputs=list(rotor.inputs),
@@ -134,9 +134,17 @@ def seal_states(machine: Machine, point: OperatingPoint) -> int:
     return sum(2 * item.poles for item in machine.seals if has_states(item)) if point.seal_pressure > 0 else 0
 
 
-def seal_model(item: Seal, point: OperatingPoint) -> seal_rational.RationalSeal:
-    """The rational model of a seal with states, at the point's pressure and speed."""
-    return seal_rational.rational(item, point.seal_pressure, point.speed)
+def seal_model(machine: Machine, item: Seal, point: OperatingPoint) -> seal_rational.RationalSeal:
+    """The rational model of a seal with states, at the point's pressure and speed, on the poles of ``seal_poles``."""
+    return seal_rational.rational(item, point.seal_pressure, point.speed, seal_poles(machine, item))
+
+
+def seal_poles(machine: Machine, item: Seal) -> np.ndarray:
+    """The poles (n,) [rad/s] of a seal with states: those of the machine's nominal speed, common to all operating points.
+
+    Poles of every speed's own would come and go in pairs, and the seal's states would mean something else from speed to speed.
+    """
+    return seal_rational.poles_of(item, machine.operation.nominal.speed)
 
 
 def seal_coefficients(item: Seal, point: OperatingPoint) -> seal.SealCoefficients:

@@ -129,7 +129,7 @@ def _impedance_channels(plant: Plant, item: Seal, parameter: Parameter) -> list[
     Damping and the stiffness that rises with frequency are one mechanism and cannot change alone (Kramers and Kronig). A C or c
     of the size of the coefficient at the whirl frequency is the whole of H(s) - H(0).
     """
-    model, letter, name = seal_model(item, plant.point), parameter.quantity, parameter.name
+    model, letter, name = seal_model(plant.machine, item, plant.point), parameter.quantity, parameter.name
     cross = letter in {"k", "c"}
     still, lacking = (pair[cross] for pair in seal_rational.parts(model))
     if letter in {"K", "k"}:

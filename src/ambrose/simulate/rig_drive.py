@@ -11,6 +11,7 @@ from ambrose.core.checks import invalid
 from ambrose.machine.description import Seal
 from ambrose.machine.wording import suggestion
 from ambrose.physics import seal, seal_rational
+from ambrose.plant.assemble import seal_poles
 from ambrose.simulate.rig_state import Rig
 from ambrose.simulate.scenario import Scenario
 from ambrose.simulate.waveforms import directions, sample_of, waveforms
@@ -164,8 +165,8 @@ def _seals(plan: Plan, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Coefficients (nodes or 1, seals, 5 + 2 l), looked up on a grid of some samples and linear between."""
     seals, lags = plan.rig.machine.seals, plan.rig.constants.seal_lags.shape[1]
     whirl = plan.rig.point.whirl_frequency
-    start = plan.rig.point.speed
-    poles = [seal_rational.poles_of(s, start) if seal_rational.has_states(s) else np.zeros(0) for s in seals]
+    machine = plan.rig.machine
+    poles = [seal_poles(machine, s) if seal_rational.has_states(s) else np.zeros(0) for s in seals]
     pressure = plan.pressures(nodes)
     constant = np.ptp(pressure) == 0 and (
         np.ptp(speed) == 0 or all(item.table is None and item.geometry is None for item in seals)
@@ -184,7 +185,7 @@ def _seals(plan: Plan, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
 
 
 def _coefficients(item: Seal, poles: np.ndarray, pressure: float, speed: float, whirl: float | None, lags: int) -> list[float]:
-    """One row: coefficients at the whirl frequency, or the model of a seal with states, its poles those of the start."""
+    """One row: coefficients at the whirl frequency, or the model of a seal with states on given poles."""
     row = np.zeros(5 + 2 * lags)
     if seal_rational.has_states(item):
         model = seal_rational.rational(item, pressure, speed, poles)

@@ -18,7 +18,7 @@ from ambrose.core.checks import invalid
 from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes, gravity_load
-from ambrose.plant.assemble import bending_modes_of, gyroscopic_of
+from ambrose.plant.assemble import bending_modes_of, gyroscopic_of, seal_model
 from ambrose.plant.ports import ports, sensor_ports
 
 _NO_BIAS_LAG = 5000.0  # rad/s at which the bias current follows an ideal amplifier
@@ -151,7 +151,7 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
     for lags, item, states in zip(result, machine.seals, held, strict=True):
         if states:
             n = item.poles
-            rows = seal_rational.rows(seal_rational.rational(item, point.seal_pressure, point.speed))
+            rows = seal_rational.rows(seal_model(machine, item, point))
             lags[:n, :n], lags[:n, -1] = rows[:, :-1], rows[:, -1]
     return result
 

@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.export.files import match_controller
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.simulate import linear, virtual_rig
 from ambrose.simulate.scenario import load_scenario
+from ambrose.simulate.spin_up import spin_up
 from ambrose.simulate.trace import Trace
 
 Progress = Callable[[str], None]
@@ -41,11 +43,18 @@ def experiment(plant: Plant, controller: Any, scenario: str) -> Trace:
 
 
 def simulation(plant: Plant, controller: Any, scenario: str) -> Trace:
-    """One scenario on the linear closed loop; stops where the rotor would touch down."""
+    """One scenario on the linear closed loop; stops where the rotor would touch down.
+
+    Where the scenario changes the speed, the plant changes with it (``simulate.spin_up``).
+    """
+    events = load_scenario(scenario)
+    if events.runs_up:
+        scheduled = isinstance(controller, ScheduledSystem)
+        return spin_up(plant, controller if scheduled else match_controller(controller, plant), events)
     gaps = [b.touchdown_gap for b in plant.machine.bearings if b.touchdown_gap is not None]
     return linear.run(
         closed_loop(plant, match_controller(controller, plant)),
-        load_scenario(scenario),
+        events,
         machine=plant.machine.name,
         point=plant.point,
         mass=mass_properties(finite_element_rotor(plant.machine)).mass,
