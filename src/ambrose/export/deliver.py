@@ -104,11 +104,7 @@ def deliver(
     if file.scheduled is None and not (speed_limit is None and speed_rate is None):
         raise invalid("speed_limit or speed_rate", "given", "left out", "this controller is not scheduled over speed")
     machine = bundled_machine(file) if machine is None else machine
-    errors, currents = (None, None) if machine is None else limits(machine)
-    error_limit = _given(errors if error_limit is None else error_limit, "the error limit", "m")
-    current_limit = _given(currents if current_limit is None else current_limit, "the current limit", "A")
-    check_limits(error_limit, len(file.controller.inputs), "error_limit", "the bearing's gap is the largest")
-    check_limits(current_limit, len(file.controller.outputs), "current_limit", "give the largest control current in A")
+    error_limit, current_limit = _limits(file, machine, error_limit, current_limit)
     check_place(directory)  # all this before the verification, which takes seconds
     dt = sample_time or file.controller.dt or SAMPLE_TIME
     if file.scheduled is not None:
@@ -164,6 +160,18 @@ def limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | None]:
         currents += [bearing.max_current] * 2
     known = [None if None in values else np.array(values, float) for values in (gaps, currents)]
     return known[0], known[1]
+
+
+def _limits(
+    file: ControllerFile, machine: Machine | None, error_limit: ArrayLike | None, current_limit: ArrayLike | None
+) -> tuple[ArrayLike, ArrayLike]:
+    """The limits given, else those of the machine. Raises InvalidInput where neither says one."""
+    errors, currents = (None, None) if machine is None else limits(machine)
+    error = _given(errors if error_limit is None else error_limit, "the error limit", "m")
+    current = _given(currents if current_limit is None else current_limit, "the current limit", "A")
+    check_limits(error, len(file.controller.inputs), "error_limit", "the bearing's gap is the largest")
+    check_limits(current, len(file.controller.outputs), "current_limit", "give the largest control current in A")
+    return error, current
 
 
 def _given(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:

@@ -23,6 +23,7 @@ from ambrose.export.rendering import render
 from ambrose.export.scheduled_block import ScheduledBlock, transfers
 from ambrose.export.scheduled_run import run_scheduled
 from ambrose.export.vectors import csv_text
+from ambrose.export.word_length import gain_error
 
 Precision = Literal["double", "float"]
 _TAIL = 24  # samples without a speed, at the end
@@ -214,6 +215,7 @@ def _report(block: ScheduledBlock, run: ScheduledVectors) -> dict[str, Any]:
         points.append({
             "speed": f"{speed:.6g}", "hz": f"{speed / _HZ:.4g}", "radius": f"{np.abs(led).max():.6f}",
             "slow": f"{away.min():.3g}", "fast": f"{away.max():.3g}",
+            "single": f"{gain_error(E, block.B[i], block.C[i], block.D[i], 24):.2g}",
         })  # fmt: skip
     return {"outputs_report": outputs, "points": points}
 
