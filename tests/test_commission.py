@@ -179,6 +179,7 @@ def test_section_says_what_was_found(section, commissioned, machine):
     worst = commissioned.deployment.box["sampled.sensitivity.box"].value
     assert code["Worst sampled sensitivity"].startswith(f"{worst:.3g} at seal.center.k")
     assert code["Sampled loop"].startswith("0 unstable")
+    assert "nominal pressure: Peak output sensitivity" in code["Limits that the sampled loop misses"]  # the PID: 7.1
     assert len(tables["Parameters"].rows) == 10
     page = document.render(Report("Commissioning", machine, (section,)))
     assert "Commissioned on the rig" in page and "What the record changed" in page

@@ -176,7 +176,8 @@ def write_report(study: Study, path: Path) -> None:
     more = [run_up_section(study.run_ups, study.machine.requirements.settling_time)] if study.run_ups else []
     if (done := study.commissioned) is not None:
         points = points_of(study.machine, study.candidates)
-        more.append(commissioning_section(done.checked, study.candidates[0], done.candidate, points, done.in_words))
+        reference, words = study.candidates[0], done.in_words
+        more.append(commissioning_section(done.checked, reference, done.candidate, points, words, from_code=done.from_code))
     full, reduced = study.plants[0], study.reduced
     report = comparison_report(
         study.machine,
@@ -193,7 +194,7 @@ def write_report(study: Study, path: Path) -> None:
         more=more,
         facts=(
             ("Verified on", f"the full model at {len(study.plants)} operating points, and over all tolerances"),
-            *((f"{NAME} verified on", "the identified machine") for _ in [study.commissioned] if study.commissioned),
+            *((f"{NAME} verified on", "the identified machine, as it runs: sampled, late") for _ in [done] if done),
             *((f"No {name}", why) for name, why in study.failed),
         ),
     )

@@ -21,7 +21,7 @@ from ambrose.export.control_block import control_block
 from ambrose.export.controller_code import write_code
 from ambrose.export.deliver import SAMPLE_TIME, limits, provenance
 from ambrose.export.files import read_controller
-from ambrose.export.sampling import Deployment, deploy
+from ambrose.export.sampling import Deployment, deploy, unmet
 from ambrose.identify.checked import CheckedIdentification, checked_identification, usual_unknowns
 from ambrose.identify.checked import provenance as origin_of
 from ambrose.identify.identified import identified_machine
@@ -85,6 +85,7 @@ class Commissioning:
             worst, unstable = box["sampled.sensitivity.box"], box["sampled.stability.box"]
             rows.insert(1, ("Sampled loop", f"{unstable.value:.0f} unstable of {unstable.detail}"))
             rows.insert(2, ("Worst sampled sensitivity", f"{worst.value:.3g} at {worst.detail}"))
+            rows.insert(3, ("Limits that the sampled loop misses", "; ".join(unmet(deployed)) or "none"))
         return tuple(rows)
 
 
