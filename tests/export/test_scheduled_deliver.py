@@ -27,6 +27,7 @@ from ambrose.export.scheduled_run import run_scheduled
 from ambrose.plant.assemble import assemble
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.control_program import ControlProgram, ScheduledProgram
+from ambrose.simulate.rig_controller import sample_time
 from ambrose.simulate.scenario import load_scenario
 from ambrose.synthesis.design import design
 from ambrose.synthesis.result import Certificate, Synthesis
@@ -289,6 +290,12 @@ def test_the_code_runs_the_rig_through_a_run_up(running):
     assert max(np.abs(ran.record[name] - held.record[name]).max() for name in names) < 0.02 * size
     assert ran.pole == pytest.approx(held.pole)
     assert code.speed == pytest.approx(290.0, rel=0.01)
+
+
+def test_the_rig_runs_a_sampled_schedule_at_its_own_rate(rig, deployment):
+    assert sample_time(deployment.sampled, rig[0], None) == DT
+    with pytest.raises(InvalidInput, match="the sample time is 0.0002 s"):
+        sample_time(deployment.sampled, rig[0], 2e-4)
 
 
 @compiler
