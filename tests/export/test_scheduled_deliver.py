@@ -294,7 +294,7 @@ def test_the_code_runs_the_rig_through_a_run_up(running):
 
 def test_the_rig_runs_a_sampled_schedule_at_its_own_rate(rig, deployment):
     assert sample_time(deployment.sampled, rig[0], None) == DT
-    with pytest.raises(InvalidInput, match="the sample time is 0.0002 s"):
+    with pytest.raises(InvalidInput, match=r"the sample time is 0\.0002 s"):
         sample_time(deployment.sampled, rig[0], 2e-4)
 
 

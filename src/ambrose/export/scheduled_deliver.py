@@ -19,7 +19,9 @@ def check_deliverable(scheduled: ScheduledSystem, target: str, arithmetic: str) 
     if target != "c":
         low, high = scheduled.range
         what = f"{target!r} for a controller scheduled over {low:g} to {high:g} {scheduled.unit} of {scheduled.parameter}"
-        remedy = "a scheduled controller is written as C99 only: choose it, or export the fixed controller of one speed"
+        remedy = (
+            "a scheduled controller is written as C99 only; or write the fixed one of a speed, scheduled.at(speed), to a file"
+        )
         raise invalid("the target", what, '"c"', remedy)
     check_precision(arithmetic)
 
