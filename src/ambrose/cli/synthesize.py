@@ -107,5 +107,6 @@ def synthesize(
         rows = [(name.replace("_", " "), shown(value)) for name, value in certificate.items() if name != "margins"]
         rows += [(name.replace("_", " "), shown(value)) for name, value in certificate["margins"].items()]
         rows += [("note", note) for note in result.notes]
-        print_table(f"{method} controller, {result.status}: {output}", ("certificate", "value"), rows)
+        early = "STOPPED EARLY: " if "stopped" in result.status else ""
+        print_table(f"{method} controller, {early}{result.status}: {output}", ("certificate", "value"), rows)
     sys.exit(0 if result.status.startswith("verified") else 1)

@@ -101,9 +101,11 @@ def design(
     else:
         result = synthesize(design_plant(model, weights, uncertain=uncertain))
     if method == "polish":
-        start = result.controller
+        start, begun = result.controller, result.status
         lower = (start.n_states - (len(machine.axes) if delay else 0)) // 2 if order is None else order
         result = polish.synthesize(design_plant(model, weights), start, order=lower, progress=progress)
+        if begun != "verified":  # the start's status, or polishing would hide that it is no final iterate
+            result = replace(result, status=f"{result.status}; its start, by mu: {begun}")
     if reference is not None:  # of the controller that is returned: polishing moves it
         extra["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
     return on_full_plant(plant, result, extra)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -18,6 +17,7 @@ from ambrose.synthesis.hinf_assumptions import Assumptions, check_assumptions, f
 from ambrose.synthesis.hinf_riccati import GammaSearch, Level, balanced, central_controller, normal_form, search_gamma
 from ambrose.synthesis.hinf_scaling import ScaledPlant, original_controller, scale_plant
 from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.time_limit import TimeLimit
 
 _WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
 _EPSILONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the regularisation, in the scaled plant's units
@@ -37,7 +37,7 @@ def synthesize(
     plant: continuous; any D11 and D22; the sign of the loop is inside it (core/lft.py). backoff [-] >= 1: how far above the
     optimum to stay, for the optimal controller itself has arbitrarily fast poles; tolerance [-]: relative, of the optimal
     gamma; method: "riccati" (two Riccati equations) or "lmi" (slower, needs no assumption on D12, D21 and axis zeros);
-    time_limit [s]; progress: called with one line of text per step.
+    time_limit [s] of computing, and five times that on the wall; progress: called with one line of text per step.
 
     Where an assumption of the Riccati equations fails, the plant is regularised with the smallest useful epsilon, and the
     result's ``notes`` say so. ``gamma`` is the closed-loop norm recomputed on the original plant; certificate.margins hold
@@ -53,7 +53,7 @@ def synthesize(
         raise invalid("tolerance", tolerance, "between 1e-10 and 1", "1e-3 suits most uses")
     if method not in ("riccati", "lmi"):
         raise invalid("method", repr(method), '"riccati" or "lmi"', "leave it out for the Riccati equations")
-    job = _Job(plant, backoff, tolerance, _Clock(check_positive(time_limit, "time_limit", "give seconds")), progress)
+    job = _Job(plant, backoff, tolerance, TimeLimit(time_limit), progress)
     scaled = scale_plant(plant)
     assumptions = check_assumptions(scaled)
     design = _by_riccati if method == "riccati" else _by_lmi
@@ -70,16 +70,6 @@ def synthesize(
         return _regularised(job, scaled, full_regularisation(scaled), design)
 
 
-@dataclass(frozen=True, slots=True)
-class _Clock:
-    limit: float
-    start: float = field(default_factory=time.monotonic)
-
-    @property
-    def left(self) -> float:
-        return self.limit - (time.monotonic() - self.start)
-
-
 class _TimeOut(NumericalFailure):
     """The time limit was reached before a verified controller was found."""
 
@@ -89,7 +79,7 @@ class _Job:
     plant: GeneralizedPlant
     backoff: float
     tolerance: float
-    clock: _Clock
+    clock: TimeLimit
     progress: Callable[[str], None] | None
 
     def say(self, text: str) -> None:
@@ -98,7 +88,7 @@ class _Job:
 
     def check_time(self, best: str = "") -> None:
         if self.clock.left <= 0:
-            raise _TimeOut(f"no verified controller within the time limit of {self.clock.limit:g} s{best}; raise time_limit")
+            raise _TimeOut(f"no verified controller within the time limit of {self.clock.seconds:g} s{best}; raise time_limit")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

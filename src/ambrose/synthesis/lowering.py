@@ -134,7 +134,8 @@ def lowered(
         design_plant(reduce(plant, bending_modes), weights, uncertain=False), found.controller
     )
     fresh = replace(result, controller=found.controller, certificate=certificate, notes=(*result.notes, note), gamma=np.nan)
-    return on_full_plant(plant, replace(fresh, status="verified" if certificate.stable else "unstable"), margins)
+    kept = result.status if result.status.startswith("verified") else "verified"  # with what it says of an early end
+    return on_full_plant(plant, replace(fresh, status=kept if certificate.stable else "unstable"), margins)
 
 
 def sampled_sensitivity(plant: Plant, sample_time: float, computing_samples: int = 1) -> Measure:

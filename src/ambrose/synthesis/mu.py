@@ -8,9 +8,8 @@ sec. 9; Skogestad & Postlethwaite 2005, sec. 8.12.)
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -40,6 +39,7 @@ from ambrose.synthesis.mu_proof import proved_below
 from ambrose.synthesis.mu_scaling import Scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.problem import with_performance_block
 from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.time_limit import TimeLimit
 
 _GAIN = 1e-3  # a step that lowers the best bound by less than this fraction ends the iteration
 _STRIDES = (4.0, 16.0, 64.0)  # how much further than the D-step says D may be moved
@@ -68,7 +68,8 @@ def synthesize(
     tolerance of the best, the one with the fewest states is then returned. structure: d(s) I
     ("scalar") or a matrix D(s) ("full") for repeated blocks; a D of order n costs 2 r n states of the controller for a block of
     size r either way. backoff [-]: see hinf.synthesize. omega (w,) [rad/s]: grid of the D-step, default: the plant's poles and
-    a decade around them; resonances and peaks are added. time_limit [s]; progress: called with one line of text per step.
+    a decade around them; resonances and peaks are added. time_limit [s] of computing, and five times
+    that on the wall (``synthesis.time_limit``); progress: called with one line of text per step.
 
     ``gamma`` and the certificate's norm are the H-infinity norm of D M D^-1, a certified bound of complex mu: below 1 the
     performance holds for every perturbation. certificate.margins: "mu_complex" (upper bound on the grid), "mu_mixed" and
@@ -108,9 +109,8 @@ class _Job:
     backoff: float
     fit_tolerance: float
     grid: np.ndarray
-    time_limit: float
+    clock: TimeLimit
     progress: Callable[[str], None] | None
-    start: float = field(default_factory=time.monotonic)
 
     @classmethod
     def of(
@@ -132,7 +132,7 @@ class _Job:
         if structure not in ("scalar", "full"):
             raise invalid("structure", repr(structure), '"scalar" or "full"', "it says how repeated blocks are scaled")
         check_positive(fit_tolerance, "fit_tolerance", "0.02 suits most problems")
-        check_positive(time_limit, "time_limit", "give seconds")
+        clock = TimeLimit(time_limit)
         if not plant.blocks:
             raise InvalidInput("the plant has no blocks; without uncertainty hinf.synthesize is the method")
         complete = plant
@@ -144,20 +144,20 @@ class _Job:
         if len(grid) < 3 or grid[0] <= 0:
             raise invalid("omega", f"{len(grid)} frequencies from {grid.min(initial=0):g}", "3 or more, positive", "in rad/s")
         blocks = tuple(d_blocks(complete.blocks, structure))
-        return cls(complete, blocks, order, backoff, fit_tolerance, grid, time_limit, progress)
+        return cls(complete, blocks, order, backoff, fit_tolerance, grid, clock, progress)
 
     @property
     def left(self) -> float:
         """Seconds for a step; never below a millisecond, so that the step itself reports the time limit."""
-        return max(self.time_limit - (time.monotonic() - self.start), 1e-3)
+        return max(self.clock.left, 1e-3)
 
     def say(self, text: str) -> None:
         if self.progress is not None:
             self.progress(text)
 
     def check_time(self) -> None:
-        if time.monotonic() - self.start >= self.time_limit:
-            raise NumericalFailure(f"the time limit of {self.time_limit:g} s was reached; raise time_limit")
+        if self.clock.left <= 0:
+            raise NumericalFailure(self.clock.reached)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -301,7 +301,7 @@ def _evaluate(job: _Job, controller: StateSpace, used: FittedScaling | None, num
         "order": float(controller.n_states),
         "d_order": float(max(used.scaling.orders)) if used is not None else 0.0,
         "scaling_states": float(used.scaling.states) if used is not None else 0.0,
-        "seconds": time.monotonic() - job.start,
+        "seconds": job.clock.elapsed,
     }
     job.say(
         f"iteration {number}: complex mu <= {gamma:.4f} (on the grid {row['mu_complex']:.4f}), mixed mu "
@@ -372,7 +372,7 @@ def _result(job: _Job, iterates: Sequence[_Iterate], reason: str) -> Synthesis:
 
 def _proved(job: _Job, best: _Iterate) -> float:
     """A level that mixed mu is proved to stay below at every frequency: gamma itself, or less where the proof succeeds."""
-    if job.left <= 0:
+    if job.clock.left <= 0:
         return best.gamma
     loop = lft(job.plant, best.controller)
     for factor in _PROOF:

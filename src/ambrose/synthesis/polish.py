@@ -10,13 +10,12 @@ after each round the true norms are computed and the worst parameter values sear
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, invalid
 from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa
@@ -28,6 +27,7 @@ from ambrose.synthesis.polish_cost import Cost, Form, block_form
 from ambrose.synthesis.polish_descent import descend
 from ambrose.synthesis.problem import PERFORMANCE, with_performance_block
 from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.time_limit import TimeLimit
 
 _POWERS = (15.0, 40.0, 100.0, 250.0)
 _SLOWEST = 0.1  # the least decay that is kept, as a fraction of the start's
@@ -54,8 +54,8 @@ def synthesize(
     of the nominal plant, such as that of mu.synthesize. order: reduce it to so many states first (closed-loop balanced,
     residualised; a pair of near-equal values is not cut), None keeps its order. deltas [-]: values of a single real parameter,
     within -1 and 1; with several parameters the centre and bad corners are models. iterations: of L-BFGS, all rounds together;
-    rounds: of descent, each followed by the true norms and a search for the worst parameters; time_limit [s]; progress: called
-    with one line of text per round.
+    rounds: of descent, each followed by the true norms and a search for the worst parameters; time_limit [s] of computing, and
+    five times that on the wall (``synthesis.time_limit``); progress: called with one line of text per round.
 
     ``gamma`` and the certificate's norm: the largest H-infinity norm of the performance over all models and all parameter
     values searched (a search, no proof). certificate.margins: "start_norm", the same for ``start``; "reduced_norm", after the
@@ -78,7 +78,7 @@ def synthesize(
                 if np.isfinite(gain) and gain < 1e-4 * best.worst and number >= len(_POWERS):
                     break
             if job.left <= 0:
-                reason = f"the time limit of {time_limit:g} s was reached; raise time_limit"
+                reason = job.clock.reached
                 break
     except KeyboardInterrupt:
         reason = "interrupted"
@@ -101,9 +101,8 @@ class _Job:
     models: list[Delta]
     iterations: int
     rounds: int
-    time_limit: float
+    clock: TimeLimit
     progress: Callable[[str], None] | None
-    begin: float = field(default_factory=time.monotonic)
     extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
     start_worst: float = float("nan")
     reduced_worst: float = float("nan")
@@ -136,15 +135,15 @@ class _Job:
         for number, name in ((iterations, "iterations"), (rounds, "rounds")):
             if not isinstance(number, int | np.integer) or number < 1:
                 raise invalid(name, number, "a whole number, at least 1", "leave the default")
-        check_positive(time_limit, "time_limit", "give seconds")
+        clock = TimeLimit(time_limit)
         names = tuple(block.name for block in blocks)
         models: list[Delta] = [(float(v),) for v in values] if len(names) == 1 else _first_corners(len(names))
         n = controller.n_states if order is None else order
-        return cls(plant, controller, n, names, models, iterations, rounds, time_limit, progress)
+        return cls(plant, controller, n, names, models, iterations, rounds, clock, progress)
 
     @property
     def left(self) -> float:
-        return self.time_limit - (time.monotonic() - self.begin)
+        return self.clock.left
 
     def say(self, text: str) -> None:
         if self.progress is not None:
@@ -308,7 +307,7 @@ def _row(job: _Job, number: int, point: _Point) -> dict[str, float]:
         "nominal_norm": point.nominal,
         "order": float(point.controller.n_states),
         "models": float(len(job.models)),
-        "seconds": time.monotonic() - job.begin,
+        "seconds": job.clock.elapsed,
     }
 
 
