@@ -1,5 +1,6 @@
 """Bad records are found before they become numbers: on synthetic loops with noise, and on records of the nonlinear rig."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -13,12 +14,13 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identify import excitation
 from ambrose.identify.checked import checked_identification, usual_unknowns
+from ambrose.identify.closed_loop import identify
 from ambrose.identify.record_checks import diagnose_records
 from ambrose.identify.record_controller import controller_match
 from ambrose.identify.record_finding import RecordFinding, refuse
 from ambrose.identify.record_signals import flat_tops
 from ambrose.identify.record_wiring import Wiring, wirings
-from ambrose.identify.result_checks import diagnose_result
+from ambrose.identify.result_checks import delay_findings, diagnose_result
 from ambrose.machine.description import Tolerance
 from ambrose.machine.record import Record
 from ambrose.plant.assemble import assemble
@@ -444,11 +446,37 @@ def test_a_knock_during_the_record_is_found_in_the_residual():
     assert any("y_A_zeta leaves the model" in item.what and "0.69" in item.evidence for item in checked.findings)
 
 
-def test_a_wrong_delay_without_controller_outputs_is_found_after_the_fit():
+@pytest.mark.parametrize("given", [0, 2])
+def test_a_wrong_delay_without_controller_outputs_is_found_after_the_fit(given):
+    """The true one is a sample; it is found as an unknown, with its deviation, and the right one is not complained about."""
     machine, _, controller = setting()
-    seen = [name for name in synthetic().signals if name[0] in "ye"]
-    checked = checked_identification(machine, [synthetic().select(seen)], controller, NINE, computing_delay=0)
-    assert any("delay of 1 instead of 0 samples" in item.what for item in checked.findings)
+    record = synthetic().select([name for name in synthetic().signals if name[0] in "ye"])
+    checked = checked_identification(machine, [record], controller, NINE, computing_delay=given)
+    found = next(item for item in checked.findings if "computing delay of" in item.what)
+    count = float(re.search(rf"delay of (\S+) instead of {given} samples", found.what)[1])
+    deviation = float(re.search(r"standard deviation (\S+) samples", found.evidence)[1])
+    assert abs(count - 1) < 4 * deviation and deviation < 0.01
+    assert "lag of amplifier or sensor" in found.remedy and not checked.good
+
+
+def test_where_the_delay_cannot_be_an_unknown_whole_ones_are_tried():
+    """A fitted controller output has no instant between samples."""
+    machine, _, controller = setting()
+    result = identify(machine, synthetic(), controller, NINE, signals=names("y"), computing_delay=0)
+
+    def whole(delay):
+        if delay == 1:
+            return replace(result, fit=tuple((n, name, 99.0) for n, name, _ in result.fit))
+        raise InvalidInput("no")
+
+    def refused():
+        return identify(machine, synthetic(), controller, (*NINE, "delay"), signals=names("yu"), computing_delay=0)
+
+    found = only(delay_findings(result, 0.0, DT, refused, whole), "warning", "delay of 1 instead of 0 samples")
+    assert "% with 1" in found.evidence and "give 1 as delay" in found.remedy
+    worse = replace(result, fit=tuple((n, name, 0.0) for n, name, _ in result.fit))
+    assert delay_findings(result, 0.0, DT, refused, lambda delay: worse) == ()
+    assert delay_findings(replace(result, tests=()), 0.0, DT, refused, whole) == ()
 
 
 def test_an_unknown_delay_is_found_and_not_complained_about():

@@ -11,6 +11,7 @@ import numpy as np
 
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.identify import youla
 from ambrose.identify.closed_loop import Identification, identify
 from ambrose.identify.explained import Explained, explained
 from ambrose.identify.record_checks import FAR_FROM_START, OTHER_DELAY, diagnose_records
@@ -24,6 +25,7 @@ from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
 from ambrose.machine.record import Record
 from ambrose.machine.units import DIMENSIONS
 
+METHODS = ("closed-loop", "youla")
 _NORMAL = 1.96  # standard deviations of a 95 % interval
 _SHORT = 1.0  # [s] of every record on which other delays are tried
 
@@ -33,6 +35,7 @@ class CheckedIdentification:
     """A result, the findings that let it pass, and every record beside the model; setup: how it was identified.
 
     repeats: what every record alone gives, where that was asked for; the result's covariance then allows for their scatter.
+    residual: what else the method "youla" found (None: the method was "closed-loop").
     """
 
     result: Identification
@@ -42,6 +45,11 @@ class CheckedIdentification:
     computing_delay: float
     bending_modes: int
     repeats: Repeats | None = None
+    residual: youla.ResidualIdentification | None = None
+
+    @property
+    def method(self) -> str:
+        return METHODS[self.residual is not None]
 
     @property
     def good(self) -> bool:
@@ -55,17 +63,20 @@ def checked_identification(
     controller: Any,
     unknown: Sequence[str] = (),
     *,
+    method: str = "closed-loop",
     start: Mapping[str, float] | None = None,
     signals: Sequence[str] | None = None,
     bending_modes: int = 1,
     computing_delay: float = 1,
     repeats: bool = False,
+    others: Sequence[Record] = (),
     progress: Callable[[str], None] = lambda stage: None,
 ) -> CheckedIdentification:
-    """``closed_loop.identify`` between diagnose_records and diagnose_result; unknown: none means usual_unknowns.
+    """``closed_loop.identify`` or ``youla.identify`` between diagnose_records and diagnose_result.
 
-    repeats: the records repeat one experiment; each is identified alone as well, and a standard deviation below what their
-    scatter allows for is widened to it.
+    unknown: none means usual_unknowns. method: "closed-loop" or "youla" (which fits every axis: no signals). repeats: the
+    records repeat one experiment; each is identified alone, too, and a standard deviation below what their scatter allows for
+    is widened to it. others: records that are checked with these, as further numbers, and not fitted.
 
     Raises InvalidInput with every error that was found, each with its evidence and remedy.
     """
@@ -75,52 +86,91 @@ def checked_identification(
     unknown = tuple(unknown) or usual_unknowns(machine, records)
     setup: dict[str, Any] = {"bending_modes": bending_modes, "computing_delay": computing_delay}
     paths = [path for kind in split_timing(machine, unknown) for path in kind]
+    _check_method(method, paths, signals)
     progress("checking the records")
     known = {path: value for path, value in (start or {}).items() if path not in TIMING}
-    findings = diagnose_records(machine, records, controller, start=known, **setup)
+    findings = diagnose_records(machine, (*records, *others), controller, start=known, **setup)
     if COMMAND in paths:  # then the delay is found, not given
         findings = tuple(finding for finding in findings if OTHER_DELAY not in finding.what)
     refuse(findings)
+
+    def fitted(chosen: Sequence[Record], start: Mapping[str, float] | None) -> tuple[Identification, Any]:
+        if method == "youla":
+            found = youla.identify(machine, chosen, controller, unknown, start=start, **setup)
+            return found.found, found
+        return identify(machine, chosen, controller, unknown, start=start, signals=signals, **setup), None
+
     progress(f"identifying {len(paths)} parameters")
-    result = identify(machine, records, controller, unknown, start=start, signals=signals, **setup)
+    result, residual = fitted(records, start)
     progress("checking the result")
-    pieces = explained(machine, records, controller, result, **setup)
+    shown = [f"y_{axis}" for axis in machine.axes] if method == "youla" else None
+    pieces = explained(machine, records, controller, result, signals=shown, **setup)
     findings = tuple(finding for finding in findings if finding.what != FAR_FROM_START)  # it is no matter any more
     findings += diagnose_result(machine, result, pieces)
     refuse(findings)
     if not all(test.passed for test in result.tests) and not any(OTHER_DELAY in finding.what for finding in findings):
-        early = [record.between(record.start_time, record.start_time + _SHORT) for record in records]
-        setup["start"] = dict(zip(result.paths, result.values.tolist(), strict=True))
-
-        def again(delay: float) -> Identification:
-            other = {**setup, "computing_delay": delay}
-            return identify(machine, early, controller, result.paths, signals=signals, **other)
-
-        findings += delay_findings(again(computing_delay), computing_delay, again)
+        findings += _other_delay(machine, records, controller, result, signals, setup)
     scatter = None
     if repeats:
-        scatter, result = _repeated(machine, records, controller, result, signals, setup, progress)
-    return CheckedIdentification(result, findings, pieces, controller, computing_delay, bending_modes, scatter)
+        scatter, result = _repeated(records, result, fitted, progress)
+    return CheckedIdentification(result, findings, pieces, controller, computing_delay, bending_modes, scatter, residual)
 
 
-def _repeated(
+def _check_method(method: str, paths: Sequence[str], signals: Sequence[str] | None) -> None:
+    if method not in METHODS:
+        raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", "correct it")
+    if method == "youla":
+        if signals is not None:
+            raise InvalidInput("signals go with the method closed-loop; the Youla residual is made of every u_ and y_<axis>")
+        for path in paths:
+            if path in TIMING:
+                raise InvalidInput(f"{path} as an unknown goes with the method closed-loop; its delay must be known here")
+
+
+def _other_delay(
     machine: Machine,
     records: Sequence[Record],
     controller: Any,
     result: Identification,
     signals: Sequence[str] | None,
     setup: Mapping[str, Any],
+) -> tuple[RecordFinding, ...]:
+    """Whether another delay explains the first second of the records better, all parameters free."""
+    early = [record.between(record.start_time, record.start_time + _SHORT) for record in records]
+    begin = dict(zip(result.paths, result.values.tolist(), strict=True))
+
+    def again(delay: float, *more: str) -> Identification:
+        other = {**setup, "computing_delay": delay}
+        return identify(machine, early, controller, (*result.paths, *more), signals=signals, start=begin, **other)
+
+    delay = float(setup["computing_delay"])
+    try:
+        given = again(delay)
+    except InvalidInput:  # the first second says too little
+        return ()
+    return delay_findings(given, delay, records[0].dt, lambda: again(delay, COMMAND), again)
+
+
+def _repeated(
+    records: Sequence[Record],
+    result: Identification,
+    fitted: Callable[[Sequence[Record], Mapping[str, float] | None], tuple[Identification, Any]],
     progress: Callable[[str], None],
 ) -> tuple[Repeats, Identification]:
     """What every record alone gives, and the common result with a covariance as wide as their scatter."""
-    begin = {**setup, "start": dict(zip(result.paths, result.values.tolist(), strict=True))}
-    found = []
+    begin = dict(zip(result.paths, result.values.tolist(), strict=True))
+    found, lost = [], []
     for number, record in enumerate(records, 1):
         progress(f"identifying record {number} of {len(records)} alone")
-        found.append(identify(machine, record, controller, result.paths, signals=signals, **begin))
+        found.append(fitted([record], begin)[0])
+        if not found[-1].converged:
+            lost.append(
+                f"record {number} alone did not converge; the scatter of the repeats holds a value that is not the best"
+            )
     scatter = of_estimates(found)
     wider = np.maximum(scatter.half_width / _NORMAL / result.standard_deviations, 1.0)
-    return scatter, replace(result, covariance=result.covariance * wider * wider[:, None])
+    covariance = result.covariance * wider * wider[:, None]
+    return scatter, replace(result, covariance=covariance, warnings=(*result.warnings, *lost))
 
 
 def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[str, ...]:
@@ -161,6 +211,7 @@ def as_dict(checked: CheckedIdentification) -> dict[str, Any]:
     half = _NORMAL * result.standard_deviations
     return {
         "machine": result.machine,
+        "method": checked.method,
         "point": {"speed_rad_s": result.point.speed, "seal_pressure_pa": result.point.seal_pressure},
         "good": checked.good,
         "verdict": result.verdict,
@@ -191,8 +242,13 @@ def as_dict(checked: CheckedIdentification) -> dict[str, Any]:
         "warnings": list(result.warnings),
         "converged": result.converged,
         "iterations": result.iterations,
+        "controller_error": None if checked.residual is None else _number(checked.residual.controller_error),
         "repeats": None if checked.repeats is None else _repeats_dict(checked.repeats),
     }  # fmt: skip
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _repeats_dict(repeats: Repeats) -> dict[str, Any]:
@@ -212,7 +268,10 @@ def provenance(checked: CheckedIdentification, records: Sequence[str], controlle
     records, controller: their files' names; when: ISO date (today if empty).
     """
     result, when = checked.result, when or date.today().isoformat()
-    origin = f"{len(result.paths)} parameters identified {when} from {', '.join(records)} with {controller}"
+    how = "" if checked.residual is None else " by the Youla residual"
+    origin = f"{len(result.paths)} parameters identified {when}{how} from {', '.join(records)} with {controller}"
+    if not result.converged:
+        origin += " (NOT converged)"
     lines = [
         f"Identified {when} by ambrose {__version__} from {', '.join(records)} (controller {controller}),",
         f"at {result.point.speed:g} rad/s and a seal pressure of {result.point.seal_pressure:g} Pa.",

@@ -199,10 +199,12 @@ def _check_driven(
         still = [replace(task, initial_state=False) for task in chosen]
         H = np.sum([normal_equations(*loops[task.place], task).equations.H for task in still], axis=0)
         try:
-            return statistics.check_visible(paths, H, scale)
+            statistics.check_visible(paths, H, scale)
         except InvalidInput:
             if chosen is tasks:
                 raise
+        else:
+            return
 
 
 def _near(

@@ -37,11 +37,15 @@ def explained(
     controller: Any,
     result: Identification,
     *,
+    signals: Sequence[str] | None = None,
     bending_modes: int = 1,
     computing_delay: float = 1,
 ) -> tuple[Explained, ...]:
-    """Every record beside the identified model; the arguments as they were identified with. Raises InvalidInput as identify."""
-    signals = tuple(dict.fromkeys(signal for _, signal, _ in result.fit))
+    """Every record beside the identified model; the arguments as they were identified with. Raises InvalidInput as identify.
+
+    signals: those shown (None: those fitted).
+    """
+    signals = tuple(signals or dict.fromkeys(signal for _, signal, _ in result.fit))
     given = experiment(machine, records, controller, result.paths, signals, None, bending_modes, computing_delay, True, True)
     found = []
     for record, task in zip(records, given.tasks, strict=True):

@@ -54,9 +54,9 @@ def minimise(
 
     scale (q,): the size of a parameter, for the stopping rule |step| <= tolerance * max(|x|, scale); a step whose predicted
     gain is below 1e-12 of the cost, or a cost below ``floor``, also ends it. One below ``negligible`` of the cost is taken and
-    ends it, without a look at where it leads. allowed(x): steps are shortened until true, and until ``linearise`` does not raise
-    InvalidInput (a point at which nothing can be told); at the start that is raised. Raises NumericalFailure where J has a zero
-    column.
+    ends it, without a look at where it leads. allowed(x): steps are shortened until true, and until ``linearise`` does not
+    raise InvalidInput (a point at which nothing can be told); at the start that is raised. Raises NumericalFailure where J has
+    a zero column.
     """
     damping, growth, refused = 1e-6, 2.0, 0
     state = linearise(x)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.identify.closed_loop import Identification
 from ambrose.identify.timed_loop import COMMAND, TIMING
 from ambrose.machine.description import BiasPoint, Machine, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
 from ambrose.machine.parameters import Parameter, find_uncertain, parse_parameter
@@ -16,8 +16,23 @@ from ambrose.physics import magnet
 from ambrose.physics.seal import coefficients
 
 
+class Found(Protocol):
+    """What an identification leaves, whatever its method: an Identification, or a StaticLoad."""
+
+    @property
+    def machine(self) -> str: ...
+    @property
+    def point(self) -> OperatingPoint: ...
+    @property
+    def paths(self) -> tuple[str, ...]: ...
+    @property
+    def values(self) -> np.ndarray: ...
+    @property
+    def standard_deviations(self) -> np.ndarray: ...
+
+
 def identified_machine(
-    machine: Machine, result: Identification, coverage: float = 1.96, *, origin: str = "", keep_wider: bool = False
+    machine: Machine, result: Found, coverage: float = 1.96, *, origin: str = "", keep_wider: bool = False
 ) -> Machine:
     """The machine with the values found, and tolerances of ``coverage`` standard deviations (1.96: 95 %) relative to them.
 
@@ -71,7 +86,7 @@ class _Found:
     width: float
 
 
-def _found(machine: Machine, result: Identification, coverage: float) -> list[_Found]:
+def _found(machine: Machine, result: Found, coverage: float) -> list[_Found]:
     """The parameters as a machine file holds them: single entries of a seal's matrices made one coefficient."""
     single: dict[tuple[str, str], list[tuple[float, float]]] = {}
     found = []

@@ -12,6 +12,7 @@ from ambrose.identify import closed_loop
 from ambrose.identify.closed_loop import Identification
 from ambrose.identify.seal_result import COEFFICIENTS, ENTRIES, SealFit
 from ambrose.identify.stepped_sine import seal_name
+from ambrose.identify.verdict import HARDLY_VISIBLE
 from ambrose.machine.description import Machine
 from ambrose.machine.record import Record
 from ambrose.plant.assemble import seal_coefficients
@@ -37,7 +38,8 @@ def identify(
     machine: with everything else known, its bearings identified without pressure first. controller and options: as
     closed_loop.identify. coefficients: those sought, the others stay the machine's. entries: all eight of the matrices (excite
     along both axes). together: one row per pressure from all its records; False: a row per record, so that repeats show how
-    far they scatter. Raises InvalidInput, and NumericalFailure where a fit does not converge.
+    far they scatter. Without pressure a coefficient may well be zero, so that it is hardly visible is no warning there. Raises
+    InvalidInput, and NumericalFailure where a fit does not converge.
     """
     name = seal_name(machine, seal)
     unknown = [c for c in coefficients if c not in COEFFICIENTS]
@@ -56,7 +58,7 @@ def identify(
             progress(f"seal {name} at {pressure:g} Pa, {len(group)} record{'s' * (len(group) > 1)}")
         found = _converged(machine, group, controller, paths, found, options)
         rows.append(_row(machine, name, found, entries))
-        warnings += [f"at {pressure:g} Pa: {text}" for text in found.warnings]
+        warnings += [f"at {pressure:g} Pa: {text}" for text in found.warnings if pressure or HARDLY_VISIBLE not in text]
     values, deviations, eight, eight_deviations, cosine, correlation = (np.array(part) for part in zip(*rows, strict=True))
     pressure = np.array([pressure for pressure, _ in sorted(groups)])
     return SealFit(
@@ -82,10 +84,17 @@ def _converged(
         starts.append(dict(zip(before.paths, before.values.tolist(), strict=True)))
     if starts[0] is not None:
         starts.append(None)
+    refused: list[InvalidInput] = []
     for start in starts:
-        found = closed_loop.identify(machine, records, controller, paths, **{**options, "start": start})
+        try:
+            found = closed_loop.identify(machine, records, controller, paths, **{**options, "start": start})
+        except InvalidInput as error:  # the loop is unstable there, for instance
+            refused.append(error)
+            continue
         if found.converged:
             return found
+    if len(refused) == len(starts):
+        raise refused[0]
     raise NumericalFailure(
         f"the fit at {records[0].point.seal_pressure:g} Pa did not converge from {len(starts)} starts; pass start= nearer "
         "to the truth, excite more, or leave out pressures at which the loop hardly is stable"

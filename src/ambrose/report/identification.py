@@ -9,10 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ambrose.core.checks import InvalidInput
+from ambrose.identify.beside import Beside
 from ambrose.identify.checked import CheckedIdentification
 from ambrose.identify.seal_result import COEFFICIENTS, SealFit, averaged, line
+from ambrose.identify.youla import ResidualIdentification
 from ambrose.machine.description import Machine
-from ambrose.report import units
+from ambrose.report import residual_response, units
 from ambrose.report.document import Figure, Report, Section, Table, Verdict
 from ambrose.report.identification_figures import (
     change_figure,
@@ -24,14 +27,26 @@ from ambrose.report.identification_figures import (
 )
 from ambrose.report.identification_frf import frf_figure
 from ambrose.report.identification_tables import (
+    compared_table,
     findings_table,
     fit_table,
     parameters_table,
     repeats_table,
     residual_tests_table,
+    seal_lines_table,
+    seal_table,
 )
 from ambrose.report.seal_figures import pressure_figure
 
+_TITLES = {
+    "closed-loop": "Identification from closed-loop records",
+    "youla": "Identification through the Youla residual",
+}
+_RESIDUAL = (
+    "The residual system S from alpha to eps: what the machine does beyond what was expected of its model. Measured without a "
+    "model (95 % band), and S at the parameters found. Where the band stands above the line, the parameters do not explain the "
+    "difference; where it reaches the bottom, there is none to be seen."
+)
 _CHANGE = "How far the records moved every parameter from the machine file's value, with the 95 % interval of what was found."
 _TIME = "Broad the measurement, thin the identified model, and what is left between them. The residual should look like noise. "
 _WHOLE = (
@@ -66,36 +81,44 @@ def identification_report(
     sources: Sequence[str] = (),
     controller: str = "",
     seal: SealFit | None = None,
+    compared: Sequence[Beside] | None = None,
     title: str = "",
     date: str = "",
 ) -> Report:
     """The report of an identification.
 
     machine: as it was before. sources: the records' files; controller: its file. seal: coefficients over several pressures, as
-    a section of their own. date: ISO date (today if empty).
+    a section of their own. compared: with what another method had found. date: ISO date (today if empty).
     """
     result = checked.result
     parameters: list[Table] = [parameters_table(result)]
     if checked.repeats is not None:
         parameters.append(repeats_table(checked.repeats))
+    if compared is not None:
+        parameters.append(compared_table(compared))
     sections = [
         Section("Parameters", "", (Figure("Change from the start", change_figure(result), _CHANGE),), tuple(parameters), True)
     ]
     if seal is not None:
-        sections.append(Section("Seal", "", (_seal_figure(seal),)))
-    if checked.findings or result.warnings:
-        table = findings_table(checked.findings, [text for text in result.warnings if text != result.verdict])
+        tables = (seal_table(seal), *((seal_lines_table(seal),) if len(seal.pressures) > 2 else ()))
+        sections.append(Section("Seal", "", (_seal_figure(seal),), tables))
+    doubts = [text for text in result.warnings if text != result.verdict]
+    doubts += [f"seal {seal.seal} {text}" for text in seal.warnings] if seal is not None else []
+    if checked.findings or doubts:
+        table = findings_table(checked.findings, doubts)
         sections.insert(0, Section("What makes this doubtful", "", (), (table,))) if table.rows else None
+    if checked.residual is not None:
+        sections.append(_residual_section(checked.residual))
     sections.append(Section("Measured over model", "", tuple(_comparisons(machine, checked)), (fit_table(result),)))
     pictures = [Figure("Residual tests", residual_tests_figure(result), _TESTS)]
     if len(result.paths) > 1:
         pictures.append(Figure("Correlation and column cosine", correlation_figure(result), _CORRELATION))
     sections.append(Section("Can it be believed?", "", tuple(pictures), (residual_tests_table(result),), folded=True))
-    verdicts = _verdicts(checked)
+    verdicts = _verdicts(checked, seal)
     failed = [verdict.label.lower() for verdict in verdicts if verdict.passed is False]
     words = f"to be doubted: {', '.join(failed)}" if failed else "identified, and nothing speaks against it"
     return Report(
-        title or "Identification from closed-loop records", machine, tuple(sections), verdicts,
+        title or _TITLES[checked.method], machine, tuple(sections), verdicts,
         _facts(checked, sources, controller), date, result=Verdict("Result", not failed, words),
     )  # fmt: skip
 
@@ -121,7 +144,16 @@ def _comparisons(machine: Machine, checked: CheckedIdentification) -> list[Figur
     return figures
 
 
-def _verdicts(checked: CheckedIdentification) -> tuple[Verdict, ...]:
+def _residual_section(residual: ResidualIdentification) -> Section:
+    title = "How the machine differs from its model"
+    try:
+        picture = residual_response.residual_figure(residual)
+    except InvalidInput as error:  # excitations that cannot be told apart leave no response to draw
+        return Section(title, f"The residual's frequency response is not drawn: {error}")
+    return Section(title, "", (Figure("Residual system", picture, _RESIDUAL),))
+
+
+def _verdicts(checked: CheckedIdentification, seal: SealFit | None = None) -> tuple[Verdict, ...]:
     result = checked.result
     passed = all(test.passed for test in result.tests)
     worst = max(zip(result.paths, result.values, result.standard_deviations, strict=True), key=_relative)
@@ -143,6 +175,10 @@ def _verdicts(checked: CheckedIdentification) -> tuple[Verdict, ...]:
     if count:
         text = f"{count} finding{'s' if count > 1 else ''}; see below"
     verdicts.append(Verdict("Records", count == 0, text))
+    if seal is not None:
+        span = f"{len(seal.pressures)} pressures up to {units.quantity(float(seal.pressure.max()), 'Pa')}"
+        warned = f", {len(seal.warnings)} warning{'s' * (len(seal.warnings) != 1)}; see below" if seal.warnings else ""
+        verdicts.append(Verdict("Seal", not seal.warnings, f"K, k, C, c at {span}{warned}"))
     return tuple(verdicts)
 
 

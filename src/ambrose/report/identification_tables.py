@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ambrose.identify.beside import Beside
 from ambrose.identify.closed_loop import Identification
 from ambrose.identify.record_finding import ERROR, RecordFinding
 from ambrose.identify.repeats import Repeats
+from ambrose.identify.seal_result import COEFFICIENTS, SealFit, line
 from ambrose.identify.timed_loop import TIMING
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.units import DIMENSIONS
@@ -117,6 +119,76 @@ def repeats_table(repeats: Repeats) -> Table:
     )
     columns = ("Parameter", "Mean", f"{100 * repeats.level:g} % interval", "RSD", "RSD stated")
     return Table("Repeats", columns, tuple(rows), note)
+
+
+def seal_table(fit: SealFit) -> Table:
+    """K, k, C, c at every pressure with their 95 % intervals."""
+    rows = []
+    for i, pressure in enumerate(fit.pressure.tolist()):
+        cells = [Cell(units.quantity(pressure, "Pa", 4))]
+        for j, letter in enumerate(COEFFICIENTS):
+            value, half = float(fit.values[i, j]), COVERAGE * float(fit.deviations[i, j])
+            factor, unit = (1e-3, "kN/m") if letter in "Kk" else (1.0, "N s/m")
+            cells.append(Cell(f"{fixed(value * factor, half * factor)} ± {units.number(half * factor, 2)} {unit}", "number"))
+        rows.append(tuple(cells))
+    note = "95 % interval of what noise leaves open, all else as identified. K and c, and k and C, act alike at one frequency."
+    columns = ("Pressure", *COEFFICIENTS)
+    return Table(f"Seal {units.axis_name(fit.seal)} by pressure", columns, tuple(rows), note)
+
+
+def seal_lines_table(fit: SealFit) -> Table:
+    """The regression lines over pressure."""
+    rows = []
+    for letter in COEFFICIENTS:
+        one = line(fit, letter)
+        factor, unit = (1e-3, "kN/m") if letter in "Kk" else (1.0, "N s/m")
+        bar, top = units.scale("Pa")[0], float(fit.pressure.max())
+        halves = one.confidence(0.0), one.confidence(top) / top
+        slope = float(one.covariance[1, 1]) ** 0.5 * float(one.confidence(0.0) / one.deviation(0.0)) / bar * factor
+        width = float(max(one.prediction(0.0), one.prediction(top))) * factor
+        rows.append(
+            (
+                letter,
+                Cell(_plus_minus(one.intercept * factor, float(halves[0]) * factor, unit), "number"),
+                Cell(_plus_minus(one.slope / bar * factor, slope, f"{unit} per {units.scale('Pa')[1]}"), "number"),
+                Cell(f"{units.number(width, 2)} {unit}", "number"),
+                Cell(units.number(one.scatter, 2), "number"),
+            )
+        )
+    note = (
+        "95 % by Student's t. Tolerance: the widest prediction band from zero to the highest pressure. Scatter: of the points "
+        "about the line over what each states; above 1 the bands are widened by it."
+    )
+    columns = ("Coefficient", "At zero pressure", "Slope", "Tolerance", "Scatter")
+    return Table(f"Seal {units.axis_name(fit.seal)}: lines over pressure", columns, tuple(rows), note)
+
+
+def _plus_minus(value: float, half: float, unit: str) -> str:
+    return f"{fixed(value, half)} ± {units.number(half, 2)} {unit}"
+
+
+def compared_table(rows: Sequence[Beside]) -> Table:
+    """What was found beside what another method had found."""
+    cells = []
+    for row in rows:
+        unit = unit_of(row.path)
+        difference = f"{units.number(row.difference, 2)} ± {units.number(row.difference_half_width, 2)} %" if row.other else ""
+        cells.append(
+            (
+                row.path,
+                Cell(_value(row.value, row.half_width, unit), "number"),
+                Cell(_value(row.other, row.other_half_width, unit), "number"),
+                Cell(difference, "number"),
+                Cell("noise" if row.agree else "more than noise"),
+            )
+        )
+    note = (
+        "Difference with its 95 % half-width from both intervals. Beyond noise it is one of methods: chord over loads against "
+        "tangent at small motion, or a model that is wrong in one of them."
+    )
+    return Table(
+        "Beside the other file", ("Parameter", "Found", "Other file", "Difference", "Explained by"), tuple(cells), note
+    )
 
 
 def _value(value: float, half: float, unit: str) -> str:
