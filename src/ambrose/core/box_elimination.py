@@ -13,6 +13,7 @@ import numpy as np
 
 _CHUNK = 200_000  # numbers held at once, so that they stay in the cache
 _SMALL = 1e-5  # a pivot smaller than this, relative, spoils digits: such points are solved with pivoting
+_FEW = 16  # points below which each is solved by itself
 _SHARED = 0.5  # branches over points, on average over the parameters, above which nothing is gained
 
 
@@ -26,15 +27,11 @@ class _Branching:
     values: tuple[np.ndarray, ...]
     leaf: np.ndarray  # (d,) the branch that holds each point
 
-    @property
-    def shared(self) -> bool:
-        return sum(len(parent) for parent in self.parents) < _SHARED * len(self.parents) * len(self.leaf)
-
 
 def determinants_at(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
     """h = det(I - M11 diag(delta)), (d, w), for M11 (w, n, n), the parameter ``owner`` (n,) of each channel, delta (d, k)."""
     branching = _branching(owner, delta)
-    if branching.shared:
+    if branching is not None:
         return _closed(M11, owner, delta, branching)[0]
     return _determinants(M11[None], delta[:, None, owner])
 
@@ -42,16 +39,20 @@ def determinants_at(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np
 def transfers_at(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
     """T = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12, (d, w, p, m), for M (w, n + p, n + m); the others as above."""
     branching = _branching(owner, delta)
-    if branching.shared:
+    if branching is not None:
         return _closed(M, owner, delta, branching)[1]
     return _transfers(M[None], delta[:, None, owner])
 
 
-def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching:
-    """Parameters with few values and many channels first: while there are few branches."""
+def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
+    """Parameters with few values and many channels first: while there are few branches. None where little would be shared."""
     d, k = delta.shape
+    if d < _FEW or k == 1:
+        return None
     repeats = np.bincount(owner, minlength=k)
     distinct = np.array([len(np.unique(column)) for column in delta.T], int)
+    if distinct.min() > _SHARED * d:
+        return None
     order = np.lexsort((-repeats, distinct))
     leaf, parents, values = np.zeros(d, int), [], []
     for i in order:
@@ -59,6 +60,8 @@ def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching:
         leaf = leaf.reshape(-1)
         parents.append(pairs[:, 0].astype(int))
         values.append(pairs[:, 1])
+    if sum(len(parent) for parent in parents) > _SHARED * k * d:
+        return None
     return _Branching(order, tuple(repeats[order].tolist()), tuple(parents), tuple(values), leaf)
 
 
