@@ -26,7 +26,7 @@ def loop_delay(sample_time: float, computing_samples: int = 1) -> float:
 def late(model: GeneralizedPlant, delay: float, order: int = 1) -> GeneralizedPlant:
     """The model with every current u delayed by ``delay`` [s], as a Pade all-pass of ``order`` states per axis; 0: unchanged.
 
-    order 1 is 0.1 degrees off at 100 Hz for 0.15 ms, 4 degrees at 1 kHz. Raises InvalidInput.
+    order 1 is 0.004 degrees off at 100 Hz for 0.15 ms, 4 degrees at 1 kHz. Raises InvalidInput.
     """
     if delay == 0:
         return model
