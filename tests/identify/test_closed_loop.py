@@ -284,3 +284,31 @@ def test_bad_input(change, words):
     law = law if change.pop("sampled", False) else controller
     with pytest.raises(InvalidInput, match=words):
         identify(machine, record, law, unknown, **change)
+
+
+def test_parameters_that_are_excited_late_are_found():
+    """eta is excited after the samples on which a start is sought, which say nothing about it."""
+    machine, _, controller, law = rig()
+    machine = replace(machine, seals=(), tolerances=())
+    plant = free_mode_reduction(assemble(machine), 1)
+    e = np.zeros((4, 16000))
+    e[[0, 2], :8000] = sequences(8000)[[0, 2]]
+    e[[1, 3], 8000:] = sequences(8000)[[1, 3]]
+    record = measured(closed_loop(plant, law), e, plant.point, noise=1e-8)
+    start = {"bearing.B.force_per_current.eta": 1.1 * machine.bearings[1].force_per_current[1]}
+    result = identify(machine, record, controller, NINE, start=start)
+    assert result.converged and not result.warnings
+    truth_here = nominal_values(plant, result.paths)
+    assert (np.abs(result.values - truth_here) < 4 * result.standard_deviations).all()
+
+
+@pytest.mark.parametrize("period", [None, "auto"])
+def test_what_has_not_converged_says_so_first(period):
+    machine, _, controller, _ = rig()
+    start = {"bearing.A.negative_stiffness.zeta": 1.2 * machine.bearings[0].negative_stiffness[0]}
+    record = measured(closed_loop(rig()[1], rig()[3]), sequences(12000, 4), rig()[1].point)
+    result = identify(machine, record, controller, NINE, start=start, max_iterations=1, period=period)
+    assert not result.converged
+    assert result.verdict.startswith("NOT CONVERGED") and any("not converged after" in text for text in result.warnings)
+    whole = identify(machine, record, controller, NINE, start=start, period=period)
+    assert whole.converged and "CONVERGED" not in whole.verdict

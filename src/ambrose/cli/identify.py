@@ -100,7 +100,7 @@ def identify(
     """
     from ambrose.machine.record import read_record
 
-    _check_options(context, method, seal_form, path, repeated)
+    _check_options(context, method)
     description = load(machine)
     other = load(str(compare)) if compare is not None else None
     begin = _starts(start)
@@ -134,22 +134,26 @@ def identify(
     sys.exit(0 if done.good else 1)
 
 
-def _check_options(context: click.Context, method: str, seal_form: str | None, path: Path | None, repeated: bool) -> None:
+def _check_options(context: click.Context, method: str) -> None:
     """Refuse what does not go together; raises InvalidInput."""
     from click.core import ParameterSource
 
     from ambrose.core.checks import InvalidInput
 
     flags = {item.name: item.opts[-1] for item in context.command.params}
+    given = {name for name in flags if name and context.get_parameter_source(name) is not ParameterSource.DEFAULT}
     for name, methods in _GOES_WITH.items():
-        given = context.get_parameter_source(name) is not ParameterSource.DEFAULT
-        if given and method not in methods:
+        if name in given and method not in methods:
             raise InvalidInput(
                 f"{flags[name]} goes with --method {' or '.join(methods)}, not {method}: {_WHY[method]}; leave it out"
             )
-    if path is None and method != "static":
+    if "path" not in given and method != "static":
         raise InvalidInput("--controller is missing: the loop is modelled with the controller that ran; give its file (*.json)")
-    if seal_form is not None and repeated:
+    if "seal" in given and "seal_form" not in given:
+        raise InvalidInput(
+            "--seal names the seal of --seal-fit, which is missing; give --seal-fit line or table, or leave it out"
+        )
+    if {"seal_form", "repeated"} <= given:
         raise InvalidInput("--repeats does not go with --seal-fit: records at several pressures repeat nothing; leave one out")
 
 
@@ -251,8 +255,19 @@ def _seal(given: _Given, form: str, seal: str | None) -> _Done:
     if form == "line":
         tables.append((seal_lines_table(found.fit), False))
     lines = [*_loop_lines(found.checked), *[f"Warning: seal {found.fit.seal} {text}" for text in found.fit.warnings]]
+    note = seal_checked.beyond(given.machine, found)
+    lines += [f"Note: {note}."] if note else []
     data = {**as_dict(found.checked), "good": found.good, "seal": seal_checked.as_dict(found)}
-    return _Done(found.good, machine, comment + seal_checked.comment(found), data, tables, lines, page, found.checked.result)
+    return _Done(
+        found.good,
+        machine,
+        comment + seal_checked.comment(given.machine, found),
+        data,
+        tables,
+        lines,
+        page,
+        found.checked.result,
+    )
 
 
 def _static(given: _Given, repeated: bool) -> _Done:

@@ -70,6 +70,7 @@ def seal_identification(
     if len(pressures) < _LEAST[form]:
         remedy = "record at more pressures" + (", or take the form table" if len(pressures) == 2 else "")
         raise invalid(f"the number of seal pressures for a {form}", len(pressures), f"at least {_LEAST[form]}", remedy)
+    _check_reach(machine, form, pressures)
     calm = [record for record in records if record.point.seal_pressure == 0]
     rest = [record for record in records if record.point.seal_pressure != 0]
     wanted = unknown or usual_unknowns(machine, calm or records)
@@ -86,6 +87,25 @@ def seal_identification(
     known = _but_the_seal(machine, checked.result, name)
     fit = seal_records.identify(known, records, controller, seal=name, progress=progress, **setup)
     return SealIdentification(checked, fit, form)
+
+
+def _check_reach(machine: Machine, form: str, pressures: set[float]) -> None:
+    """A table must reach the operating points, which is known before anything is fitted."""
+    for point in machine.operation.points if form == "table" else ():
+        if not min(pressures) * (1 - 1e-9) <= point.seal_pressure <= max(pressures) * (1 + 1e-9):
+            raise invalid(
+                f"operating point {point.label!r}", f"{point.seal_pressure:g} Pa",
+                f"within the pressures recorded, {min(pressures):g} to {max(pressures):g} Pa, for a table",
+                'record there, or take the form "line"',
+            )  # fmt: skip
+
+
+def beyond(machine: Machine, found: SealIdentification) -> str:
+    """A note where the machine has operating points above the highest pressure measured, to which the line goes on; else ""."""
+    top, highest = float(found.fit.pressure.max()), max(point.seal_pressure for point in machine.operation.points)
+    if highest <= top * (1 + 1e-9):
+        return ""
+    return f"the lines of seal {found.fit.seal} go on to {highest:g} Pa; the highest pressure measured is {top:g} Pa"
 
 
 def written_machine(machine: Machine, found: SealIdentification, origin: str = "") -> Machine:
@@ -112,7 +132,7 @@ def as_dict(found: SealIdentification) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def comment(found: SealIdentification) -> str:
+def comment(machine: Machine, found: SealIdentification) -> str:
     """What the file says above the machine about its seal."""
     fit = found.fit
     how = {"line": "the regression lines over pressure", "table": "the values at these pressures, linear between"}[found.form]
@@ -120,6 +140,8 @@ def comment(found: SealIdentification) -> str:
     for i, pressure in enumerate(fit.pressure):
         texts = [f"{c} {fit.values[i, j]:.4g} ({fit.deviations[i, j]:.2g})" for j, c in enumerate(COEFFICIENTS)]
         rows.append(f"  {pressure:g} Pa: {', '.join(texts)}")
+    note = beyond(machine, found)
+    rows += [f"Note: {note}."] if note else []
     rows += [f"Warning: {text}" for text in fit.warnings]
     return "".join(f"# {row}\n" for row in rows) + "\n"
 

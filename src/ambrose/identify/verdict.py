@@ -45,6 +45,6 @@ def _of_residuals(tests: Sequence[ResidualTest]) -> str:
     return (
         f"the residual of {worst.signal} still follows {worst.excitation} (correlation {worst.correlation:.3f}, "
         f"{abs(worst.correlation) / worst.limit:.1f} times the 99 % limit, {worst.lag} samples later), and so do "
-        f"{len(failed) - 1} of {len(tests) - 1} other pairs: the model lacks something - look for a delay, "
+        f"{len(failed) - 1} of {len(tests) - 1} other pairs; the model lacks something: look for a delay, "
         "a different controller, a missing bending mode, magnets beyond their linear range, or a parameter that is not as known"
     )

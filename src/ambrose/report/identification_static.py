@@ -22,7 +22,8 @@ _LINEAR = 0.01  # probability below which the straight line is rejected
 _FIGURE = (
     "Magnet force over control current, less the straight line: what is left at every load level, with the cubic through the "
     "levels. Points about zero mean a straight magnet; an S bent down at the ends is iron that saturates, a jump to one side "
-    "friction or a stop. The bars are the standard errors of the mean currents, as forces, 95 %."
+    "friction or a stop; points above each other at one current were loaded across this axis. Bars: 95 % of the mean currents, "
+    "as forces."
 )
 
 
@@ -50,7 +51,7 @@ def static_report(
         sections.insert(0, Section("What makes this doubtful", "", (), (findings_table((), result.warnings),)))
     count = len(result.warnings)
     verdicts = (
-        Verdict("Straightness", bool((result.linearity >= _LINEAR).all()), units.prose(result.verdict)),
+        Verdict("Straightness", not any("curved" in text for text in result.warnings), units.prose(result.verdict)),
         Verdict(
             "Loads", not count, f"{count} finding{'s' * (count != 1)}; see below" if count else "both sides, position held"
         ),
@@ -83,15 +84,17 @@ def static_table(checked: CheckedStaticLoad) -> Table:
                 Cell(f"{fixed(100 * (value / own - 1), 100 * half / own)} %", "number"),
                 Cell(f"{fixed(rest, rest_half)} ± {units.number(rest_half, 2)} N/A", "number"),
                 Cell(f"{units.number(100 * float(result.stiffness_share[i]), 2)} %", "number"),
-                Cell("no" if result.linearity[i] < _LINEAR else "yes"),
+                Cell(
+                    f"{units.number(100 * (value / rest - 1), 2)} %" if result.linearity[i] < _LINEAR else "straight", "number"
+                ),
             )
         )
     note = (
         "Line: slope over these loads, which goes into the machine file, with 95 %. At rest: slope of a cubic at the unloaded "
         "working point, which small motion sees. By displacement: share of the magnet's force that K_s makes; K_i is as wrong "
-        "as K_s by this share."
+        "as K_s by this share. Line over tangent: by how much they part where the levels are curved (99 %)."
     )
-    columns = ("Parameter", "Machine", "Line", "Change", "At rest", "By displacement", "Straight")
+    columns = ("Parameter", "Machine", "Line", "Change", "At rest", "By displacement", "Line over tangent")
     return Table("Force per current", columns, tuple(rows), note)
 
 
@@ -115,14 +118,18 @@ def line_figure(result: StaticLoad) -> Any:
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
-    titles = [f"<b>{units.axis_name(axis)}</b>" for axis in result.axes]
+    lefts = [_beyond(result, i) for i in range(len(result.axes))]
+    shares = [100 * float(np.abs(left).max() / np.ptp(result.forces[:, i])) for i, left in enumerate(lefts)]
+    titles = [
+        f"<b>{units.axis_name(axis)}</b>, {units.number(share, 2)} % of its range"
+        for axis, share in zip(result.axes, shares, strict=True)
+    ]
     figure = make_subplots(rows=1, cols=len(titles), subplot_titles=titles, shared_yaxes=True, horizontal_spacing=0.02)
     for column, current in enumerate(result.levels.current.T, 1):
         i = column - 1
         place = {"row": 1, "col": column}
-        slope, level = np.polyfit(current, result.forces[:, i], 1)
-        left = result.forces[:, i] - slope * current - level
-        bars = COVERAGE * slope * result.levels.current_deviation[:, i]
+        left = lefts[i]
+        bars = COVERAGE * result.values[i] * result.levels.current_deviation[:, i]
         figure.add_trace(
             go.Scatter(
                 x=current, y=left, mode="markers", marker={"size": 7, "color": "#0072b2"}, showlegend=False,
@@ -139,3 +146,10 @@ def line_figure(result: StaticLoad) -> Any:
         figure.update_xaxes(title_text="Control current [A]", **place)
     figure.update_yaxes(title_text="Force beyond the line [N]", row=1, col=1)
     return theme.dress(figure, 300, legend=False)
+
+
+def _beyond(result: StaticLoad, i: int) -> np.ndarray:
+    """The magnet force (m,) [N] of an axis less its straight line over the current."""
+    current, force = result.levels.current[:, i], result.forces[:, i]
+    slope, level = np.polyfit(current, force, 1)
+    return np.asarray(force - slope * current - level)

@@ -143,23 +143,24 @@ def seal_lines_table(fit: SealFit) -> Table:
         one = line(fit, letter)
         factor, unit = (1e-3, "kN/m") if letter in "Kk" else (1.0, "N s/m")
         bar, top = units.scale("Pa")[0], float(fit.pressure.max())
-        halves = one.confidence(0.0), one.confidence(top) / top
-        slope = float(one.covariance[1, 1]) ** 0.5 * float(one.confidence(0.0) / one.deviation(0.0)) / bar * factor
+        half, times = float(one.confidence(0.0)), float(one.confidence(0.0) / one.deviation(0.0))
+        slope = float(one.covariance[1, 1]) ** 0.5 * times / bar * factor
         width = float(max(one.prediction(0.0), one.prediction(top))) * factor
         rows.append(
             (
                 letter,
-                Cell(_plus_minus(one.intercept * factor, float(halves[0]) * factor, unit), "number"),
+                Cell(_plus_minus(one.intercept * factor, half * factor, unit), "number"),
                 Cell(_plus_minus(one.slope / bar * factor, slope, f"{unit} per {units.scale('Pa')[1]}"), "number"),
                 Cell(f"{units.number(width, 2)} {unit}", "number"),
                 Cell(units.number(one.scatter, 2), "number"),
             )
         )
     note = (
-        "95 % by Student's t. Tolerance: the widest prediction band from zero to the highest pressure. Scatter: of the points "
-        "about the line over what each states; above 1 the bands are widened by it."
+        "95 % by Student's t. Next: half-width of the band for a further measurement, at its widest up to the highest pressure "
+        "measured; the machine file's tolerance is this band over all operating points. Scatter: of the points about the line "
+        "over what each states; above 1 the bands are widened by it."
     )
-    columns = ("Coefficient", "At zero pressure", "Slope", "Tolerance", "Scatter")
+    columns = ("Coefficient", "At zero pressure", "Slope", "Next", "Scatter")
     return Table(f"Seal {units.axis_name(fit.seal)}: lines over pressure", columns, tuple(rows), note)
 
 
@@ -179,7 +180,7 @@ def compared_table(rows: Sequence[Beside]) -> Table:
                 Cell(_value(row.value, row.half_width, unit), "number"),
                 Cell(_value(row.other, row.other_half_width, unit), "number"),
                 Cell(difference, "number"),
-                Cell("noise" if row.agree else "more than noise"),
+                Cell(("noise" if row.agree else "more than noise") if row.other_half_width else "the other states no interval"),
             )
         )
     note = (
