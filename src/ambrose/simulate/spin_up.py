@@ -46,14 +46,14 @@ class Step:
 
 
 def loops_over_speed(
-    plant: Plant, controller: Any, low: float, high: float, *, bending_modes: int = 8, points: int | None = None
+    plant: Plant, controller: Any, low: float, high: float, *, bending_modes: int = 12, points: int | None = None
 ) -> linear.LoopAt:
     """The closed loop as a function of speed [rad/s] from low to high, always in the same states, for ``linear.run``.
 
     controller: fixed or scheduled (ScheduledSystem), continuous or sampled. bending_modes: kept per plane, fewer where the mesh
-    has fewer; a turboexpander's run-up is good to 2 % of the peak with 2, 0.3 % with 4 and 0.03 % with 8, for what is cut off
-    also gives way statically. points: speeds at which the plant is computed, evenly; None: as many as it takes for every row
-    of its matrix to be good to 0.1 % of the row's largest entry half-way between them. Raises InvalidInput.
+    has fewer; a turboexpander's run-up is good to 2 % of the peak with 2, 0.4 % with 4 and 0.01 % with 12, for what is cut
+    off also gives way statically. points: speeds at which the plant is computed, evenly; None: as many as it takes for every
+    row of its matrix to be good to 0.1 % of the row's largest entry half-way between them. Raises InvalidInput.
     """
     if not low < high:
         raise invalid("the speeds", f"{low:g} to {high:g} rad/s", "a range that ascends", "exchange them")
@@ -95,7 +95,7 @@ def _refined(plant_at: Callable[[float], Plant], low: float, high: float) -> dic
     return members
 
 
-def spin_up(plant: Plant, controller: Any, scenario: Scenario, *, bending_modes: int = 8, points: int | None = None) -> Trace:
+def spin_up(plant: Plant, controller: Any, scenario: Scenario, *, bending_modes: int = 12, points: int | None = None) -> Trace:
     """The scenario's run-up on the linear loop of a full plant; see ``loops_over_speed`` and ``linear.run``.
 
     Raises InvalidInput where the speed does not change.
