@@ -98,6 +98,102 @@ def test_json_and_repeats(place, tmp_path):
     assert np.array(found["correlation"]).shape == (8, 8)
 
 
+def test_the_youla_residual_from_the_command_line(place, identified, tmp_path):
+    """The same K_i within a percent, compared with the file of the first method, and the page has the residual system."""
+    page, out = tmp_path / "y.html", tmp_path / "y.toml"
+    rest = ("--method", "youla", "--compare", identified[1], "--report", page, "-o", out, "--json")
+    done = call("identify", RIG, place / "one.h5", "--controller", place / "pid.json", *NINE, *rest)
+    assert done.exit_code in {0, 1}, done.stderr
+    found = json.loads(done.stdout)
+    assert (done.exit_code == 0) == found["good"] and found["method"] == "youla" and found["controller_error"] < 1e-6
+    assert [row["path"] for row in found["compared"]] == [row["path"] for row in found["parameters"]]
+    assert all(abs(row["difference_percent"]) < 1 for row in found["compared"][:4])
+    assert "by the Youla residual" in load_machine(out).source
+    assert found["fit_percent"][0]["signal"] == "eps_y_A_zeta"
+    text = page.read_text()
+    assert "Residual system" in text and "Beside the other file" in text and "Identification through the Youla residual" in text
+
+
+def test_static_loads_from_the_command_line(place, identified, tmp_path):
+    """Loads in the middle: K_i within 2 % of what the closed loop gave, in the same file, tables and JSON."""
+    lines, time = [], 1.0
+    for angle in np.pi / 4 + np.pi / 2 * np.arange(4):
+        for size in (60.0, 120.0):
+            for way, share in (("x", np.cos(angle)), ("y", np.sin(angle))):
+                lines.append(f'\n[[pulse]]\nsignal = "f_center_{way}"\namplitude = "{size * share:.6f} N"')
+                lines.append(f'start = "{time:.1f} s"\nduration = "1 s"')
+            time += 1.0
+    (tmp_path / "loads.toml").write_text(f'name = "loads"\nduration = "{time:.1f} s"\n' + "\n".join(lines) + "\n")
+    ran = ("--controller", place / "pid.json", "--scenario", tmp_path / "loads.toml", "--point", "zero", "--json")
+    assert call("simulate", RIG, *ran, "-o", tmp_path / "loads.h5").exit_code == 0
+    page, out = tmp_path / "s.html", tmp_path / "s.toml"
+    rest = ("--method", "static", "--average", 0.2, "--compare", identified[1], "--report", page, "-o", out)
+    done = call("identify", RIG, tmp_path / "loads.h5", *rest)
+    assert done.exit_code == 0, done.stderr + done.stdout
+    assert "Force per current" in done.stdout and "Beside the other file" in done.stdout and "Verdict" in done.stdout
+    after, closed = load_machine(out), load_machine(identified[1])
+    for mine, other in zip(after.bearings, closed.bearings, strict=True):
+        assert mine.force_per_current == pytest.approx(other.force_per_current, rel=0.02)
+    assert "by static loads from loads.h5" in after.source and out.read_text().startswith("# Identified ")
+    assert "Force beyond the straight line" in page.read_text()
+    twice = ("identify", RIG, tmp_path / "loads.h5", tmp_path / "loads.h5", "--repeats", "--json", *rest[:4], "-o", out)
+    again = call(*twice)
+    found = json.loads(again.stdout)
+    assert again.exit_code == 0 and found["method"] == "static" and found["repeats"]["count"] == 2 and found["compared"] is None
+    assert found["parameters"][0]["unit"] == "N/A" and found["parameters"][0]["at_rest"] > 100
+    refused = call("identify", RIG, place / "one.h5", "--method", "static", "-o", tmp_path / "no.toml")
+    assert refused.exit_code == 2 and "hold no load" in refused.stderr and not (tmp_path / "no.toml").exists()
+
+
+def test_a_seal_by_pressure_from_the_command_line(tmp_path, place):
+    """Records of the rig at three pressures; the machine that results holds the line, and goes through the other commands."""
+    from ambrose.machine.config import dumps_machine
+    from ambrose.machine.description import OperatingPoint
+
+    rig = load_machine(RIG)
+    points = tuple(OperatingPoint(seal_pressure=p, label=f"p{p:g}") for p in (1.4e5, 0.0, 0.7e5))
+    (tmp_path / "rig.toml").write_text(dumps_machine(replace(rig, operation=replace(rig.operation, points=points))))
+    files = []
+    for point in points:
+        files.append(tmp_path / f"{point.label}.h5")
+        ran = ("--controller", place / "pid.json", "--scenario", place / "short.toml", "--point", point.label)
+        assert call("simulate", tmp_path / "rig.toml", *ran, "-o", files[-1], "--json").exit_code == 0
+    page, out = tmp_path / "seal.html", tmp_path / "seal.toml"
+    rest = ("--controller", place / "pid.json", "--seal-fit", "line", "--report", page, "-o", out, "--json")
+    done = call("identify", tmp_path / "rig.toml", *files, *rest)
+    assert done.exit_code in {0, 1}, done.stderr
+    found = json.loads(done.stdout)
+    assert found["seal"]["pressure"] == [0.0, 0.7e5, 1.4e5] and found["point"]["seal_pressure_pa"] == 0
+    k = found["seal"]["lines"]["k"]
+    assert k["slope"] * 2.04e5 == pytest.approx(rig.seals[0].k, rel=0.01)
+    after = load_machine(out)
+    assert dict(after.seals[0].table.values)["k"][1] == pytest.approx(k["intercept"] + 1.4e5 * k["slope"])
+    assert "seal center as a line over 3 pressures" in after.source and "pressure by pressure" in out.read_text()
+    text = page.read_text()
+    assert "Seal center by pressure" in text and "lines over pressure" in text and "coefficients against pressure" in text
+    assert call("check", out).exit_code == 0
+    shown = call("identify", tmp_path / "rig.toml", *files, *rest[:3], "table", "-o", out)
+    assert shown.exit_code == done.exit_code and "Seal center by pressure" in shown.stdout
+
+
+def test_what_did_not_converge_is_doubtful_everywhere(place, tmp_path, monkeypatch):
+    from ambrose.identify import checked, closed_loop
+
+    def lame(*arguments, **options):
+        return closed_loop.identify(*arguments, **{**options, "max_iterations": 1})
+
+    monkeypatch.setattr(checked, "identify", lame)
+    page = tmp_path / "page.html"
+    start = ("--start", "bearing.A.negative_stiffness.zeta=0.75e6")
+    done = call(
+        "identify", RIG, place / "one.h5", "--controller", place / "pid.json", *NINE, *start, "-o", tmp_path / "m.toml",
+        "--report", page,
+    )  # fmt: skip
+    assert done.exit_code == 1, done.stderr
+    assert "Verdict: NOT CONVERGED" in done.stdout and "Warning: not converged after" in done.stdout
+    assert "(NOT converged)" in load_machine(tmp_path / "m.toml").source and "NOT converged" in page.read_text()
+
+
 def swapped(record):
     values = record.values.copy()
     values[[0, 1]] = values[[1, 0]]
@@ -149,12 +245,27 @@ def test_gaps_and_uneven_times_are_refused_when_reading(place, tmp_path):
         (("--bending-modes", "-1"), "bending"),
         (("--repeats",), "at least 2 for repeats"),
         (("-o", "missing/m.toml"), "missing is not a directory"),
+        (("--method", "youla", "--signals", "y_A_zeta"), "--signals goes with --method closed-loop, not youla"),
+        (("--method", "youla", "--unknown", "delay"), "controller.delay as an unknown goes with the method closed-loop"),
+        (("--method", "youla", "--delay-samples", "1.5"), "computing_delay is 1.5, but must be a whole number"),
+        (("--method", "youla", "--seal-fit", "line"), "--seal-fit goes with --method closed-loop"),
+        (("--method", "static"), "goes with --method closed-loop or youla, not static"),
+        (("--average", "0.2"), "--average goes with --method static, not closed-loop"),
+        (("--seal-fit", "line", "--repeats"), "--repeats does not go with --seal-fit"),
+        (("--seal-fit", "line"), "the number of seal pressures for a line is 1, but must be at least 3"),
+        (("--seal", "center"), "--seal names the seal of --seal-fit"),
+        (("--compare", "turboexpander"), "the machine to compare with is 'turboexpander'"),
     ],
 )
 def test_arguments_that_are_refused(place, arguments, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = call("identify", RIG, place / "one.h5", "--controller", place / "pid.json", *NINE, *arguments)
     assert done.exit_code == 2 and words in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+
+def test_a_loop_is_not_modelled_without_its_controller(place, tmp_path):
+    done = call("identify", RIG, place / "one.h5", "-o", tmp_path / "m.toml")
+    assert done.exit_code == 2 and "--controller is missing" in done.stderr
 
 
 def test_interruption_leaves_no_file(place, tmp_path):
