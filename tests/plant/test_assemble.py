@@ -10,7 +10,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles, select
 from ambrose.machine.description import Coupling, OperatingPoint
 from ambrose.physics.rotor import finite_element_rotor
-from ambrose.plant.assemble import assemble
+from ambrose.plant.assemble import assemble, attached_rotor
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +109,42 @@ def test_bearing_angle_turns_the_signals_only(machine):
         return np.linalg.svd(frequency_response(select(p.system, p.named("u"), p.named("y")), w).values, compute_uv=False)
 
     assert sv(turned) == pytest.approx(sv(isotropic), rel=1e-8)
+
+
+@pytest.mark.parametrize("added_mass", [0.0, 3.0])
+@pytest.mark.parametrize("name", ["seal-rig", "turboexpander"])
+def test_slow_poles_of_the_full_plant_keep_eight_digits_behind_the_point(name, added_mass):
+    """METHODS asks for 1e-6 rad/s. Oracle: M s^2 + (D + W G) s + K, corrected in extended precision with both its vectors."""
+    given = load_machine(name)
+    given = replace(given, seals=(replace(given.seals[0], M=added_mass),))
+    point = given.operation.nominal
+    found = poles(assemble(given, point).rotor)
+    system = attached_rotor(given, point, finite_element_rotor(given))
+    M, D, K = (
+        x.astype(np.longdouble) for x in (system.mass, system.damping + point.speed * system.gyroscopic, system.stiffness)
+    )
+    slow = found[np.abs(found) < 2000.0]
+    assert len(slow) >= 8
+    for pole in slow:
+        s = np.clongdouble(pole)
+        for _ in range(3):
+            P = M * s * s + D * s + K
+            size = 1 / np.sqrt(np.maximum(np.abs(np.diag(P)), 1e-3).astype(float))
+            U, _, Vh = np.linalg.svd(P.astype(complex) * size[:, None] * size)
+            x, y = (v.astype(np.clongdouble) for v in (Vh[-1].conj() * size, U[:, -1].conj() * size))
+            s -= (y @ P @ x) / (y @ (2 * s * M + D) @ x)
+        assert abs(complex(s) - pole) < 2e-8
+
+
+def test_states_mean_the_same_at_every_operating_point():
+    """Displacements, velocities and the kinematic half of A do not move with speed or pressure; K and D do."""
+    given = load_machine("turboexpander")
+    point = given.operation.nominal
+    first = assemble(given, point).rotor
+    n = first.n_states // 2
+    for change in ({"speed": 700.0}, {"seal_pressure": 5e5}, {"speed": 0.0, "seal_pressure": 0.0}):
+        other = assemble(given, replace(point, **change)).rotor
+        np.testing.assert_array_equal(other.C, first.C)
+        np.testing.assert_array_equal(other.B, first.B)
+        np.testing.assert_array_equal(other.A[:n], first.A[:n])
+        assert np.abs(other.A[n:, :n] - first.A[n:, :n]).max() > 10.0

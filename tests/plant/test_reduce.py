@@ -45,6 +45,18 @@ def test_transforms_are_inverse_and_decouple(plant):
     assert T_L @ A @ T_R == pytest.approx(reduction.plant.rotor.A, abs=1e-5 * np.abs(reduction.plant.rotor.A).max())
 
 
+def test_transforms_with_a_seal_that_has_inertia():
+    """Added mass couples the free modes; T_L and T_R still take the full plant's state to the reduced one and back."""
+    machine = load_machine("seal-rig")
+    full = assemble(replace(machine, seals=(replace(machine.seals[0], M=8.0),)))
+    reduction = modal_reduction(full, 1)
+    T_L, T_R, small, whole = reduction.T_L, reduction.T_R, reduction.plant.rotor, full.rotor
+    assert T_L @ T_R == pytest.approx(np.eye(12), abs=1e-9)
+    assert T_L @ whole.A @ T_R == pytest.approx(small.A, abs=1e-5 * np.abs(small.A).max())
+    assert T_L @ whole.B == pytest.approx(small.B, abs=1e-6 * np.abs(small.B).max())
+    assert whole.C @ T_R == pytest.approx(small.C, abs=1e-6 * np.abs(small.C).max())
+
+
 def test_spans_the_subspace_of_the_complex_route(plant):
     """The thesis takes complex eigenvectors of the 320-state matrix (P1, eqs. 18-42): the same column space.
 

@@ -95,7 +95,8 @@ def synthesize(
                     break
                 lowest = 1 + max(orders)
     except (KeyboardInterrupt, AmbroseError, np.linalg.LinAlgError) as stop:
-        reason = "interrupted" if isinstance(stop, KeyboardInterrupt) else str(stop)
+        late = job.clock.reached if job.clock.left <= 0 else str(stop)  # not the time that was left to an inner step
+        reason = "interrupted" if isinstance(stop, KeyboardInterrupt) else late
         if not iterates:
             raise
     return _result(job, iterates, reason)
