@@ -9,10 +9,11 @@ from ambrose import load_machine
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identify import excitation
+from ambrose.identify import excitation, youla
+from ambrose.identify.beside import beside
 from ambrose.identify.checked import checked_identification
 from ambrose.identify.record_finding import RecordFinding
-from ambrose.identify.seal_result import SealFit
+from ambrose.identify.seal_result import SealFit, line
 from ambrose.machine.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
@@ -156,3 +157,53 @@ def test_seal_coefficients_over_pressure(done):
     two = identification_report(machine, checked, seal=seal_fit([1e5, 2e5]))  # too few for a line
     section = next(section for section in two.sections if section.title == "Seal")
     assert not any(trace.fill == "toself" for trace in section.figures[0].picture.data)
+
+
+def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
+    machine, checked = done
+    fit = replace(seal_fit([0.5e5, 1e5, 2e5, 3e5]), warnings=("at 50000 Pa: not converged after 50 steps; begin elsewhere",))
+    report = identification_report(machine, checked, seal=fit)
+    tables = next(section for section in report.sections if section.title == "Seal").tables
+    assert [table.title for table in tables] == ["Seal center by pressure", "Seal center: lines over pressure"]
+    value, half = fit.values[2, 1] / 1e3, 1.96 * fit.deviations[2, 1] / 1e3
+    assert tables[0].cells[2][2].text == f"{fixed(value, half)} ± {half:.2g} kN/m"
+    one = line(fit, "k")
+    slope = float(tables[1].cells[1][2].text.split(" ± ")[0].replace("\u202f", "").replace(" ", ""))
+    assert slope == pytest.approx(one.slope * 1e5 / 1e3, rel=0.01)
+    assert report.sections[0].title == "What makes this doubtful"
+    assert "50000 Pa" in report.sections[0].tables[0].cells[0][0].text
+    verdict = next(one for one in report.verdicts if one.label == "Seal")
+    assert verdict.passed is False and "4 pressures up to 3\u00a0bar, 1 warning;" in verdict.text and not report.result.passed
+    two = identification_report(machine, checked, seal=seal_fit([1e5, 2e5]))
+    assert len(next(section for section in two.sections if section.title == "Seal").tables) == 1
+
+
+def test_another_methods_values_stand_beside(done):
+    machine, checked = done
+    rows = beside(checked.result, machine)
+    table = identification_report(machine, checked, compared=rows).sections[0].tables[-1]
+    assert table.title == "Beside the other file" and len(table.cells) == len(checked.result.paths)
+    assert table.cells[0][4].text == "the other states no interval"
+    assert table.cells[-1][4].text == "noise"  # the seal's k, which the file states to 100 %
+
+
+def test_not_converged_is_not_sure(done):
+    machine, checked = done
+    lame = replace(checked, result=replace(checked.result, converged=False, warnings=("not converged after 2 steps; x",)))
+    report = identification_report(machine, lame)
+    verdict = next(one for one in report.verdicts if one.label == "Parameters")
+    assert verdict.passed is False and "NOT converged" in verdict.text and not report.result.passed
+
+
+def test_a_residual_that_cannot_be_drawn_says_why(done):
+    """The four excitations of this record are independent, so S is drawn; alike ones leave words."""
+    machine, checked = done
+    residual = youla.identify(machine, [checked.pieces[0].record], checked.controller, ["seal.center.k"])
+    report = identification_report(machine, replace(checked, residual=residual))
+    section = next(section for section in report.sections if section.title.startswith("How the machine differs"))
+    assert section.figures[0].title == "Residual system" and "Youla" in report.title
+    record = residual.signals[0]
+    alike = replace(record, values=np.vstack([np.tile(record.values[:1], (4, 1)), record.values[4:]]))
+    same = replace(checked, residual=replace(residual, signals=(alike,)))
+    section = next(s for s in identification_report(machine, same).sections if s.title.startswith("How the machine differs"))
+    assert not section.figures and "is not drawn" in section.text
