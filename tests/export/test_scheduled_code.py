@@ -47,7 +47,7 @@ def adversarial(block, count, seed=0):
 @pytest.mark.parametrize("make", MAKERS)
 def test_double_agrees_with_python(make, rate, tmp_path):
     block = block_of(make(), rate_limit=rate)
-    count = SAMPLES if make is small_schedule else SAMPLES // 5
+    count = SAMPLES if make is small_schedule and rate else SAMPLES // 10
     e, valid, v = adversarial(block, count)
     expected = run_scheduled(block, e, v, valid)
     found, status = replay(compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=len(block.outputs))
@@ -60,7 +60,7 @@ def test_double_agrees_with_python(make, rate, tmp_path):
 @pytest.mark.skipif("clang" not in driver.compilers(), reason="no clang")
 def test_clang_agrees_with_python(tmp_path):
     block = block_of(small_schedule(), rate_limit=5e4)
-    e, valid, v = adversarial(block, SAMPLES // 5, seed=1)
+    e, valid, v = adversarial(block, SAMPLES // 10, seed=1)
     expected = run_scheduled(block, e, v, valid)
     for flags in (None, ["-O3"]):
         found, status = replay(compiled(block, "double", tmp_path / "c", "clang", flags), "double", e, v, valid)
@@ -72,7 +72,7 @@ def test_clang_agrees_with_python(tmp_path):
 def test_single_precision_stays_close(tmp_path):
     block = single(block_of(small_schedule()))
     with np.errstate(all="ignore"):
-        e, valid, v = adversarial(block, SAMPLES // 2)
+        e, valid, v = adversarial(block, SAMPLES // 5)
         e, v = e.astype(np.float32).astype(float), v.astype(np.float32).astype(float)
     expected = run_scheduled(block, e, v, valid)
     found, status = replay(compiled(block, "float", tmp_path / "c", "gcc"), "float", e, v, valid)
@@ -89,7 +89,7 @@ def test_a_block_as_large_as_the_machines(tmp_path):
     systems = [StateSpace(K.A + s * turn, K.B, (1 + s) * K.C, K.D, K.inputs, K.outputs) for s in (0.0, 0.3, 1.0)]
     schedule = ScheduledSystem([100.0, 250.0, 600.0], systems)
     block = block_of(schedule)
-    e, valid, v = adversarial(block, SAMPLES // 5)
+    e, valid, v = adversarial(block, SAMPLES // 10)
     expected = run_scheduled(block, e, v, valid)
     found, status = replay(compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=4)
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
@@ -122,7 +122,7 @@ def test_the_code_is_continuous_at_the_grid_points_and_clamps_at_the_ends(tmp_pa
 def test_compiles_clean_and_passes_its_own_vectors(make, arithmetic, name, tmp_path):
     write_scheduled(tmp_path / "code", block_of(make(), rate_limit=1e5), arithmetic, ["A */ comment"])
     files = [str(tmp_path / "code" / f) for f in ("lpv.c", "lpv_test.c")]
-    for flags in (driver.sanitizers(name), ["-O3"]):
+    for flags in (driver.sanitizers(name), ["-O3"])[: 2 if make is small_schedule else 1]:
         program = tmp_path / "selftest"
         driver.build(name, [*flags, *files, "-o", str(program)])
         done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
@@ -173,7 +173,7 @@ def test_transfer_without_a_bump(make, arithmetic, tmp_path):
     block = block_of(make())
     program = compiled(block, arithmetic, tmp_path / "c", "gcc")
     m, p = len(block.inputs), len(block.outputs)
-    for speed in (*GRID, 175.0, 275.0, 450.0, 599.0, 700.0):
+    for speed in (GRID[0], GRID[1], 175.0, 275.0, 450.0, 700.0):
         e = np.tile(np.array([1e-5, -2e-5])[:m], (4, 1))
         given = np.tile(np.array([1.0, -0.5])[:p], (4, 1))
         op = np.array([driver.STEP, driver.RESET, driver.TRACK, driver.STEP])
