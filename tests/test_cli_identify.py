@@ -163,6 +163,7 @@ def test_a_seal_by_pressure_from_the_command_line(tmp_path, place):
     done = call("identify", tmp_path / "rig.toml", *files, *rest)
     assert done.exit_code in {0, 1}, done.stderr
     found = json.loads(done.stdout)
+    assert found["seal"]["note"] == ""
     assert found["seal"]["pressure"] == [0.0, 0.7e5, 1.4e5] and found["point"]["seal_pressure_pa"] == 0
     k = found["seal"]["lines"]["k"]
     assert k["slope"] * 2.04e5 == pytest.approx(rig.seals[0].k, rel=0.01)
@@ -172,6 +173,8 @@ def test_a_seal_by_pressure_from_the_command_line(tmp_path, place):
     text = page.read_text()
     assert "Seal center by pressure" in text and "lines over pressure" in text and "coefficients against pressure" in text
     assert call("check", out).exit_code == 0
+    together = call("identify", tmp_path / "rig.toml", *files, *rest[:2], *NINE, "--unknown", "seal.center.k", "-o", out)
+    assert together.exit_code in {0, 1} and "3 seal pressures, fitted together: --seal-fit line" in together.stderr
     shown = call("identify", tmp_path / "rig.toml", *files, *rest[:3], "table", "-o", out)
     assert shown.exit_code == done.exit_code and "Seal center by pressure" in shown.stdout
 

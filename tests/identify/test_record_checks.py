@@ -21,7 +21,7 @@ from ambrose.identify.record_finding import RecordFinding, refuse
 from ambrose.identify.record_signals import flat_tops
 from ambrose.identify.record_wiring import Wiring, wirings
 from ambrose.identify.result_checks import delay_findings, diagnose_result
-from ambrose.machine.description import Tolerance
+from ambrose.machine.description import SealTable, Tolerance
 from ambrose.machine.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
@@ -518,6 +518,10 @@ def test_usual_unknowns():
     assert "seal.center.k" not in usual_unknowns(machine, [still])
     marked = replace(machine, tolerances=(Tolerance("bearing.A.force_per_current", relative=0.1),))
     assert len(usual_unknowns(marked)) == 9
+    table = SealTable((("pressure", (0.0, 4.08e5)),), (("k", (0.0, 6.4e6)),))
+    tabulated = replace(machine, seals=(replace(machine.seals[0], k=0.0, table=table, scales_with_pressure=()),))
+    assert "seal.center.k" not in usual_unknowns(tabulated)  # it could not be written back
+    assert not any(path.startswith("seal") for path in usual_unknowns(load_machine("turboexpander")))  # from its geometry
 
 
 def test_a_finding_has_one_of_two_severities():

@@ -197,6 +197,9 @@ def _loop(given: _Given, method: str, repeated: bool) -> _Done:
     paths = [path for kind in split_timing(given.machine, wanted) for path in kind]
     if not given.unknown:
         given.say(f"unknown: {', '.join(paths)}")
+    pressures = {record.point.seal_pressure for record in given.records}
+    if method == "closed-loop" and given.machine.seals and len(pressures) > 2:
+        given.say(f"{len(pressures)} seal pressures, fitted together: --seal-fit line finds the seal at each")
     checked = checked_identification(
         given.machine, given.records, given.controller, paths, method=method, start=given.start, repeats=repeated,
         progress=given.progress, **given.options,
@@ -257,7 +260,7 @@ def _seal(given: _Given, form: str, seal: str | None) -> _Done:
     lines = [*_loop_lines(found.checked), *[f"Warning: seal {found.fit.seal} {text}" for text in found.fit.warnings]]
     note = seal_checked.beyond(given.machine, found)
     lines += [f"Note: {note}."] if note else []
-    data = {**as_dict(found.checked), "good": found.good, "seal": seal_checked.as_dict(found)}
+    data = {**as_dict(found.checked), "good": found.good, "seal": {**seal_checked.as_dict(found), "note": note}}
     return _Done(
         found.good,
         machine,

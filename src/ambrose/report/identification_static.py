@@ -21,7 +21,7 @@ from ambrose.report.identification_tables import COVERAGE, compared_table, findi
 _LINEAR = 0.01  # probability below which the straight line is rejected
 _FIGURE = (
     "Magnet force over control current, less the straight line: what is left at every load level, with the cubic through the "
-    "levels. Points about zero mean a straight magnet; an S bent down at the ends is iron that saturates, a jump to one side "
+    "levels. Points about zero mean a straight magnet; ends that bend down are iron that saturates, a jump to one side "
     "friction or a stop; points above each other at one current were loaded across this axis. Bars: 95 % of the mean currents, "
     "as forces."
 )
