@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from ambrose.cli import main
 from ambrose.core.checks import NumericalFailure
+from ambrose.export.compiled import has_compiler
 from ambrose.machine.config import bundled_machines
 from ambrose.synthesis.design import design
 
@@ -34,7 +35,11 @@ def controller(tmp_path_factory):
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
     directory = tmp_path_factory.mktemp("study")
-    return directory, call("study", RIG, "-o", directory, "--json")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "ambrose.stages.commission.METHOD", "hinf"
+        )  # for the identified machine: half a minute less than "polish"
+        return directory, call("study", RIG, "-o", directory, "--json")
 
 
 def test_machines():
@@ -107,6 +112,8 @@ def test_study_compares_the_controllers(study):
     assert {path.name for path in directory.iterdir()} == made | {"commissioned"}
     found = json.loads(done.stdout)
     assert found["best"] == "mu, polished"
+    assert found["commissioned"]["compiled"] is has_compiler()
+    assert set(found["commissioned"]["rig"].values()) == {"completed"}  # the code holds the rig at every pressure
     stable = {name: [point["stable"] for point in c["points"]] for name, c in found["controllers"].items()}
     assert stable.pop("PID") == [True, True, False]
     assert set(map(tuple, stable.values())) == {(True, True, True)}
