@@ -156,6 +156,17 @@ def test_what_is_refused_before_anything_is_fitted(pressures, form, options, wor
         seal_identification(machine(), records(pressures), controller(), form, **options)
 
 
+def test_a_knock_under_pressure_is_found_in_its_record():
+    values = record(1.2e5).values.copy()
+    values[0, 5000:5004] += 3e-6
+    seen = [name for name in record(1.2e5).signals if name[0] != "u"]  # without u nothing shows it before the fit
+    given = [record(0.0).select(seen), replace(record(1.2e5), values=values).select(seen)]
+    result = seal_identification(machine(), given, controller(), "table")
+    texts = [str(item) for item in result.checked.findings]
+    assert any("record 2: y_A_zeta leaves the model for a short time" in text and "0.5" in text for text in texts), texts
+    assert not result.good
+
+
 def test_an_unstable_start_gives_way_to_the_next_and_no_convergence_is_an_error():
     known = identified_machine(machine(), found().checked.result)
     far = {"seal.center.k": 9e6}

@@ -23,10 +23,16 @@ _BURST = 15.0  # over the median size of the residual
 
 def diagnose_result(machine: Machine, result: Identification, pieces: Sequence[Explained]) -> tuple[RecordFinding, ...]:
     """What is impossible (errors) or doubtful (warnings) about an identification; pieces: its records beside the model."""
-    findings = [*_signs(result), *_sizes(result), *_common_factor(result)]
-    for number, piece in enumerate(pieces, 1):
-        findings += [*_missed(machine, piece, number), *_bursts(piece, number)]
+    findings = [*_signs(result), *_sizes(result), *_common_factor(result), *diagnose_pieces(machine, pieces)]
     return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
+
+
+def diagnose_pieces(machine: Machine, pieces: Sequence[Explained], numbers: Sequence[int] = ()) -> tuple[RecordFinding, ...]:
+    """What a model misses in its records: responses (errors), short bursts (warnings). numbers: of the records (1, 2, ...)."""
+    findings: list[RecordFinding] = []
+    for number, piece in zip(numbers or range(1, len(pieces) + 1), pieces, strict=True):
+        findings += [*_missed(machine, piece, number), *_bursts(piece, number)]
+    return tuple(findings)
 
 
 def _signs(result: Identification) -> list[RecordFinding]:

@@ -12,7 +12,10 @@ from ambrose.core.checks import invalid
 from ambrose.identify import seal_records
 from ambrose.identify.checked import CheckedIdentification, checked_identification, usual_unknowns
 from ambrose.identify.closed_loop import Identification
+from ambrose.identify.explained import explained
 from ambrose.identify.identified import identified_machine
+from ambrose.identify.record_finding import RecordFinding, refuse
+from ambrose.identify.result_checks import diagnose_pieces
 from ambrose.identify.seal_result import COEFFICIENTS, SealFit, line
 from ambrose.identify.seal_table import identified_seal
 from ambrose.identify.stepped_sine import seal_name
@@ -86,7 +89,31 @@ def seal_identification(
     setup["start"] = {path: value for path, value in (start or {}).items() if _of_seal(path, name)} or None
     known = _but_the_seal(machine, checked.result, name)
     fit = seal_records.identify(known, records, controller, seal=name, progress=progress, **setup)
-    return SealIdentification(checked, fit, form)
+    findings = _missed(known, records, controller, checked.result, fit, setup)
+    refuse(findings)
+    return SealIdentification(replace(checked, findings=(*checked.findings, *findings)), fit, form)
+
+
+def _missed(
+    known: Machine,
+    records: Sequence[Record],
+    controller: Any,
+    common: Identification,
+    fit: SealFit,
+    setup: dict[str, Any],
+) -> tuple[RecordFinding, ...]:
+    """What the model with the seal found at each pressure misses in the records under pressure."""
+    signals = setup["signals"] or [f"y_{axis}" for axis in known.axes]
+    how = {"signals": signals, "bending_modes": setup["bending_modes"], "computing_delay": setup["computing_delay"]}
+    paths = tuple(f"seal.{fit.seal}.{letter}" for letter in COEFFICIENTS)
+    findings: list[RecordFinding] = []
+    for pressure, values in zip(fit.pressure.tolist(), fit.values, strict=True):
+        numbers = [i for i, record in enumerate(records, 1) if record.point.seal_pressure == pressure != 0]
+        if numbers:
+            result = replace(common, paths=paths, values=values)
+            pieces = explained(known, [records[i - 1] for i in numbers], controller, result, **how)
+            findings += diagnose_pieces(known, pieces, numbers)
+    return tuple(findings)
 
 
 def _check_reach(machine: Machine, form: str, pressures: set[float]) -> None:
