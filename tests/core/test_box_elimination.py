@@ -1,0 +1,78 @@
+"""Points that share parameters, against the determinant and the solution of each point by itself."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from ambrose.core import box_elimination
+from ambrose.core.box_elimination import determinants_at, transfers_at
+
+
+def problem(seed: int, repeats: tuple[int, ...], frequencies: int = 7) -> tuple[np.ndarray, np.ndarray]:
+    """M (w, n + 2, n + 3) and the owner of each channel, the channels of a parameter not side by side."""
+    rng = np.random.default_rng(seed)
+    owner = rng.permutation(np.repeat(np.arange(len(repeats)), repeats))
+    shape = (frequencies, len(owner) + 2, len(owner) + 3)
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / len(owner), owner
+
+
+def one_by_one(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    n = len(owner)
+    h, T = np.empty((len(delta), len(M)), complex), np.empty((len(delta), len(M), 2, 3), complex)
+    for (i, d), (j, m) in product(enumerate(delta), enumerate(M)):
+        D = np.diag(d[owner])
+        h[i, j] = np.linalg.det(np.eye(n) - m[:n, :n] @ D)
+        T[i, j] = m[n:, n:] + m[n:, :n] @ D @ np.linalg.inv(np.eye(n) - m[:n, :n] @ D) @ m[:n, n:]
+    return h, T
+
+
+@pytest.mark.parametrize("repeats", [(1,), (3,), (1, 1), (2, 1, 4, 1), (1,) * 6, (3, 2, 2, 1, 1)])
+def test_corners_scattered_points_and_both(repeats):
+    M, owner = problem(len(repeats), repeats)
+    k, rng = len(repeats), np.random.default_rng(5)
+    corners = np.array(list(product((-1.3, 1.3), repeat=k)))
+    scattered = rng.uniform(-1, 1, (20, k))
+    partly = np.where(rng.random((40, k)) < 0.6, corners[0], rng.uniform(-1, 1, (40, k)))
+    twice = rng.permutation(np.vstack([corners, corners, np.zeros((1, k))]))
+    for delta in (corners, scattered, partly, twice, np.vstack([corners, scattered]), corners[:1], corners[:0]):
+        h, T = one_by_one(M, owner, delta)
+        n = len(owner)
+        np.testing.assert_allclose(determinants_at(M[:, :n, :n], owner, delta), h, rtol=1e-10)
+        np.testing.assert_allclose(transfers_at(M, owner, delta), T, rtol=1e-9, atol=1e-11)
+
+
+def test_corners_do_share(monkeypatch):
+    """Of the determinants of 64 corners none is computed as a whole."""
+    M, owner = problem(3, (1,) * 6)
+    corners = np.array(list(product((-1.0, 1.0), repeat=6)))
+    expected = one_by_one(M, owner, corners)[0]
+    monkeypatch.setattr(box_elimination, "_determinants", None)
+    np.testing.assert_allclose(determinants_at(M[:, :6, :6], owner, corners), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4])
+@pytest.mark.parametrize("repeats", [(1, 1, 1, 1, 1), (3, 1, 1, 1, 1)])
+def test_pivots_next_to_zero_keep_their_digits(repeats, distance):
+    """I - M11 delta is regular, but its leading entry, or block, is not: elimination in order would lose digits."""
+    M, owner = problem(11, repeats)
+    owner = np.sort(owner)
+    n, r = len(owner), repeats[0]
+    M[:, :r, :r] = 0.3 * np.triu(M[:, :r, :r], 1)
+    M[:, 0, 0] = 1 - distance  # at delta = 1 the first pivot is ``distance``
+    corners = np.array(list(product((-1.0, 1.0), repeat=len(repeats))))
+    h, T = one_by_one(M, owner, corners)
+    assert np.abs(h).min() > 1e-3
+    np.testing.assert_allclose(determinants_at(M[:, :n, :n], owner, corners), h, rtol=1e-9)
+    np.testing.assert_allclose(transfers_at(M, owner, corners), T, rtol=1e-8, atol=1e-9)
+
+
+def test_a_singular_point_has_determinant_zero():
+    """The other points of its branch keep theirs."""
+    M = np.diag([1.0, 0.5, 0.25, 0.2, 0.1]).astype(complex)[None]
+    corners = np.array(list(product((-1.0, 1.0), repeat=5)))
+    expected = np.prod(1 - corners * np.diag(M[0]).real, axis=1)
+    np.testing.assert_allclose(determinants_at(M, np.arange(5), corners)[:, 0], expected, atol=1e-15)
+    assert (expected == 0).sum() == 16
