@@ -8,7 +8,8 @@ import pytest
 from ambrose.core.box import box_loop, corners, count_unstable, gains, perturbed_matrix, samples, sweep, unstable_poles
 from ambrose.core.box_search import _log_gain, box_margin, gain_bound, peak_at, proved_margin, worst_gain
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.core.lft import ComplexBlock, GeneralizedPlant, RealBlock, close_uncertainty
+from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock, close_uncertainty
+from ambrose.core.mu_bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
 
@@ -235,3 +236,25 @@ def test_refusals():
         box_loop(StateSpace([[0.5]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealBlock("p")])
     with pytest.raises(InvalidInput, match="delta"):
         unstable_poles(box_loop(lag(), [RealBlock("p")]), np.zeros((1, 2)))
+
+
+def test_gain_bound_asks_no_more_than_mu_below_one():
+    """The same number as by bisection over the converged structured singular value of every frequency."""
+    rng = np.random.default_rng(11)
+    loop = random_loop(rng, 4)
+    factor = 0.7 * box_margin(loop).factor
+    s, n = loop.system, len(loop.owner)
+    C = s.C.copy()
+    C[:n] *= factor
+    loop = box_loop(StateSpace(s.A, s.B, C, s.D), loop.blocks)
+    worst = worst_gain(loop)
+    omega = worst.frequency * np.array([0.2, 0.9, 1.0, 1.1, 4.0])
+    bound = gain_bound(loop, omega, worst.value)
+
+    def mu(gamma: float) -> float:
+        M = loop.at(omega)
+        M[:, n:] /= gamma
+        return float(mu_bounds(M, [*loop.blocks, FullBlock("gain", 2, 2)], lower=False, tolerance=2e-4).upper.max())
+
+    assert mu(bound) < 1 + 2e-4
+    assert mu(bound / 1.0025) > 1 - 2e-4 or bound <= 1.002 * worst.value
