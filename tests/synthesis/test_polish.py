@@ -179,6 +179,19 @@ def test_two_parameters_against_the_whole_box():
 # ends before the end, and bad input
 
 
+def test_a_judge_decides_between_the_rounds(plant, start):
+    seen = []
+
+    def judge(controller):
+        seen.append(controller)
+        return -float(len(seen)) if len(seen) < 3 else 0.0  # the second of the start and two rounds
+
+    result = polish.synthesize(plant, start, order=14, iterations=30, rounds=2, judge=judge)
+    assert len(seen) == 3
+    assert result.controller is seen[1]
+    assert result.certificate.stable
+
+
 def test_interruption_and_time_limit(plant, start):
     def interrupt(text: str) -> None:
         if text.startswith("round 1"):

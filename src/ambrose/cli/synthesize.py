@@ -58,10 +58,11 @@ def synthesize(
     from ambrose.core.checks import check_positive, invalid
     from ambrose.export.files import write_controller
     from ambrose.export.results import certificate_to_dict
+    from ambrose.plant.reduce import reduce
     from ambrose.stages.plants import plant_at
     from ambrose.synthesis.design import design
     from ambrose.synthesis.latency import loop_delay
-    from ambrose.synthesis.lowering import lowered
+    from ambrose.synthesis.lowering import lowered, sampled_sensitivity
 
     description = load(machine)
     hertz = 6.283185307179586  # rad/s
@@ -75,6 +76,9 @@ def synthesize(
         progress("assembling the plant")
         plant = plant_at(description, point)
         progress(f"designing ({method})")
+        judge = None
+        if sample is not None and method == "polish":
+            judge = sampled_sensitivity(reduce(plant, bending_modes + 1), sample, delay_samples)
         result = design(
             plant,
             method,
@@ -82,6 +86,7 @@ def synthesize(
             match_reference=match_reference,
             order=order,
             delay=delay,
+            judge=judge,
             speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
             progress=progress,
         )

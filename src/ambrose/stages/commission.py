@@ -30,6 +30,7 @@ from ambrose.machine.config import dumps_machine
 from ambrose.machine.description import Machine
 from ambrose.machine.writing import write_text
 from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
 from ambrose.report.candidate import Candidate
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import load_scenario
@@ -40,6 +41,7 @@ from ambrose.stages.proof import over_tolerances, verification
 from ambrose.stages.trial import SCENARIOS, experiment, simulation
 from ambrose.synthesis.design import design_tolerances
 from ambrose.synthesis.latency import loop_delay
+from ambrose.synthesis.lowering import sampled_sensitivity
 from ambrose.synthesis.result import Synthesis
 
 NAME = "commissioned"
@@ -104,7 +106,8 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     known = full_plants(machine)
     delay = loop_delay(_sample_time(machine), _COMPUTING)
     progress("controller for the identified machine and its sampled loop")
-    synthesis = kept_or_designed(known[0], METHOD, directory / "controller.json", progress, delay=delay)
+    judge = sampled_sensitivity(reduce(known[0], 1), _sample_time(machine), _COMPUTING)
+    synthesis = kept_or_designed(known[0], METHOD, directory / "controller.json", progress, delay=delay, judge=judge)
     deployment, program, files = coded(known, directory, progress)
     law, apart = running_law(program, deployment)
     candidate = examined(plants, known, synthesis, delayed(law, deployment.delay), program, progress)

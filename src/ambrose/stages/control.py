@@ -10,15 +10,18 @@ from ambrose.export.files import read_controller, write_controller
 from ambrose.machine.config import machine_hash
 from ambrose.plant.model import Plant
 from ambrose.synthesis.design import design, on_full_plant
+from ambrose.synthesis.lowering import Measure
 from ambrose.synthesis.result import Synthesis
 
 Progress = Callable[[str], None]
 
 
-def kept_or_designed(plant: Plant, method: str, path: Path, progress: Progress, *, delay: float = 0.0) -> Synthesis:
+def kept_or_designed(
+    plant: Plant, method: str, path: Path, progress: Progress, *, delay: float = 0.0, judge: Measure | None = None
+) -> Synthesis:
     """The controller at ``path`` if it was made for exactly this machine (certified again), else a new one, written there.
 
-    delay [s]: of the sampled loop that a new one is designed for.
+    delay [s]: of the sampled loop that a new one is designed for; judge: as for ``design``.
     """
     try:
         kept = read_controller(path)
@@ -27,6 +30,6 @@ def kept_or_designed(plant: Plant, method: str, path: Path, progress: Progress, 
             return old if kept.scheduled is not None else on_full_plant(plant, old, {})
     except AmbroseError:
         pass  # absent, or not readable any more: designed anew
-    synthesis = design(plant, method, delay=delay, progress=progress)
+    synthesis = design(plant, method, delay=delay, judge=judge, progress=progress)
     write_controller(path, synthesis, plant.machine)
     return synthesis

@@ -22,7 +22,7 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis import polish
 from ambrose.synthesis.certify import certify, generalized_certificate
 from ambrose.synthesis.controller_reduction import reduce_controller
-from ambrose.synthesis.design import design_tolerances, on_full_plant
+from ambrose.synthesis.design import JUDGED_ROUNDS, design_tolerances, on_full_plant
 from ambrose.synthesis.latency import late, loop_delay
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.result import Synthesis
@@ -53,7 +53,7 @@ def lower(
     loss: float,
     *,
     polishing: bool = True,
-    rounds: int = 6,
+    rounds: int = JUDGED_ROUNDS,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Lowered:
     """Reduce ``controller`` as far as its measure rises by no more than ``loss`` [-] (0.05: 5 %).
@@ -87,7 +87,7 @@ def lower(
     while polishing and best.n_states > 2:
         order = best.n_states - 2
         try:
-            candidate = polish.synthesize(problem, controller, order=order, rounds=rounds).controller
+            candidate = polish.synthesize(problem, controller, order=order, rounds=rounds, judge=measure).controller
         except NumericalFailure as error:
             progress(f"order {order}, polished: {error}")
             tried.append((order, "polished", float("inf")))

@@ -46,6 +46,7 @@ def synthesize(
     iterations: int = 1200,
     rounds: int = 6,
     time_limit: float = 60.0,
+    judge: Callable[[StateSpace], float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
     """The controller of lowest worst-case norm that descent finds from ``start``, verified on ``plant`` over its box.
@@ -55,7 +56,9 @@ def synthesize(
     residualised; a pair of near-equal values is not cut), None keeps its order. deltas [-]: values of a single real parameter,
     within -1 and 1; with several parameters the centre and bad corners are models. iterations: of L-BFGS, all rounds together;
     rounds: of descent, each followed by the true norms and a search for the worst parameters; time_limit [s] of computing, and
-    five times that on the wall (``synthesis.time_limit``); progress: called with one line of text per round.
+    five times that on the wall (``synthesis.time_limit``); judge: decides which round's controller is returned, the lowest of
+    its values (the worst sensitivity of the sampled loop, say; None: the lowest worst-case norm); progress: called with one
+    line of text per round.
 
     ``gamma`` and the certificate's norm: the largest H-infinity norm of the performance over all models and all parameter
     values searched (a search, no proof). certificate.margins: "start_norm", the same for ``start``; "reduced_norm", after the
@@ -69,10 +72,12 @@ def synthesize(
     reason = ""
     best = _reduced(job)
     history = [_row(job, 0, best)]
+    rounds_done = [best]
     try:
         for number in range(1, rounds + 1):
             polished = _round(job, best, number)
             history.append(_row(job, number, polished))
+            rounds_done.append(polished)
             if polished.worst < best.worst:
                 gain, best = best.worst - polished.worst, polished
                 if np.isfinite(gain) and gain < 1e-4 * best.worst and number >= len(_POWERS):
@@ -87,6 +92,8 @@ def synthesize(
             f"no controller of order {best.controller.n_states} that stabilises the whole box was found"
             f"{' (' + reason + ')' if reason else ''}; allow a higher order or more iterations"
         )
+    if judge is not None:
+        best = min((point for point in rounds_done if np.isfinite(point.worst)), key=lambda point: judge(point.controller))
     return _result(job, best, history, reason)
 
 
