@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -102,12 +102,12 @@ class CompiledBlock:
             raise InvalidInput("this block has no bumpless transfer: its states do not reach every output; begin it at rest")
         self._errors[:] = self._words.counts(errors, self._words.error)
         self._currents[:] = self._words.counts(currents, self._words.current)
-        self._call("track", _at(self._errors), None, _at(self._currents))
+        self._call("track", pointer(self._errors), None, pointer(self._currents))
 
     def step(self, errors: np.ndarray) -> np.ndarray:
         """One sample: currents (p,) [A] from errors (m,) [m]."""
         self._errors[:] = self._words.counts(errors, self._words.error)
-        self.status = int(self._call("step", _at(self._errors), None, _at(self._currents)))
+        self.status = int(self._call("step", pointer(self._errors), None, pointer(self._currents)))
         return self._currents * self._words.current
 
     def run(self, errors: np.ndarray) -> np.ndarray:
@@ -134,7 +134,19 @@ class CompiledBlock:
         return self._library[f"{self.block.name}_{verb}"](self._memory, *arguments)
 
 
-def probed(code: CompiledBlock) -> StateSpace:
+class Running(Protocol):
+    """What ``probed`` asks of running code; block: with n_states, inputs, outputs, error_limit [m], sample_time [s]."""
+
+    status: int
+
+    @property
+    def block(self) -> Any: ...
+    def begin(self, states: np.ndarray) -> None: ...
+    def step(self, errors: np.ndarray) -> np.ndarray: ...
+    def states(self) -> np.ndarray: ...
+
+
+def probed(code: Running) -> StateSpace:
     """The law that the running code follows: its states are set one by one, its inputs too, and one step is taken from each.
 
     Every column is what the compiled code made of it, rounding of its words included. Raises InvalidInput where a current stays
@@ -151,7 +163,7 @@ def probed(code: CompiledBlock) -> StateSpace:
     )  # fmt: skip
 
 
-def _response(code: CompiledBlock, state: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def _response(code: Running, state: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Next states and currents (n + p,) from a state and errors, taken so small that nothing is limited, and scaled back."""
     for power in range(1, 40):
         size = 0.5**power
@@ -159,10 +171,12 @@ def _response(code: CompiledBlock, state: np.ndarray, errors: np.ndarray) -> np.
         currents = code.step(size * errors)
         if not code.status:
             return np.concatenate([code.states(), currents]) / size
-    raise InvalidInput("the code limits its currents however small the step; give larger current limits")
+    raise InvalidInput(
+        "the code limits its currents (or clamps its speed) however small the step; give larger limits, stay in its range"
+    )
 
 
-def _at(values: np.ndarray) -> Any:
+def pointer(values: np.ndarray) -> Any:
     return values.ctypes.data_as(ctypes.c_void_p)
 
 

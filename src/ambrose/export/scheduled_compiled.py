@@ -9,7 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.statespace import StateSpace
-from ambrose.export.compiled import library
+from ambrose.export.compiled import library, pointer, probed
 from ambrose.export.scheduled_block import ScheduledBlock, transfers
 from ambrose.export.scheduled_code import Precision, generate_scheduled
 
@@ -65,12 +65,12 @@ class CompiledSchedule:
         if not transfers(self.block):
             raise InvalidInput("this block has no bumpless transfer: its states do not reach every output; begin it at rest")
         self._errors[:], self._currents[:] = errors, currents
-        self._call("track", _at(self._errors), None, self._word(self.speed), _at(self._currents))
+        self._call("track", pointer(self._errors), None, self._word(self.speed), pointer(self._currents))
 
     def step(self, errors: np.ndarray) -> np.ndarray:
         """One sample at the scheduled speed: currents (p,) [A] from errors (m,) [m]."""
         self._errors[:] = errors
-        self.status = int(self._call("step", _at(self._errors), None, self._word(self.speed), _at(self._currents)))
+        self.status = int(self._call("step", pointer(self._errors), None, self._word(self.speed), pointer(self._currents)))
         return self._currents.astype(float)
 
     def run(self, errors: np.ndarray, speeds: np.ndarray) -> np.ndarray:
@@ -94,30 +94,9 @@ class CompiledSchedule:
 
 
 def probed_at(code: CompiledSchedule, speed: float) -> StateSpace:
-    """The law that the running code follows at a frozen speed [rad/s]: its states and inputs are set one by one, and one step
-    is taken from each. Raises InvalidInput where a current stays limited however small the step."""
-    block = code.block
-    n, m = block.n_states, len(block.inputs)
+    """The law that the running code follows at a frozen speed [rad/s], as ``compiled.probed`` reads it.
+
+    Raises InvalidInput where a current stays limited, or the speed clamped, however small the step.
+    """
     code.schedule(speed)
-    columns = [_response(code, state, np.zeros(m)) for state in np.eye(n)]
-    columns += [_response(code, np.zeros(n), error) for error in np.eye(m) * block.error_limit]
-    table = np.array(columns).reshape(n + m, -1).T
-    table[:, n:] /= block.error_limit
-    A, B, C, D = table[:n, :n], table[:n, n:], table[n:, :n], table[n:, n:]
-    return StateSpace(A, B, C, D, block.inputs, block.outputs, block.sample_time)
-
-
-def _response(code: CompiledSchedule, state: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    for power in range(1, 40):
-        size = 0.5**power
-        code.begin(size * state)
-        currents = code.step(size * errors)
-        if not code.status:
-            return np.concatenate([code.states(), currents]) / size
-    raise InvalidInput(
-        "the code limits its currents, or clamps its speed, however small the step; stay in its range and limits"
-    )
-
-
-def _at(values: np.ndarray) -> Any:
-    return values.ctypes.data_as(ctypes.c_void_p)
+    return probed(code)
