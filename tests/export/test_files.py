@@ -217,6 +217,15 @@ def test_bad_text_is_refused(tmp_path, name):
         read_controller(path)
 
 
+@pytest.mark.parametrize(
+    "status", ["verified, but stopped early: the time limit", "verified; its start, by mu: verified, but stopped"]
+)
+def test_a_result_that_was_stopped_early_reads_back(tmp_path, status):
+    certificate = Certificate(True, -1.0, 2.0, 100.0, {}, "a plant")
+    write_controller(tmp_path / "k.json", Synthesis(random_controller(4), "mu", 2.0, status, certificate))
+    assert read_controller(tmp_path / "k.json").status == status
+
+
 def test_every_truncation_is_refused(tmp_path):
     path = write_controller(tmp_path / "k.json", synthesis(random_controller(1)))
     data = path.read_bytes()

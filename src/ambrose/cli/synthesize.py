@@ -63,6 +63,7 @@ def synthesize(
     from ambrose.synthesis.design import design
     from ambrose.synthesis.latency import loop_delay
     from ambrose.synthesis.lowering import lowered, sampled_sensitivity
+    from ambrose.synthesis.result import is_verified
 
     description = load(machine)
     hertz = 6.283185307179586  # rad/s
@@ -70,6 +71,8 @@ def synthesize(
         raise invalid("--rate-hz", "not given", "given with --loss", "say at which rate the controller will run")
     if loss is not None:  # before the design, which takes a while
         check_positive(loss, "--loss", "5 allows 5 %", zero_allowed=True)
+    if speeds_hz is not None and not 0 < speeds_hz[0] < speeds_hz[1]:
+        raise invalid("--speeds-hz", f"{speeds_hz[0]:g} {speeds_hz[1]:g}", "the lower speed, then the higher", "swap the two")
     sample = None if rate_hz is None else 1 / check_positive(rate_hz, "--rate-hz", "10000 is usual")
     delay = 0.0 if sample is None else loop_delay(sample, delay_samples)
     with progress_shown(as_json) as progress:
@@ -114,4 +117,4 @@ def synthesize(
         rows += [("note", note) for note in result.notes]
         early = "STOPPED EARLY: " if "stopped" in result.status else ""
         print_table(f"{method} controller, {early}{result.status}: {output}", ("certificate", "value"), rows)
-    sys.exit(0 if result.status.startswith("verified") else 1)
+    sys.exit(0 if is_verified(result.status) else 1)

@@ -34,7 +34,7 @@ from ambrose.machine.config import machine_hash
 from ambrose.machine.description import Machine
 from ambrose.machine.writing import write_text
 from ambrose.synthesis.certify import match_controller
-from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.result import Certificate, Synthesis, is_verified
 
 __all__ = ["ControllerFile", "Provenance", "machine_hash", "match_controller", "read_controller", "write_controller"]
 
@@ -199,9 +199,9 @@ def _parse(content: Any) -> ControllerFile:
     controller = StateSpace(A, B, C, D, inputs, outputs, dt)
     certificate = _parse_certificate(content["certificate"])
     status = parse_text(content["status"], "status")
-    if status not in STATUSES:
+    if status not in STATUSES and not is_verified(status):
         raise invalid("status", repr(status), " or ".join(STATUSES), "it needs another version of ambrose")
-    if status == "verified" and (certificate is None or not certificate.stable):
+    if is_verified(status) and (certificate is None or not certificate.stable):
         raise InvalidInput("status is 'verified', but the certificate does not say stable; design the controller again")
     return ControllerFile(
         controller,

@@ -23,6 +23,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.certify import certify, match_controller
+from ambrose.synthesis.result import is_verified
 from ambrose.verify import nominal
 from ambrose.verify.checks import Check, Checks
 from ambrose.verify.criteria import Demand, information, judge
@@ -132,7 +133,7 @@ def status_problems(status: str | None, *, examined: bool) -> list[str]:
     """What a controller's own status says against it; ``examined``: whether its loop is about to be."""
     if status is None or status == "uncertified":
         return [] if examined else ["the controller carries no certificate: it was never verified on a plant"]
-    return [] if status == "verified" else [f"the controller's status is {status!r}, not 'verified'"]
+    return [] if is_verified(status) else [f"the controller's status is {status!r}, not 'verified'"]
 
 
 def instability(source: StateSpace, where: str = "") -> list[str]:

@@ -25,7 +25,7 @@ from ambrose.synthesis.controller_reduction import reduce_controller
 from ambrose.synthesis.design import JUDGED_ROUNDS, design_tolerances, on_full_plant
 from ambrose.synthesis.latency import late, loop_delay
 from ambrose.synthesis.problem import design_plant, open_model
-from ambrose.synthesis.result import Synthesis
+from ambrose.synthesis.result import Synthesis, is_verified
 from ambrose.synthesis.weights import machine_weights, scale_control
 
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of a single parameter; of several their corners and the centre
@@ -134,7 +134,7 @@ def lowered(
         design_plant(reduce(plant, bending_modes), weights, uncertain=False), found.controller
     )
     fresh = replace(result, controller=found.controller, certificate=certificate, notes=(*result.notes, note), gamma=np.nan)
-    kept = result.status if result.status.startswith("verified") else "verified"  # with what it says of an early end
+    kept = result.status if is_verified(result.status) else "verified"  # with what it says of an early end
     return on_full_plant(plant, replace(fresh, status=kept if certificate.stable else "unstable"), margins)
 
 

@@ -49,3 +49,8 @@ class Synthesis:
     def law(self) -> StateSpace | ScheduledSystem:
         """What runs: the schedule where there is one, else the controller."""
         return self.controller if self.scheduled is None else self.scheduled
+
+
+def is_verified(status: str) -> bool:
+    """Whether a synthesis' status says verified, perhaps of an iteration that was stopped early ("verified, but ...")."""
+    return status.partition(",")[0].partition(";")[0] == "verified"
