@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import Block, FullBlock, RealBlock
-from ambrose.core.mu_bounds import mu_bounds, mu_certificate, mu_peak
+from ambrose.core.mu.bounds import mu_bounds, mu_certificate, mu_peak
 from ambrose.core.statespace import StateSpace
 
 FREQUENCIES = 100

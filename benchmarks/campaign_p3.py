@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.core.box import corners, default_grid, gains, unstable_poles
-from ambrose.core.box_search import gain_bound, worst_gain
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, spectral_abscissa
+from ambrose.core.worst_case.loop import corners, default_grid, gains, unstable_poles
+from ambrose.core.worst_case.search import gain_bound, worst_gain
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble

@@ -3,8 +3,8 @@
 python -m benchmarks.snapshot -o before.json [--quick]    # minutes; --quick leaves the studies out
 python -m benchmarks.snapshot --compare before.json after.json
 
-It sees the command line only, so that it outlives any move of the code behind it. Files are taken apart to their leaves: JSON and TOML by
-key, records by signal (hash, least, largest, mean), code by its lines, pages by the numbers in them. Dates, package versions and paths are left out.
+It sees the command line only, so that it outlives any move of the code behind it. Files are taken apart to their leaves: JSON and
+TOML by key, records by signal (hash, range, mean), code by the numbers in it, pages by their count. Dates and versions are left out.
 """
 
 from __future__ import annotations
@@ -54,8 +54,19 @@ def commands(*, quick: bool) -> Iterator[tuple[str, list[str]]]:
             options = ["--sources-only"] if target == "fmu" else []
             export = ["export", f"{machine}-pid.json", "--to", target, "-o", f"{machine}-{target}", "--force", "--json"]
             yield f"{machine} export {target}", [*export, *options]
-        fixed = ["export", f"{machine}-pid.json", "--to", "c", "--arithmetic", "fixed32", "-o", f"{machine}-fixed", "--force", "--json"]
-        yield f"{machine} export fixed", fixed
+        fixed = [
+            "export",
+            f"{machine}-pid.json",
+            "--to",
+            "c",
+            "--arithmetic",
+            "fixed32",
+            "-o",
+            f"{machine}-fixed",
+            "--force",
+            "--json",
+        ]
+        yield f"{machine} export fixed", ["export", f"{machine}-pid.json", *fixed]
     rig = ["simulate", "seal-rig", "--controller", "seal-rig-pid.json", "--json"]
     learn = ["identify", "seal-rig", "--json"]
     yield "prbs", [*rig, "--scenario", "prbs", "-o", "prbs.h5"]
@@ -72,7 +83,10 @@ def commands(*, quick: bool) -> Iterator[tuple[str, list[str]]]:
     yield "verify lpv", ["verify", "turboexpander", "--controller", "turboexpander-study/controller-lpv.json", "--json"]
     lpv = ["export", "turboexpander-study/controller-lpv.json", "--to", "c", "-o", "lpv-c", "--force", "--json"]
     yield "export lpv", lpv
-    yield "lowered", ["synthesize", "seal-rig", "--method", "hinf", "--rate-hz", "10000", "--loss", "5", "-o", "low.json", "--json"]
+    yield (
+        "lowered",
+        ["synthesize", "seal-rig", "--method", "hinf", "--rate-hz", "10000", "--loss", "5", "-o", "low.json", "--json"],
+    )
     again = [*STUDIES[0][:3], "seal-rig-study", "--json"]
     yield "study seal-rig, resumed", again
 

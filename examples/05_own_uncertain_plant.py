@@ -4,7 +4,7 @@ import numpy as np
 
 from ambrose import GeneralizedPlant, StateSpace
 from ambrose.core.lft import RealBlock, lft
-from ambrose.core.mu_bounds import mu_peak
+from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.statespace import connect
 from ambrose.synthesis import hinf, mu
 from ambrose.synthesis.problem import with_performance_block

@@ -3,10 +3,10 @@
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.core.coprime import coprime_factors, injection_gain, observer_controller, residual_system
+from ambrose.core.realisation.coprime import coprime_factors, injection_gain, observer_controller, residual_system
+from ambrose.core.realisation.zeros import minimal
 from ambrose.core.response import simulate
 from ambrose.core.statespace import select
-from ambrose.core.zeros import minimal
 from ambrose.identify import youla
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point

@@ -13,7 +13,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from ambrose.core.lft import ComplexBlock, FullBlock, RealBlock
-from ambrose.core.mu_bounds import mu_bounds
+from ambrose.core.mu.bounds import mu_bounds
 
 COUNT = int(os.environ.get("AMBROSE_MU_SCANS", "40"))  # problems per structure; the large run uses 1000
 

@@ -8,8 +8,8 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.core.coprime import coprime_factors, injection_gain, observer_controller
 from ambrose.core.frequency import frequency_response
+from ambrose.core.realisation.coprime import coprime_factors, injection_gain, observer_controller
 from ambrose.core.response import impulse_response, simulate, simulate_derivative
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, is_stable, select

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.lft import FullBlock, RealBlock
-from ambrose.core.mu_bounds import mu_bounds
+from ambrose.core.mu.bounds import mu_bounds
 
 REFERENCE = json.loads(Path(__file__).with_name("mu_ab13md.json").read_text(encoding="utf-8"))
 

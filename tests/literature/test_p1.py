@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.core.coprime import coprime_factors, injection_gain, observer_controller, residual_system
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty
 from ambrose.core.matrix_equations import balanced_realization
+from ambrose.core.realisation.coprime import coprime_factors, injection_gain, observer_controller, residual_system
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, connect, feedback, poles, select, spectral_abscissa

@@ -11,8 +11,9 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
-from ambrose.core.mu_bounds import mu_bounds
-from ambrose.core.mu_structure import structure_of
+from ambrose.core.mu.all_frequencies import proved_below
+from ambrose.core.mu.bounds import mu_bounds
+from ambrose.core.mu.structure import structure_of
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import (
     StateSpace,
@@ -33,7 +34,6 @@ from ambrose.synthesis import hinf, mu
 from ambrose.synthesis.mu_dstep import d_blocks, d_step, design_grid, fit_scaling
 from ambrose.synthesis.mu_fit import RealRational, fit_magnitude
 from ambrose.synthesis.mu_matrix_fit import fit_error, fit_matrix
-from ambrose.synthesis.mu_proof import proved_below
 from ambrose.synthesis.mu_refine import peak_gain, refine
 from ambrose.synthesis.mu_scaling import Scaling, scalar_scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.problem import machine_problem, published_p5_problem, with_performance_block

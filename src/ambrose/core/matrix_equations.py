@@ -13,10 +13,10 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.balancing import balance, balance_system
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_shape, invalid
 from ambrose.core.frequency import schur_eigenvalues
 from ambrose.core.norms import HinfNorm, hinf_norm
+from ambrose.core.realisation.balancing import balance, balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
 
 __all__ = [

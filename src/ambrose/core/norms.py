@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.balancing import balance_system
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive
 from ambrose.core.frequency import SchurForm, evaluate, schur_form, state_response_at
+from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
 
 _MAX_STEPS = 60

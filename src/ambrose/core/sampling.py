@@ -7,8 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.balancing import balance
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.realisation.balancing import balance
 from ambrose.core.statespace import StateSpace, as_statespace, series, transfer_function
 
 Method = Literal["zoh", "tustin"]

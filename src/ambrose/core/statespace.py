@@ -14,8 +14,6 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.balancing import balance as balance  # noqa: PLC0414 (re-exported)
-from ambrose.core.balancing import balance_system
 from ambrose.core.checks import (
     InvalidInput,
     NumericalFailure,
@@ -24,6 +22,8 @@ from ambrose.core.checks import (
     check_shape,
     invalid,
 )
+from ambrose.core.realisation.balancing import balance as balance  # noqa: PLC0414 (re-exported)
+from ambrose.core.realisation.balancing import balance_system
 
 Names = str | Sequence[str]
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.box import corners, samples
 from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive, invalid
-from ambrose.core.modal_form import ModalForm, modal_form
+from ambrose.core.realisation.modal_form import ModalForm, modal_form
 from ambrose.core.sampling import Method, c2d, delayed
 from ambrose.core.statespace import StateSpace, as_statespace, feedback, poles, select, series, spectral_abscissa, static_gain
+from ambrose.core.worst_case.loop import corners, samples
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive, invalid
-from ambrose.core.modal_form import modal_form
+from ambrose.core.realisation.modal_form import modal_form
 from ambrose.core.sampling import Method, c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem, interval_points
 from ambrose.core.statespace import StateSpace, as_statespace

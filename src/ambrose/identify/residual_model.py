@@ -1,4 +1,4 @@
-"""The residual system S(theta) of core/coprime.py as a function of the unknown parameters, with its exact derivatives.
+"""The residual system S(theta) of core/realisation/coprime.py as a function of the unknown parameters, with its exact derivatives.
 
 Sampled: the loop as it runs (identify/sensitivities.py), driven by alpha in place of the excitation and watched by the nominal
 plant's observer. Held: the continuous loop of an observer-based controller into which alpha is fed, held between the samples
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import NumericalFailure
-from ambrose.core.coprime import CoprimeFactors, residual_lft
 from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.realisation.coprime import CoprimeFactors, residual_lft
 from ambrose.core.response import SystemDerivative, held_derivative
 from ambrose.core.statespace import StateSpace, index_of
 from ambrose.identify.sensitivities import LoopModel, loop_model

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.realisation.zeros import invariant_zeros
 from ambrose.core.statespace import as_statespace, poles
-from ambrose.core.zeros import invariant_zeros
 from ambrose.report import theme, units
 from ambrose.report.axes import drawn
 

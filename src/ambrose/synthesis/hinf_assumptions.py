@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.balancing import balance
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import schur_eigenvalues
+from ambrose.core.realisation.balancing import balance
 from ambrose.synthesis.hinf_scaling import ScaledPlant
 
 _RANK = 1e-10  # of D12 and D21 with columns or rows of norm 1

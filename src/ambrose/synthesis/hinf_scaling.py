@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.core.balancing import balance_system
 from ambrose.core.checks import NumericalFailure, invalid
 from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace
 
 _NEGLIGIBLE = 1e-10  # a direct term below this fraction of its channel's largest gain counts as zero

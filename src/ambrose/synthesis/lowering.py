@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.core.box import corners
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, invalid
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace
+from ambrose.core.worst_case.loop import corners
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed

@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.balancing import balance_system
 from ambrose.core.checks import AmbroseError, NumericalFailure, check_positive, invalid
 from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.scheduled import ScheduledSystem, check_grid, interval_points
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.hinf_riccati import normal_form, search_gamma

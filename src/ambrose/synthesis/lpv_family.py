@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.core.balancing import balance_system
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.scheduled import check_alike
 from ambrose.synthesis.hinf_assumptions import check_assumptions, full_regularisation
 from ambrose.synthesis.hinf_riccati import Level, balancing_states, normal_form, search_gamma

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive, check_shape, invalid
 from ambrose.core.lft import Block, FullBlock, GeneralizedPlant, lft
-from ambrose.core.mu_bounds import mu_bounds
+from ambrose.core.mu.all_frequencies import proved_below
+from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.synthesis import hinf
@@ -35,7 +36,6 @@ from ambrose.synthesis.mu_dstep import (
     peak_below,
 )
 from ambrose.synthesis.mu_fit import RealRational
-from ambrose.synthesis.mu_proof import proved_below
 from ambrose.synthesis.mu_scaling import Scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.problem import with_performance_block
 from ambrose.synthesis.result import Certificate, Synthesis

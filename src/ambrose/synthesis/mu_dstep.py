@@ -10,8 +10,8 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import Block, ComplexBlock, FullBlock, GeneralizedPlant
-from ambrose.core.mu_bounds import mu_bounds
-from ambrose.core.mu_structure import Structure, structure_of
+from ambrose.core.mu.bounds import mu_bounds
+from ambrose.core.mu.structure import Structure, structure_of
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.synthesis.mu_fit import RealRational, fit_magnitude
 from ambrose.synthesis.mu_matrix_fit import fit_matrix, matrix_scaling

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.core.mu_structure import Structure
+from ambrose.core.mu.structure import Structure
 from ambrose.synthesis.mu_fit import RealRational
 
 _POWER = 40.0

@@ -17,12 +17,12 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, invalid
 from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
+from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa
 from ambrose.synthesis.certify import fastest_pole
 from ambrose.synthesis.controller_reduction import reduce_controller
 from ambrose.synthesis.mu_dstep import design_grid
-from ambrose.synthesis.mu_proof import proved_below
 from ambrose.synthesis.polish_cost import Cost, Form, block_form
 from ambrose.synthesis.polish_descent import descend
 from ambrose.synthesis.problem import PERFORMANCE, with_performance_block

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.box import BoxLoop, box_loop, corners, gains, perturbed_matrix, samples
-from ambrose.core.box_search import gain_bound, worst_gain_at
 from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.statespace import StateSpace, as_statespace
+from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, gains, perturbed_matrix, samples
+from ambrose.core.worst_case.search import gain_bound, worst_gain_at
 from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.box import BoxLoop, Sweep, box_loop, corners, default_grid, gains, samples, unstable_poles
-from ambrose.core.box import sweep as box_sweep
-from ambrose.core.box_search import BoxGain, BoxMargin, box_margin, gain_bound, peak_at, proved_margin, worst_gain
 from ambrose.core.checks import check_shape, invalid
 from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant, lft
-from ambrose.core.mu_bounds import mu_peak
+from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, select, spectral_abscissa, static_gain
+from ambrose.core.worst_case.loop import BoxLoop, Sweep, box_loop, corners, default_grid, gains, samples, unstable_poles
+from ambrose.core.worst_case.loop import sweep as box_sweep
+from ambrose.core.worst_case.search import BoxGain, BoxMargin, box_margin, gain_bound, peak_at, proved_margin, worst_gain
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.model import Plant
 from ambrose.synthesis.problem import design_plant, with_performance_block

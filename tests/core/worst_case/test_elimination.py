@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from ambrose.core import box_elimination
-from ambrose.core.box_elimination import determinants_at, transfers_at
+from ambrose.core.worst_case import elimination as box_elimination
+from ambrose.core.worst_case.elimination import determinants_at, transfers_at
 
 
 def problem(seed: int, repeats: tuple[int, ...], frequencies: int = 7) -> tuple[np.ndarray, np.ndarray]:

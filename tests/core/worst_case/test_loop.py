@@ -5,13 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ambrose.core.box import box_loop, corners, count_unstable, gains, perturbed_matrix, samples, sweep, unstable_poles
-from ambrose.core.box_search import _log_gain, box_margin, gain_bound, peak_at, proved_margin, worst_gain
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock, close_uncertainty
-from ambrose.core.mu_bounds import mu_bounds
+from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
+from ambrose.core.worst_case.loop import (
+    box_loop,
+    corners,
+    count_unstable,
+    gains,
+    perturbed_matrix,
+    samples,
+    sweep,
+    unstable_poles,
+)
+from ambrose.core.worst_case.search import _log_gain, box_margin, gain_bound, peak_at, proved_margin, worst_gain
 
 
 def lag(rate: float = 1.0) -> StateSpace:

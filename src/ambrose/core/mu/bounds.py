@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.lft import Block, FullBlock
-from ambrose.core.mu_interval import MuCertificate, MuPeak, mu_certificate, mu_peak
-from ambrose.core.mu_lower import lower_bound
-from ambrose.core.mu_structure import Structure, check_matrix, structure_of
-from ambrose.core.mu_upper import upper_bound
+from ambrose.core.mu.interval import MuCertificate, MuPeak, mu_certificate, mu_peak
+from ambrose.core.mu.lower import lower_bound
+from ambrose.core.mu.structure import Structure, check_matrix, structure_of
+from ambrose.core.mu.upper import upper_bound
 
 __all__ = ["MuBounds", "MuCertificate", "MuPeak", "mu_bounds", "mu_certificate", "mu_peak"]
 

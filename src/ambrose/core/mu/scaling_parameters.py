@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.lft import FullBlock, RealBlock
-from ambrose.core.mu_structure import Structure
+from ambrose.core.mu.structure import Structure
 
 Entry = tuple[int, int, complex, int]  # row, column, coefficient, variable
 _CHUNK = 1_000_000  # products of two entries held at once

@@ -10,7 +10,7 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, FullBlock, RealBlock
-from ambrose.core.mu_bounds import mu_bounds, mu_certificate, mu_peak
+from ambrose.core.mu.bounds import mu_bounds, mu_certificate, mu_peak
 from ambrose.core.statespace import StateSpace
 
 MIXED = [RealBlock("d", 2), ComplexBlock("c"), FullBlock("f", 3, 2)]

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.balancing import balance_system
 from ambrose.core.checks import check_positive
 from ambrose.core.matrix_equations import balanced_realization
+from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
 
 

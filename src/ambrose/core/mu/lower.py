@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.lft import ComplexBlock, FullBlock
-from ambrose.core.mu_structure import Structure, osborne
+from ambrose.core.mu.structure import Structure, osborne
 
 _POWER_STEPS = 60  # of the complex power iteration from a cold start; a third of it when warm
 _TRIES = 8  # random parameter vectors looked at per restart

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.balancing import balance_system
 from ambrose.core.checks import NumericalFailure
+from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
 
 _GROWTH = 1e4  # largest entry of a transform that separates two blocks

@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.frequency import frequency_response, transfer_matrix
 from ambrose.core.lft import Block
-from ambrose.core.mu_lower import lower_bound
-from ambrose.core.mu_structure import Structure, check_matrix, structure_of
-from ambrose.core.mu_upper import upper_bound
+from ambrose.core.mu.lower import lower_bound
+from ambrose.core.mu.structure import Structure, check_matrix, structure_of
+from ambrose.core.mu.upper import upper_bound
 from ambrose.core.statespace import as_statespace, balance, poles
 
 _AXIS = 1e-7  # |Re s| / |s| below which an eigenvalue counts as imaginary

@@ -5,7 +5,9 @@ import pytest
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
-from ambrose.core.coprime import (
+from ambrose.core.frequency import frequency_response
+from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
+from ambrose.core.realisation.coprime import (
     coprime_factors,
     exchange,
     injection_gain,
@@ -14,8 +16,6 @@ from ambrose.core.coprime import (
     residual_lft,
     residual_system,
 )
-from ambrose.core.frequency import frequency_response
-from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, is_stable, poles, select, spectral_abscissa, transfer_function
 

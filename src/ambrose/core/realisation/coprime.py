@@ -21,10 +21,10 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.balancing import balance
 from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem, check_positive, check_shape, invalid
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_equations import discrete_lyapunov, lyapunov
+from ambrose.core.realisation.balancing import balance
 from ambrose.core.statespace import (
     StateSpace,
     append,

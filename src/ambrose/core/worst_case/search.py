@@ -10,12 +10,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.box import BoxLoop, Sweep, corners, count_unstable, default_grid, gains, perturbed_matrix, samples, sweep
 from ambrose.core.lft import Block, ComplexBlock, FullBlock
-from ambrose.core.mu_bounds import mu_certificate
-from ambrose.core.mu_structure import osborne, structure_of
-from ambrose.core.mu_upper import upper_bound
+from ambrose.core.mu.bounds import mu_certificate
+from ambrose.core.mu.structure import osborne, structure_of
+from ambrose.core.mu.upper import upper_bound
 from ambrose.core.statespace import StateSpace, balance
+from ambrose.core.worst_case.loop import (
+    BoxLoop,
+    Sweep,
+    corners,
+    count_unstable,
+    default_grid,
+    gains,
+    perturbed_matrix,
+    samples,
+    sweep,
+)
 
 _SAMPLES = 64
 _LARGEST_BOX = 20.0

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.core.balancing import balance_system
 from ambrose.core.lft import Block
-from ambrose.core.mu_bounds import mu_bounds, mu_certificate
+from ambrose.core.mu.bounds import mu_bounds, mu_certificate
+from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace
 
 _TAILS = (1e2, 1e4, 1e6, 1e8)  # start of the rest, in norms of A

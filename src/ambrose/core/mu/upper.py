@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.lft import FullBlock, RealBlock
-from ambrose.core.mu_scaling import Basis, scaling_basis
-from ambrose.core.mu_structure import Structure, osborne
+from ambrose.core.mu.scaling_parameters import Basis, scaling_basis
+from ambrose.core.mu.structure import Structure, osborne
 
 _SHRINK = (1.0, 0.98, 0.9, 0.7, 0.45, 0.2, 0.07, 0.02)  # fractions of the way to the dual bound that the predictor tries
 _CENTRED = 0.3  # Newton decrement that counts as centred

@@ -4,7 +4,7 @@ The parameters are pulled out of a stable system: w = diag(delta) z, (z, e) = M 
 
     T(delta) = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12        d -> e
 
-costs a small matrix whatever the order of the system. ``box_search.py`` looks for the worst that can happen in the box.
+costs a small matrix whatever the order of the system. ``worst_case/search.py`` looks for the worst that can happen in the box.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.box_elimination import determinants_at, transfers_at
 from ambrose.core.checks import UnstableSystem, check_shape, invalid
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.lft import Block, RealBlock
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectral_abscissa
+from ambrose.core.worst_case.elimination import determinants_at, transfers_at
 
 _CHUNK = 400_000  # matrices worked on at once
 _STEP = 0.8  # rad, largest turn of the determinant between two grid points that is trusted

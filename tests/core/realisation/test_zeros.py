@@ -5,8 +5,8 @@ import pytest
 import scipy.linalg as sla
 
 from ambrose.core.checks import UnstableSystem
+from ambrose.core.realisation.zeros import invariant_zeros, minimal
 from ambrose.core.statespace import StateSpace, append, poles, series, transfer_function
-from ambrose.core.zeros import invariant_zeros, minimal
 
 
 def same(found, expected):
