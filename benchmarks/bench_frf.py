@@ -15,7 +15,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identify import excitation, frf, seal_fit
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction

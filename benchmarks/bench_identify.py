@@ -27,7 +27,7 @@ from ambrose.identify.output_error import normal_equations
 from ambrose.identify.sensitivities import over_weights
 from ambrose.identify.unknowns import expand, nominal_values
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction

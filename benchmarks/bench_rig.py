@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.physics import amplifier, coupling, magnet, seal
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.rig_controller import deployed

@@ -26,7 +26,7 @@ from ambrose.identify.closed_loop import Identification
 from ambrose.identify.repeats import Repeats, ScatterStudy, of_estimates, repeats, scatter_study
 from ambrose.identify.static_load import StaticLoad
 from ambrose.machine.description import Amplifier, Machine, Notch, OperatingPoint, PidSettings
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of

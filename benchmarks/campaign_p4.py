@@ -31,7 +31,7 @@ from ambrose.identify.identified import identified_machine
 from ambrose.identify.seal_fit import SealFit
 from ambrose.identify.stepped_frf import stepped
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.physics import seal
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of

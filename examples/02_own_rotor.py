@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ambrose.machine.config import loads_machine
+from ambrose.machine.file.toml import loads_machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis import pid

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 
 from ambrose import load_machine
 from ambrose.cli import main
-from ambrose.machine.config import machine_hash
-from ambrose.machine.record import read_record, write_record
+from ambrose.machine.file.toml import machine_hash
+from ambrose.machine.record.record import read_record, write_record
 
 RIG = "seal-rig"
 NINE = ("--unknown", "bearing.*.force_per_current.*", "--unknown", "bearing.*.negative_stiffness.*")
@@ -147,8 +147,8 @@ def test_static_loads_from_the_command_line(place, identified, tmp_path):
 
 def test_a_seal_by_pressure_from_the_command_line(tmp_path, place):
     """Records of the rig at three pressures; the machine that results holds the line, and goes through the other commands."""
-    from ambrose.machine.config import dumps_machine
     from ambrose.machine.description import OperatingPoint
+    from ambrose.machine.file.toml import dumps_machine
 
     rig = load_machine(RIG)
     points = tuple(OperatingPoint(seal_pressure=p, label=f"p{p:g}") for p in (1.4e5, 0.0, 0.7e5))

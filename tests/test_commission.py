@@ -17,9 +17,9 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.export.compiled import has_compiler
 from ambrose.export.files import read_controller
-from ambrose.machine.config import machine_hash
 from ambrose.machine.description import Tolerance
-from ambrose.machine.record import read_record
+from ambrose.machine.file.toml import machine_hash
+from ambrose.machine.record.record import read_record
 from ambrose.plant.reduce import reduce
 from ambrose.report import document
 from ambrose.report.candidate import Candidate

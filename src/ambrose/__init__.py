@@ -10,14 +10,14 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from ambrose.core.lft import GeneralizedPlant
     from ambrose.core.statespace import StateSpace
-    from ambrose.machine.config import load_machine
+    from ambrose.machine.file.toml import load_machine
 
 __all__ = ["GeneralizedPlant", "StateSpace", "__version__", "load_machine"]
 
 _HOME = {
     "GeneralizedPlant": "ambrose.core.lft",
     "StateSpace": "ambrose.core.statespace",
-    "load_machine": "ambrose.machine.config",
+    "load_machine": "ambrose.machine.file.toml",
 }
 
 

@@ -18,7 +18,7 @@ from ambrose.identify.identified import identified_machine
 from ambrose.identify.sensitivities import loop_model
 from ambrose.identify.unknowns import expand, nominal_values
 from ambrose.machine.description import Tolerance
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller

@@ -16,7 +16,7 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.identify import excitation, frf
 from ambrose.identify.frf_validity import AGREES, DISAGREES, UNDECIDED, compare
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction

@@ -13,8 +13,8 @@ from ambrose.identify.identified import identified_machine
 from ambrose.identify.record_finding import RecordFinding
 from ambrose.identify.repeats import repeats
 from ambrose.identify.statistics import ResidualTest
-from ambrose.machine.config import dumps_machine, loads_machine, machine_hash
 from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.file.toml import dumps_machine, loads_machine, machine_hash
 from ambrose.plant.assemble import assemble
 from ambrose.plant.uncertainty import channels
 

@@ -14,7 +14,7 @@ from ambrose.identify import excitation
 from ambrose.identify.closed_loop import identify
 from ambrose.identify.unknowns import nominal_values
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction

@@ -17,7 +17,7 @@ from ambrose.identify import excitation
 from ambrose.identify.closed_loop import identify
 from ambrose.identify.periodic import _columns, _rows
 from ambrose.identify.unknowns import expand, nominal_values
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction

@@ -22,7 +22,7 @@ from ambrose.identify.record_signals import flat_tops
 from ambrose.identify.record_wiring import Wiring, wirings
 from ambrose.identify.result_checks import delay_findings, diagnose_result
 from ambrose.machine.description import SealTable, Tolerance
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction

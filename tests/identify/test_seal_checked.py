@@ -15,9 +15,9 @@ from ambrose.identify import closed_loop as whole_loop
 from ambrose.identify import excitation, seal_checked, seal_records
 from ambrose.identify.identified import identified_machine
 from ambrose.identify.seal_checked import seal_identification, written_machine
-from ambrose.machine.config import dumps_machine, loads_machine
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.file.toml import dumps_machine, loads_machine
+from ambrose.machine.record.record import Record
 from ambrose.physics import seal
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller

@@ -14,9 +14,9 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identify import excitation, seal_fit
 from ambrose.identify.phasors import find_steps, phasors, steps_of
-from ambrose.machine.config import dumps_machine, loads_machine
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.record import Record
+from ambrose.machine.file.toml import dumps_machine, loads_machine
+from ambrose.machine.record.record import Record
 from ambrose.physics import seal
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop

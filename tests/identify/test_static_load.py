@@ -12,7 +12,7 @@ from ambrose.identify import static_load
 from ambrose.identify.identified import identified_machine
 from ambrose.identify.static_levels import Levels, steady_levels
 from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import Pulse, Scenario, load_scenario

@@ -7,7 +7,7 @@ import scipy.signal
 from ambrose.core.checks import InvalidInput
 from ambrose.identify.phasors import steps_of
 from ambrose.identify.stepped_frf import stepped
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 HZ = 2 * np.pi
 DT = 1e-3

@@ -17,7 +17,7 @@ from ambrose.identify.identified import identified_machine
 from ambrose.identify.sensitivities import loop_model
 from ambrose.identify.timed_loop import AHEAD, COMMAND, EXCITATION, timed
 from ambrose.identify.unknowns import expand, nominal_values
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
 from ambrose.plant.reduce import free_mode_reduction

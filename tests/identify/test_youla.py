@@ -21,7 +21,7 @@ from ambrose.identify.residual_model import sampled_residual
 from ambrose.identify.unknowns import nominal_values
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction

@@ -18,7 +18,7 @@ from ambrose.identify import youla
 from ambrose.identify.residual_model import uncertain_residual
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction, reduce

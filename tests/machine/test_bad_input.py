@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.machine.config import bundled_machines, load_machine, loads_machine, save_machine
+from ambrose.machine.file.toml import bundled_machines, load_machine, loads_machine, save_machine
 
 SMALL = Path(__file__).with_name("small.toml").read_text()
 

@@ -19,7 +19,9 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
-from ambrose.machine.config import (
+from ambrose.machine.file.table import Table
+from ambrose.machine.file.tables import MachineFile, table_below
+from ambrose.machine.file.toml import (
     bundled_machines,
     dumps_machine,
     load_machine,
@@ -29,8 +31,6 @@ from ambrose.machine.config import (
     save_machine,
 )
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
-from ambrose.machine.schema import MachineFile, table_below
-from ambrose.machine.table import Table
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -440,7 +440,9 @@ class TestHash:
 class TestSchema:
     def test_committed_schema_is_current(self):
         committed = json.loads((ROOT / "docs" / "machine.schema.json").read_text())
-        assert committed == machine_schema(), "write it anew: python -m ambrose.machine.editor_schema docs/machine.schema.json"
+        assert committed == machine_schema(), (
+            "write it anew: python -m ambrose.machine.file.json_schema docs/machine.schema.json"
+        )
 
     def test_it_is_a_schema(self):
         jsonschema.Draft202012Validator.check_schema(machine_schema())

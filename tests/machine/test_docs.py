@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from ambrose.machine import description as d
-from ambrose.machine.config import dumps_machine, loads_machine
+from ambrose.machine.file.table import Table
+from ambrose.machine.file.tables import MachineFile, MachineTable, table_below
+from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.parameters import QUANTITIES
-from ambrose.machine.schema import MachineFile, MachineTable, table_below
-from ambrose.machine.table import Table
 from ambrose.machine.units import DIMENSIONS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "machine-file.md").read_text()

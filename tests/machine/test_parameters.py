@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.config import load_machine
+from ambrose.machine.file.toml import load_machine
 from ambrose.machine.parameters import QUANTITIES, Parameter, find_parameter, find_uncertain, operating_point, parse_parameter
 from ambrose.machine.units import DIMENSIONS
 

@@ -7,8 +7,8 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.config import dumps_machine, loads_machine
 from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.parameters import operating_point
 from ambrose.physics.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
 from ambrose.physics.seal import coefficients

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ambrose.machine.config import bundled_machines, load_machine
+from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.config import load_machine
 from ambrose.machine.description import Amplifier, Machine, MagnetIron, Runout, SealTable, ShaftSection, Tolerance, Touchdown
-from ambrose.machine.validate import InvalidMachine, check_machine, problems
+from ambrose.machine.file.toml import load_machine
+from ambrose.machine.validation.machine import InvalidMachine, check_machine, problems
 
 SMALL = load_machine(Path(__file__).with_name("small.toml"))
 NAN, INF = float("nan"), float("inf")

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.config import load_machine
 from ambrose.machine.description import MagnetGeometry, MagneticBearing, MagnetIron
+from ambrose.machine.file.toml import load_machine
 from ambrose.physics.magnet import flux_density, force, force_constant, linearised, parameters
 
 GIVEN = MagneticBearing("A", 0.1, 4.0, force_per_current=(144.34, 139.44), negative_stiffness=(0.863e6, 0.871e6))

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.config import load_machine
 from ambrose.machine.description import Coupling, Runout, Seal, SealTable, Sensor
+from ambrose.machine.file.toml import load_machine
 from ambrose.physics import coupling, seal, sensor, unbalance
 from ambrose.physics.rotor import finite_element_rotor, free_modes, gravity_load, mass_properties
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from ambrose.machine.config import load_machine
 from ambrose.machine.description import Touchdown
+from ambrose.machine.file.toml import load_machine
 from ambrose.physics.touchdown import force, parameters
 
 RIG = load_machine("seal-rig")

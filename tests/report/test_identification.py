@@ -14,7 +14,7 @@ from ambrose.identify.beside import beside
 from ambrose.identify.checked import checked_identification
 from ambrose.identify.record_finding import RecordFinding
 from ambrose.identify.seal_result import SealFit, line
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction

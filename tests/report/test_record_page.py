@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.config import load_machine
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.file.toml import load_machine
+from ambrose.machine.record.record import Record
 from ambrose.report.document import render
 from ambrose.report.orbits import orbit_figure
 from ambrose.report.record_curves import radius_curve, signal_curves, thinned

@@ -10,7 +10,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identify import youla
 from ambrose.machine.description import Tolerance
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction

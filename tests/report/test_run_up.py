@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.report.run_up import run_up_section
 from ambrose.simulate.spin_up import Step
 from ambrose.simulate.trace import Trace

@@ -7,7 +7,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.report.traces import trace_curves
 from ambrose.simulate.trace import Trace
 

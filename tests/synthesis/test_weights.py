@@ -13,7 +13,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, is_stable, static_gain
-from ambrose.machine.config import dumps_machine, loads_machine
+from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.synthesis.weights import (
     Weights,
     bandwidth_from_integral_time,

@@ -14,7 +14,7 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table
 @AS_JSON
 def machines(as_json: bool) -> None:
     """List the bundled machines."""
-    from ambrose.machine.config import bundled_machines, load_machine
+    from ambrose.machine.file.toml import bundled_machines, load_machine
 
     found = {name: load_machine(name).description for name in bundled_machines()}
     if as_json:

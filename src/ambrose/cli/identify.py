@@ -98,7 +98,7 @@ def identify(
     is checked too. --method youla needs every u_<axis>; --method static takes loads f_<port> and currents, and finds K_i.
     Exit status 1: done, but a warning or a residual test says that the result is doubtful; 2: refused.
     """
-    from ambrose.machine.record import read_record
+    from ambrose.machine.record.record import read_record
 
     _check_options(context, method)
     description = load(machine)
@@ -300,8 +300,8 @@ def _compared(done: _Done, other: Any) -> Any:
 
 
 def _write(done: _Done, output: Path) -> None:
-    from ambrose.machine.config import dumps_machine
-    from ambrose.machine.writing import write_text
+    from ambrose.machine.atomic_write import write_text
+    from ambrose.machine.file.toml import dumps_machine
 
     write_text(output, done.comment + dumps_machine(done.machine), "machine file")
 

@@ -42,7 +42,7 @@ def simulate(
     """
     from ambrose.export.files import read_controller
     from ambrose.machine.parameters import operating_point
-    from ambrose.machine.record import write_record
+    from ambrose.machine.record.record import write_record
     from ambrose.plant.assemble import assemble
     from ambrose.simulate import virtual_rig
     from ambrose.simulate.scenario import load_scenario

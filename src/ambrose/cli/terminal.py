@@ -15,7 +15,7 @@ MACHINE = click.argument("machine")
 
 
 def load(machine: str) -> Any:
-    from ambrose.machine.config import load_machine
+    from ambrose.machine.file.toml import load_machine
 
     return load_machine(machine)
 

@@ -27,8 +27,8 @@ from ambrose.export.scheduled_code import generate_scheduled
 from ambrose.export.scheduled_deliver import check_deliverable, scheduled_provenance
 from ambrose.export.scheduled_deploy import ScheduledDeployment, deploy_scheduled
 from ambrose.export.structured_text import Precision, structured_text
-from ambrose.machine.config import bundled_machines, load_machine
 from ambrose.machine.description import Machine
+from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.plant.assemble import assemble
 
 SAMPLE_TIME = 1e-4  # s, where neither the caller nor the controller says one

@@ -30,9 +30,9 @@ from ambrose.export.parsing import (
     read_json,
 )
 from ambrose.export.results import certificate_to_dict, plain
-from ambrose.machine.config import machine_hash
+from ambrose.machine.atomic_write import write_text
 from ambrose.machine.description import Machine
-from ambrose.machine.writing import write_text
+from ambrose.machine.file.toml import machine_hash
 from ambrose.synthesis.certify import match_controller
 from ambrose.synthesis.result import Certificate, Synthesis, is_verified
 

@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ambrose.machine.writing import write_text
+from ambrose.machine.atomic_write import write_text
 from ambrose.synthesis.result import Certificate
 from ambrose.verify.checks import Checks
 

@@ -22,7 +22,7 @@ from ambrose.identify.timed_loop import COMMAND, TIMING
 from ambrose.identify.unknowns import split_timing
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.machine.units import DIMENSIONS
 
 METHODS = ("closed-loop", "youla")

@@ -46,7 +46,7 @@ from ambrose.identify.residual_scores import residual_scores
 from ambrose.identify.sensitivities import ParametricModel, over_weights
 from ambrose.identify.verdict import verdict_of, warnings_of
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 __all__ = [
     "Identification",

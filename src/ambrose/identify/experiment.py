@@ -17,7 +17,7 @@ from ambrose.identify.sensitivities import ParametricModel, loop_model
 from ambrose.identify.timed_loop import COMMAND, EXCITATION, TimedLoop, timed
 from ambrose.identify.unknowns import nominal_values, ratios, split_timing
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant

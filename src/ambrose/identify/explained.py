@@ -14,7 +14,7 @@ from ambrose.identify.experiment import experiment
 from ambrose.identify.output_error import fit
 from ambrose.identify.timed_loop import AHEAD, TimedLoop
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ import scipy.fft
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.core.statespace import Names, index_of
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 WINDOWS = ("hann", "boxcar")
 _EXCITED = 1e-4  # of the strongest line's power: weaker lines are left out

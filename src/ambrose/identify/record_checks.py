@@ -32,7 +32,7 @@ from ambrose.identify.record_wiring import (
 )
 from ambrose.identify.unknowns import ratios
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 

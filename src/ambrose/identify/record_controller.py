@@ -14,7 +14,7 @@ import scipy.linalg as sla
 from ambrose.core.response import impulse_response, simulate
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 LAGS = 6  # samples, the longest delay that is tried
 _BLOCK = 8000  # samples that are compared at once, with an initial state of their own

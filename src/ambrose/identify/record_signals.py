@@ -6,7 +6,7 @@ import numpy as np
 
 from ambrose.identify.record_finding import ERROR, WARNING, RecordFinding
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 _LONG, _FEW = 3, 2  # samples of a flat top, and how many flat tops make it clipping
 _CROWDED = 4.0  # samples at the extreme over those one step below it: 2.4 at the crest of a sine in coarse steps

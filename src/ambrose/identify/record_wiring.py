@@ -18,7 +18,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identify import frf
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 

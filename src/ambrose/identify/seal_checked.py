@@ -23,7 +23,7 @@ from ambrose.identify.timed_loop import COMMAND, TIMING
 from ambrose.identify.unknowns import split_timing
 from ambrose.machine.description import Machine
 from ambrose.machine.parameters import parse_parameter
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 FORMS = ("line", "table")
 _LEAST = {"line": 3, "table": 2}  # pressures

@@ -14,7 +14,7 @@ from ambrose.identify.seal_result import COEFFICIENTS, ENTRIES, SealFit
 from ambrose.identify.stepped_sine import seal_name
 from ambrose.identify.verdict import HARDLY_VISIBLE
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import seal_coefficients
 
 # Which entries make a coefficient of the symmetric model: their mean.

@@ -15,7 +15,7 @@ from ambrose.identify import static_load
 from ambrose.identify.repeats import Repeats, of_estimates
 from ambrose.identify.static_load import StaticLoad
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 
 _NORMAL = 1.96  # standard deviations of a 95 % interval

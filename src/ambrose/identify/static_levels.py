@@ -9,7 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 _BLOCK = 0.01  # [s] over which a load is averaged before its steps are looked for
 _STEP = 0.02  # of the loads' range: less is no step but the noise of the force transducer

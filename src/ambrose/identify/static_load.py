@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.identify.static_levels import Levels, steady_levels
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor
 from ambrose.plant.assemble import attached_rotor, bending_modes_of

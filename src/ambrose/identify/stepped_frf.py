@@ -10,7 +10,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import Names
 from ambrose.identify.frf import Frf
 from ambrose.identify.phasors import Phasors, Step, find_steps, phasors
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 
 def stepped(

@@ -21,7 +21,7 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.identify.phasors import Phasors, Step, find_steps, phasors
 from ambrose.identify.seal_result import SealFit
 from ambrose.machine.description import Machine, OperatingPoint, Seal
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.physics import amplifier, magnet, sensor
 from ambrose.plant.assemble import assemble, seal_coefficients
 

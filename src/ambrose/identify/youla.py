@@ -27,7 +27,7 @@ from ambrose.identify.output_error import Task, distinct
 from ambrose.identify.residual_model import HeldResidual, SampledResidual, held_residual, sampled_residual
 from ambrose.identify.unknowns import expand, nominal_values
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction

@@ -2,7 +2,7 @@
 
 Positions are axial coordinates from the rotor's left end [m]. ``zeta``/``eta`` pairs are in the actuator axes, tilted by
 ``angle`` from the global x, y. A Machine is checked as a whole when it is made, from a file, in code or with ``replace``
-(``machine/validate.py``); its parts are checked with it.
+(``machine/validation/machine.py``); its parts are checked with it.
 """
 
 from __future__ import annotations
@@ -353,7 +353,7 @@ class Machine:
     assumed: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
-        from ambrose.machine.validate import check_machine  # which imports the nouns from here
+        from ambrose.machine.validation.machine import check_machine  # which imports the nouns from here
 
         check_machine(self)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.machine.wording import suggestion
+from ambrose.machine.messages import suggestion
 
 _TILTED = ("zeta", "eta")
 _DIRECT, _CROSS = ("xx", "yy"), ("xy", "yx")

@@ -13,7 +13,7 @@ from functools import lru_cache
 from tokenize import TokenError
 from typing import Any
 
-from ambrose.machine.wording import meant, shown
+from ambrose.machine.messages import meant, shown
 
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
 _UNIT = re.compile(r"[A-Za-z%°][A-Za-z%°_]*-?\d?(?:[ /][A-Za-z%°(][A-Za-z%°_()]*-?\d?\)?)*")

@@ -23,8 +23,8 @@ from typing import Any
 
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.atomic_write import write_text
 from ambrose.machine.description import Machine
-from ambrose.machine.writing import write_text
 
 MARKS = {"": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": "", "heading": ""}
 

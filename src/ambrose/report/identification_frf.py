@@ -14,7 +14,7 @@ from ambrose.identify.checked import CheckedIdentification
 from ambrose.identify.frf_validity import compare, model_response
 from ambrose.identify.moved_plant import plant_at
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.report import units
 from ambrose.report.seal_figures import response_figure
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.report import theme, units
 from ambrose.report.axes import drawn
 from ambrose.report.stations import Station, largest, window

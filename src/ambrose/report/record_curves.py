@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.report.stations import Station
 from ambrose.verify.checks import Curve
 

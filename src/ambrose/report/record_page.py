@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.report import units
 from ambrose.report.document import Figure, Report, Section, Verdict
 from ambrose.report.orbits import orbit_figure

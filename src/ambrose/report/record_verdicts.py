@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.report import units
 from ambrose.report.document import Cell, Table, Verdict
 from ambrose.report.orbits import percent

@@ -8,7 +8,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 from ambrose.plant.ports import Port, ports, sensor_ports
 from ambrose.simulate.scenario import Scenario
 

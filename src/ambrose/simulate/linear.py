@@ -19,7 +19,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, 
 from ambrose.core.response import sample_polynomial, simulate_piecewise
 from ambrose.core.statespace import StateSpace, as_statespace, index_of, poles, select
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record, signal_dimension
+from ambrose.machine.record.record import Record, signal_dimension
 from ambrose.simulate.scenario import Scenario
 from ambrose.simulate.trace import Trace
 from ambrose.simulate.waveforms import FASTEST, waveforms

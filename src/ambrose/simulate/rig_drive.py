@@ -9,7 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.machine.description import Seal
-from ambrose.machine.wording import suggestion
+from ambrose.machine.messages import suggestion
 from ambrose.physics import seal, seal_rational
 from ambrose.plant.assemble import seal_poles
 from ambrose.simulate.rig_state import Rig

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from ambrose.core.checks import invalid
-from ambrose.machine.record import Record, signal_dimension
+from ambrose.machine.record.record import Record, signal_dimension
 from ambrose.simulate.rig_drive import Drive, Plan
 
 _LARGEST = 100_000_000  # numbers in one record: 0.8 GB
@@ -45,7 +45,7 @@ class Recorder:
 
     def __enter__(self) -> Self:
         if self.path is not None:
-            from ambrose.machine.record_stream import RecordWriter
+            from ambrose.machine.record.writer import RecordWriter
 
             name = self.task.rig.machine.name
             writer = RecordWriter(self.path, name, self.rate, self.names, self.units, self.point, notes=self.notes)

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.machine.record import signal_dimension
+from ambrose.machine.messages import suggestion
+from ambrose.machine.record.record import signal_dimension
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.machine.wording import suggestion
 from ambrose.simulate.disturbances import (
     Chirp,
     Disturbance,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.response import settling_time
-from ambrose.machine.record import Record
+from ambrose.machine.record.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,9 +26,9 @@ from ambrose.identify.checked import CheckedIdentification, checked_identificati
 from ambrose.identify.checked import provenance as origin_of
 from ambrose.identify.identified import identified_machine
 from ambrose.identify.unknowns import expand
-from ambrose.machine.config import dumps_machine
+from ambrose.machine.atomic_write import write_text
 from ambrose.machine.description import Machine
-from ambrose.machine.writing import write_text
+from ambrose.machine.file.toml import dumps_machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.report.candidate import Candidate

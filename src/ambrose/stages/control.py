@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ambrose.core.checks import AmbroseError
 from ambrose.export.files import read_controller, write_controller
-from ambrose.machine.config import machine_hash
+from ambrose.machine.file.toml import machine_hash
 from ambrose.plant.model import Plant
 from ambrose.synthesis.design import design, on_full_plant
 from ambrose.synthesis.lowering import Measure

@@ -9,8 +9,8 @@ import scipy.io
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record_columns import Column, ColumnMap, load_columns, read_columns
-from ambrose.machine.record_import import read_foreign
+from ambrose.machine.record.column_map import Column, ColumnMap, load_columns, read_columns
+from ambrose.machine.record.foreign import read_foreign
 
 COUNT, RATE = 200, 5000.0
 TIME = 2.0 + np.arange(COUNT) / RATE

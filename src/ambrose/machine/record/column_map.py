@@ -30,8 +30,8 @@ from typing import Any
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.messages import shown, suggestion
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.machine.wording import shown, suggestion
 
 _POINT = {"speed": "angular rate", "seal_pressure": "pressure", "bias_current": "current", "whirl_frequency": "angular rate"}
 _NUMBERS = ("scale", "offset", "sample_rate_hz")

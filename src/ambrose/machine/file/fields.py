@@ -12,8 +12,8 @@ from typing import Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import PydanticCustomError, core_schema
 
+from ambrose.machine.messages import meant, shown
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.machine.wording import meant, shown
 
 UNIT_STRING = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[A-Za-zµμ°%].*$"
 PLACEHOLDER = "x-quantity"  # stands for a reference until pydantic has made the schema, which knows only its own definitions

@@ -9,7 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import FORMAT, POINT_KEYS, RESERVED, VERSION, Record, si_values
+from ambrose.machine.record.record import FORMAT, POINT_KEYS, RESERVED, VERSION, Record, si_values
 
 _REQUIRED = ("machine", "speed_rad_s", "seal_pressure_pa")
 

@@ -9,10 +9,10 @@ from pydantic import ValidationError
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine, Material, ShaftSection
-from ambrose.machine.schema import MachineFile, ShaftTable, table_below
-from ambrose.machine.table import Table
-from ambrose.machine.validate import InvalidMachine
-from ambrose.machine.wording import listed, shown, suggestion
+from ambrose.machine.file.table import Table
+from ambrose.machine.file.tables import MachineFile, ShaftTable, table_below
+from ambrose.machine.messages import listed, shown, suggestion
+from ambrose.machine.validation.machine import InvalidMachine
 
 _ENTRIES = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")  # the tables of which a machine has several
 _LABELS = ("name", "label", "bearing", "parameter")

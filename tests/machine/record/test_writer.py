@@ -13,16 +13,16 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record, read_record, write_record
-from ambrose.machine.record_recovery import lookup3
-from ambrose.machine.record_stream import RecordWriter, partial_path
+from ambrose.machine.record.record import Record, read_record, write_record
+from ambrose.machine.record.recovery import lookup3
+from ambrose.machine.record.writer import RecordWriter, partial_path
 
 POINT = OperatingPoint(speed=1200.0, seal_pressure=2.04e5, label="nominal")
 SIGNALS, UNITS = ("y_A_zeta", "i_A_zeta", "f_center_x"), ("m", "A", "N")
 WRITER = """
 import sys, time
 import numpy as np
-from ambrose.machine.record_stream import RecordWriter
+from ambrose.machine.record.writer import RecordWriter
 signals = tuple(f"y_{i}" for i in range(8))
 with RecordWriter(sys.argv[1], "rig", 10e3, signals, ("m",) * 8, chunk=int(sys.argv[3])) as writer:
     start, count = 0, int(sys.argv[2])

@@ -1,4 +1,4 @@
-"""Machine files: TOML <-> Machine. The only place, with record.py, where units are converted; inside all is SI."""
+"""Machine files: TOML <-> Machine. The only place, with record/record.py, where units are converted; inside all is SI."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.atomic_write import write_text
 from ambrose.machine.description import SCHEMA_VERSION, Machine, Material, SealTable, ShaftSection
-from ambrose.machine.wording import meant
-from ambrose.machine.writing import write_text
+from ambrose.machine.messages import meant
 
 _LARGEST_FILE = 10_000_000  # bytes; a machine file has a few thousand
 
@@ -40,7 +40,7 @@ def load_machine(path: str | os.PathLike[str]) -> Machine:
 
 def loads_machine(text: str, name: str = "machine file") -> Machine:
     """The machine in TOML text; ``name`` stands in messages. Raises InvalidInput."""
-    from ambrose.machine.reading import machine_from_document
+    from ambrose.machine.file.parse import machine_from_document
 
     if not text.strip():
         raise InvalidInput(
@@ -82,7 +82,7 @@ def machine_hash(machine: Machine) -> str:
 
 def machine_schema() -> dict[str, Any]:
     """The JSON schema of machine files, for editors that complete and check TOML while it is typed."""
-    from ambrose.machine.editor_schema import editor_schema
+    from ambrose.machine.file.json_schema import editor_schema
 
     return editor_schema()
 

@@ -8,7 +8,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record, read_record, si_values, signal_dimension, write_record
+from ambrose.machine.record.record import Record, read_record, si_values, signal_dimension, write_record
 
 POINT = OperatingPoint(speed=3298.6722862692827, seal_pressure=2.04e5, bias_current=6.0, label="nominal, 2.04 bar")
 

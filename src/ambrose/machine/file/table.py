@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ambrose.machine.fields import PairOf, Quantity, Text
+from ambrose.machine.file.fields import PairOf, Quantity, Text
 
 Length = Annotated[float, Quantity("length")]
 Mass = Annotated[float, Quantity("mass")]

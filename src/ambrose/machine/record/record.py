@@ -2,7 +2,7 @@
 
 SI inside and in every file written; any unit of the right kind is understood when reading. Files are written under a temporary
 name and renamed, so that a reader never meets half a file. A reader refuses what it does not know and never alters its source.
-The formats: record_hdf5.py and record_csv.py. Long runs: record_stream.py. Files of other programs: record_import.py.
+The formats: record/hdf5_file.py and record/csv_file.py. Long runs: record/writer.py. Files of other programs: record/foreign.py.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, check_positive, invalid
 from ambrose.core.statespace import index_of
+from ambrose.machine.atomic_write import draft_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
-from ambrose.machine.writing import draft_of
 
 FORMAT, VERSION = "ambrose-record", 1
 _PREFIXES = {
@@ -172,8 +172,8 @@ def read_record(path: str | Path) -> Record:
 
     Raises InvalidInput with the file's name and what is wrong.
     """
-    from ambrose.machine.record_csv import read_csv
-    from ambrose.machine.record_hdf5 import read_hdf5
+    from ambrose.machine.record.csv_file import read_csv
+    from ambrose.machine.record.hdf5_file import read_hdf5
 
     path = Path(path)
     reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv})
@@ -187,8 +187,8 @@ def read_record(path: str | Path) -> Record:
 
 def write_record(record: Record, path: str | Path) -> Path:
     """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises InvalidInput."""
-    from ambrose.machine.record_csv import write_csv
-    from ambrose.machine.record_hdf5 import write_hdf5
+    from ambrose.machine.record.csv_file import write_csv
+    from ambrose.machine.record.hdf5_file import write_hdf5
 
     path = Path(path)
     writer = _by_suffix(path, {".h5": write_hdf5, ".hdf5": write_hdf5, ".csv": write_csv})

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.atomic_write import draft_of
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record import Record
-from ambrose.machine.record_attributes import attributes_of
-from ambrose.machine.record_hdf5 import COMPLETE, LIBVER, UNFINISHED, fixed
-from ambrose.machine.writing import draft_of
+from ambrose.machine.record.attributes import attributes_of
+from ambrose.machine.record.hdf5_file import COMPLETE, LIBVER, UNFINISHED, fixed
+from ambrose.machine.record.record import Record
 
 _CHUNK = 2048  # samples written at once
 

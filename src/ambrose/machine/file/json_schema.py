@@ -1,4 +1,4 @@
-"""The JSON schema of machine files, made from the tables in schema.py and the defaults in description.py."""
+"""The JSON schema of machine files, made from the tables in file/tables.py and the defaults in description.py."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.machine.description import SCHEMA_VERSION, Machine
-from ambrose.machine.fields import PLACEHOLDER, quantity_schemas
-from ambrose.machine.schema import MachineFile
-from ambrose.machine.table import Table
+from ambrose.machine.file.fields import PLACEHOLDER, quantity_schemas
+from ambrose.machine.file.table import Table
+from ambrose.machine.file.tables import MachineFile
 
 
 def editor_schema() -> dict[str, Any]:
@@ -60,5 +60,5 @@ def _add_defaults(table: dict[str, Any], model: type[Table]) -> None:
             )
 
 
-if __name__ == "__main__":  # python -m ambrose.machine.editor_schema docs/machine.schema.json
+if __name__ == "__main__":  # python -m ambrose.machine.file.json_schema docs/machine.schema.json
     Path(sys.argv[1]).write_text(json.dumps(editor_schema(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

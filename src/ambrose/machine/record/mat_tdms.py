@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.wording import suggestion
+from ambrose.machine.messages import suggestion
 
 _PART = re.compile(r"(?P<name>.*?)\s*\(\s*(?:(?P<row>\d+)\s*,\s*:|:\s*,\s*(?P<column>\d+))\s*\)")
 _SHOWN = 20  # names in a message

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.record import Record, si_values
-from ambrose.machine.record_attributes import attributes_of, check_format, record_of
-from ambrose.machine.record_timing import uniform_rate
+from ambrose.machine.record.attributes import attributes_of, check_format, record_of
+from ambrose.machine.record.record import Record, si_values
+from ambrose.machine.record.timing import uniform_rate
 
 _HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\]\s*)?")
 

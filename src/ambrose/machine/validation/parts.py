@@ -10,8 +10,8 @@ from ambrose.machine.description import (
     MagneticBearing,
     ShaftSection,
 )
+from ambrose.machine.messages import complaint, not_positive, number, pair_entries, shown, suggestion
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
-from ambrose.machine.wording import complaint, not_positive, number, pair_entries, shown, suggestion
 
 JOINT = 1e-9  # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
 _MOST_ELEMENTS = 1000  # per section; more is a slip of the pen

@@ -1,12 +1,12 @@
-"""The tables [[seal]], [seal.table] and [seal.geometry] of a machine file; see schema.py."""
+"""The tables [[seal]], [seal.table] and [seal.geometry] of a machine file; see file/tables.py."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any
 
 from ambrose.machine import seals as nouns
-from ambrose.machine.fields import Choice, Choices, Count, ListOf, NestedOf, PairOf, Quantity
-from ambrose.machine.table import (
+from ambrose.machine.file.fields import Choice, Choices, Count, ListOf, NestedOf, PairOf, Quantity
+from ambrose.machine.file.table import (
     Damping,
     Length,
     Mass,

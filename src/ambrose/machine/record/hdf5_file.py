@@ -1,6 +1,6 @@
 """Records as HDF5: attributes at the root, one dataset of float64 per signal under /signals.
 
-The attribute complete = "false" marks what an interrupted run left (record_stream.py): its signals may differ in length and end
+The attribute complete = "false" marks what an interrupted run left (record/writer.py): its signals may differ in length and end
 in chunks that were never written. Such a file is read as far as every signal reaches.
 """
 
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.record import LARGEST, Record
-from ambrose.machine.record_attributes import attributes_of, check_format, number_of, record_of
-from ambrose.machine.record_recovery import Settled, left_open
+from ambrose.machine.record.attributes import attributes_of, check_format, number_of, record_of
+from ambrose.machine.record.record import LARGEST, Record
+from ambrose.machine.record.recovery import Settled, left_open
 
 LIBVER = ("v110", "v110")  # the format of HDF5 1.10: checksums on the structure as well
 COMPLETE, UNFINISHED = "complete", "false"  # the attribute that an unfinished record carries

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from ambrose.machine.description import Machine
+from ambrose.machine.messages import complaint, not_positive, number, shown, suggestion
 from ambrose.machine.seals import FREQUENCY_DEPENDENCE, SEAL_AXES, SEAL_COEFFICIENTS, GasSealGeometry, Seal, SealTable
-from ambrose.machine.wording import complaint, not_positive, number, shown, suggestion
 
 COMPUTED = ("K", "k", "C", "c")  # what a geometry yields
 _MOST_POLES = 12

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.core.checks import invalid
-from ambrose.machine.record_attributes import number_of
+from ambrose.machine.record.attributes import number_of
 
 _JITTER = 0.05  # largest deviation of one time step from the others, as a fraction: beyond it, a sample was mistimed
 

@@ -1,4 +1,4 @@
-"""Measurements of other programs as Records, through a column map (record_columns.py); files are read, never changed."""
+"""Measurements of other programs as Records, through a column map (record/column_map.py); files are read, never changed."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.record import LARGEST, Record, si_values
-from ambrose.machine.record_columns import Column, ColumnMap, load_columns, read_columns
-from ambrose.machine.record_sources import Variable, variables_of
-from ambrose.machine.record_timing import uniform_rate
+from ambrose.machine.record.column_map import Column, ColumnMap, load_columns, read_columns
+from ambrose.machine.record.mat_tdms import Variable, variables_of
+from ambrose.machine.record.record import LARGEST, Record, si_values
+from ambrose.machine.record.timing import uniform_rate
 
 _AGREE = 1e-3  # sample rates this close are the same one
 

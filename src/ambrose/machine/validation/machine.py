@@ -14,11 +14,11 @@ from itertools import combinations
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine import validate_parts as parts
-from ambrose.machine import validate_seals
 from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, Machine, PidSettings
+from ambrose.machine.messages import complaint, listed, not_positive, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
-from ambrose.machine.wording import complaint, listed, not_positive, number, shown, suggestion
+from ambrose.machine.validation import parts
+from ambrose.machine.validation import seals as validate_seals
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 

@@ -12,10 +12,9 @@ from pydantic_core import PydanticCustomError
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as nouns
-from ambrose.machine.fields import Choice, Count, ListOf, PairOf, Quantity, Text, Version
-from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
-from ambrose.machine.schema_seals import SealEntry
-from ambrose.machine.table import (
+from ambrose.machine.file.fields import Choice, Count, ListOf, PairOf, Quantity, Text, Version
+from ambrose.machine.file.seal_tables import SealEntry
+from ambrose.machine.file.table import (
     Angle,
     Current,
     Damping,
@@ -36,6 +35,7 @@ from ambrose.machine.table import (
     optional,
     required,
 )
+from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
 
 
 class MachineTable(Table):
