@@ -13,7 +13,9 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identify import excitation, frf, seal_fit
+from ambrose.identification import excitation
+from ambrose.identification.frf import spectral as frf
+from ambrose.identification.seal import fit as seal_fit
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble

@@ -20,12 +20,12 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identify import excitation
-from ambrose.identify.closed_loop import Identification, identify, solve
-from ambrose.identify.experiment import experiment
-from ambrose.identify.output_error import normal_equations
-from ambrose.identify.sensitivities import over_weights
-from ambrose.identify.unknowns import expand, nominal_values
+from ambrose.identification import excitation
+from ambrose.identification.output_error.closed_loop import Identification, identify, solve
+from ambrose.identification.output_error.loop_model import over_weights
+from ambrose.identification.output_error.normal_equations import normal_equations
+from ambrose.identification.output_error.problem import experiment
+from ambrose.identification.parameters import expand, nominal_values
 from ambrose.machine.description import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble

@@ -21,10 +21,11 @@ from ambrose import load_machine
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, poles, select
-from ambrose.identify import closed_loop, static_load
-from ambrose.identify.closed_loop import Identification
-from ambrose.identify.repeats import Repeats, ScatterStudy, of_estimates, repeats, scatter_study
-from ambrose.identify.static_load import StaticLoad
+from ambrose.identification.output_error import closed_loop
+from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.static_load import identify as static_load
+from ambrose.identification.static_load.identify import StaticLoad
+from ambrose.identification.validation.repeatability import Repeats, ScatterStudy, of_estimates, repeats, scatter_study
 from ambrose.machine.description import Amplifier, Machine, Notch, OperatingPoint, PidSettings
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet

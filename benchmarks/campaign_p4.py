@@ -23,13 +23,15 @@ from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identify import closed_loop, frf, seal_fit
-from ambrose.identify.closed_loop import Identification
-from ambrose.identify.frf import Frf
-from ambrose.identify.frf_validity import Validity, compare
-from ambrose.identify.identified import identified_machine
-from ambrose.identify.seal_fit import SealFit
-from ambrose.identify.stepped_frf import stepped
+from ambrose.identification.frf import spectral as frf
+from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.frf.stepped_sine import stepped
+from ambrose.identification.frf.validity import Validity, compare
+from ambrose.identification.model_updating import identified_machine
+from ambrose.identification.output_error import closed_loop
+from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.seal import fit as seal_fit
+from ambrose.identification.seal.fit import SealFit
 from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.machine.record.record import Record
 from ambrose.physics import seal

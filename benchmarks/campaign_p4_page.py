@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ambrose.identify.frf import Frf
+from ambrose.identification.frf.spectral import Frf
 from ambrose.machine.description import Machine
 from ambrose.report import seal_figures
 from ambrose.report.document import Figure, Report, Section

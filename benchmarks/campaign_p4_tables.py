@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.identify import seal_fit
-from ambrose.identify.closed_loop import Identification
-from ambrose.identify.seal_fit import SealFit
+from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.seal import fit as seal_fit
+from ambrose.identification.seal.fit import SealFit
 from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Coupled, Impulses, Stepped, Swept, truth
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.identify.checked import checked_identification
-from ambrose.identify.identified import identified_machine
+from ambrose.identification.model_updating import identified_machine
+from ambrose.identification.pipeline import checked_identification
 from ambrose.plant.assemble import assemble
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import Prbs, Scenario

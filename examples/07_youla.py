@@ -7,7 +7,7 @@ from ambrose.core.realisation.coprime import coprime_factors, injection_gain, ob
 from ambrose.core.realisation.zeros import minimal
 from ambrose.core.response import simulate
 from ambrose.core.statespace import select
-from ambrose.identify import youla
+from ambrose.identification.youla import identify as youla
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble

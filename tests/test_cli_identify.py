@@ -180,7 +180,8 @@ def test_a_seal_by_pressure_from_the_command_line(tmp_path, place):
 
 
 def test_what_did_not_converge_is_doubtful_everywhere(place, tmp_path, monkeypatch):
-    from ambrose.identify import checked, closed_loop
+    from ambrose.identification import pipeline as checked
+    from ambrose.identification.output_error import closed_loop
 
     def lame(*arguments, **options):
         return closed_loop.identify(*arguments, **{**options, "max_iterations": 1})

@@ -14,7 +14,7 @@ from typing import Any
 
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.export.results import certificate_to_dict, checks_to_dict, plain, write_json
-from ambrose.identify.checked import as_dict
+from ambrose.identification.pipeline import as_dict
 from ambrose.machine.description import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import Plant

@@ -13,9 +13,9 @@ from ambrose.core.realisation.coprime import coprime_factors, injection_gain, ob
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, connect, feedback, poles, select, spectral_abscissa
-from ambrose.identify import closed_loop as whole_loop
-from ambrose.identify import youla
-from ambrose.identify.residual_model import uncertain_residual
+from ambrose.identification.output_error import closed_loop as whole_loop
+from ambrose.identification.youla import identify as youla
+from ambrose.identification.youla.residual_model import uncertain_residual
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
 from ambrose.machine.record.record import Record

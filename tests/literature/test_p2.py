@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ambrose.identify import closed_loop
-from ambrose.identify.unknowns import expand
+from ambrose.identification.output_error import closed_loop
+from ambrose.identification.parameters import expand
 from ambrose.machine.description import OperatingPoint
 from ambrose.physics import magnet
 from ambrose.simulate import virtual_rig

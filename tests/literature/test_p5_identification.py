@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ambrose.identify import seal_fit
+from ambrose.identification.seal import fit as seal_fit
 from ambrose.plant.assemble import assemble
 
 pytestmark = pytest.mark.literature

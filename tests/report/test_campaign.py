@@ -5,7 +5,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.identify.repeats import repeats
+from ambrose.identification.validation.repeatability import repeats
 from ambrose.report.campaign import Condition, campaign_report
 from ambrose.report.document import render
 

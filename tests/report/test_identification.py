@@ -9,11 +9,12 @@ from ambrose import load_machine
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identify import excitation, youla
-from ambrose.identify.beside import beside
-from ambrose.identify.checked import checked_identification
-from ambrose.identify.record_finding import RecordFinding
-from ambrose.identify.seal_result import SealFit, line
+from ambrose.identification import excitation
+from ambrose.identification.data_quality.finding import RecordFinding
+from ambrose.identification.pipeline import checked_identification
+from ambrose.identification.seal.result import SealFit, line
+from ambrose.identification.validation.agreement import beside
+from ambrose.identification.youla import identify as youla
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller

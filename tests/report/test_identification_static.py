@@ -7,8 +7,8 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.identify.beside import beside
-from ambrose.identify.static_checked import as_dict, checked_static_load, provenance
+from ambrose.identification.static_load.pipeline import as_dict, checked_static_load, provenance
+from ambrose.identification.validation.agreement import beside
 from ambrose.machine.record.record import Record
 from ambrose.report.document import render
 from ambrose.report.identification_static import line_figure, static_report, static_table

@@ -8,7 +8,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identify import youla
+from ambrose.identification.youla import identify as youla
 from ambrose.machine.description import Tolerance
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble

@@ -5,8 +5,8 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
-from ambrose.identify.frf import Frf
-from ambrose.identify.seal_fit import SealFit, averaged, line
+from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.seal.fit import SealFit, averaged, line
 from ambrose.report import seal_figures
 
 HZ = 2 * np.pi

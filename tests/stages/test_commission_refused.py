@@ -10,7 +10,9 @@ from ambrose.core.checks import NumericalFailure
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identify import checked, closed_loop, excitation
+from ambrose.identification import excitation
+from ambrose.identification import pipeline as checked
+from ambrose.identification.output_error import closed_loop
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of

@@ -124,7 +124,7 @@ def identify(
             progress("writing the report")
             write(done.page(compared), report)
     if as_json:
-        from ambrose.identify.beside import as_dict
+        from ambrose.identification.validation.agreement import as_dict
 
         written = {"machine_file": str(output), "report": str(report) if report else None}
         beside = {"compared": None if compared is None else as_dict(compared)}
@@ -188,9 +188,9 @@ def _identified(given: _Given, method: str, repeated: bool, seal_form: str | Non
 
 
 def _loop(given: _Given, method: str, repeated: bool) -> _Done:
-    from ambrose.identify.checked import as_dict, checked_identification, provenance, usual_unknowns
-    from ambrose.identify.identified import identified_machine
-    from ambrose.identify.unknowns import split_timing
+    from ambrose.identification.model_updating import identified_machine
+    from ambrose.identification.parameters import split_timing
+    from ambrose.identification.pipeline import as_dict, checked_identification, provenance, usual_unknowns
     from ambrose.report.identification import identification_report
 
     wanted = given.unknown or usual_unknowns(given.machine, given.records)
@@ -235,8 +235,8 @@ def _loop_lines(checked: Any) -> list[str]:
 
 
 def _seal(given: _Given, form: str, seal: str | None) -> _Done:
-    from ambrose.identify import seal_checked
-    from ambrose.identify.checked import as_dict, provenance
+    from ambrose.identification.pipeline import as_dict, provenance
+    from ambrose.identification.seal import pipeline as seal_checked
     from ambrose.report.identification import identification_report
     from ambrose.report.identification_tables import seal_lines_table, seal_table
 
@@ -274,8 +274,8 @@ def _seal(given: _Given, form: str, seal: str | None) -> _Done:
 
 
 def _static(given: _Given, repeated: bool) -> _Done:
-    from ambrose.identify.identified import identified_machine
-    from ambrose.identify.static_checked import as_dict, checked_static_load, provenance
+    from ambrose.identification.model_updating import identified_machine
+    from ambrose.identification.static_load.pipeline import as_dict, checked_static_load, provenance
     from ambrose.report.identification_static import static_report, static_table
     from ambrose.report.identification_tables import repeats_table
 
@@ -294,7 +294,7 @@ def _static(given: _Given, repeated: bool) -> _Done:
 
 
 def _compared(done: _Done, other: Any) -> Any:
-    from ambrose.identify.beside import beside
+    from ambrose.identification.validation.agreement import beside
 
     return None if other is None else beside(done.found, other)
 

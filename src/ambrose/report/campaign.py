@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identify.repeats import Repeats
-from ambrose.identify.static_load import StaticLoad
+from ambrose.identification.static_load.identify import StaticLoad
+from ambrose.identification.validation.repeatability import Repeats
 from ambrose.machine.description import Machine
 from ambrose.report import theme, units
 from ambrose.report.document import Cell, Figure, Report, Section, Table, Verdict

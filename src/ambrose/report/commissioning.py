@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.identify.checked import CheckedIdentification
+from ambrose.identification.pipeline import CheckedIdentification
 from ambrose.report import tables, units
 from ambrose.report.candidate import Candidate
 from ambrose.report.document import Cell, Figure, Section, Table

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identify.beside import Beside
-from ambrose.identify.checked import CheckedIdentification
-from ambrose.identify.seal_result import COEFFICIENTS, SealFit, averaged, line
-from ambrose.identify.youla import ResidualIdentification
+from ambrose.identification.pipeline import CheckedIdentification
+from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
+from ambrose.identification.validation.agreement import Beside
+from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.machine.description import Machine
 from ambrose.report import residual_response, units
 from ambrose.report.document import Figure, Report, Section, Table, Verdict

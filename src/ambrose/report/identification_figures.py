@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.identify.closed_loop import Identification
-from ambrose.identify.explained import Explained
-from ambrose.identify.timed_loop import TIMING
+from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.output_error.delays import TIMING
+from ambrose.identification.validation.simulated_output import Explained
 from ambrose.machine.parameters import parse_parameter
 from ambrose.report import theme, units
 from ambrose.report.identification_tables import COVERAGE, fixed

@@ -9,10 +9,10 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
-from ambrose.identify import frf
-from ambrose.identify.checked import CheckedIdentification
-from ambrose.identify.frf_validity import compare, model_response
-from ambrose.identify.moved_plant import plant_at
+from ambrose.identification.frf import spectral as frf
+from ambrose.identification.frf.validity import compare, model_response
+from ambrose.identification.moved_plant import plant_at
+from ambrose.identification.pipeline import CheckedIdentification
 from ambrose.machine.description import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report import units

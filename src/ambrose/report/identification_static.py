@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.identify.beside import Beside
-from ambrose.identify.static_checked import CheckedStaticLoad
-from ambrose.identify.static_load import StaticLoad
+from ambrose.identification.static_load.identify import StaticLoad
+from ambrose.identification.static_load.pipeline import CheckedStaticLoad
+from ambrose.identification.validation.agreement import Beside
 from ambrose.machine.description import Machine
 from ambrose.report import theme, units
 from ambrose.report.document import Cell, Figure, Report, Section, Table, Verdict

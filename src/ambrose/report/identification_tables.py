@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ambrose.identify.beside import Beside
-from ambrose.identify.closed_loop import Identification
-from ambrose.identify.record_finding import ERROR, RecordFinding
-from ambrose.identify.repeats import Repeats
-from ambrose.identify.seal_result import COEFFICIENTS, SealFit, line
-from ambrose.identify.timed_loop import TIMING
+from ambrose.identification.data_quality.finding import ERROR, RecordFinding
+from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.output_error.delays import TIMING
+from ambrose.identification.seal.result import COEFFICIENTS, SealFit, line
+from ambrose.identification.validation.agreement import Beside
+from ambrose.identification.validation.repeatability import Repeats
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.units import DIMENSIONS
 from ambrose.report import units

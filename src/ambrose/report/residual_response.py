@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.frequency import frequency_response
-from ambrose.identify import frf
-from ambrose.identify.youla import ResidualIdentification
+from ambrose.identification.frf import spectral as frf
+from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.report import theme, units
 from ambrose.report.axes import drawn
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
-from ambrose.identify.frf import Frf
-from ambrose.identify.regression import Line
-from ambrose.identify.seal_result import COEFFICIENTS, SealFit
+from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.seal.regression import Line
+from ambrose.identification.seal.result import COEFFICIENTS, SealFit
 from ambrose.report import theme, units
 
 _UNITS = {"K": "N/m", "k": "N/m", "C": "N s/m", "c": "N s/m"}

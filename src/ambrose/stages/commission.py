@@ -22,10 +22,10 @@ from ambrose.export.controller_code import write_code
 from ambrose.export.deliver import SAMPLE_TIME, limits, provenance
 from ambrose.export.files import read_controller
 from ambrose.export.sampling import Deployment, deploy, unmet
-from ambrose.identify.checked import CheckedIdentification, checked_identification, usual_unknowns
-from ambrose.identify.checked import provenance as origin_of
-from ambrose.identify.identified import identified_machine
-from ambrose.identify.unknowns import expand
+from ambrose.identification.model_updating import identified_machine
+from ambrose.identification.parameters import expand
+from ambrose.identification.pipeline import CheckedIdentification, checked_identification, usual_unknowns
+from ambrose.identification.pipeline import provenance as origin_of
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import dumps_machine

@@ -1,0 +1,237 @@
+"""Which channel is which? The measured closed-loop responses against the model's, for every way channels could be mixed up.
+
+Responses T from the excitations to y, u and i (frf/spectral.py, free of the loop's noise) must be those of the loop: T_y and T_u those
+of the model, T_u = -K T_y whatever the plant is, and T_i the amplifier's response to u + e. A swapped or inverted channel
+breaks some of these and not the others, which tells it from a changed parameter, and mostly also tells which one it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations, product
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import frequency_response
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.frf import spectral as frf
+from ambrose.machine.record.record import Record
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.model import Plant
+
+KINDS = {"y": "displacement", "u": "controller output", "i": "coil current", "e": "excitation"}
+_LINES = 400  # of a response that are compared, at most
+_FLOOR = 1e-3  # share of power: leakage and noise below it decide nothing
+_ALL_UP_TO = 4  # axes for which every signed permutation is tried
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """Channel number i of a kind shows axis ``order[i]`` times ``signs[i]``; kind "" is the record as it is labelled."""
+
+    kind: str = ""
+    order: tuple[int, ...] = ()
+    signs: tuple[int, ...] = ()
+
+    def matrix(self, kind: str, count: int) -> np.ndarray:
+        """(a, a): the channels of a kind from the axes."""
+        if kind != self.kind:
+            return np.eye(count)
+        return np.eye(count)[list(self.order)] * np.array(self.signs)[:, None]
+
+    @property
+    def changes(self) -> int:
+        return sum(j != i or s < 0 for i, (j, s) in enumerate(zip(self.order, self.signs, strict=True)))
+
+    def words(self, axes: Sequence[str]) -> str:
+        """ "y_A_zeta and y_A_eta are swapped", "u_B_eta has the wrong sign"."""
+        parts, done = [], set()
+        for i, (j, sign) in enumerate(zip(self.order, self.signs, strict=True)):
+            name = f"{self.kind}_{axes[i]}"
+            if i in done or (i == j and sign > 0):
+                continue
+            if i == j:
+                parts.append(f"{name} has the wrong sign")
+            elif self.order[j] == i:
+                done.add(j)
+                turned = [f"{self.kind}_{axes[n]}" for n in (i, j) if self.signs[n] < 0]
+                extra = f", {' and '.join(turned)} with the wrong sign" if turned else ""
+                parts.append(f"{name} and {self.kind}_{axes[j]} are swapped{extra}")
+            else:
+                parts.append(f"{name} shows {'-' if sign < 0 else ''}{self.kind}_{axes[j]}")
+        if len(parts) == len(axes) and all("wrong sign" in part for part in parts):
+            return f"all {self.kind}_ channels have the wrong sign"
+        return "; ".join(parts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Responses:
+    """Responses (w, a, r) of each kind of signal to the distinct excitations, at omega (w,) [rad/s], with the sum of squares
+    that noise makes of them (w, a); coherence (a, w) with the excitations, ``chance`` what 995 of 1000 lines without any trace
+    of them would stay below; mix (a, r): the excitations e from the distinct ones."""
+
+    omega: np.ndarray
+    values: Mapping[str, np.ndarray]
+    noise: Mapping[str, np.ndarray]
+    coherence: Mapping[str, np.ndarray]
+    chance: float
+    mix: np.ndarray
+
+
+def measured_responses(records: Sequence[Record], axes: Sequence[str]) -> Responses | None:
+    """The responses of the records, or None where excitations or their number of segments do not allow any."""
+    from scipy.special import betaincinv
+
+    zero = [np.zeros(record.values.shape[1]) for record in records]
+    e = np.hstack(
+        [
+            np.stack([record[f"e_{a}"] if f"e_{a}" in record.signals else still for a in axes])
+            for record, still in zip(records, zero, strict=True)
+        ]
+    )
+    if not e.any():
+        return None
+    mix = _mix(e)
+    names = [f"e_{axes[int(np.flatnonzero(column)[0])]}" for column in mix.T]
+    signs = np.array([column[np.flatnonzero(column)[0]] for column in mix.T])
+    kinds = [kind for kind in "yui" if all(f"{kind}_{axis}" in record.signals for record in records for axis in axes)]
+    shortest = min(record.values.shape[1] for record in records)
+    total = sum(record.values.shape[1] for record in records)
+    dt = records[0].dt
+    L = min(round(0.5 / dt), shortest, total // (2 * mix.shape[1] + 2))
+    if L < 64 or not kinds:
+        return None
+    filled = [_with(record, names) for record in records]
+    try:
+        found = frf.h1(filled, names, [f"{kind}_{axis}" for kind in kinds for axis in axes], segment=L * dt)
+    except InvalidInput:
+        return None
+    kept = np.unique(np.round(np.linspace(0, len(found.omega) - 1, min(_LINES, len(found.omega)))).astype(int))
+    a = len(axes)
+    parts = {kind: slice(n * a, (n + 1) * a) for n, kind in enumerate(kinds)}
+    return Responses(
+        found.omega[kept],
+        {kind: found.values[kept][:, part] * signs for kind, part in parts.items()},
+        {kind: found.variance[kept][:, part].sum(axis=2) for kind, part in parts.items()},
+        {kind: found.coherence[:, part].T for kind, part in parts.items()},
+        float(betaincinv(mix.shape[1], found.freedom, 0.995)),
+        mix,
+    )
+
+
+def _mix(e: np.ndarray) -> np.ndarray:
+    """(a, r): the excitations e (a, k) from the distinct ones among them; equal and opposite ones are one."""
+    firsts: list[int] = []
+    mix = np.zeros((len(e), len(e)))
+    for i, row in enumerate(e):
+        for j, first in enumerate(firsts):
+            for sign in (1.0, -1.0):
+                if row.any() and np.array_equal(row, sign * e[first]):
+                    mix[i, j] = sign
+        if row.any() and not mix[i].any():
+            mix[i, len(firsts)] = 1.0
+            firsts.append(i)
+    return mix[:, : len(firsts)]
+
+
+def _with(record: Record, names: Sequence[str]) -> Record:
+    """The record with zero excitations where it has none of that name."""
+    from dataclasses import replace
+
+    missing = [name for name in names if name not in record.signals]
+    if not missing:
+        return record
+    still = np.zeros((len(missing), record.values.shape[1]))
+    signals, units = (*record.signals, *missing), (*record.units, *["A"] * len(missing))
+    return replace(record, signals=signals, units=units, values=np.vstack([record.values, still]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expected:
+    """The loop of the model on the same lines: T_y, T_u (w, a, a) from e, K with its delay (w, a, a), amplifier (w, a, a)."""
+
+    y: np.ndarray
+    u: np.ndarray
+    K: np.ndarray
+    amplifier: np.ndarray
+
+
+def expected_responses(plant: Plant, law: StateSpace, omega: np.ndarray) -> Expected:
+    """law: sampled, its computing delay included, signals err_<axis> and u_<axis>; omega (w,) [rad/s]."""
+    axes, dt = plant.axes, law.dt
+    assert dt is not None
+    e, y, u = ([f"{kind}_{axis}" for axis in axes] for kind in "eyu")
+    coils = c2d(select(plant.system, u, [f"i_{axis}" for axis in axes]), dt)
+    loop = frequency_response(select(closed_loop(plant, law), e, [*y, *u]), omega).values
+    a = len(axes)
+    return Expected(loop[:, :a], loop[:, a:], frequency_response(law, omega).values, frequency_response(coils, omega).values)
+
+
+def shares(measured: Responses, expected: Expected, wiring: Wiring) -> dict[str, float]:
+    """What part of the measured power each relation leaves unexplained under this wiring: "y" and "u" against the model,
+    "K": u against the controller, "i" against the amplifier; the mean over the axes."""
+    a = len(measured.mix)
+    excited = wiring.matrix("e", a).T @ measured.mix
+    true = {kind: wiring.matrix(kind, a).T @ values for kind, values in measured.values.items()}
+    noise = {kind: values @ np.abs(wiring.matrix(kind, a)) for kind, values in measured.noise.items()}
+    found: dict[str, float] = {}
+    if "y" in true:
+        found["y"] = _share(true["y"], expected.y @ excited, noise["y"])
+    if "u" in true:
+        found["u"] = _share(true["u"], expected.u @ excited, noise["u"])
+        if "y" in true:
+            found["K"] = _share(true["u"], -expected.K @ true["y"], 0 * noise["u"])
+    if "i" in true:
+        command = (true["u"] if "u" in true else expected.u @ excited) + excited
+        found["i"] = _share(true["i"], expected.amplifier @ command, noise["i"])
+    return found
+
+
+def _share(measured: np.ndarray, model: np.ndarray, noise: np.ndarray) -> float:
+    doubt = noise.sum(axis=0)
+    left = np.sum(np.abs(measured - model) ** 2, axis=(0, 2)) - doubt
+    size = np.sum(np.abs(measured) ** 2, axis=(0, 2))
+    size = np.maximum(np.maximum(size - doubt, doubt), 1e-3 * float(size.max(initial=0.0)))
+    return float(np.mean(np.maximum(left, 0.0) / np.maximum(size, 1e-300)))
+
+
+def score(found: Mapping[str, float]) -> float:
+    """The smaller, the better a wiring explains everything: the sum of the logarithms of its shares."""
+    return float(sum(np.log(max(share, _FLOOR)) for share in found.values()))
+
+
+def wirings(kinds: Sequence[str], count: int) -> Iterator[Wiring]:
+    """Every way in which the channels of one kind can be mixed up; beyond four axes one swap or any one or all signs."""
+    for kind in kinds:
+        if count <= _ALL_UP_TO:
+            orders: Iterator[tuple[int, ...]] = iter(permutations(range(count)))
+            for order in orders:
+                for signs in product((1, -1), repeat=count):
+                    if order != tuple(range(count)) or min(signs) < 0:
+                        yield Wiring(kind, order, signs)
+        else:
+            yield from _simple(kind, count)
+
+
+def _simple(kind: str, count: int) -> Iterator[Wiring]:
+    same = tuple(range(count))
+    yield Wiring(kind, same, (-1,) * count)
+    for i in range(count):
+        yield Wiring(kind, same, tuple(-1 if j == i else 1 for j in range(count)))
+    for i, j in combinations(range(count), 2):
+        order = list(same)
+        order[i], order[j] = j, i
+        for one, other in product((1, -1), repeat=2):
+            yield Wiring(kind, tuple(order), tuple(one if n == i else other if n == j else 1 for n in same))
+
+
+def ranked(measured: Responses, expected: Expected, kinds: Sequence[str]) -> list[tuple[float, Wiring, dict[str, float]]]:
+    """All wirings, the record as labelled among them, by rising score plus a little for every changed channel."""
+    rows = []
+    for wiring in (Wiring(), *wirings(kinds, len(measured.mix))):
+        found = shares(measured, expected, wiring)
+        rows.append((score(found) + 0.05 * wiring.changes, wiring, found))
+    return sorted(rows, key=lambda row: row[0])

@@ -1,0 +1,392 @@
+"""Is this record what it says it is? Findings before the identification, so that no wrong number comes out silently.
+
+Signal by signal (data_quality/signals.py), the controller against its own output (data_quality/controller.py), the measured responses
+against the model's for every way the channels could be mixed up (data_quality/channels.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import AmbroseError
+from ambrose.core.sampling import delayed
+from ambrose.core.statespace import StateSpace
+from ambrose.identification.data_quality.channels import (
+    KINDS,
+    Responses,
+    Wiring,
+    expected_responses,
+    measured_responses,
+    ranked,
+    score,
+    shares,
+)
+from ambrose.identification.data_quality.controller import LAGS, ControllerMatch, controller_match, resolution_residual
+from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFinding
+from ambrose.identification.data_quality.signals import signal_findings
+from ambrose.identification.moved_plant import plant_at
+from ambrose.identification.output_error.problem import deployed_controller
+from ambrose.identification.parameters import ratios
+from ambrose.machine.description import Machine
+from ambrose.machine.record.record import Record
+from ambrose.plant.assemble import assemble
+from ambrose.plant.model import Plant
+
+OTHER_DELAY = "the recorded u follows the controller after"
+FAR_FROM_START = "the machine as it is described, with the start values, responds otherwise than the record"
+_RATES = (0.1, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 10.0)  # true over stated
+_SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}  # share of power from which other explanations are tried
+_BETTER = 1.0  # by how much a score must fall: a factor e in what is left unexplained
+_CLEARLY = 3.0  # and the worst of its relations by this factor
+_COARSE = 1.5  # times what the steps of a coarse converter make of the controller's residual
+_MINOR, _OTHER = 0.02, 0.2  # residual of the controller that is no matter, and that of another controller
+
+
+def diagnose_records(
+    machine: Machine,
+    records: Record | Sequence[Record],
+    controller: Any,
+    *,
+    start: Mapping[str, float] | None = None,
+    bending_modes: int = 1,
+    computing_delay: float = 1,
+) -> tuple[RecordFinding, ...]:
+    """What is wrong or doubtful about these records, errors first; () where nothing is. Arguments as ``identify``.
+
+    Looks for: no excitation; dead, clipped, saturated, held, repeated and missing samples; swapped and inverted channels; a
+    wrong sample rate; a record given twice; another controller, delay or channel skew; an excitation that the machine does not
+    follow. Records that do not belong together or to the machine are left to ``identify``, which refuses them.
+    """
+    records = (records,) if isinstance(records, Record) else tuple(records)
+    findings = [finding for n, record in enumerate(records, 1) for finding in signal_findings(machine, record, n)]
+    findings += _twice(records)
+    broken = any(finding.severity == ERROR for finding in findings)
+    alike = len({(record.machine, record.sample_rate_hz) for record in records}) == 1 and records[0].machine == machine.name
+    if alike and not any("no excitation" in finding.what or "never changes" in finding.what for finding in findings):
+        delay = round(computing_delay)
+        for chosen in _by_point(records):
+            begin = _start_at(machine, records, records[chosen[0]], start or {})
+            findings += _loop_findings(machine, records, chosen, controller, begin, bending_modes, delay, broken)
+    return _sorted(findings)
+
+
+def _twice(records: Sequence[Record]) -> list[RecordFinding]:
+    """Records that hold the same samples: they add nothing, and make every interval too narrow."""
+    findings = []
+    for n, record in enumerate(records):
+        for other in range(n):
+            if record.signals == records[other].signals and np.array_equal(record.values, records[other].values):
+                findings.append(
+                    RecordFinding(
+                        ERROR,
+                        f"record {n + 1} is record {other + 1} once more",
+                        f"all {record.values.size} numbers are the same",
+                        "give every record once; repeats are measured anew",
+                    )
+                )
+    return findings
+
+
+def _by_point(records: Sequence[Record]) -> list[list[int]]:
+    """The numbers of the records at each operating point, from 0."""
+    points = [replace(record.point, label="") for record in records]
+    return [
+        [n for n, other in enumerate(points) if other == point] for i, point in enumerate(points) if point not in points[:i]
+    ]
+
+
+def _loop_findings(
+    machine: Machine,
+    records: Sequence[Record],
+    chosen: Sequence[int],
+    controller: Any,
+    start: Mapping[str, float],
+    bending_modes: int,
+    delay: int,
+    broken: bool,
+) -> list[RecordFinding]:
+    """What the records at one operating point show against the model of their loop."""
+    own = [records[n] for n in chosen]
+    try:
+        plant = plant_at(machine, own[0].point, start, bending_modes)
+        law = deployed_controller(plant, controller, own[0].dt, 0)
+    except AmbroseError:  # which identify() explains with all it knows
+        return []
+    measured = measured_responses(own, plant.axes)
+    mixed = [] if measured is None else _wiring_findings(plant, controller, law, measured, own[0], delay)
+    findings = [finding for finding in mixed if finding.severity == ERROR or not broken]
+    if not broken and not any(finding.severity == ERROR for finding in mixed):
+        for n, record in zip(chosen, own, strict=True):
+            findings += _controller_findings(machine, record, n + 1, law, delay)
+    return findings
+
+
+def _start_at(machine: Machine, records: Sequence[Record], record: Record, start: Mapping[str, float]) -> dict[str, float]:
+    """The start values, which hold at the highest pressure of all records, at that of one of them."""
+    if not start:
+        return {}
+    reference = max((other.point for other in records), key=lambda point: abs(point.seal_pressure))
+    factors = ratios(assemble(machine, reference), assemble(machine, record.point), tuple(start))
+    return {path: value * factor for (path, value), factor in zip(start.items(), factors.tolist(), strict=True)}
+
+
+def _sorted(findings: Sequence[RecordFinding]) -> tuple[RecordFinding, ...]:
+    return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
+
+
+def _wiring_findings(
+    plant: Plant, controller: Any, law: StateSpace, measured: Responses, record: Record, delay: int
+) -> list[RecordFinding]:
+    """Mixed-up channels, or another sample rate, or a response that is no response at all."""
+    untouched = _no_trace(measured)
+    if untouched:
+        return untouched
+    expected = expected_responses(plant, delayed(law, delay), measured.omega)
+    now = shares(measured, expected, Wiring())
+    if all(share <= _SUSPECT[relation] for relation, share in now.items()):
+        return []
+    kinds = [kind for kind in KINDS if kind == "e" or kind in measured.values]
+    few = _thinned(measured, 60)
+    expected = expected_responses(plant, delayed(law, delay), few.omega)
+    now = shares(few, expected, Wiring())
+    rows = ranked(few, expected, kinds)
+    best, here = rows[0], score(now)
+    rate = _other_rate(plant, controller, few, delay, record.sample_rate_hz)
+    if rate is not None and rate[0] < min(best[0], here - _BETTER) and _clear(now, rate[2]):
+        return [_rate_finding(record.sample_rate_hz, rate[1], now, rate[2])]
+    if best[1].kind and best[0] < here - _BETTER and _clear(now, best[2]):
+        return [_mixed_finding(plant.axes, rows, now)]
+    return _unexplained(now)
+
+
+def _thinned(measured: Responses, lines: int) -> Responses:
+    """The strongest lines: where the displacements respond most."""
+    strength = np.sum(np.abs(measured.values["y" if "y" in measured.values else "u"]) ** 2, axis=(1, 2))
+    kept = np.sort(np.argsort(strength)[::-1][:lines])
+    return Responses(
+        measured.omega[kept],
+        {kind: values[kept] for kind, values in measured.values.items()},
+        {kind: values[kept] for kind, values in measured.noise.items()},
+        measured.coherence,
+        measured.chance,
+        measured.mix,
+    )
+
+
+def _clear(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
+    """Whether the worst relation of the record as labelled gets clearly better, and none that holds is lost."""
+    worst = max(now, key=lambda relation: now[relation] / _SUSPECT[relation])
+    kept = all(then[relation] <= max(2 * share, _SUSPECT[relation]) for relation, share in now.items())
+    return then[worst] * _CLEARLY < now[worst] and kept
+
+
+def _other_rate(
+    plant: Plant, controller: Any, measured: Responses, delay: int, stated: float
+) -> tuple[float, float, dict[str, float]] | None:
+    """(score, true rate over the stated one, shares) of the rate that explains the responses best; None for a sampled law."""
+    if getattr(controller, "dt", None) is not None:
+        return None
+    rows = []
+    for factor in _RATES:
+        law = deployed_controller(plant, controller, 1 / (factor * stated), delay)
+        found = shares(measured, expected_responses(plant, law, measured.omega * factor), Wiring())
+        rows.append((score(found), factor, found))
+    return min(rows, key=lambda row: row[0])
+
+
+def _rate_finding(stated: float, factor: float, now: Mapping[str, float], then: Mapping[str, float]) -> RecordFinding:
+    return RecordFinding(
+        ERROR,
+        f"the records were not sampled at {stated:g} Hz, as they say, but at about {factor * stated:g} Hz",
+        f"left unexplained of the power: {_compared(now, then, 'as stated', f'at {factor * stated:g} Hz')}",
+        "correct sample_rate_hz; a record that leaves samples out does not show the controller's own rate: record all of them",
+    )
+
+
+def _mixed_finding(
+    axes: Sequence[str], rows: Sequence[tuple[float, Wiring, dict[str, float]]], now: Mapping[str, float]
+) -> RecordFinding:
+    best = rows[0]
+    alike = [row[1] for row in rows[1:] if row[1].kind and row[0] < best[0] + 0.3 and row[1].changes <= best[1].changes]
+    other = f" (or, equally well: {' / '.join(wiring.words(axes) for wiring in alike[:3])})" if alike else ""
+    return RecordFinding(
+        ERROR,
+        f"channels are mixed up: {best[1].words(axes)}{other}",
+        f"left unexplained of the power: {_compared(now, best[2], 'as labelled', 'so corrected')}",
+        f"correct the names or signs of the {KINDS[best[1].kind]} channels (ambrose convert --columns), and check the cables",
+    )
+
+
+_RELATIONS = {
+    "y": "displacements against the model",
+    "u": "controller outputs against the model",
+    "K": "u = K(-y)",
+    "i": "coil currents against the amplifier",
+}
+
+
+def _compared(now: Mapping[str, float], then: Mapping[str, float], one: str, other: str) -> str:
+    return ", ".join(
+        f"{_RELATIONS[name]} {_percent(share)} {one}, {_percent(then[name])} {other}"
+        for name, share in now.items()
+        if abs(share - then[name]) > 0.1 * max(share, then[name])
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def _no_trace(measured: Responses) -> list[RecordFinding]:
+    coherence = float(np.quantile(measured.coherence["y"], 0.98)) if "y" in measured.coherence else 1.0
+    if coherence >= measured.chance:
+        return []
+    return [
+        RecordFinding(
+            ERROR,
+            "the displacements hold no trace of the excitation",
+            f"their coherence with it stays below {coherence:.2f}, and {measured.chance:.2f} would be chance",
+            "check that the recorded excitation reaches the amplifiers, or excite more",
+        )
+    ]
+
+
+def _unexplained(now: Mapping[str, float]) -> list[RecordFinding]:
+    share = now.get("y", 0.0)
+    if share <= _SUSPECT["y"]:
+        return []
+    return [
+        RecordFinding(
+            WARNING,
+            FAR_FROM_START,
+            f"it leaves {_percent(share)} of the displacements' power unexplained",
+            "usual where unknown parameters are far from their start; else it is another machine, point or controller",
+        )
+    ]
+
+
+def _following(record: Record, match: ControllerMatch) -> float | None:
+    """The part of the residual that follows the excitation, over the part of u that does: noise between the controller and the
+    recorder has none. None where the record allows no such estimate."""
+    names = [f"u_{axis}" for axis in match.axes]
+    others = [name for name in record.signals if name[:2] == "e_"]
+    kept = record.select([*names, *others])
+    whole = measured_responses([kept], match.axes)
+    rest = measured_responses([replace(kept, values=np.vstack([match.left, kept.values[len(names) :]]))], match.axes)
+    if whole is None or rest is None:
+        return None
+    size, doubt = (np.sum(np.abs(found.values["u"]) ** 2, axis=(1, 2)) for found in (whole, rest))
+    noise = rest.noise["u"].sum(axis=1)
+    clear = np.argsort(size / np.maximum(noise, 1e-300))[-max(len(size) // 4, 1) :]  # the lines where noise matters least
+    excess = float(doubt[clear].sum() - noise[clear].sum())
+    chance = 3 * float(np.sqrt(np.sum(noise[clear] ** 2)))
+    return float(np.sqrt(max(excess, 0.0) / size[clear].sum())) if excess > chance else 0.0
+
+
+def _controller_findings(machine: Machine, record: Record, number: int, law: StateSpace, delay: int) -> list[RecordFinding]:
+    match = controller_match(machine, record, law)
+    if match is None:
+        return []
+    where = f"record {number}"
+    findings = [*_jump_findings(record, match, where), *_size(match, where)]
+    worst = int(np.argmax(match.least))
+    if findings or match.least[worst] <= _MINOR:
+        return findings + _timing(match, delay, where)
+    if (match.least <= _MINOR + _COARSE * resolution_residual(machine, record, law)).all():
+        return []
+    following = _following(record, match)
+    if following is not None and following <= _MINOR:  # noise between the controller and the recorder
+        return []
+    residual = float(match.least[worst]) if following is None else min(float(match.least[worst]), following)
+    gains = ", ".join(f"{gain:.3g}" for gain in match.gain)
+    return [
+        RecordFinding(
+            ERROR if residual > _OTHER else WARNING,
+            f"{where}: the controller that was given is not the one that ran",
+            f"u_{match.axes[worst]} differs from K(-y) by {100 * residual:.2g} % of its size at the best delay "
+            f"({_samples(int(match.lag[worst]))}); recorded over computed: {gains}",
+            "give the controller of this record, and record every sample of it; one percent of gain is two in the stiffness",
+        )
+    ]
+
+
+def _samples(count: int) -> str:
+    return f"{count} sample{'' if count == 1 else 's'}"
+
+
+def _jump_findings(record: Record, match: ControllerMatch, where: str) -> list[RecordFinding]:
+    """Samples that are missing in all channels, or a disturbed one in a single channel."""
+    if not match.jumps:
+        return []
+    groups: list[list[tuple[int, int]]] = []
+    for axis, at in sorted(match.jumps, key=lambda jump: jump[1]):
+        if groups and at - groups[-1][-1][1] <= 2 * LAGS:
+            groups[-1].append((axis, at))
+        else:
+            groups.append([(axis, at)])
+    places = ", ".join(f"{group[0][1]} (t = {record.time[group[0][1]]:.5g} s)" for group in groups[:5])
+    more = f" and {len(groups) - 5} more" if len(groups) > 5 else ""
+    axes = sorted({axis for group in groups for axis, _ in group})
+    all_axes = len(axes) > 1
+    names = ", ".join(f"y_{match.axes[axis]} or u_{match.axes[axis]}" for axis in axes)
+    what = "samples are missing or inserted" if all_axes else f"{names} has disturbed samples"
+    return [
+        RecordFinding(
+            WARNING if len(groups) <= 5 else ERROR,
+            f"{where}: {what}",
+            f"u stops following K(-y) at sample {places}{more}",
+            "find the gap in the logger, and identify the stretches between as records of their own",
+        )
+    ]
+
+
+def _timing(match: ControllerMatch, delay: int, where: str) -> list[RecordFinding]:
+    """Another delay than assumed, or channels that are recorded at different times."""
+    if delay > LAGS:
+        return []
+    given = match.residual[:, delay]
+    late = [i for i in range(len(match.axes)) if match.lag[i] != delay and match.least[i] < 0.5 * given[i]]
+    if not late:
+        return []
+    lags = {int(match.lag[i]) for i in late}
+    if len(late) == len(match.axes) and len(lags) == 1:
+        lag = lags.pop()
+        return [
+            RecordFinding(
+                WARNING,
+                f"{where}: {OTHER_DELAY} {_samples(lag)}, not {delay}",
+                f"u differs from K(-y) by {100 * float(given.max()):.2g} % after {delay} and by "
+                f"{100 * float(match.least.max()):.2g} % after {_samples(lag)}",
+                f"give {lag} as delay, unless u is recorded before it acts; one sample is 2 to 5 % in the stiffness",
+            )
+        ]
+    names = ", ".join(f"{match.axes[i]} ({_samples(int(match.lag[i]))})" for i in late)
+    return [
+        RecordFinding(
+            WARNING,
+            f"{where}: channels are not recorded at the same time",
+            f"u follows K(-y) best after other delays than {delay} in {names}: from "
+            f"{100 * float(given[late].max()):.2g} % to {100 * float(match.least[late].max()):.2g} %",
+            "shift y or u of these axes by the difference, or record all channels in one scan",
+        )
+    ]
+
+
+def _size(match: ControllerMatch, where: str) -> list[RecordFinding]:
+    """A factor between the recorded and the computed output."""
+    off = [i for i, gain in enumerate(match.gain) if abs(gain - 1) > 0.005 and match.scaled[i] < 0.5 * match.least[i]]
+    if not off:
+        return []
+    names = ", ".join(f"u_{match.axes[i]} is {match.gain[i]:.4g} times K(-y)" for i in off)
+    return [
+        RecordFinding(
+            ERROR if max(abs(match.gain[i] - 1) for i in off) > _OTHER else WARNING,
+            f"{where}: the controller has another gain than the one given",
+            names,
+            "correct the gain or the scale of the channels; every percent of it is two in the negative stiffness",
+        )
+    ]

@@ -1,0 +1,171 @@
+"""What a signal shows by itself: dead, clipped, held or repeated samples, at a limit of the machine, not excited."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFinding
+from ambrose.machine.description import Machine
+from ambrose.machine.record.record import Record
+
+_LONG, _FEW = 3, 2  # samples of a flat top, and how many flat tops make it clipping
+_CROWDED = 4.0  # samples at the extreme over those one step below it: 2.4 at the crest of a sine in coarse steps
+_STEPPED = 1e-3  # share of equal neighbours from which a signal comes in coarse steps
+_SERIOUS = 1e-3  # share of clipped or repeated samples from which a record is refused
+_AT_LIMIT = 0.999
+_STEADY = 0.05  # change of speed or pressure within a record, over its largest
+_MEASURED = ("y", "u", "i")
+
+
+def signal_findings(machine: Machine, record: Record, number: int) -> list[RecordFinding]:
+    """The findings of one record, the ``number``-th of those given; excitations may be constant or two-valued."""
+    where = f"record {number}"
+    findings = _excitation(machine, record, where)
+    shown = [f"{kind}_{axis}" for kind in _MEASURED for axis in machine.axes]
+    shown = [name for name in shown if name in record.signals]
+    for name in shown:
+        if np.ptp(record[name]) == 0:
+            findings.append(
+                RecordFinding(
+                    ERROR,
+                    f"{where}: {name} never changes",
+                    f"all {record.values.shape[1]} samples are {record[name][0]:g}",
+                    "a dead sensor or an unplugged channel: repair it, or leave the signal out of the record",
+                )
+            )
+    moving = [name for name in shown if np.ptp(record[name]) > 0]
+    for name in moving:
+        findings += _at_limit(machine, record, name, where) or _clipped(record, name, where)
+    return [*findings, *_repeated(record, moving, where), *_moving_point(record, where)]
+
+
+def flat_tops(x: np.ndarray) -> tuple[int, float]:
+    """Samples of x (k,) that lie at its clipped extreme, and that extreme; 0 where no extreme looks clipped.
+
+    Clipped: several stretches of equal samples at the extreme, which a smooth signal has nowhere; in a signal of coarse
+    steps, also far more samples there than one step below (a sine has 2.4 times as many in its top step).
+    """
+    best, level = 0, 0.0
+    for sign in (1.0, -1.0):
+        y = sign * x
+        top = y.max()
+        at = y == top
+        edges = np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8)))
+        long = int(((edges[1::2] - edges[::2]) >= _LONG).sum())
+        others = y[~at]
+        if long < _FEW or not others.size:
+            continue
+        stepped = np.mean(np.diff(others) == 0) > _STEPPED
+        below = int((others == others.max()).sum()) if stepped else 0
+        if at.sum() > _CROWDED * below and at.sum() > best:
+            best, level = int(at.sum()), float(sign * top)
+    return best, level
+
+
+def _clipped(record: Record, name: str, where: str) -> list[RecordFinding]:
+    x = record[name]
+    count, level = flat_tops(x)
+    if not count or len(np.unique(x[:20000])) <= 3:  # two or three values alone: a switched signal
+        return []
+    share = count / len(x)
+    unit = record.units[record.signals.index(name)]
+    return [
+        RecordFinding(
+            ERROR if share > _SERIOUS else WARNING,
+            f"{where}: {name} is clipped",
+            f"{count} samples ({100 * share:.2g} %) lie exactly at {level:.4g} {unit}, in flat tops",
+            "reduce the excitation, or widen the range of the sensor or the converter, and measure again",
+        )
+    ]
+
+
+def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[RecordFinding]:
+    """Currents at the bearing's limit, displacements at its touchdown gap."""
+    kind, axis = name.split("_", 1)
+    bearing = machine.bearings[machine.axes.index(axis) // 2]
+    limit, what = (bearing.touchdown_gap, "touchdown gap") if kind == "y" else (bearing.max_current, "largest control current")
+    if limit is None or kind == "i":
+        return []
+    x = record[name]
+    count = int((np.abs(x) >= _AT_LIMIT * limit).sum())
+    if not count:
+        return []
+    unit = record.units[record.signals.index(name)]
+    share = count / len(x)
+    remedy = "reduce the excitation until no signal reaches its limit, and measure again"
+    evidence = f"{count} samples ({100 * share:.2g} %) reach the bearing's {what} of {limit:.4g} {unit}"
+    text = "is saturated" if kind != "y" else "reaches the touchdown bearing"
+    return [RecordFinding(ERROR if share > _SERIOUS or kind == "y" else WARNING, f"{where}: {name} {text}", evidence, remedy)]
+
+
+def _moving_point(record: Record, where: str) -> list[RecordFinding]:
+    """Speed or pressure that changes during the record: the model holds at one operating point."""
+    findings = []
+    for name, unit in zip(record.signals, record.units, strict=True):
+        if name.partition("_")[0] in {"p", "speed"}:
+            low, high = float(record[name].min()), float(record[name].max())
+            if high - low > _STEADY * max(abs(low), abs(high)):
+                findings.append(
+                    RecordFinding(
+                        ERROR,
+                        f"{where}: the operating point changes",
+                        f"{name} goes from {low:.4g} to {high:.4g} {unit}",
+                        "cut the record into stretches at one speed and pressure, and identify those",
+                    )
+                )
+    return findings
+
+
+def _repeated(record: Record, names: list[str], where: str) -> list[RecordFinding]:
+    """All measured channels equal to their last sample at once: a logger that repeats, or a slower rate than stated."""
+    if len(names) < 2:
+        return []
+    values = record.select(names).values
+    same = values[:, 1:] == values[:, :-1]
+    moving = np.flatnonzero(~same.all(axis=0))
+    if not len(moving):
+        return []
+    same = same[:, moving[0] : moving[-1] + 1]  # at rest before and after the experiment
+    both = same.all(axis=0)
+    count, k = int(both.sum()), same.shape[1]
+    alone = (same.sum(axis=1) - count) / max(k - count, 1)
+    expected = k * float(np.prod(np.sort(alone)[:2]))  # of the two that repeat least, by chance
+    if count <= 3 * expected + 0.5:
+        return []
+    share = count / k
+    first = int(np.flatnonzero(both)[0]) + 1 + int(moving[0])
+    evidence = f"{count} of {k} samples repeat the one before in all of {len(names)} channels, first at sample {first}"
+    hold = 1 / (1 - share)
+    if share > 0.3 and abs(hold - round(hold)) < 0.05:
+        rate = record.sample_rate_hz
+        return [
+            RecordFinding(
+                ERROR,
+                f"{where}: the sample rate of {rate:g} Hz is not the one it was measured at",
+                f"every value is held for {round(hold)} samples, as if measured at {rate / round(hold):g} Hz",
+                "record at the controller's rate, or keep every value once and correct sample_rate_hz",
+            )
+        ]
+    remedy = "samples were lost and filled in: find the gaps in the logger, or cut the record there"
+    severity = ERROR if share > _SERIOUS else WARNING
+    return [RecordFinding(severity, f"{where}: samples are repeated in all channels at once", evidence, remedy)]
+
+
+def _excitation(machine: Machine, record: Record, where: str) -> list[RecordFinding]:
+    """No excitation at all, or excitations that are there but never change."""
+    found = [name for name in record.signals if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")]
+    known = [name for name in found if name[:2] == "f_" or name[2:] in machine.axes]
+    if any(np.ptp(record[name]) > 0 for name in known):
+        return []
+    kinds = ", ".join(dict.fromkeys(f"{name.partition('_')[0]}_" for name in record.signals))
+    evidence = f"{', '.join(known)} never change" if known else f"it has signals {kinds} alone"
+    if found and not known:
+        evidence = f"{', '.join(found)} fit no axis of the machine ({', '.join(machine.axes)})"
+    return [
+        RecordFinding(
+            ERROR,
+            f"{where} holds no excitation",
+            evidence,
+            "add a PRBS or chirp to the controller's output and record it as e_<axis>; noise alone tells nothing",
+        )
+    ]

@@ -1,0 +1,197 @@
+"""The machine with its identified parameters written in, each with a tolerance as wide as it is uncertain, and its origin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.identification.output_error.delays import COMMAND, TIMING
+from ambrose.machine.description import BiasPoint, Machine, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
+from ambrose.machine.parameters import Parameter, find_uncertain, parse_parameter
+from ambrose.physics import magnet
+from ambrose.physics.seal import coefficients
+
+
+class Found(Protocol):
+    """What an identification leaves, whatever its method: an Identification, or a StaticLoad."""
+
+    @property
+    def machine(self) -> str: ...
+    @property
+    def point(self) -> OperatingPoint: ...
+    @property
+    def paths(self) -> tuple[str, ...]: ...
+    @property
+    def values(self) -> np.ndarray: ...
+    @property
+    def standard_deviations(self) -> np.ndarray: ...
+
+
+def identified_machine(
+    machine: Machine, result: Found, coverage: float = 1.96, *, origin: str = "", keep_wider: bool = False
+) -> Machine:
+    """The machine with the values found, and tolerances of ``coverage`` standard deviations (1.96: 95 %) relative to them.
+
+    A bearing identified at another bias current than its own gets a row in ``measured``. Tolerances of the same parameters are
+    replaced; keep_wider: not a seal's that is wider than what was found, for it may be the range of operation. A seal holds one
+    coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry, as found or as it was, and
+    the tolerance of the coefficient covers both with their uncertainty. origin: where the values are from, added to
+    ``source``; a delay that was found goes into the controller's settings. Entries of ``assumed`` about a quantity whose every
+    value was identified are taken out. Raises InvalidInput for what a machine cannot hold (a coefficient from a table or a
+    geometry).
+    """
+    if result.machine != machine.name:
+        raise invalid("the machine of the result", repr(result.machine), repr(machine.name), "take the machine it belongs to")
+    check_positive(coverage, "coverage", "1.96 standard deviations cover 95 %")
+    found = _found(machine, result, coverage)
+    values = [(one.parameter, one.value) for one in found]
+    tolerances = [_tolerance(one) for one in found]
+    if keep_wider:
+        stated = {item.parameter: item for item in machine.tolerances}
+        tolerances = [
+            _wider(stated.get(item.parameter), item, one.value) if one.parameter.table == "seal" else item
+            for item, one in zip(tolerances, found, strict=True)
+        ]
+    kept = [item for item in machine.tolerances if not any(parse_parameter(item.parameter).overlaps(p) for p, _ in values)]
+    own = {parameter.quantity: value for parameter, value in values if parameter.table == "amplifier"}
+    couplings = []
+    for item in machine.couplings:
+        mine = _of("coupling", item.name, values)
+        stiffness, damping = _pair(item.stiffness, "stiffness", mine), _pair(item.damping, "damping", mine)
+        couplings.append(replace(item, stiffness=stiffness, damping=damping))
+    pid, delays = machine.controller, dict(zip(result.paths, result.values.tolist(), strict=True))
+    return replace(
+        machine,
+        controller=replace(pid, delay=delays[COMMAND]) if pid is not None and COMMAND in delays else pid,
+        bearings=tuple(_bearing(item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
+        couplings=tuple(couplings),
+        amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
+        seals=tuple(_seal(machine, item, result.point, _of("seal", item.name, values)) for item in machine.seals),
+        tolerances=(*kept, *tolerances),
+        source="; ".join(part for part in (machine.source, origin) if part),
+        assumed=tuple(row for row in machine.assumed if not _settled(machine, row[0], [p for p, _ in values])),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A parameter of the machine file, its value at the operating point and the half-width of its tolerance, SI."""
+
+    parameter: Parameter
+    value: float
+    width: float
+
+
+def _found(machine: Machine, result: Found, coverage: float) -> list[_Found]:
+    """The parameters as a machine file holds them: single entries of a seal's matrices made one coefficient."""
+    single: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    found = []
+    for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
+        if path in TIMING:
+            continue  # no parameter of the machine; the controller's settings take its delay
+        parameter, width = find_uncertain(machine, path), coverage * deviation
+        if parameter.table == "seal" and parameter.component:
+            single.setdefault((parameter.name, parameter.quantity), []).append((value, width))
+        else:
+            found.append(_Found(parameter, value, max(width, 1e-15 * abs(value), 1e-300)))
+    for (name, quantity), entries in single.items():
+        seal = next(item for item in machine.seals if item.name == name)
+        before = getattr(coefficients(seal, result.point.seal_pressure, result.point.speed), quantity)
+        both = [*entries, *[(before, 0.0)] * (2 - len(entries))]
+        mean = float(np.mean([value for value, _ in both]))
+        width = max(abs(value - mean) + width for value, width in both)
+        found.append(_Found(parse_parameter(f"seal.{name}.{quantity}"), mean, max(width, 1e-300)))
+    return found
+
+
+def _tolerance(one: _Found) -> Tolerance:
+    if one.value == 0:
+        return Tolerance(one.parameter.path, absolute=one.width)
+    return Tolerance(one.parameter.path, relative=one.width / abs(one.value))
+
+
+def _wider(stated: Tolerance | None, found: Tolerance, value: float) -> Tolerance:
+    """The wider of the two, both taken at the value found."""
+    if stated is None:
+        return found
+    widths = [(item.absolute or 0.0) + (item.relative or 0.0) * abs(value) for item in (stated, found)]
+    return stated if widths[0] > widths[1] else found
+
+
+def _settled(machine: Machine, key: str, found: Sequence[Parameter]) -> bool:
+    """Whether an entry of ``assumed`` speaks of a quantity ("bearing.force_per_current") all values of which were found."""
+    table, _, rest = key.partition(".")
+    name, _, quantity = rest.rpartition(".")
+    if table == "amplifier":
+        return any(p.table == table and p.quantity == quantity for p in found)
+    tables = {
+        "bearing": [item.name for item in machine.bearings],
+        "coupling": [item.name for item in machine.couplings],
+        "seal": [item.name for item in machine.seals],
+    }
+    names = [name] if name else tables.get(table, [])
+    if not quantity or not names:
+        return False
+
+    def known(item: str) -> bool:
+        mine = [p.component for p in found if (p.table, p.name, p.quantity) == (table, item, quantity)]
+        return "" in mine or {"zeta", "eta"} <= set(mine)
+
+    return all(known(item) for item in names)
+
+
+_Values = Sequence[tuple[Parameter, float]]
+
+
+def _of(table: str, name: str, values: _Values) -> _Values:
+    return [(parameter, value) for parameter, value in values if (parameter.table, parameter.name) == (table, name)]
+
+
+def _pair(pair: Pair, quantity: str, values: _Values) -> Pair:
+    zeta, eta = pair
+    for parameter, value in values:
+        if parameter.quantity == quantity:
+            zeta = value if parameter.component in {"", "zeta"} else zeta
+            eta = value if parameter.component in {"", "eta"} else eta
+    return zeta, eta
+
+
+def _bearing(item: MagneticBearing, point: OperatingPoint, values: _Values) -> MagneticBearing:
+    if not values:
+        return item
+    bias = item.bias_current if point.bias_current is None else point.bias_current
+    before = magnet.linearised(item, bias)
+    k_i = _pair(before.force_per_current, "force_per_current", values)
+    k_s = _pair(before.negative_stiffness, "negative_stiffness", values)
+    if abs(bias - item.bias_current) <= 1e-9 * bias:
+        return replace(item, force_per_current=k_i, negative_stiffness=k_s)
+    others = [row for row in item.measured if abs(row.bias_current - bias) > 1e-9 * bias]
+    rows = sorted([*others, BiasPoint(bias, k_i, k_s)], key=lambda row: row.bias_current)
+    return replace(item, measured=tuple(rows))
+
+
+def _seal(machine: Machine, item: Seal, point: OperatingPoint, values: _Values) -> Seal:
+    changed = {p.quantity: _in_the_file(machine, p, point, value) for p, value in values}
+    return replace(item, **changed)  # type: ignore[arg-type]
+
+
+def _in_the_file(machine: Machine, parameter: Parameter, point: OperatingPoint, value: float) -> float:
+    """A value at the operating point as the machine file holds it: a seal's at its reference pressure."""
+    if parameter.table != "seal":
+        return value
+    item = next(seal for seal in machine.seals if seal.name == parameter.name)
+    if item.geometry is not None and parameter.quantity in {"K", "k", "C", "c"}:
+        remedy = "remove the geometry, or write a table of what was measured (identification/seal/model_updating.py)"
+        raise InvalidInput(f'parameter "{parameter.path}" comes from the geometry of seal {item.name}; {remedy}')
+    if item.table is not None and parameter.quantity in {name for name, _ in item.table.values}:
+        remedy = "remove it from the table, or enter the value there by hand"
+        raise InvalidInput(f'parameter "{parameter.path}" is tabulated over {item.table.axes[0][0]}; {remedy}')
+    if parameter.quantity not in item.scales_with_pressure or item.reference_pressure is None:
+        return value
+    if point.seal_pressure == 0:
+        raise InvalidInput(f'parameter "{parameter.path}" scales with pressure, which was zero; identify it under pressure')
+    return value * item.reference_pressure / point.seal_pressure

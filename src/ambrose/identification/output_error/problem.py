@@ -1,0 +1,252 @@
+"""The records of an identification, checked, beside the models of the loops they were recorded from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, check_finite, invalid
+from ambrose.core.sampling import c2d, delayed
+from ambrose.core.statespace import StateSpace, poles
+from ambrose.identification.excitation import excitation_order
+from ambrose.identification.output_error.delays import COMMAND, EXCITATION, TimedLoop, timed
+from ambrose.identification.output_error.loop_model import ParametricModel, loop_model
+from ambrose.identification.output_error.normal_equations import Task, distinct
+from ambrose.identification.parameters import nominal_values, ratios, split_timing
+from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.record.record import Record
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import named_controller
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import free_mode_reduction
+
+_WINDOW = 16_384  # samples in which an excitation is judged at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """What is to be found and from what: paths (q,) with their values nominal (q,) at the reference ``point``, SI, and
+    their sizes scale (q,).
+
+    tasks: one per record; ``place`` of each is that of its loop in ``models``, one per operating point. sizes (p,): the weights
+    of the fitted ``signals``.
+    """
+
+    paths: tuple[str, ...]
+    nominal: np.ndarray
+    scale: np.ndarray
+    point: OperatingPoint
+    models: tuple[ParametricModel, ...]
+    tasks: tuple[Task, ...]
+    sizes: np.ndarray
+    signals: tuple[str, ...]
+
+
+def experiment(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: Any,
+    unknown: Sequence[str],
+    signals: Sequence[str] | None,
+    weights: Mapping[str, float] | None,
+    bending_modes: int,
+    computing_delay: float,
+    initial_state: bool,
+    offset: bool,
+) -> Experiment:
+    """The experiment that ``closed_loop.identify`` describes; the same arguments. Raises InvalidInput."""
+    points, dt = operating_points(machine, records)
+    _check_delay(computing_delay)
+    reference = max(points, key=lambda point: abs(point.seal_pressure))
+    plants = [free_mode_reduction(assemble(machine, point), bending_modes) for point in points]
+    paths, timing = split_timing(machine, unknown)
+    main = plants[points.index(reference)]
+    shown = fitted_signals(main, records, signals)
+    excitations = driven_inputs(main, records, -(-(len(paths) + len(timing)) // len(shown)))
+    exact = not timing and float(computing_delay).is_integer()
+    law = deployed_controller(main, controller, dt, int(computing_delay) if exact else 0)
+    factors = [np.ones(len(paths)) if plant is main else ratios(main, plant, paths) for plant in plants]
+    found = nominal_values(main, paths)
+    loops = [
+        loop_model(plant, law, paths, factor * found, excitations, shown, factor)
+        for plant, factor in zip(plants, factors, strict=True)
+    ]
+    models = loops if exact else [timed(loop, computing_delay, timing) for loop in loops]
+    sizes = _sizes(records, shown, weights)
+    places = [points.index(replace(record.point, label="")) for record in records]
+    if EXCITATION in timing and not initial_state:
+        text = "the loop has then begun before the first sample that is used"
+        raise invalid("initial_state", False, f"True where {EXCITATION} is unknown", text)
+    tasks = []
+    for record, place in zip(records, places, strict=True):
+        waves, measured = _rows(record, excitations), _rows(record, shown)
+        tail, alike = np.zeros(0), 0
+        model = models[place]
+        if isinstance(model, TimedLoop):
+            waves, measured, tail = model.aligned(waves, measured)
+            alike = model.old_commands
+        tasks.append(Task(*distinct(waves), measured, initial_state, offset, sizes, place, tail, alike))
+    reference = next(record.point for record in records if replace(record.point, label="") == reference)
+    begin = {COMMAND: computing_delay * dt, EXCITATION: 0.0}
+    nominal = np.concatenate([found, [begin[name] for name in timing]])
+    scale = np.where(nominal == 0, 1.0, np.abs(nominal))
+    scale[len(paths) :] = dt
+    return Experiment((*paths, *timing), nominal, scale, reference, tuple(models), tuple(tasks), sizes, shown)
+
+
+def start_values(paths: tuple[str, ...], nominal: np.ndarray, start: Mapping[str, float] | None) -> np.ndarray:
+    """The values (q,) to begin at: the machine's, but for those given by path."""
+    values = nominal.copy()
+    for path, value in (start or {}).items():
+        if path not in paths:
+            raise invalid("a start value's path", repr(path), f"one of {', '.join(paths)}", "write it as in unknown, without *")
+        values[paths.index(path)] = float(check_finite(value, f"the start value of {path}"))
+    return values
+
+
+def slowest(loops: Iterable[StateSpace]) -> float:
+    """The largest modulus of the poles of sampled loops."""
+    return max(float(np.abs(poles(loop)).max()) for loop in loops)
+
+
+def admitted(models: Sequence[ParametricModel], theta: np.ndarray) -> bool:
+    """Whether every delay at theta (q,) is within what its loop can hold."""
+    return all(model.admits(theta) for model in models if isinstance(model, TimedLoop))
+
+
+def check_start(model: ParametricModel | Sequence[ParametricModel], begin: np.ndarray) -> None:
+    """Refuse a start at which a model's loop is unstable."""
+    models = model if isinstance(model, Sequence) else [model]
+    worst = slowest(one.loop(begin)[0] for one in models) if admitted(models, begin) else np.inf
+    if not worst < 1:
+        raise invalid(
+            "the loop at the start values", f"unstable (pole of modulus {worst:.6g})", "stable, as the recorded loop was",
+            "begin with a smaller negative_stiffness or a larger force_per_current, and check controller and computing_delay",
+        )  # fmt: skip
+
+
+def check_records(machine: Machine, records: Sequence[Record]) -> tuple[OperatingPoint, float]:
+    """The one operating point and the sample time [s] that all records share, which are of this machine; else InvalidInput."""
+    points, dt = operating_points(machine, records)
+    if len(points) > 1:
+        raise invalid("an operating point", points[1], f"{points[0]}, that of the first record", "identify each on its own")
+    return records[0].point, dt
+
+
+def operating_points(machine: Machine, records: Sequence[Record]) -> tuple[list[OperatingPoint], float]:
+    """The distinct operating points, without labels, and the sample time [s] of records of this machine; else InvalidInput."""
+    if not records:
+        raise InvalidInput("no record was given; identification needs at least one")
+    first, points = records[0], []
+    for number, record in enumerate(records, 1):
+        if record.machine != machine.name:
+            remedy = "take that machine's file, or correct the record's attribute machine"
+            raise invalid(f"the machine of record {number}", repr(record.machine), repr(machine.name), remedy)
+        if abs(record.sample_rate_hz - first.sample_rate_hz) > 1e-9 * first.sample_rate_hz:
+            raise invalid(
+                f"the sample rate of record {number}", f"{record.sample_rate_hz:g} Hz",
+                f"{first.sample_rate_hz:g} Hz, that of the first", "identify them one by one",
+            )  # fmt: skip
+        point = replace(record.point, label="")
+        if point not in points:
+            points.append(point)
+    return points, first.dt
+
+
+def fitted_signals(plant: Plant, records: Sequence[Record], signals: Sequence[str] | None) -> tuple[str, ...]:
+    """The names of the signals to fit, every y_<axis> for None. Raises InvalidInput for those that no record has."""
+    possible = [f"{kind}_{axis}" for kind in "yui" for axis in plant.axes]
+    wanted = tuple(f"y_{axis}" for axis in plant.axes) if signals is None else tuple(signals)
+    for name in wanted:
+        if name not in possible or wanted.count(name) > 1:
+            raise invalid("a fitted signal", repr(name), f"one of {', '.join(possible)}, once", "correct signals")
+        for number, record in enumerate(records, 1):
+            if name not in record.signals:
+                known = ", ".join(record.signals)
+                raise InvalidInput(f"record {number} has no signal {name}; it has {known}; pass signals= with those to fit")
+    if not wanted:
+        raise InvalidInput("no signal is fitted; name at least one in signals")
+    return wanted
+
+
+def driven_inputs(plant: Plant, records: Sequence[Record], order: int) -> tuple[str, ...]:
+    """The inputs driven in any record, after checking that each record excites enough."""
+    possible = [f"e_{axis}" for axis in plant.axes] + [f"f_{port}" for port in plant.ports]
+    driven = [name for name in possible if any(name in r.signals and r[name].any() for r in records)]
+    for number, record in enumerate(records, 1):
+        active = [name for name in driven if name in record.signals and np.ptp(record[name]) > 0]
+        if not active:
+            raise InvalidInput(
+                f"record {number} holds no excitation: none of e_<axis>, f_<port> changes in it, and noise alone tells nothing "
+                "about the machine; add a PRBS or chirp to the controller's output and record it as e_<axis>"
+            )
+        found = {name: _order(record[name], order) for name in active}
+        best = max(active, key=found.__getitem__)
+        if found[best] < order:
+            raise invalid(
+                f"the order of persistent excitation of {best}", found[best], f"at least {order}",
+                "excite with a PRBS, a chirp or more sines, and each axis on its own",
+            )  # fmt: skip
+    return tuple(driven)
+
+
+def _order(signal: np.ndarray, order: int) -> int:
+    """The order of persistent excitation of a signal (k,), at most ``order``, in its best window."""
+    best = 0
+    for start in range(0, len(signal), _WINDOW):
+        best = max(best, excitation_order(signal[None, start : start + _WINDOW], order))
+        if best >= order:
+            break
+    return best
+
+
+def deployed_controller(plant: Plant, controller: Any, dt: float, delay: int) -> StateSpace:
+    """The controller as it runs every ``dt`` [s]: sampled by Tustin's map if it is continuous, ``delay`` samples late.
+
+    Raises InvalidInput for a controller of another size or rate.
+    """
+    _check_delay(delay)
+    if not float(delay).is_integer():
+        raise invalid("computing_delay", delay, "a whole number of samples", "take closed_loop.identify for parts of a sample")
+    law = named_controller(plant, controller)
+    if law.dt is None:
+        law = c2d(law, dt, method="tustin")
+    elif abs(law.dt - dt) > 1e-6 * dt:
+        raise invalid(
+            "the records' sample rate", f"{1 / dt:g} Hz", f"the controller's {1 / law.dt:g} Hz",
+            "record at the controller's rate, or pass the continuous controller",
+        )  # fmt: skip
+    return delayed(StateSpace(law.A, law.B, law.C, law.D, law.inputs, law.outputs, dt), int(delay))
+
+
+def _check_delay(delay: float) -> None:
+    if isinstance(delay, bool) or not isinstance(delay, int | float | np.integer) or not 0 <= delay <= 20:
+        raise invalid("computing_delay", repr(delay), "a number of samples, 0 to 20", "0 or 1 is usual")
+
+
+def _sizes(records: Sequence[Record], signals: tuple[str, ...], weights: Mapping[str, float] | None) -> np.ndarray:
+    sizes = np.array([max(_spread(record[name]) for record in records) for name in signals])
+    for name, value in (weights or {}).items():
+        if name not in signals or not value > 0:
+            raise invalid(f"the weight {name!r}", value, f"positive, for one of {', '.join(signals)}", "correct weights")
+        sizes[signals.index(name)] = value
+    for name, size in zip(signals, sizes, strict=True):
+        if size == 0:
+            raise InvalidInput(f"signal {name} never changes: a dead sensor or channel; leave it out of signals")
+    return sizes
+
+
+def _spread(signal: np.ndarray) -> float:
+    """The standard deviation, without a copy of a long signal."""
+    mean = float(signal.mean())
+    squares = sum(float(np.sum((signal[i : i + _WINDOW] - mean) ** 2)) for i in range(0, len(signal), _WINDOW))
+    return float(np.sqrt(squares / len(signal)))
+
+
+def _rows(record: Record, names: Sequence[str]) -> list[np.ndarray]:
+    """The signals (k,), as views; zeros that take no memory for those that the record lacks."""
+    zeros = np.broadcast_to(0.0, (record.values.shape[1],))
+    return [record.values[record.signals.index(name)] if name in record.signals else zeros for name in names]

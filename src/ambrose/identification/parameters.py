@@ -1,0 +1,108 @@
+"""The unknown parameters of a machine: paths with "*" spelled out, their values, and the machine with those found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.identification.output_error.delays import COMMAND, TIMING
+from ambrose.machine.description import Machine
+from ambrose.machine.parameters import QUANTITIES, find_uncertain
+from ambrose.plant.model import Plant
+from ambrose.plant.uncertainty import channels
+
+
+def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
+    """The paths with every "*" replaced by all names (second part), both axes (fourth part) or a seal's entries:
+    "bearing.*.negative_stiffness.*", "seal.*.K_*".
+
+    Raises InvalidInput for a path that leads nowhere, and for two that name the same number.
+    """
+    if isinstance(paths, str):
+        paths = [paths]
+    names = {
+        "bearing": [item.name for item in machine.bearings],
+        "seal": [item.name for item in machine.seals],
+        "coupling": [item.name for item in machine.couplings],
+    }
+    found: list[str] = []
+    for path in paths:
+        parts = path.split(".")
+        spelled = [parts]
+        if len(parts) > 1 and parts[1] == "*":
+            spelled = [[parts[0], name, *parts[2:]] for name in names.get(parts[0], [])]
+        letter = parts[2].removesuffix("_*") if len(parts) > 2 else ""
+        if parts[0] == "seal" and letter != parts[-1] and letter in QUANTITIES["seal"]:
+            spelled = [[*item[:2], f"{letter}_{entry}"] for item in spelled for entry in QUANTITIES["seal"][letter][1]]
+        if len(parts) > 3 and parts[3] == "*":
+            spelled = [[*item[:3], axis] for item in spelled for axis in ("zeta", "eta")]
+        if not spelled:
+            raise InvalidInput(f'parameter "{path}" names nothing: the machine has no [[{parts[0]}]]')
+        found += [".".join(item) for item in spelled]
+    if not found:
+        raise InvalidInput("no unknown parameter was named; give paths such as bearing.*.negative_stiffness.*")
+    parameters = [find_uncertain(machine, path) for path in found]
+    for i, one in enumerate(parameters):
+        for other in parameters[:i]:
+            if one.overlaps(other):
+                raise InvalidInput(f'parameters "{other.path}" and "{one.path}" are the same number; name it once')
+    return tuple(found)
+
+
+def split_timing(machine: Machine, paths: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The machine's parameters among ``paths``, with "*" spelled out, and those of timing: "controller.delay" (or "delay")
+    and "excitation.delay". Raises InvalidInput as ``expand`` does."""
+    paths = [paths] if isinstance(paths, str) else paths
+    named = [COMMAND if path == "delay" else path for path in paths]
+    timing = [path for path in named if path in TIMING]
+    for path in set(timing):
+        if timing.count(path) > 1:
+            raise InvalidInput(f'parameter "{path}" is named twice; name it once')
+    rest = [path for path in named if path not in TIMING]
+    return expand(machine, rest) if rest or not timing else (), tuple(timing)
+
+
+def nominal_values(plant: Plant, paths: Sequence[str]) -> np.ndarray:
+    """The values (q,) of the parameters at ``paths`` at the plant's operating point, SI.
+
+    Raises InvalidInput for a path that names two different numbers (both axes of a bearing).
+    """
+    values = []
+    for path in paths:
+        nominal = {channel.nominal for channel in channels(plant, path)}
+        if len(nominal) > 1:
+            text = " and ".join(f"{value:g}" for value in sorted(nominal))
+            raise invalid(f'parameter "{path}"', f"{text} on the two axes", "one number", f'write "{path}.*", each on its own')
+        values.append(nominal.pop())
+    return np.array(values)
+
+
+def ratios(reference: Plant, plant: Plant, paths: Sequence[str]) -> np.ndarray:
+    """By what each parameter (q,) of ``reference`` is to be multiplied at another operating point of the same machine.
+
+    A coefficient of a seal that follows the pressure keeps its law and shares the value at the reference; couplings and
+    amplifiers do not change. Raises InvalidInput for a bearing whose bias differs (its gain and stiffness are then other
+    numbers, tied by no law that a record could confirm), and for a coefficient that only exists at one of the points.
+    """
+    factors = np.ones(len(paths))
+    for i, path in enumerate(paths):
+        parameter = find_uncertain(reference.machine, path)
+        if parameter.table == "bearing":
+            bearing = next(item for item in reference.machine.bearings if item.name == parameter.name)
+            bias = [bearing.bias_current if p.bias_current is None else p.bias_current for p in (reference.point, plant.point)]
+            if abs(bias[0] - bias[1]) > 1e-9 * abs(bias[0]):
+                raise invalid(
+                    f'parameter "{path}" at the bias {bias[1]:g} A', "another number", f"that at {bias[0]:g} A",
+                    "identify each bias current on its own, or take the bearings as known in this fit",
+                )  # fmt: skip
+        here, there = nominal_values(reference, [path])[0], nominal_values(plant, [path])[0]
+        if here != 0:
+            factors[i] = there / here
+        elif there != 0:
+            raise invalid(
+                f'parameter "{path}"', f"zero at the first operating point and {there:g} at another", "non-zero at the first",
+                "identify the points one by one",
+            )  # fmt: skip
+    return factors

@@ -1,0 +1,284 @@
+"""Seal coefficients frequency by frequency from stepped sines in closed loop: no controller, no noise model, no iteration.
+
+At a frequency the measured displacements and the magnets' forces are phasors. The rotor with bearings and couplings, but
+without the seal, says which force at the seal is missing, f = H_ys^-1 (y - H_yb F_b), and how the rotor moves there; the
+dynamic stiffness Z = K + j w C of the seal is what turns one into the other, f = -Z q. Whatever acts on both (controller,
+pressure, noise that does not repeat) drops out. What the model lacks shows as a Z without pressure, and is taken off
+(P4, Fig. 12).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.frf.phasors import Phasors, Step, find_steps, phasors
+from ambrose.identification.seal.result import SealFit
+from ambrose.machine.description import Machine, OperatingPoint, Seal
+from ambrose.machine.record.record import Record
+from ambrose.physics import amplifier, magnet, sensor
+from ambrose.plant.assemble import assemble, seal_coefficients
+
+CURRENTS = ("measured", "commanded")
+_ONE_DIRECTION = 1e-3  # of the larger singular value: below, the motions at the seal do not span the plane
+_NEAR_SPEED = 1.0  # [Hz]
+_UNSURE = 0.3  # standard deviation over value that is worth a warning
+_UNDECIDABLE = 1e-6  # eigenvalue of the scaled normal matrix of K, k, C, c
+
+
+def identify(
+    machine: Machine,
+    records: Sequence[Record],
+    *,
+    seal: str | None = None,
+    steps: Sequence[Step] | None = None,
+    settle: float = 0.3,
+    currents: str | None = None,
+    reference: bool = True,
+) -> SealFit:
+    """The coefficients of a seal at every pressure and frequency of the records.
+
+    records: closed-loop records with y_<axis> [m] and i_<axis> [A] or u_<axis> and e_<axis> [A], one or several per pressure
+    (record.point.seal_pressure); several directions of excitation give all eight entries. seal: its name, where there are
+    several. steps: the schedule of all records (None: found in each). settle [s]: left out at the begin of each step. currents:
+    "measured" coil currents or "commanded" ones through the amplifier's model (None: measured where recorded). reference: the
+    records at zero pressure tell what the model lacks, which is taken off all others and reported as ``systematic``; without,
+    the machine must be exact. Raises InvalidInput.
+    """
+    name = seal_name(machine, seal)
+    if not records:
+        raise InvalidInput("no record was given; stepped sines need at least one per pressure")
+    for number, record in enumerate(records, 1):
+        if record.machine != machine.name:
+            raise invalid(f"the machine of record {number}", repr(record.machine), repr(machine.name), "take its own file")
+    groups: dict[float, list[Record]] = {}
+    for record in records:
+        groups.setdefault(record.point.seal_pressure, []).append(record)
+    if reference and 0.0 not in groups:
+        raise InvalidInput("no record was taken without pressure; add one, or pass reference=False and trust the model")
+    found = {pressure: _at_pressure(machine, name, groups[pressure], steps, settle, currents) for pressure in sorted(groups)}
+    lacking = _lacking(machine, name, found[0.0], groups[0.0][0].point) if reference else {}
+    rows = [
+        (pressure, _corrected(item, lacking, found[0.0] if reference else []))
+        for pressure, items in found.items() for item in items
+        if not lacking or (pressure and _key(item.frequency) in lacking)
+    ]  # fmt: skip
+    if not rows:
+        raise InvalidInput(
+            "no frequency was driven both with and without pressure; add records under pressure, with the same frequencies"
+        )
+    return replace(_result(machine, name, rows), warnings=_warnings(records, rows))
+
+
+def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]) -> tuple[str, ...]:
+    """What makes rows doubtful: unbalance at the same frequency, and k lost in noise."""
+    texts = []
+    speeds = {abs(record.point.speed) for record in records if record.point.speed}
+    for w in dict.fromkeys(item.frequency for _, item in rows):
+        for speed in speeds:
+            if abs(w - speed) < _NEAR_SPEED * 2 * np.pi:
+                texts.append(
+                    f"the step at {w / 2 / np.pi:g} Hz lies at the speed of {speed / 2 / np.pi:g} Hz, where unbalance answers "
+                    "too; leave it out, or take records with and without excitation"
+                )
+    for pressure, item in rows:
+        k, deviation = item.pair[1].real, float(np.std(item.pairs[:, 1].real, ddof=1)) / len(item.pairs) ** 0.5
+        if deviation > _UNSURE * abs(k):
+            texts.append(
+                f"at {pressure:g} Pa and {item.frequency / 2 / np.pi:g} Hz k = {k:.3g} has the standard deviation "
+                f"{deviation:.2g}: the motion drowns in noise; excite more, dwell longer, or leave the frequency out"
+            )
+    return tuple(texts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stiffness:
+    """Z at one pressure and frequency: symmetric (direct, cross) complex and, or NaN, the matrix (2, 2); per block too."""
+
+    frequency: float
+    pair: np.ndarray  # (2,)
+    matrix: np.ndarray  # (2, 2)
+    pairs: np.ndarray  # (b, 2)
+    matrices: np.ndarray  # (b, 2, 2)
+    normal: np.ndarray  # (4, 4) J'J of K, k, C, c
+    taken_off: np.ndarray  # (2,)
+
+
+def _at_pressure(
+    machine: Machine, name: str, records: list[Record], steps: Sequence[Step] | None, settle: float, currents: str | None
+) -> list[_Stiffness]:
+    schedules = [find_steps(record) if steps is None else tuple(steps) for record in records]
+    keys = [key for key in dict.fromkeys(_key(s.frequency) for plan in schedules for s in plan)]
+    point = records[0].point
+    model = _Model(machine, name, point, np.array(keys), records[0].dt)
+    result = []
+    for i, key in enumerate(keys):
+        pairs = [(r, s) for r, plan in zip(records, schedules, strict=True) for s in plan if _key(s.frequency) == key]
+        driven = [_measure(machine, record, step, settle, currents) for record, step in pairs]
+        result.append(_stiffness(model, i, driven))
+    return sorted(result, key=lambda item: item.frequency)
+
+
+def _key(frequency: float) -> float:
+    """Frequencies [rad/s] found in several records are one when they agree to 0.01 Hz or better."""
+    return 2 * np.pi * round(frequency / 2 / np.pi, 2)
+
+
+def _measure(machine: Machine, record: Record, step: Step, settle: float, currents: str | None) -> tuple[Phasors, bool]:
+    axes = machine.axes
+    measured = currents == "measured" or (currents is None and all(f"i_{a}" in record.signals for a in axes))
+    if currents not in (None, *CURRENTS):
+        raise invalid("currents", repr(currents), " or ".join(CURRENTS), "correct it")
+    names = [f"y_{a}" for a in axes] + [f"{kind}_{a}" for kind in ("i" if measured else "ue") for a in axes]
+    known = [name for name in names if name in record.signals or not name.startswith("e_")]
+    return phasors(record, step, known, settle), measured
+
+
+class _Model:
+    """The rotor on bearings and couplings without the seal, at the frequencies (f,) [rad/s] of the steps."""
+
+    def __init__(self, machine: Machine, name: str, point: OperatingPoint, omega: np.ndarray, dt: float) -> None:
+        seals = tuple(Seal(item.name, item.position) if item.name == name else item for item in machine.seals)
+        bare = replace(machine, seals=seals, tolerances=())
+        plant = assemble(bare, point)
+        b, s = [f"f_{a}" for a in machine.axes], [f"f_{name}_x", f"f_{name}_y"]
+        sensed, moved = [f"s_{a}" for a in machine.axes], [f"q_{name}_x", f"q_{name}_y"]
+        H = frequency_response(select(plant.rotor, [*b, *s], [*sensed, *moved]), omega).values
+        lag = frequency_response(sensor.linearised(machine.sensors, machine.axes), omega).values
+        n = len(b)
+        self.omega, self.axes = omega, machine.axes
+        self.measured_by_force = lag @ H[:, :n, :n]
+        self.measured_by_seal = lag @ H[:, :n, n:]
+        self.moved_by_force, self.moved_by_seal = H[:, n:, :n], H[:, n:, n:]
+        self.k_i = np.concatenate([magnet.linearised(item, point.bias_current).force_per_current for item in machine.bearings])
+        hold = (1 - np.exp(-1j * omega * dt)) / (1j * omega * dt)
+        drive: StateSpace = amplifier.linearised(machine.amplifier, machine.axes)
+        self.current_by_command = frequency_response(drive, omega).values * hold[:, None, None]
+
+    def seal_force(self, i: int, driven: tuple[Phasors, bool], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force on the rotor and displacement at the seal, (2,) each, from the signals' phasors (s,) at frequency i."""
+        item, measured = driven
+        at = dict(zip(item.signals, values, strict=True))
+        y = np.array([at[f"y_{a}"] for a in self.axes])
+        if measured:
+            current = np.array([at[f"i_{a}"] for a in self.axes])
+        else:
+            command = np.array([at[f"u_{a}"] + at.get(f"e_{a}", 0.0) for a in self.axes])
+            current = self.current_by_command[i] @ command
+        force = self.k_i * current
+        f, *_ = np.linalg.lstsq(self.measured_by_seal[i], y - self.measured_by_force[i] @ force, rcond=None)
+        return f, self.moved_by_force[i] @ force + self.moved_by_seal[i] @ f
+
+
+def _stiffness(model: _Model, i: int, driven: list[tuple[Phasors, bool]]) -> _Stiffness:
+    """Z from all experiments at one frequency, from the means and again from every block."""
+    omega = float(model.omega[i])
+
+    def solve(values: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        f, q = (np.stack(part, axis=1) for part in zip(*map(model.seal_force, [i] * len(driven), driven, values), strict=True))
+        A = np.concatenate([np.stack([q[0], q[1]], axis=1), np.stack([q[1], -q[0]], axis=1)])  # f = -Z q, row by row
+        pair, *_ = np.linalg.lstsq(A, -np.concatenate([f[0], f[1]]), rcond=None)
+        size = np.linalg.svd(q, compute_uv=False)
+        whole = len(size) == 2 and q.shape[1] > 1 and size[1] > _ONE_DIRECTION * size[0]
+        return pair, -f @ np.linalg.pinv(q) if whole else np.full((2, 2), np.nan + 1j * np.nan), A
+
+    pair, matrix, A = solve([item.mean for item, _ in driven])
+    J = np.column_stack([A, 1j * omega * A])
+    normal = np.real(J.conj().T @ J)
+    size = np.sqrt(np.diag(normal))
+    if np.linalg.eigvalsh(normal / size / size[:, None])[0] < _UNDECIDABLE:
+        raise NumericalFailure(
+            f"at {omega / 2 / np.pi:g} Hz the rotor whirls in a circle at the seal, where direct and cross-coupled "
+            "coefficients cannot be told apart; excite along both axes, in records of their own"
+        )
+    count = min(len(item.blocks) for item, _ in driven)
+    parts = [solve([item.blocks[b] for item, _ in driven]) for b in range(count)]
+    return _Stiffness(
+        omega, pair, matrix, np.array([p[0] for p in parts]), np.array([p[1] for p in parts]), normal, np.zeros(2, complex)
+    )
+
+
+def _lacking(
+    machine: Machine, name: str, items: list[_Stiffness], point: OperatingPoint
+) -> dict[float, tuple[np.ndarray, np.ndarray]]:
+    """Per frequency, pair (2,) and matrix (2, 2) found at zero pressure beyond what the machine states there."""
+    item = next(one for one in machine.seals if one.name == name)
+    result = {}
+    for found in items:
+        w = found.frequency
+        own = seal_coefficients(item, replace(point, whirl_frequency=w))
+        a, b = own.K + 1j * w * own.C, own.k + 1j * w * own.c
+        result[_key(w)] = (found.pair - np.array([a, b]), found.matrix - np.array([[a, b], [-b, a]]))
+    return result
+
+
+def _corrected(item: _Stiffness, lacking: dict[float, Any], zero: list[_Stiffness]) -> _Stiffness:
+    if not lacking:
+        return item
+    pair, matrix = lacking[_key(item.frequency)]
+    matrix = np.where(np.isnan(matrix), 0.0, matrix) if np.isnan(item.matrix).any() else matrix
+    shifted = replace(item, pair=item.pair - pair, matrix=item.matrix - matrix, taken_off=pair)
+    other = next((one for one in zero if _key(one.frequency) == _key(item.frequency)), None)
+    if other is None:
+        return shifted
+    return replace(shifted, pairs=_widened(item.pairs, other.pairs), matrices=_widened(item.matrices, other.matrices))
+
+
+def _widened(own: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Blocks whose mean has the scatter of the difference: own blocks less those of the reference, in their order."""
+    count = min(len(own), len(other))
+    return own[:count] - other[:count]
+
+
+def _result(machine: Machine, name: str, rows: list[tuple[float, _Stiffness]]) -> SealFit:
+    items = [item for _, item in rows]
+    omega = np.array([item.frequency for item in items])
+    normal = np.array([item.normal for item in items])
+    size = np.sqrt(np.einsum("nii->ni", normal))
+    cosine = normal / size[:, :, None] / size[:, None, :]
+    inverse = np.linalg.inv(cosine)
+    scale = np.sqrt(np.einsum("nii->ni", inverse))
+    taken = np.array([item.taken_off for item in items])
+    return SealFit(
+        machine.name, name, np.array([pressure for pressure, _ in rows]), omega,
+        _four(np.array([item.pair for item in items]), omega),
+        np.array([_deviation(_four(item.pairs, np.full(len(item.pairs), item.frequency))) for item in items]),
+        _eight(np.array([item.matrix for item in items]), omega),
+        np.array([_deviation(_eight(item.matrices, np.full(len(item.matrices), item.frequency))) for item in items]),
+        cosine, inverse / scale[:, :, None] / scale[:, None, :], _four(taken, omega),
+        "stepped sine" + (", less the reference without pressure" if taken.any() else ""),
+    )  # fmt: skip
+
+
+def _four(pairs: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """K, k, C, c (n, 4) of pairs (n, 2) = K + j w C, k + j w c."""
+    return np.column_stack([pairs.real, pairs.imag / omega[:, None]])
+
+
+def _eight(matrices: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """The eight entries (n, 8) of matrices (n, 2, 2)."""
+    signed = np.column_stack([matrices[:, 0, 0], matrices[:, 0, 1], -matrices[:, 1, 0], matrices[:, 1, 1]])
+    stiffness, damping = signed.real, signed.imag / omega[:, None]
+    return np.column_stack([stiffness, damping[:, 0], damping[:, 1], damping[:, 2], damping[:, 3]])
+
+
+def _deviation(blocks: np.ndarray) -> np.ndarray:
+    """Standard deviation (p,) of the mean over blocks (b, p)."""
+    return blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
+
+
+def seal_name(machine: Machine, seal: str | None) -> str:
+    """The name of the seal meant: the only one, or the one named. Raises InvalidInput."""
+    names = [item.name for item in machine.seals]
+    if seal is None and len(names) == 1:
+        return names[0]
+    if seal not in names:
+        known = ", ".join(names) or "none"
+        raise invalid("seal", repr(seal), f"one of the machine's seals: {known}", "name the one that is identified")
+    return str(seal)

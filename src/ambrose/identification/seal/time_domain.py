@@ -1,0 +1,125 @@
+"""Seal coefficients from any excitation, pressure by pressure: the time-domain fit with all else known (P5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
+from ambrose.identification.output_error import closed_loop
+from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.output_error.summary import HARDLY_VISIBLE
+from ambrose.identification.seal.result import COEFFICIENTS, ENTRIES, SealFit
+from ambrose.identification.seal.stepped_sine import seal_name
+from ambrose.machine.description import Machine
+from ambrose.machine.record.record import Record
+from ambrose.plant.assemble import seal_coefficients
+
+# Which entries make a coefficient of the symmetric model: their mean.
+_MEMBERS = {"K": ("K_xx", "K_yy"), "k": ("k_xy", "k_yx"), "C": ("C_xx", "C_yy"), "c": ("c_xy", "c_yx")}
+
+
+def identify(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: Any,
+    *,
+    seal: str | None = None,
+    coefficients: Sequence[str] = COEFFICIENTS,
+    entries: bool = False,
+    together: bool = True,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> SealFit:
+    """The coefficients of a seal at every pressure of the records (record.point.seal_pressure): impulses, PRBS, chirps, sines.
+
+    machine: with everything else known, its bearings identified without pressure first. controller and options: as
+    closed_loop.identify. coefficients: those sought, the others stay the machine's. entries: all eight of the matrices (excite
+    along both axes). together: one row per pressure from all its records; False: a row per record, so that repeats show how
+    far they scatter. Without pressure a coefficient may well be zero, so that it is hardly visible is no warning there. Raises
+    InvalidInput, and NumericalFailure where a fit does not converge.
+    """
+    name = seal_name(machine, seal)
+    unknown = [c for c in coefficients if c not in COEFFICIENTS]
+    if unknown or not coefficients:
+        raise invalid("coefficients", list(coefficients), f"some of {', '.join(COEFFICIENTS)}", "correct them")
+    if not records:
+        raise InvalidInput("no record was given; give at least one per pressure")
+    paths = [f"seal.{name}.{part}" for part in (ENTRIES if entries else coefficients)]
+    groups: dict[Any, list[Record]] = {}
+    for number, record in enumerate(records):
+        groups.setdefault((record.point.seal_pressure, 0 if together else number), []).append(record)
+    rows, warnings = [], []
+    found: Identification | None = None
+    for (pressure, _), group in sorted(groups.items(), key=lambda item: item[0]):
+        if progress is not None:
+            progress(f"seal {name} at {pressure:g} Pa, {len(group)} record{'s' * (len(group) > 1)}")
+        found = _converged(machine, group, controller, paths, found, options)
+        rows.append(_row(machine, name, found, entries))
+        warnings += [f"at {pressure:g} Pa: {text}" for text in found.warnings if pressure or HARDLY_VISIBLE not in text]
+    values, deviations, eight, eight_deviations, cosine, correlation = (np.array(part) for part in zip(*rows, strict=True))
+    pressure = np.array([pressure for pressure, _ in sorted(groups)])
+    return SealFit(
+        machine.name, name, pressure, np.full(len(rows), np.nan), values, deviations, eight, eight_deviations, cosine,
+        correlation, np.zeros((len(rows), 4)), "records in the time domain", tuple(warnings),
+    )  # fmt: skip
+
+
+def _converged(
+    machine: Machine,
+    records: list[Record],
+    controller: Any,
+    paths: list[str],
+    before: Identification | None,
+    options: dict[str, Any],
+) -> Identification:
+    """The fit from the start asked for, else from what was found at the pressure below, else from the machine's values.
+
+    Near the stability limit a response rings so long that a start far off leads nowhere. Raises NumericalFailure.
+    """
+    starts: list[Any] = [options.get("start")]
+    if before is not None:
+        starts.append(dict(zip(before.paths, before.values.tolist(), strict=True)))
+    if starts[0] is not None:
+        starts.append(None)
+    refused: list[InvalidInput] = []
+    for start in starts:
+        try:
+            found = closed_loop.identify(machine, records, controller, paths, **{**options, "start": start})
+        except InvalidInput as error:  # the loop is unstable there, for instance
+            refused.append(error)
+            continue
+        if found.converged:
+            return found
+    if len(refused) == len(starts):
+        raise refused[0]
+    raise NumericalFailure(
+        f"the fit at {records[0].point.seal_pressure:g} Pa did not converge from {len(starts)} starts; pass start= nearer "
+        "to the truth, excite more, or leave out pressures at which the loop hardly is stable"
+    )
+
+
+def _row(machine: Machine, name: str, found: Identification, entries: bool) -> tuple[np.ndarray, ...]:
+    """Values, deviations (4,), entries, their deviations (8,), cosine, correlation (4, 4)."""
+    item = next(one for one in machine.seals if one.name == name)
+    own = seal_coefficients(item, found.point)
+    letters = [path.rpartition(".")[2] for path in found.paths]
+    mix = np.zeros((4, len(letters)))
+    for i, letter in enumerate(COEFFICIENTS):
+        members = _MEMBERS[letter] if entries else (letter,)
+        for member in members:
+            if member in letters:
+                mix[i, letters.index(member)] = 1 / len(members)
+    sought = mix.any(axis=1)
+    values = np.where(sought, mix @ found.values, [getattr(own, letter) for letter in COEFFICIENTS])
+    deviations = np.sqrt(np.einsum("ij,jk,ik->i", mix, found.covariance, mix))
+    eight, eight_deviations = np.full((2, 8), np.nan)
+    cosine, correlation = np.full((2, 4, 4), np.nan)
+    if entries:
+        eight, eight_deviations = found.values, found.standard_deviations
+    else:
+        place = np.ix_(*2 * [[COEFFICIENTS.index(letter) for letter in letters]])
+        cosine[place], correlation[place] = found.column_cosine, found.correlation
+    return values, deviations, eight, eight_deviations, cosine, correlation

@@ -1,0 +1,265 @@
+"""K_i from static loads: known forces on the levitated rotor, held by the controller's integrator; slope of force over current.
+
+The bearing forces follow from statics alone: with the displacement at the sensors known, the balance of forces and moments of
+the (flexible) rotor on its couplings and seals leaves exactly one force per control axis,
+
+    K q = N_f' F + N_b' f_b,   S q = y,      K: rotor, couplings and seals without the magnets,
+
+and k_i is the slope of f_b - k_s q_b over the control current: where the integrator holds the rotor the second term is small,
+and zero in paper P2 (section 5), whose A x = b this is. A chord over the loads, where identification from small motion
+(output_error/closed_loop.py) finds the tangent at the working point: the two part where the iron saturates, which ``local`` shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import InvalidInput, check_shape, invalid
+from ambrose.identification.static_load.levels import Levels, steady_levels
+from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.record.record import Record
+from ambrose.physics import magnet
+from ambrose.physics.rotor import finite_element_rotor
+from ambrose.plant.assemble import attached_rotor, bending_modes_of
+
+_BENDING = 20  # modes per plane that make the rotor's static flexibility; more change nothing
+_MOVED = 0.05  # share of the magnet's force that comes from displacement, above which K_s must be well known
+_LINEAR = 0.01  # probability below which the straight line is rejected
+_SIDED = 0.1  # of the largest load: less on one side of the working point is none
+_LIMIT, _NEAR = 0.98, 0.9  # of the current limit; of the touchdown gap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalSlopes:
+    """Slope (n,) [N/A] between neighbouring levels of one axis: at current (n,) [A] and magnet force (n,) [N], both at the
+    middle of the step and relative to the unloaded rotor; deviation (n,) [N/A]."""
+
+    current: np.ndarray
+    force: np.ndarray
+    slope: np.ndarray
+    deviation: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticLoad:
+    """K_i by static loads at an operating point; one entry per control axis, in the order of ``axes``.
+
+    values (a,) [N/A]: slope of the straight line, with standard_deviations. at_rest (a,) [N/A]: slope of a cubic through the
+    same levels at the unloaded working point - the tangent that small motion sees - with at_rest_deviations. linearity (a,):
+    probability that the cubic's improvement is chance. stiffness_share (a,) [-]: part of the magnet's force that displacement
+    makes; stiffness_effect (a,) [N/A per N/m]: dK_i/dK_s. forces (m, a) [N]: of the magnets, relative to the unloaded rotor.
+    local: slopes between neighbouring levels. warnings: what makes the result doubtful; verdict: one sentence.
+    """
+
+    machine: str
+    point: OperatingPoint
+    axes: tuple[str, ...]
+    values: np.ndarray
+    standard_deviations: np.ndarray
+    at_rest: np.ndarray
+    at_rest_deviations: np.ndarray
+    linearity: np.ndarray
+    stiffness_share: np.ndarray
+    stiffness_effect: np.ndarray
+    levels: Levels
+    forces: np.ndarray
+    local: tuple[LocalSlopes, ...]
+    warnings: tuple[str, ...]
+    verdict: str
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """The parameters' paths in the machine: "bearing.A.force_per_current.zeta"."""
+        return tuple(f"bearing.{bearing}.force_per_current.{way}" for bearing, way in (a.rsplit("_", 1) for a in self.axes))
+
+
+def identify(
+    machine: Machine,
+    records: Record | Sequence[Record],
+    *,
+    negative_stiffness: ArrayLike | None = None,
+    average: float = 0.5,
+    drift: float = 0.01,
+) -> StaticLoad:
+    """K_i of every axis from records of static loads f_<port> [N] with y_<axis> [m] and i_<axis> (or u_<axis>) [A].
+
+    negative_stiffness (a,) [N/m]: K_s, which weights what is left of the displacement (None: the machine's at the records'
+    operating point). average [s]: the end of every level that is averaged; drift: how much of the levels' range a signal may
+    still change in that time. Each axis must be loaded; loads on both sides of the working point are wanted (P2: four
+    directions). Raises InvalidInput for levels that are not steady, an axis without load, a rotor that touches, currents at
+    their limit, and records that do not belong to this machine.
+    """
+    levels = steady_levels(machine, records, average=average, drift=drift)
+    records = (records,) if isinstance(records, Record) else tuple(records)
+    point, axes = records[0].point, machine.axes
+    k_s = _stiffness(machine, point, negative_stiffness)
+    forces, places = bearing_forces(machine, point, levels)
+    relative = forces - _unloaded(levels, forces)
+    _check_range(machine, levels, places)
+    _check_loaded(axes, relative)
+    force = forces - k_s * places
+    rows = [_regressed(axis, levels.current[:, i], force[:, i]) for i, axis in enumerate(axes)]
+    effect = np.array([_slope(levels.current[:, i], -places[:, i]) for i in range(len(axes))])
+    share = np.ptp(k_s * places, axis=0) / np.ptp(force, axis=0)
+    local = tuple(_local(levels, i, force[:, i] - _unloaded(levels, force[:, i])) for i in range(len(axes)))
+    values, deviations, at_rest, rest_deviations, linearity = (np.array(column) for column in zip(*rows, strict=True))
+    warnings = _warnings(axes, relative, share, linearity, values, at_rest)
+    return StaticLoad(
+        machine.name, point, axes, values, deviations, at_rest, rest_deviations, linearity, share, effect, levels, relative,
+        local, warnings, _verdict(axes, linearity, values, at_rest),
+    )  # fmt: skip
+
+
+def bearing_forces(machine: Machine, point: OperatingPoint, levels: Levels) -> tuple[np.ndarray, np.ndarray]:
+    """Force of the magnets on the rotor (m, a) [N] and displacement at the magnets (m, a) [m] at every level.
+
+    From the balance of forces and moments of the flexible rotor; weight is left out, a constant. Raises InvalidInput for a load
+    at a port that the machine has not.
+    """
+    rotor = finite_element_rotor(machine)
+    system = attached_rotor(machine, point, rotor, min(_BENDING, bending_modes_of(rotor)))
+    axes, n = machine.axes, system.n
+    at = [system.inputs.index(f"f_{axis}") for axis in axes]
+    for port in levels.ports:
+        if f"f_{port}" not in system.inputs:
+            known = ", ".join(name.removeprefix("f_") for name in system.inputs)
+            raise invalid("a load's port", repr(port), f"one of {known}", "name the signal f_<port>, or add a disc there")
+    N_b, N_f = system.B[:, at], system.B[:, [system.inputs.index(f"f_{port}") for port in levels.ports]]
+    S = system.C[[system.outputs.index(f"s_{axis}") for axis in axes]]
+    K = system.stiffness + N_b @ np.diag(_stiffness(machine, point, None)) @ N_b.T  # takes the magnets out again
+    size = np.sqrt(np.maximum(np.abs(np.diag(K)), np.abs(N_b).max() ** 2 * 1e6))  # of the rows: rigid modes have no stiffness
+    matrix = np.block([[K / size / size[:, None], -N_b / size[:, None]], [S / size, np.zeros((len(axes), len(axes)))]])
+    right = np.vstack([N_f @ levels.loads.T / size[:, None], levels.displacement.T])
+    columns = np.abs(matrix).max(axis=0)
+    rows = np.abs(matrix / columns).max(axis=1)
+    found = np.linalg.solve(matrix / columns / rows[:, None], right / rows[:, None]) / columns[:, None]
+    q, f = found[:n] / size[:, None], found[n:]
+    return f.T, (N_b.T @ q).T
+
+
+def _stiffness(machine: Machine, point: OperatingPoint, given: ArrayLike | None) -> np.ndarray:
+    if given is not None:
+        return check_shape(given, "negative_stiffness", "(a)", a=len(machine.axes))
+    return np.concatenate([magnet.linearised(b, point.bias_current).negative_stiffness for b in machine.bearings])
+
+
+def _check_range(machine: Machine, levels: Levels, places: np.ndarray) -> None:
+    for j, bearing in enumerate(machine.bearings):
+        both = slice(2 * j, 2 * j + 2)
+        gap = bearing.touchdown_gap or bearing.gap
+        reach = float(np.hypot(*places[:, both].T).max())
+        if gap is not None and reach > _NEAR * gap:
+            raise invalid(
+                f"the rotor's displacement at bearing {bearing.name}", f"{reach * 1e6:.0f} um",
+                f"below {_NEAR:.0%} of the touchdown gap of {gap * 1e6:.0f} um, as it must not touch",
+                "lower the loads, or let the controller hold the position",
+            )  # fmt: skip
+        for axis, most in zip(machine.axes[both], np.abs(levels.current[:, both]).max(axis=0), strict=True):
+            if bearing.max_current is not None and most > _LIMIT * bearing.max_current:
+                raise invalid(
+                    f"the current of {axis}", f"{most:.3g} A", f"below its limit of {bearing.max_current:g} A",
+                    "lower the loads: at the limit the current no longer answers them",
+                )  # fmt: skip
+
+
+def _check_loaded(axes: tuple[str, ...], forces: np.ndarray) -> None:
+    most = np.abs(forces).max(axis=0)
+    for axis, own in zip(axes, most, strict=True):
+        if own < _SIDED * most.max():
+            raise InvalidInput(
+                f"axis {axis} carries no load ({own:.3g} N of {most.max():.3g} N); its K_i cannot be told: "
+                "load the rotor along every actuator axis, in both directions"
+            )
+
+
+def _regressed(axis: str, current: np.ndarray, force: np.ndarray) -> tuple[float, float, float, float, float]:
+    """Slope and its deviation, slope of a cubic at the middle level's current and its deviation, probability of the line."""
+    from scipy.special import betainc
+
+    spread = float(np.ptp(current))
+    m = len(current)
+    if m < 3:
+        raise invalid(f"the number of load levels of {axis}", m, "at least 3", "apply more levels, the unloaded rotor included")
+    slope, deviation, line = _least_squares(current[:, None], force)
+    if m < 6 or len(np.unique(np.round(current / spread, 3))) < 5:
+        return slope[0], deviation[0], slope[0], deviation[0], 1.0
+    t = current - current[np.argmin(np.abs(force - np.median(force)))]
+    cubic, errors, curve = _least_squares(np.column_stack([t, t**2 / spread, t**3 / spread**2]), force)
+    free = m - 4
+    gained, left = max(line - curve, 0.0) / 2, curve / free
+    probability = 0.0 if left == 0 else float(betainc(free / 2, 1.0, free / (free + 2 * gained / left)))
+    return slope[0], deviation[0], cubic[0], errors[0], probability
+
+
+def _least_squares(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Coefficients (c,) of the columns (m, c) beside a constant, their standard deviations (c,), the sum of squares left."""
+    A = np.column_stack([np.ones(len(y)), columns])
+    size = np.linalg.norm(A, axis=0)
+    found, *_ = np.linalg.lstsq(A / size, y, rcond=None)
+    left = float(np.sum((y - A / size @ found) ** 2))
+    free = len(y) - A.shape[1]
+    covariance = np.linalg.inv((A / size).T @ (A / size)) * (left / free if free > 0 else 0.0)
+    return found[1:] / size[1:], np.sqrt(np.diag(covariance))[1:] / size[1:], left
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> float:
+    x, y = x - x.mean(), y - y.mean()
+    return float(x @ y / (x @ x))
+
+
+def _unloaded(levels: Levels, values: np.ndarray) -> np.ndarray:
+    """The mean over the levels with the least load."""
+    size = np.linalg.norm(levels.loads, axis=1)
+    return np.asarray(values[size <= size.min() + 1e-3 * size.max()].mean(axis=0))
+
+
+def _local(levels: Levels, i: int, force: np.ndarray) -> LocalSlopes:
+    """Between neighbouring levels of an axis, sorted by force; levels of nearly the same force are one."""
+    current = levels.current[:, i] - float(_unloaded(levels, levels.current[:, i]))
+    order = np.argsort(force)
+    breaks = np.flatnonzero(np.diff(force[order]) > 0.02 * np.ptp(force)) + 1
+    groups = np.split(order, breaks)
+    f, x = (np.array([values[group].mean() for group in groups]) for values in (force, current))
+    error = np.array([np.sqrt((levels.current_deviation[group, i] ** 2).sum()) / len(group) for group in groups])
+    slope = np.diff(f) / np.diff(x)
+    deviation = np.abs(slope / np.diff(x)) * np.hypot(error[1:], error[:-1])
+    return LocalSlopes((x[1:] + x[:-1]) / 2, (f[1:] + f[:-1]) / 2, slope, deviation)
+
+
+def _warnings(
+    axes: tuple[str, ...], forces: np.ndarray, share: np.ndarray, linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray
+) -> tuple[str, ...]:
+    texts = []
+    for i, axis in enumerate(axes):
+        low, high = -forces[:, i].min(), forces[:, i].max()
+        if min(low, high) < _SIDED * max(low, high):
+            texts.append(
+                f"{axis} was loaded to one side only; friction, hysteresis and saturation then shift its slope unseen: "
+                "load it in both directions"
+            )
+        if share[i] > _MOVED:
+            texts.append(
+                f"at {axis} {share[i]:.0%} of the magnet's force comes from displacement: the position is not held (a "
+                "controller without integrator?), and K_i is as uncertain as the K_s taken for it"
+            )
+        if linearity[i] < _LINEAR and abs(values[i] / at_rest[i] - 1) > 0.01:
+            texts.append(
+                f"force over current of {axis} is curved: {at_rest[i]:.4g} N/A at the working point, {values[i]:.4g} N/A as a "
+                "line over these loads (the iron saturates); small motion finds the first"
+            )
+    return tuple(texts)
+
+
+def _verdict(axes: tuple[str, ...], linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray) -> str:
+    bent = [i for i in range(len(axes)) if linearity[i] < _LINEAR]
+    if not bent:
+        return "force over current is a straight line on every axis (99 %)"
+    worst = max(bent, key=lambda i: abs(values[i] / at_rest[i] - 1))
+    return (
+        f"force over current is curved on {', '.join(axes[i] for i in bent)}: at {axes[worst]} the line over these loads is "
+        f"{100 * (values[worst] / at_rest[worst] - 1):+.1f} % from the slope at the working point"
+    )

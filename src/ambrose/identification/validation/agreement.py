@@ -1,0 +1,85 @@
+"""What was found beside what another identification wrote into its machine file: do two methods agree?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.identification.model_updating import Found
+from ambrose.identification.output_error.delays import TIMING
+from ambrose.identification.parameters import nominal_values
+from ambrose.machine.description import Machine
+from ambrose.machine.parameters import parse_parameter
+from ambrose.plant.assemble import assemble
+
+COVERAGE = 1.96  # standard deviations of a 95 % interval
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """A parameter found twice, SI: value with the half-width of its 95 % interval, and the other's (0: it states none)."""
+
+    path: str
+    value: float
+    half_width: float
+    other: float
+    other_half_width: float
+
+    @property
+    def difference(self) -> float:
+        """Of the value from the other [%]; NaN where that is zero."""
+        return 100 * (self.value / self.other - 1) if self.other else float("nan")
+
+    @property
+    def difference_half_width(self) -> float:
+        """By how much the difference may be noise alone [%], 95 %."""
+        if not (self.other and self.value):
+            return float("nan")
+        relative = np.hypot(self.half_width / self.value, self.other_half_width / self.other)
+        return float(100 * abs(self.value / self.other) * relative)
+
+    @property
+    def agree(self) -> bool:
+        """Whether noise alone may make the difference."""
+        return bool(abs(self.difference) <= self.difference_half_width)
+
+
+def beside(result: Found, other: Machine) -> tuple[Beside, ...]:
+    """Every parameter found, at its operating point, beside its value and tolerance in another machine file.
+
+    Raises InvalidInput for another machine's file.
+    """
+    if other.name != result.machine:
+        remedy = "give the file that another method wrote for the same machine"
+        raise invalid("the machine to compare with", repr(other.name), repr(result.machine), remedy)
+    plant = assemble(other, result.point)
+    rows = []
+    for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
+        if path not in TIMING:
+            there = float(nominal_values(plant, [path])[0])
+            rows.append(Beside(path, value, COVERAGE * deviation, there, _half_width(other, path, there)))
+    if not rows:
+        raise InvalidInput("only delays were found; a machine file holds nothing to compare them with")
+    return tuple(rows)
+
+
+def as_dict(rows: Sequence[Beside]) -> list[dict[str, float | str | bool | None]]:
+    """For JSON, SI and percent."""
+    return [
+        {
+            "path": row.path, "value": row.value, "other": row.other, "other_half_width_95": row.other_half_width,
+            "difference_percent": row.difference if row.other else None, "agree": row.agree,
+        }
+        for row in rows
+    ]  # fmt: skip
+
+
+def _half_width(machine: Machine, path: str, value: float) -> float:
+    parameter = parse_parameter(path)
+    for item in machine.tolerances:
+        if parse_parameter(item.parameter).overlaps(parameter):
+            return (item.absolute or 0.0) + (item.relative or 0.0) * abs(value)
+    return 0.0

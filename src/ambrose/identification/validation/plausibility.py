@@ -1,0 +1,227 @@
+"""Can what was identified be true? Findings after the fit: signs, sizes, what the model misses, where it stops to follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ambrose.identification.data_quality.channels import measured_responses
+from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFinding
+from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.output_error.delays import COMMAND, TIMING
+from ambrose.identification.validation.simulated_output import Explained
+from ambrose.machine.description import Machine
+from ambrose.machine.parameters import parse_parameter
+
+_MISSED, _FAR, _ALIKE, _MOVED = 0.3, 2.0, 0.02, 0.05
+_CLEARLY = 0.7  # of what is left unexplained, or of what still follows the excitation: another delay must leave less
+_DELAYED, _SURE = 0.1, 5.0  # samples, and standard deviations, by which a delay must differ
+_BURST = 15.0  # over the median size of the residual
+
+
+def diagnose_result(machine: Machine, result: Identification, pieces: Sequence[Explained]) -> tuple[RecordFinding, ...]:
+    """What is impossible (errors) or doubtful (warnings) about an identification; pieces: its records beside the model."""
+    findings = [*_signs(result), *_sizes(result), *_common_factor(result), *diagnose_pieces(machine, pieces)]
+    return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
+
+
+def diagnose_pieces(machine: Machine, pieces: Sequence[Explained], numbers: Sequence[int] = ()) -> tuple[RecordFinding, ...]:
+    """What a model misses in its records: responses (errors), short bursts (warnings). numbers: of the records (1, 2, ...)."""
+    findings: list[RecordFinding] = []
+    for number, piece in zip(numbers or range(1, len(pieces) + 1), pieces, strict=True):
+        findings += [*_missed(machine, piece, number), *_bursts(piece, number)]
+    return tuple(findings)
+
+
+def _signs(result: Identification) -> list[RecordFinding]:
+    """Values that no machine has."""
+    findings = []
+    for path, value in zip(result.paths, result.values, strict=True):
+        if path in TIMING:
+            continue
+        parameter = parse_parameter(path)
+        positive = parameter.table == "amplifier" or parameter.quantity == "force_per_current"
+        if positive and value <= 0:
+            findings.append(
+                RecordFinding(
+                    ERROR,
+                    f"{path} = {value:.4g} cannot be",
+                    "it must be positive",
+                    "look for an inverted channel, another machine or another controller; or take it as known",
+                )
+            )
+        elif parameter.quantity == "negative_stiffness" and value <= 0:
+            findings.append(
+                RecordFinding(
+                    WARNING,
+                    f"{path} = {value:.4g} N/m is not destabilising",
+                    "a biased magnet always is",
+                    "look for another controller or gain, a stiffness that is missing in the model, or too little excitation",
+                )
+            )
+    return findings
+
+
+def _sizes(result: Identification) -> list[RecordFinding]:
+    """Values far from where they began, of parameters that designers know."""
+    far = []
+    for path, value, start in zip(result.paths, result.values, result.start, strict=True):
+        known = path not in TIMING and parse_parameter(path).table in {"bearing", "amplifier"}
+        if known and start > 0 and value > 0 and not 1 / _FAR < value / start < _FAR:
+            far.append(f"{path} is {value / start:.3g} times its start")
+    if not far:
+        return []
+    remedy = "compare with the data sheet or a static load; a wrong scale of a channel, mass or bias does this"
+    return [RecordFinding(WARNING, "values are far from the machine file's", ", ".join(far), remedy)]
+
+
+def _common_factor(result: Identification) -> list[RecordFinding]:
+    """All K_i and K_s moved by one factor: that is what a wrong mass does, and the fit cannot tell."""
+    ratios = [
+        value / start
+        for path, value, start in zip(result.paths, result.values, result.start, strict=True)
+        if path.startswith("bearing.") and start > 0
+    ]
+    kinds = {parse_parameter(path).quantity for path in result.paths if path.startswith("bearing.")}
+    if len(ratios) < 4 or len(kinds) < 2:
+        return []
+    mean = float(np.mean(ratios))
+    if abs(mean - 1) <= _MOVED or float(np.ptp(ratios)) > 2 * _ALIKE * mean:
+        return []
+    return [
+        RecordFinding(
+            WARNING,
+            "every force_per_current and negative_stiffness moved by the same factor",
+            f"{mean:.4g} times the start, all within {100 * float(np.ptp(ratios)) / 2 / mean:.2g} %",
+            "a rotor mass that is wrong by this factor does exactly that, and no closed-loop record can tell: weigh the rotor",
+        )
+    ]
+
+
+def _missed(machine: Machine, piece: Explained, number: int) -> list[RecordFinding]:
+    """What follows the excitation in the record but not in the model, over what follows it at all."""
+    axes = machine.axes
+    if any(f"y_{axis}" not in piece.signals for axis in axes):
+        return []
+    names = [f"y_{axis}" for axis in axes]
+    driven = [name for name in piece.record.signals if name[:2] == "e_"]
+    kept = piece.record.select([*names, *driven])
+    rows = [piece.signals.index(name) for name in names]
+    measured = measured_responses([kept], axes)
+    rest = measured_responses([replace(kept, values=np.vstack([piece.residual[rows], kept.values[len(axes) :]]))], axes)
+    if measured is None or rest is None:
+        return []
+
+    def power(found: np.ndarray) -> np.ndarray:
+        return np.sum(np.abs(found) ** 2, axis=(0, 2))
+
+    left = np.maximum(power(rest.values["y"]) - rest.noise["y"].sum(axis=0), 0.0)
+    share = np.sqrt(left / np.maximum(power(measured.values["y"]), 1e-300))
+    worst = int(np.argmax(share))
+    if share[worst] <= _MISSED:
+        return []
+    return [
+        RecordFinding(
+            ERROR,
+            f"record {number}: no values of these parameters make the model respond as the machine did",
+            f"{100 * share[worst]:.2g} % of what follows the excitation in {names[worst]} is missing in the model (amplitude)",
+            "another machine, operating point, controller or delay; or a parameter that is taken as known is not",
+        )
+    ]
+
+
+def _bursts(piece: Explained, number: int) -> list[RecordFinding]:
+    """Short times in which a signal leaves the model: lost samples, knocks, contact."""
+    findings = []
+    for name, row in zip(piece.signals, piece.residual, strict=True):
+        size = np.abs(row)
+        quiet = 1.4826 * float(np.median(size))
+        large = np.flatnonzero(size > max(_BURST * quiet, 1e-3 * float(np.std(piece.measured))))
+        starts = [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > 500]
+        if quiet > 0 and 0 < len(starts) <= 20:
+            at = ", ".join(f"{piece.record.time[i]:.4g} s" for i in starts[:4])
+            findings.append(
+                RecordFinding(
+                    WARNING,
+                    f"record {number}: {name} leaves the model for a short time",
+                    f"at t = {at}{' and later' if len(starts) > 4 else ''} by up to {size.max() / quiet:.0f} times the usual",
+                    "a knock, contact or lost samples: cut the record there and identify again",
+                )
+            )
+    return findings
+
+
+def delay_findings(
+    given: Identification, delay: float, dt: float, free: Callable[[], Identification], whole: Callable[[float], Identification]
+) -> tuple[RecordFinding, ...]:
+    """Whether another computing delay explains the records clearly better than the ``delay`` [samples of dt, s] of ``given``.
+
+    free: identifies with the delay as an unknown, too; whole: with another whole one, asked where the first is refused or leads
+    nowhere. Only asked where the residuals still follow the excitation.
+    """
+    if all(test.passed for test in given.tests) or COMMAND in given.paths:
+        return ()
+    try:
+        found = free()
+    except ValueError:  # a fitted controller output has no instant between samples, for instance
+        found = None
+    if found is None or not found.converged:
+        return _whole_delays(given, delay, whole)
+    place = found.paths.index(COMMAND)
+    count, deviation = float(found.values[place]) / dt, float(found.standard_deviations[place]) / dt
+    left, follows = (_left(given), _left(found)), (_follows(given), _follows(found))
+    sure = abs(count - delay) > max(_DELAYED, _SURE * deviation)
+    if not sure or (left[1] > _CLEARLY * left[0] and follows[1] > _CLEARLY * follows[0]):
+        return ()
+    number = _fixed(count, deviation)
+    return (
+        RecordFinding(
+            WARNING,
+            f"a computing delay of {number} instead of {delay:g} samples explains the records better",
+            f"found as an unknown: {number} samples ({1e3 * count * dt:.4g} ms), standard deviation {deviation:.2g} samples; "
+            f"it leaves {left[1]:.3g} % of the signals instead of {left[0]:.3g} %, and the residuals follow the excitation by "
+            f"{follows[1]:.2g} times their limit instead of {follows[0]:.2g}",
+            'ask for it ("delay" among the unknowns), or give it if the controller may have it; a lag of amplifier or sensor '
+            "that the model lacks looks the same. One sample is 2 to 5 % in the stiffness",
+        ),
+    )
+
+
+def _left(found: Identification) -> float:
+    """What the model leaves of the signals [%], rms over them."""
+    return float(np.sqrt(np.mean([(100.0 - percent) ** 2 for _, _, percent in found.fit])))
+
+
+def _follows(found: Identification) -> float:
+    """The worst residual test over its limit."""
+    return max(abs(test.correlation) / test.limit for test in found.tests)
+
+
+def _fixed(value: float, deviation: float) -> str:
+    """As many decimals as the deviation makes sense of, two to four; none for a whole number."""
+    digits = min(max(1 - int(np.floor(np.log10(max(deviation, 1e-9)))), 2), 4)
+    return f"{round(value, digits):g}"
+
+
+def _whole_delays(given: Identification, delay: float, whole: Callable[[float], Identification]) -> tuple[RecordFinding, ...]:
+    trials = {delay: _left(given)}
+    for other in (delay - 1, delay + 1):
+        if other >= 0:
+            try:
+                trials[other] = _left(whole(other))
+            except ValueError:  # refused: an unstable loop, for instance
+                continue
+    best = min(trials, key=trials.__getitem__)
+    if best == delay or trials[best] > _CLEARLY * trials[delay]:
+        return ()
+    figures = ", ".join(f"{value:.2g} % with {count:g}" for count, value in sorted(trials.items()))
+    return (
+        RecordFinding(
+            WARNING,
+            f"a computing delay of {best:g} instead of {delay:g} samples explains the records better",
+            f"left unexplained of the signals: {figures}",
+            f"give {best:g} as delay if the controller may have it; one sample is 2 to 5 % in the stiffness",
+        ),
+    )

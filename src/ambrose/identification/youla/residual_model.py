@@ -1,0 +1,137 @@
+"""The residual system S(theta) of core/realisation/coprime.py as a function of the unknown parameters, with its exact derivatives.
+
+Sampled: the loop as it runs (identification/output_error/loop_model.py), driven by alpha in place of the excitation and watched by the nominal
+plant's observer. Held: the continuous loop of an observer-based controller into which alpha is fed, held between the samples
+(P1's experiment); there theta is a feedback around the nominal S, P1 (13).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.checks import NumericalFailure
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.realisation.coprime import CoprimeFactors, residual_lft
+from ambrose.core.response import SystemDerivative, held_derivative
+from ambrose.core.statespace import StateSpace, index_of
+from ambrose.identification.output_error.loop_model import LoopModel, loop_model
+from ambrose.machine.description import Tolerance
+from ambrose.plant.model import Plant
+from ambrose.plant.uncertainty import uncertain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledResidual:
+    """S(theta) from alpha (m) to eps (p) of a sampled loop; eps is weighted by ``whitening`` (p, p).
+
+    inner: the loop from e_<axis> to y_<axis>, u_<axis>; factors: those of the sampled nominal plant and controller.
+    """
+
+    inner: LoopModel
+    factors: CoprimeFactors
+    whitening: np.ndarray
+
+    @property
+    def excitations(self) -> tuple[str, ...]:
+        return self.factors.alpha
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        return self.factors.eps
+
+    def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
+        """S at theta (q,), of the states (plant, controller, observer), and its derivative for each parameter."""
+        loop, changes = self.inner.loop(theta)
+        G, L, L_K = self.factors.plant, self.factors.plant_gain, self.factors.controller_gain
+        p, n = len(G.outputs), G.n_states
+        inside, k = loop.n_states, L_K.shape[0]
+        C_y, C_u = loop.C[:p], loop.C[p:]
+        A = np.block([[loop.A, np.zeros((inside, n))], [G.B @ C_u - L @ C_y, G.A + L @ G.C]])
+        B = np.vstack([loop.B - np.vstack([np.zeros((inside - k, L_K.shape[1])), L_K]), G.B])
+        C = self.whitening @ np.hstack([C_y, -G.C])
+        D = np.zeros((p, B.shape[1]))
+        directions = []
+        for change in changes:
+            dA, dB = np.zeros_like(A), np.zeros_like(B)
+            dA[:inside, :inside], dB[:inside] = change.A, change.B
+            directions.append(SystemDerivative(dA, dB, np.zeros_like(C), D))
+        return StateSpace(A, B, C, D, self.excitations, self.signals, loop.dt), directions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldResidual:
+    """S(theta), continuous, with alpha held over dt [s]: A (n, n), B (n, m), C (p, n) at theta0 (q,), and A_theta (q, n, n),
+    B_theta (q, n, m)."""
+
+    theta0: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    A_theta: np.ndarray
+    B_theta: np.ndarray
+    dt: float
+    excitations: tuple[str, ...]
+    signals: tuple[str, ...]
+
+    def continuous(self, theta: np.ndarray) -> StateSpace:
+        """S(theta) before it is sampled."""
+        step = theta - self.theta0
+        A, B = self.A + np.tensordot(step, self.A_theta, 1), self.B + np.tensordot(step, self.B_theta, 1)
+        return StateSpace(A, B, self.C, np.zeros((len(self.C), B.shape[1])), self.excitations, self.signals)
+
+    def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
+        """S at theta (q,), sampled, and its derivative for each parameter."""
+        S = self.continuous(theta)
+        A, B, dA, dB = held_derivative(S.A, S.B, self.A_theta, self.B_theta, self.dt)
+        directions = [SystemDerivative(a, b, np.zeros_like(S.C), S.D) for a, b in zip(dA, dB, strict=True)]
+        return StateSpace(A, B, S.C, S.D, self.excitations, self.signals, self.dt), directions
+
+
+def sampled_residual(
+    plant: Plant, factors: CoprimeFactors, paths: Sequence[str], nominal: np.ndarray, whitening: np.ndarray
+) -> SampledResidual:
+    """S(theta) of the sampled loop in the parameters at ``paths``; nominal (q,): their values in ``plant``, SI.
+
+    factors: of ``plant`` sampled with a zero-order hold and the controller as it runs (u = K y); whitening (p, p).
+    """
+    K = factors.controller
+    err = [f"err_{axis}" for axis in plant.axes]
+    law = StateSpace(K.A, -K.B, K.C, -K.D, err, K.outputs, K.dt)
+    signals = [f"{kind}_{axis}" for kind in "yu" for axis in plant.axes]
+    inner = loop_model(plant, law, paths, nominal, [f"e_{axis}" for axis in plant.axes], signals)
+    return SampledResidual(inner, factors, whitening)
+
+
+def uncertain_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str]) -> GeneralizedPlant:
+    """S with the changes of the parameters at ``paths`` pulled out: delta is the change in SI units, z and w as the plant's."""
+    general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in paths])
+    count = general.n_w_blocks
+    named = GeneralizedPlant(
+        general.system, general.w[:count], factors.plant.inputs, general.z[: general.n_z_blocks], factors.plant.outputs,
+        general.blocks,
+    )  # fmt: skip
+    return residual_lft(factors, named)
+
+
+def held_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str], nominal: np.ndarray, dt: float) -> HeldResidual:
+    """S(theta) of the continuous loop of ``factors``, alpha held over dt [s]; nominal (q,): the parameters' values, SI."""
+    general = uncertain_residual(plant, factors, paths)
+    system = general.system
+    u, y = index_of(general.u, system.inputs, "input"), index_of(general.y, system.outputs, "output")
+    dA, dB, first = [], [], 0
+    for block in general.blocks:
+        span = range(first, first + block.n_w)
+        w = index_of([general.w[k] for k in span], system.inputs, "input")
+        z = index_of([general.z[k] for k in span], system.outputs, "output")
+        first += block.n_w
+        dA.append(system.B[:, w] @ system.C[z])
+        dB.append(system.B[:, w] @ system.D[np.ix_(z, u)])
+    count = general.n_w_blocks
+    if system.D[: general.n_z_blocks, :count].any() or system.D[np.ix_(y, [*range(count), *u])].any():
+        raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
+    return HeldResidual(
+        nominal, system.A, system.B[:, u], system.C[y], np.stack(dA), np.stack(dB), dt, factors.alpha, factors.eps
+    )

@@ -1,0 +1,103 @@
+"""Excitation signals against their defining properties."""
+
+import numpy as np
+import pytest
+
+from ambrose import load_machine
+from ambrose.core.checks import InvalidInput
+from ambrose.core.statespace import static_gain
+from ambrose.identification import excitation
+
+
+@pytest.mark.parametrize("order", [3, 7, 10, 13])
+def test_prbs_has_maximal_length(order):
+    period = 2**order - 1
+    bits = excitation.prbs(order, 1, 2 * period)
+    np.testing.assert_array_equal(bits[:period], bits[period:])
+    assert bits[:period].sum() in {1, -1}  # balanced to one bit
+    runs = {tuple(np.roll(bits[:period], -i)[:order]) for i in range(period)}
+    assert len(runs) == period  # every pattern of `order` bits but one, once
+    assert excitation.is_maximal_length(bits[:period])
+    spoilt = bits[:period].copy()
+    spoilt[2] = -spoilt[2]
+    assert not excitation.is_maximal_length(spoilt)
+    assert not excitation.is_maximal_length(bits[: period - 1])
+
+
+def test_prbs_clock_and_shift():
+    slow, fast = excitation.prbs(8, 5, 1000), excitation.prbs(8, 1, 1000)
+    np.testing.assert_array_equal(slow, np.repeat(fast, 5)[:1000])
+    np.testing.assert_array_equal(excitation.prbs(8, 1, 100, shift=30), fast[30:130])
+
+
+def test_chirp_has_the_frequency_it_should():
+    dt, k = 1e-4, 40_000
+    wave = excitation.chirp(100.0, 900.0, k, dt)
+    phase = np.unwrap(np.angle(np.exp(1j * (100 * np.arange(k) * dt + 100 * (np.arange(k) * dt) ** 2))))
+    np.testing.assert_allclose(wave, np.sin(phase), atol=1e-9)  # 800 rad/s in 4 s: w(t) = 100 + 200 t
+    assert abs(wave).max() <= 1
+
+
+def test_multisine_has_only_its_lines_and_a_low_crest():
+    dt, k = 1e-4, 10_000
+    w = 2 * np.pi * np.arange(5, 105)
+    wave = excitation.multisine(w, k, dt)
+    spectrum = np.abs(np.fft.rfft(wave))
+    assert np.abs(wave).max() == pytest.approx(1)
+    np.testing.assert_allclose(spectrum[5:105], spectrum[5], rtol=1e-9)
+    assert max(spectrum[:5].max(), spectrum[105:].max()) < 1e-9 * spectrum[5]
+    assert 1 / np.sqrt(np.mean(wave**2)) < 1.9  # zero phases: 14
+
+
+def test_impulse_and_patterns():
+    machine = load_machine("seal-rig")
+    wave = excitation.impulse(10, 50, 20)
+    assert wave.sum() == 10 and wave[20:30].all()
+    parallel = excitation.pattern(machine, "parallel", wave, 0.1)
+    assert all(value.max() == 0.1 for value in parallel.values())
+    tilt = excitation.pattern(machine, "tilt", wave, 0.1)
+    np.testing.assert_array_equal(tilt["e_A_eta"], -tilt["e_B_eta"])
+    single = excitation.pattern(machine, "single", wave, 0.1, "B_zeta")
+    assert [name for name, value in single.items() if value.any()] == ["e_B_zeta"]
+
+
+def test_amplitude_advice_respects_both_limits():
+    machine = load_machine("seal-rig")  # 4 A, touchdown gap 250 um
+    axes = machine.axes
+    gain = np.vstack([3 * np.eye(4), 1e-6 * np.eye(4)])
+    loop = static_gain(gain, [f"e_{a}" for a in axes], [f"{kind}_{a}" for kind in "uy" for a in axes])
+    waves = {"e_A_zeta": excitation.prbs(8, 1, 255)}
+    assert excitation.largest_amplitude(loop, machine, waves, 1e-4) == pytest.approx(2 / 4)  # u + e = 4 A per A
+    assert excitation.largest_amplitude(loop, machine, waves, 1e-4, gap_share=1e-3) == pytest.approx(0.25)
+
+
+def test_order_of_excitation():
+    k, dt = 4000, 1e-3
+    t = np.arange(k) * dt
+    three = sum(np.sin(2 * np.pi * f * t) for f in (5, 11, 23))  # slow: 6 numbers only in every 16th sample
+    assert excitation.excitation_order(three[None], 20) == 6  # two for each sine
+    assert excitation.excitation_order(np.zeros((1, k)), 20) == 0
+    assert excitation.excitation_order(np.ones((1, k)), 20) == 1
+    noise = np.random.default_rng(0).standard_normal((2, k))
+    assert excitation.excitation_order(noise, 20) == 20
+    assert excitation.excitation_order(np.vstack([noise[0], noise[0]]), 20) == 0  # twice the same channel
+    excitation.check_persistent(noise, ["a", "b"], 10)
+    with pytest.raises(InvalidInput, match="order of persistent excitation of a is 6, but must be at least 9"):
+        excitation.check_persistent(three[None], ["a"], 9)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: excitation.prbs(40, 1, 10), "order of the sequence is 40"),
+        (lambda: excitation.prbs(8, 0, 10), "clock is 0"),
+        (lambda: excitation.chirp(1.0, 4e4, 10, 1e-4), "below Nyquist"),
+        (lambda: excitation.multisine([], 10, 1e-4), "at least one"),
+        (lambda: excitation.impulse(1, 10, 10), "start is 10"),
+        (lambda: excitation.pattern(load_machine("seal-rig"), "single", [1.0], 1.0, "C_zeta"), "one of A_zeta"),
+        (lambda: excitation.pattern(load_machine("seal-rig"), "sideways", [1.0], 1.0), "parallel, tilt, single"),
+    ],
+)
+def test_bad_input(call, words):
+    with pytest.raises(InvalidInput, match=words):
+        call()
