@@ -27,7 +27,6 @@ from ambrose.export.compiled import CompiledBlock, probed
 from ambrose.export.control_block import ControlBlock, control_block
 from ambrose.export.controller_code import Arithmetic, generate
 from ambrose.export.deliver import limits
-from ambrose.export.files import ControllerFile, Provenance
 from ambrose.export.fixed_point import fixed_point
 from ambrose.export.fmu import fmu_files
 from ambrose.export.mat import mat_files
@@ -38,6 +37,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import Scenario, load_scenario
 from ambrose.simulate.trace import Trace
+from ambrose.synthesis.controller_file import ControllerFile, Provenance
 from ambrose.synthesis.design import design
 
 STEPS = 2_000_000

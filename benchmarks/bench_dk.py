@@ -18,7 +18,8 @@ from ambrose import load_machine
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty, lft
 from ambrose.core.statespace import StateSpace, is_stable
 from ambrose.machine.parameters import operating_point
-from ambrose.synthesis import mu, polish
+from ambrose.synthesis.fixed_order import polish
+from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.problem import machine_problem, published_p5_problem, with_performance_block
 
 

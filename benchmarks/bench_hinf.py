@@ -14,8 +14,8 @@ import numpy as np
 
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis import hinf
-from ambrose.synthesis.hinf_scaling import scale_plant
+from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.hinf.scaling import scale_plant
 from ambrose.synthesis.problem import published_p5_problem
 from ambrose.synthesis.result import Synthesis
 
@@ -79,7 +79,7 @@ def _against_slicot(name: str, plant: GeneralizedPlant, tolerance: float) -> dic
 
 
 def _against_inequalities(name: str, plant: GeneralizedPlant) -> dict[str, Any]:
-    from ambrose.synthesis.hinf_lmi import smallest_gamma
+    from ambrose.synthesis.hinf.lmi import smallest_gamma
 
     ours, result = _timed(lambda: hinf.synthesize(plant, tolerance=1e-5))
     scaled = scale_plant(plant)

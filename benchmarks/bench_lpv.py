@@ -20,10 +20,10 @@ from ambrose.core.semidefinite import Inequality, minimise
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
-from ambrose.synthesis import lpv
-from ambrose.synthesis.lpv_family import scaled_family
-from ambrose.synthesis.lpv_inequalities import Shape, first_program
-from ambrose.synthesis.lpv_machine import plants_over_speed
+from ambrose.synthesis.lpv import synthesis as lpv
+from ambrose.synthesis.lpv.family import scaled_family
+from ambrose.synthesis.lpv.inequalities import Shape, first_program
+from ambrose.synthesis.lpv.machine import plants_over_speed
 
 POINTS = 8
 

@@ -24,7 +24,7 @@ from ambrose.simulate.scenario import load_scenario
 from ambrose.simulate.spin_up import spin_up, steps
 from ambrose.simulate.trace import Trace
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv_machine import design_over_speed
+from ambrose.synthesis.lpv.machine import design_over_speed
 from ambrose.verify.loop_response import loop_evaluator
 
 HZ = 2 * np.pi

@@ -27,7 +27,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis import hinf, mu
+from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weights import machine_weights
 from ambrose.verify.over_box import BoxUnbalance, PulseFamily, box_members, loop_over_box, pulse_family, unbalance_over_box

@@ -6,7 +6,8 @@ from ambrose import GeneralizedPlant, StateSpace
 from ambrose.core.lft import RealBlock, lft
 from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.statespace import connect
-from ambrose.synthesis import hinf, mu
+from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.problem import with_performance_block
 from ambrose.synthesis.weights import performance_weight
 

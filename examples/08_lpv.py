@@ -8,7 +8,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.simulate.scenario import load_scenario
 from ambrose.simulate.spin_up import spin_up, steps
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv_machine import design_over_speed
+from ambrose.synthesis.lpv.machine import design_over_speed
 
 machine = load_machine("turboexpander")  # its gas seal stiffens tenfold from 20 to 300 Hz
 plant = assemble(machine, operating_point(machine, "140 Hz"))

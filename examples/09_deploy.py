@@ -17,7 +17,7 @@ from ambrose.plant.reduce import reduce
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import load_scenario
 from ambrose.synthesis.design import design
-from ambrose.synthesis.latency import loop_delay
+from ambrose.synthesis.loop_delay import loop_delay
 from ambrose.verify import nominal
 
 SAMPLE = 1e-4  # s

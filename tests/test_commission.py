@@ -16,7 +16,6 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.export.compiled import has_compiler
-from ambrose.export.files import read_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.record.record import read_record
@@ -31,6 +30,7 @@ from ambrose.stages.plants import full_plants
 from ambrose.stages.proof import verification
 from ambrose.stages.trial import simulations
 from ambrose.synthesis import pid
+from ambrose.synthesis.controller_file import read_controller
 
 LABELS = ("nominal pressure", "zero pressure")
 

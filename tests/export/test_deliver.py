@@ -13,8 +13,8 @@ from ambrose import StateSpace, load_machine
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.export.deliver import bundled_machine, deliver, limits
-from ambrose.export.files import read_controller, write_controller
 from ambrose.plant.assemble import assemble
+from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design
 from example_blocks import small_controller
 

@@ -12,14 +12,14 @@ from ambrose import load_machine
 from ambrose.export.compiled import has_compiler
 from ambrose.export.control_block import control_block
 from ambrose.export.controller_code import generate
-from ambrose.export.files import write_controller
 from ambrose.export.sampling import deploy
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulate.control_program import ControlProgram
 from ambrose.synthesis import pid
+from ambrose.synthesis.controller_file import write_controller
 from ambrose.synthesis.design import design
-from ambrose.synthesis.latency import loop_delay
+from ambrose.synthesis.loop_delay import loop_delay
 
 PAGE = (Path(__file__).parents[2] / "docs" / "integrator.md").read_text()
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]

@@ -17,9 +17,9 @@ from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.export.control_block import control_block
-from ambrose.export.files import read_controller, write_controller
 from ambrose.export.mat import FORMAT, mat_files
 from ambrose.export.sampling import deploy
+from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.result import Certificate, Synthesis
 from example_blocks import CURRENT, DT, ERROR, rig_controller, small_controller
 

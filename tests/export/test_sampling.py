@@ -10,8 +10,8 @@ from ambrose.export.sampling import box_check, deploy, unmet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis import hinf
 from ambrose.synthesis.design import design
+from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Certificate, Synthesis
 

@@ -18,7 +18,6 @@ from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.export import scheduled_deploy
 from ambrose.export.deliver import deliver, limits
-from ambrose.export.files import read_controller, write_controller
 from ambrose.export.scheduled_block import scheduled_block
 from ambrose.export.scheduled_code import write_scheduled
 from ambrose.export.scheduled_compiled import CompiledSchedule, probed_at
@@ -29,6 +28,7 @@ from ambrose.simulate import virtual_rig
 from ambrose.simulate.control_program import ControlProgram, ScheduledProgram
 from ambrose.simulate.rig_controller import sample_time
 from ambrose.simulate.scenario import load_scenario
+from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design
 from ambrose.synthesis.result import Certificate, Synthesis
 from ambrose.verify import nominal

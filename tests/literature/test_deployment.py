@@ -19,10 +19,11 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import load_scenario
-from ambrose.synthesis import pid, polish
+from ambrose.synthesis import pid
 from ambrose.synthesis.design import design, design_tolerances
-from ambrose.synthesis.latency import late, loop_delay
-from ambrose.synthesis.lowering import lower, sampled_sensitivity
+from ambrose.synthesis.fixed_order import polish
+from ambrose.synthesis.loop_delay import late, loop_delay
+from ambrose.synthesis.order_selection import lower, sampled_sensitivity
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.weights import machine_weights, scale_control
 from ambrose.verify import nominal

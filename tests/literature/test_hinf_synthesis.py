@@ -13,8 +13,8 @@ from ambrose.core.checks import AmbroseError
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty
 from ambrose.core.statespace import StateSpace, connect, select, transfer_function
 from ambrose.plant.published import published_p5, published_p5_data
-from ambrose.synthesis import hinf
-from ambrose.synthesis.certify import certify
+from ambrose.synthesis.certificate import certify
+from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.problem import published_p5_problem
 from random_plants import KINDS, random_plant
 

@@ -16,9 +16,9 @@ from ambrose.plant.assemble import assemble
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import load_scenario
 from ambrose.simulate.spin_up import spin_up, steps
-from ambrose.synthesis.certify import certify
+from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv_machine import design_over_speed
+from ambrose.synthesis.lpv.machine import design_over_speed
 from ambrose.verify.loop_response import loop_evaluator
 
 pytestmark = pytest.mark.literature

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ambrose.plant.published import published_p5, published_p5_data, published_p5_pid
-from ambrose.synthesis import hinf
+from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.pid import axes_controller
 from ambrose.synthesis.problem import published_p5_problem, published_p5_weights
-from ambrose.synthesis.tuning import direct_gain_mismatch, tune_control_weight
+from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.verify import robust
 
 pytestmark = pytest.mark.literature

@@ -16,10 +16,11 @@ from ambrose.plant.reduce import reduce
 from ambrose.simulate import linear
 from ambrose.simulate.scenario import load_scenario
 from ambrose.simulate.trace import settling
-from ambrose.synthesis import hinf, pid
+from ambrose.synthesis import pid
 from ambrose.synthesis.design import design
+from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.tuning import direct_gain_mismatch
+from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 from ambrose.synthesis.weights import machine_weights, scale_control
 from ambrose.verify import nominal, robust
 

@@ -21,7 +21,9 @@ from ambrose.report.comparison import Candidate, comparison_report
 from ambrose.report.document import Cell, Report, Section, Table
 from ambrose.report.panels import Panel, panel_figure
 from ambrose.stages.trial import SCENARIOS, simulation
-from ambrose.synthesis import hinf, mu, pid
+from ambrose.synthesis import pid
+from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Certificate, Synthesis
 from ambrose.verify import nominal, robust

@@ -15,7 +15,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.statespace import StateSpace
 from ambrose.plant.assemble import assemble
-from ambrose.synthesis import design, mu, pid
+from ambrose.synthesis import design, pid
+from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.time_limit import TimeLimit
 
 

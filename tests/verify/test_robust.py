@@ -19,7 +19,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.published import published_p5
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis import hinf
+from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.problem import design_plant, published_p5_problem, published_p5_weights
 from ambrose.synthesis.weights import Weights, control_weight, performance_weight
 from ambrose.verify import robust

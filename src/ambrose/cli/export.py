@@ -50,7 +50,7 @@ def export(
     A controller scheduled over speed is written as C in floating point, verified at frozen speeds over its range."""
     from ambrose.core.checks import check_positive
     from ambrose.export.deliver import deliver
-    from ambrose.export.files import read_controller
+    from ambrose.synthesis.controller_file import read_controller
 
     remedy = "give it in Hz"
     dt = None if rate_hz is None else 1 / check_positive(rate_hz, "--rate-hz", remedy)

@@ -158,7 +158,7 @@ def _check_options(context: click.Context, method: str) -> None:
 
 
 def _controller(path: Path | None) -> tuple[Any, str]:
-    from ambrose.export.files import read_controller
+    from ambrose.synthesis.controller_file import read_controller
 
     return (None, "") if path is None else (read_controller(path).controller, path.name)
 

@@ -40,13 +40,13 @@ def simulate(
 
     An *.h5 record of the rig grows while it runs, as *.partial.h5, which stays readable when the run is interrupted.
     """
-    from ambrose.export.files import read_controller
     from ambrose.machine.parameters import operating_point
     from ambrose.machine.record.record import write_record
     from ambrose.plant.assemble import assemble
     from ambrose.simulate import virtual_rig
     from ambrose.simulate.scenario import load_scenario
     from ambrose.stages.trial import simulation
+    from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)
     controller = read_controller(path).law

@@ -56,13 +56,13 @@ def synthesize(
 ) -> None:
     """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.export.files import write_controller
     from ambrose.export.results import certificate_to_dict
     from ambrose.plant.reduce import reduce
     from ambrose.stages.plants import plant_at
+    from ambrose.synthesis.controller_file import write_controller
     from ambrose.synthesis.design import design
-    from ambrose.synthesis.latency import loop_delay
-    from ambrose.synthesis.lowering import lowered, sampled_sensitivity
+    from ambrose.synthesis.loop_delay import loop_delay
+    from ambrose.synthesis.order_selection import lowered, sampled_sensitivity
     from ambrose.synthesis.result import is_verified
 
     description = load(machine)

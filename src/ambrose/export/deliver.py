@@ -17,7 +17,6 @@ from ambrose.core.sampling import Method
 from ambrose.export.control_block import HOLD_SAMPLES, WINDUP_TIME, ControlBlock, check_limits, control_block
 from ambrose.export.controller_code import Arithmetic, generate
 from ambrose.export.file_set import check_place, write_files
-from ambrose.export.files import ControllerFile, machine_hash
 from ambrose.export.fmu import fmu_files
 from ambrose.export.mat import mat_files
 from ambrose.export.names import check_identifier
@@ -30,6 +29,7 @@ from ambrose.export.structured_text import Precision, structured_text
 from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.plant.assemble import assemble
+from ambrose.synthesis.controller_file import ControllerFile, machine_hash
 
 SAMPLE_TIME = 1e-4  # s, where neither the caller nor the controller says one
 Target = Literal["c", "mat", "fmu", "st"]

@@ -18,11 +18,11 @@ from ambrose import __version__
 from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.export.control_block import ControlBlock
-from ambrose.export.files import ControllerFile
 from ambrose.export.names import as_comment
 from ambrose.export.rendering import render
 from ambrose.export.sampling import Deployment
 from ambrose.export.vectors import Vectors, as_csv, vectors
+from ambrose.synthesis.controller_file import ControllerFile
 
 FORMAT = "ambrose-controller-mat"
 VERSION = 1

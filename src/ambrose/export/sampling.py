@@ -22,7 +22,7 @@ from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis.certify import certify, match_controller
+from ambrose.synthesis.certificate import certify, match_controller
 from ambrose.synthesis.result import is_verified
 from ambrose.verify import nominal
 from ambrose.verify.checks import Check, Checks

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from ambrose import __version__
 from ambrose.core.checks import invalid
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.export.files import ControllerFile
 from ambrose.export.scheduled_code import check_precision
 from ambrose.export.scheduled_deploy import ScheduledDeployment, sensitivity_peak, unmet_over_range
 from ambrose.machine.description import Machine
+from ambrose.synthesis.controller_file import ControllerFile
 from ambrose.verify.checks import Checks
 
 

@@ -31,7 +31,7 @@ from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
-from ambrose.synthesis.certify import match_controller
+from ambrose.synthesis.certificate import match_controller
 from ambrose.verify import nominal
 from ambrose.verify.checks import Checks
 

@@ -20,7 +20,6 @@ from ambrose.export.compiled import CompiledBlock, has_compiler, probed
 from ambrose.export.control_block import control_block
 from ambrose.export.controller_code import write_code
 from ambrose.export.deliver import SAMPLE_TIME, limits, provenance
-from ambrose.export.files import read_controller
 from ambrose.export.sampling import Deployment, deploy, unmet
 from ambrose.identification.model_updating import identified_machine
 from ambrose.identification.parameters import expand
@@ -39,9 +38,10 @@ from ambrose.stages.control import kept_or_designed
 from ambrose.stages.plants import full_plants
 from ambrose.stages.proof import over_tolerances, verification
 from ambrose.stages.trial import SCENARIOS, experiment, simulation
+from ambrose.synthesis.controller_file import read_controller
 from ambrose.synthesis.design import design_tolerances
-from ambrose.synthesis.latency import loop_delay
-from ambrose.synthesis.lowering import sampled_sensitivity
+from ambrose.synthesis.loop_delay import loop_delay
+from ambrose.synthesis.order_selection import sampled_sensitivity
 from ambrose.synthesis.result import Synthesis, is_verified
 
 NAME = "commissioned"

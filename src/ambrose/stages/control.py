@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ambrose.core.checks import AmbroseError
-from ambrose.export.files import read_controller, write_controller
 from ambrose.machine.file.toml import machine_hash
 from ambrose.plant.model import Plant
+from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design, on_full_plant
-from ambrose.synthesis.lowering import Measure
+from ambrose.synthesis.order_selection import Measure
 from ambrose.synthesis.result import Synthesis
 
 Progress = Callable[[str], None]

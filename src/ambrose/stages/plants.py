@@ -18,7 +18,7 @@ from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis.lpv_machine import speed_grid
+from ambrose.synthesis.lpv.machine import speed_grid
 from ambrose.verify.checks import Curve
 
 

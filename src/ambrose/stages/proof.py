@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.export.files import match_controller
 from ambrose.machine.description import Tolerance
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.stages.plants import plants_along_speed
+from ambrose.synthesis.controller_file import match_controller
 from ambrose.synthesis.weights import machine_weights
 from ambrose.verify import campbell, nominal, robust
 from ambrose.verify.checks import Checks, Curve

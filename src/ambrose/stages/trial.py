@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.export.files import match_controller
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
@@ -15,6 +14,7 @@ from ambrose.simulate import linear, virtual_rig
 from ambrose.simulate.scenario import load_scenario
 from ambrose.simulate.spin_up import spin_up
 from ambrose.simulate.trace import Trace
+from ambrose.synthesis.controller_file import match_controller
 
 Progress = Callable[[str], None]
 SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance patterns of P5

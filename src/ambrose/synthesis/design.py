@@ -12,13 +12,16 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.description import Machine, Tolerance
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis import hinf, mu, pid, polish
-from ambrose.synthesis.certify import certify
-from ambrose.synthesis.latency import late
-from ambrose.synthesis.lpv_machine import POINTS, design_over_speed
+from ambrose.synthesis import pid
+from ambrose.synthesis.certificate import certify
+from ambrose.synthesis.fixed_order import polish
+from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.loop_delay import late
+from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
+from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.result import Synthesis
-from ambrose.synthesis.tuning import direct_gain_mismatch, tune_control_weight
+from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.synthesis.weights import machine_weights
 
 METHODS = ("pid", "hinf", "mu", "polish", "lpv")

@@ -16,7 +16,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
 from ambrose.machine.description import Machine, MagneticBearing, PidSettings
 from ambrose.plant.model import Plant
-from ambrose.synthesis.certify import certify
+from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.filters import lead, low_pass, notch, pid_term
 from ambrose.synthesis.result import Synthesis
 

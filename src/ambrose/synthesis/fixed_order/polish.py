@@ -1,0 +1,338 @@
+"""A controller of low order polished against the real uncertainty itself: several models of the plant at once.
+
+D-K iteration treats real parameters as complex and pays for D with states. Here a controller of fixed order is moved downhill
+on the p-norm of the closed loop over frequency and over models of the plant at given values of its real parameters, with exact
+gradients (multi-model H-infinity control, Apkarian & Noll 2006; the p-norm instead of subgradients). The frequency grid reaches
+from near zero to far above the plant and takes in the true peak of every loop, for what the grid does not see gets exploited;
+after each round the true norms are computed and the worst parameter values searched, and added to the models.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, invalid
+from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
+from ambrose.core.mu.all_frequencies import proved_below
+from ambrose.core.norms import hinf_norm
+from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa
+from ambrose.synthesis.certificate import fastest_pole
+from ambrose.synthesis.fixed_order.cost import Cost, Form, block_form
+from ambrose.synthesis.fixed_order.descent import descend
+from ambrose.synthesis.fixed_order.reduction import reduce_controller
+from ambrose.synthesis.mu.d_step import design_grid
+from ambrose.synthesis.problem import PERFORMANCE, with_performance_block
+from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.time_limit import TimeLimit
+
+_POWERS = (15.0, 40.0, 100.0, 250.0)
+_SLOWEST = 0.1  # the least decay that is kept, as a fraction of the start's
+_SCALES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the parameter values, when the start does not stabilise all models
+_CORNERS = 6  # models of several parameters: corners tried in random order and kept when bad
+_PROOF = (1.01, 1.05, 1.1, 1.25)  # levels, in worst norms, at which a proof is tried
+Delta = tuple[float, ...]
+
+
+def synthesize(
+    plant: GeneralizedPlant,
+    start: StateSpace,
+    *,
+    order: int | None = None,
+    deltas: Sequence[float] = (-1.0, -0.5, 0.0, 0.5, 1.0),
+    iterations: int = 1200,
+    rounds: int = 6,
+    time_limit: float = 60.0,
+    judge: Callable[[StateSpace], float] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Synthesis:
+    """The controller of lowest worst-case norm that descent finds from ``start``, verified on ``plant`` over its box.
+
+    plant: with real blocks (a performance block may follow); remaining w and z are the performance. start: a controller u = K y
+    of the nominal plant, such as that of mu.synthesize. order: reduce it to so many states first (closed-loop balanced,
+    residualised; a pair of near-equal values is not cut), None keeps its order. deltas [-]: values of a single real parameter,
+    within -1 and 1; with several parameters the centre and bad corners are models. iterations: of L-BFGS, all rounds together;
+    rounds: of descent, each followed by the true norms and a search for the worst parameters; time_limit [s] of computing, and
+    five times that on the wall (``synthesis.time_limit``); judge: decides which round's controller is returned, the lowest of
+    its values (the worst sensitivity of the sampled loop, say; None: the lowest worst-case norm); progress: called with one
+    line of text per round.
+
+    ``gamma`` and the certificate's norm: the largest H-infinity norm of the performance over all models and all parameter
+    values searched (a search, no proof). certificate.margins: "start_norm", the same for ``start``; "reduced_norm", after the
+    reduction; "nominal_norm"; "proved_norm", a level proved for the whole box, stability included (inf where the proof fails);
+    "models". Ctrl-C and the time limit return the best verified controller so far, with a status that says so.
+
+    Raises InvalidInput (no real blocks, complex blocks, a controller that does not fit) and NumericalFailure (the reduced
+    controller does not even stabilise the nominal plant).
+    """
+    job = _Job.of(plant, start, order, deltas, iterations, rounds, time_limit, progress)
+    reason = ""
+    best = _reduced(job)
+    history = [_row(job, 0, best)]
+    rounds_done = [best]
+    try:
+        for number in range(1, rounds + 1):
+            polished = _round(job, best, number)
+            history.append(_row(job, number, polished))
+            rounds_done.append(polished)
+            if polished.worst < best.worst:
+                gain, best = best.worst - polished.worst, polished
+                if np.isfinite(gain) and gain < 1e-4 * best.worst and number >= len(_POWERS):
+                    break
+            if job.left <= 0:
+                reason = job.clock.reached
+                break
+    except KeyboardInterrupt:
+        reason = "interrupted"
+    if not np.isfinite(best.worst):
+        raise NumericalFailure(
+            f"no controller of order {best.controller.n_states} that stabilises the whole box was found"
+            f"{' (' + reason + ')' if reason else ''}; allow a higher order or more iterations"
+        )
+    if judge is not None:
+        best = min((point for point in rounds_done if np.isfinite(point.worst)), key=lambda point: judge(point.controller))
+    return _result(job, best, history, reason)
+
+
+@dataclass(slots=True, eq=False)
+class _Job:
+    """The task, and the models it has collected so far."""
+
+    plant: GeneralizedPlant
+    start: StateSpace
+    order: int
+    names: tuple[str, ...]
+    models: list[Delta]
+    iterations: int
+    rounds: int
+    clock: TimeLimit
+    progress: Callable[[str], None] | None
+    extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
+    start_worst: float = float("nan")
+    reduced_worst: float = float("nan")
+
+    @classmethod
+    def of(
+        cls,
+        plant: GeneralizedPlant,
+        start: StateSpace,
+        order: int | None,
+        deltas: Sequence[float],
+        iterations: int,
+        rounds: int,
+        time_limit: float,
+        progress: Callable[[str], None] | None,
+    ) -> _Job:
+        blocks = [b for b in plant.blocks if not (isinstance(b, FullBlock) and b.name == PERFORMANCE)]
+        if not blocks or not all(isinstance(b, RealBlock) for b in blocks):
+            found = ", ".join(type(b).__name__ for b in blocks) or "none"
+            raise invalid("the plant's blocks", found, "real parameters, one at least", "complex blocks need mu.synthesize")
+        plant = GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, blocks)
+        if len(plant.w) == plant.n_w_blocks or len(plant.z) == plant.n_z_blocks:
+            raise InvalidInput("the plant has no performance signals beyond its blocks; add w and z to be kept small")
+        controller = as_statespace(start)
+        if controller.D.shape != (len(plant.u), len(plant.y)) or controller.dt is not None:
+            raise invalid("start", repr(controller), f"continuous with {len(plant.y)} inputs, {len(plant.u)} outputs", "match")
+        values = np.unique(np.append(check_shape(deltas, "deltas", "(k)").astype(float), 0.0))
+        if np.abs(values).max() > 1:
+            raise invalid("deltas", values.tolist(), "within -1 and 1", "the plant's box is scaled to that")
+        for number, name in ((iterations, "iterations"), (rounds, "rounds")):
+            if not isinstance(number, int | np.integer) or number < 1:
+                raise invalid(name, number, "a whole number, at least 1", "leave the default")
+        clock = TimeLimit(time_limit)
+        names = tuple(block.name for block in blocks)
+        models: list[Delta] = [(float(v),) for v in values] if len(names) == 1 else _first_corners(len(names))
+        n = controller.n_states if order is None else order
+        return cls(plant, controller, n, names, models, iterations, rounds, clock, progress)
+
+    @property
+    def left(self) -> float:
+        return self.clock.left
+
+    def say(self, text: str) -> None:
+        if self.progress is not None:
+            self.progress(text)
+
+    def model(self, delta: Delta) -> GeneralizedPlant:
+        """The plant at parameter values, without blocks."""
+        system = close_uncertainty(self.plant, dict(zip(self.names, delta, strict=True)))
+        n_w, n_z = self.plant.n_w_blocks, self.plant.n_z_blocks
+        return GeneralizedPlant(system, self.plant.w[n_w:], self.plant.u, self.plant.z[n_z:], self.plant.y)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Point:
+    controller: StateSpace
+    worst: float  # inf where a model is unstable
+    worst_delta: Delta
+    nominal: float
+
+
+def _first_corners(count: int) -> list[Delta]:
+    rng = np.random.default_rng(0)
+    corners = [tuple(float(v) for v in rng.choice([-1.0, 1.0], count)) for _ in range(_CORNERS)]
+    return [(0.0,) * count, (1.0,) * count, (-1.0,) * count, *dict.fromkeys(corners)]
+
+
+def _norm(job: _Job, controller: StateSpace, delta: Delta) -> tuple[float, float]:
+    """True norm and peak frequency at parameter values; inf where unstable."""
+    loop = lft(job.model(delta), controller)
+    if not is_stable(loop):
+        return np.inf, 0.0
+    found = hinf_norm(loop, tolerance=1e-4)
+    return found.value, found.frequency
+
+
+def _judge(job: _Job, controller: StateSpace) -> _Point:
+    """The true worst case: all models, then a search of the box; bad values become models, peaks join the grid."""
+    found = {delta: _norm(job, controller, delta) for delta in job.models}
+    nominal = found[(0.0,) * len(job.names)][0]
+    if len(job.names) == 1:
+        more = [(float(v),) for v in np.linspace(-1, 1, 17)]
+        found |= {delta: _norm(job, controller, delta) for delta in more if delta not in found}
+    else:
+        found |= _corner_search(job, controller, max(found, key=lambda delta: found[delta][0]))
+    worst = max(found, key=lambda delta: found[delta][0])
+    value = found[worst][0]
+    known = max(found[delta][0] for delta in job.models)
+    if worst not in job.models and (value > 1.002 * known or not np.isfinite(value)):
+        job.models.append(worst)
+    job.extra += [found[delta][1] for delta in job.models if 0 < found[delta][1] < np.inf]
+    return _Point(controller, value, worst, nominal)
+
+
+def _corner_search(job: _Job, controller: StateSpace, start: Delta) -> dict[Delta, tuple[float, float]]:
+    """One coordinate after the other to the end that is worse, twice, from the worst model, or until it is unstable."""
+    best, found = start, {start: _norm(job, controller, start)}
+    for k in itertools.islice(itertools.cycle(range(len(start))), 2 * len(start)):
+        for end in (-1.0, 1.0):
+            trial = (*best[:k], end, *best[k + 1 :])
+            if trial not in found:
+                found[trial] = _norm(job, controller, trial)
+            if found[trial][0] > found[best][0]:
+                best = trial
+        if not np.isfinite(found[best][0]):
+            break
+    return found
+
+
+def _reduced(job: _Job) -> _Point:
+    """The start brought to its order and judged."""
+    given = _judge(job, job.start)
+    job.start_worst = job.reduced_worst = given.worst
+    job.say(f"start: order {job.start.n_states}, worst norm {given.worst:.4f} at {_named(job, given.worst_delta)}")
+    if job.order == job.start.n_states:
+        return given
+    controller, _ = reduce_controller([job.model(delta) for delta in job.models], job.start, job.order)
+    point = _judge(job, controller)
+    job.reduced_worst = point.worst
+    job.say(f"reduced: order {controller.n_states}, worst norm {point.worst:.4f} at {_named(job, point.worst_delta)}")
+    return point
+
+
+def _named(job: _Job, delta: Delta) -> str:
+    return ", ".join(f"{name} {value:+.3g}" for name, value in zip(job.names, delta, strict=True))
+
+
+def _grid(job: _Job, controller: StateSpace) -> np.ndarray:
+    """The plant's grid, the loops' resonances and true peaks, and one frequency far above everything."""
+    grid = design_grid(job.plant)
+    loops = [poles(lft(job.model(delta), controller)) for delta in job.models]
+    resonances = np.abs(np.concatenate([p[(p.imag > 0) & (np.abs(p.real) < 0.5 * np.abs(p))].imag for p in loops]))
+    top = 10 * max(grid[-1], fastest_pole(controller))
+    more = np.concatenate([resonances, np.array(job.extra), np.geomspace(grid[-1], top, 12), [1e3 * top]])
+    grid = np.unique(np.concatenate([grid, more]))
+    return grid[np.append(True, np.diff(np.log(grid)) > 1e-3)]
+
+
+def _round(job: _Job, point: _Point, number: int) -> _Point:
+    """One descent at the round's power, judged."""
+    form, x = block_form(point.controller)
+    scale = 1.0
+    if not np.isfinite(point.worst):
+        scale = next((s for s in _SCALES if _all_stable(job, form, x, s)), np.nan)
+        if np.isnan(scale):
+            raise NumericalFailure(
+                f"the controller of order {point.controller.n_states} does not stabilise the nominal plant; reduce less"
+            )
+    power = _POWERS[min(number, len(_POWERS)) - 1]
+    cost = Cost(form, _models(job, scale), _grid(job, point.controller))
+    limit = _SLOWEST * cost.abscissa(x)
+    fastest = 3 * max(fastest_pole(point.controller), cost.omega[-2] / 10)
+
+    def allowed(trial: np.ndarray) -> bool:
+        A = form.matrices(trial)[0]
+        return cost.abscissa(trial) <= limit and float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) <= fastest
+
+    x, used = descend(
+        lambda v: cost(v, power), allowed, x, max(1, job.iterations // job.rounds), 1e-4, lambda: job.left > 0
+    )  # fmt: skip
+    polished = _judge(job, form.controller(x))
+    job.say(
+        f"round {number}: {used} steps at p = {power:g}, norm on the grid {cost.gains(x).max():.4f}, worst true norm "
+        f"{polished.worst:.4f} at {_named(job, polished.worst_delta)}, {len(job.models)} models"
+    )
+    return polished
+
+
+def _models(job: _Job, scale: float) -> list[GeneralizedPlant]:
+    return [job.model(delta) for delta in dict.fromkeys(tuple(scale * v for v in delta) for delta in job.models)]
+
+
+def _all_stable(job: _Job, form: Form, x: np.ndarray, scale: float) -> bool:
+    controller = form.controller(x)
+    return all(is_stable(lft(model, controller)) for model in _models(job, scale))
+
+
+def _proved(job: _Job, best: _Point) -> float:
+    """A level that the norm is proved to stay below over the whole box, stability included; inf where no proof succeeds.
+
+    Mixed mu below 1, at every frequency, of the loop with its performance divided by the level (main loop theorem; Zhou, Doyle
+    & Glover 1996, thm 11.7).
+    """
+    loop = lft(job.plant, best.controller)
+    n = job.plant.n_z_blocks
+    for factor in _PROOF:
+        if job.left <= 0:
+            break
+        level = factor * best.worst
+        gain = np.concatenate([np.ones(n), np.full(len(job.plant.z) - n, 1 / level)])
+        scaled = StateSpace(loop.A, loop.B, gain[:, None] * loop.C, gain[:, None] * loop.D)
+        blocks = with_performance_block(job.plant).blocks
+        if proved_below(scaled, blocks, 1.0):
+            return level
+    return float("inf")
+
+
+def _row(job: _Job, number: int, point: _Point) -> dict[str, float]:
+    return {
+        "iteration": float(number),
+        "gamma": point.worst,
+        "nominal_norm": point.nominal,
+        "order": float(point.controller.n_states),
+        "models": float(len(job.models)),
+        "seconds": job.clock.elapsed,
+    }
+
+
+def _result(job: _Job, best: _Point, history: list[dict[str, float]], reason: str) -> Synthesis:
+    abscissa = max(spectral_abscissa(lft(job.model(delta), best.controller)) for delta in job.models)
+    margins = {
+        "start_norm": job.start_worst,
+        "reduced_norm": job.reduced_worst,
+        "nominal_norm": best.nominal,
+        "proved_norm": _proved(job, best),
+        "models": float(len(job.models)),
+    }
+    certificate = Certificate(
+        True, abscissa, best.worst, fastest_pole(best.controller), margins,
+        f"generalized plant with {job.plant.system.n_states} states, worst of {len(job.models)} models and a search of the box",
+    )  # fmt: skip
+    status = f"verified, but stopped early: {reason}" if reason else "verified"
+    notes = [f"the worst norm is at {_named(job, best.worst_delta)}"]
+    if best.controller.n_states < job.order:
+        notes.append(f"order {best.controller.n_states} instead of {job.order}: the cut would have parted a pair")
+    return Synthesis(best.controller, "polish", best.worst, status, certificate, tuple(history), tuple(notes))

@@ -1,0 +1,191 @@
+"""The linear matrix inequalities of gridded LPV synthesis: R and S common to all points, or one of them a polynomial.
+
+At every grid point and for both signs of the largest rate, with N_R spanning the null space of [B2^T D12^T], N_S that of
+[C2 D21],
+
+    N^T [A R + R A^T - R'  R C1^T   B1 ] N        N^T [A^T S + S A + S'  S B1    C1^T ] N         [R  I]
+        [C1 R          -gamma I  D11]   < 0           [B1^T S       -gamma I  D11^T]   < 0        [I  S] >= 0
+        [B1^T           D11^T  -gamma I]              [C1             D11   -gamma I]
+
+R' and S' are the time derivatives, zero for constant matrices, which therefore allow any rate. Two passes: gamma is made as
+small as it gets; then, a little above it, R S is driven away from I while R, S and the slack stay bounded, which keeps the
+controller's poles slow. Sources: Apkarian & Adams 1998, IEEE Trans. Control Systems Technology 6 (projected form);
+Wu, Yang, Packard & Becker 1996, Int. J. Robust Nonlinear Control 6 (rate bounds).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose.core.checks import NumericalFailure
+from ambrose.core.semidefinite import Inequality, Minimum, minimise, side, smat, svec
+from ambrose.synthesis.hinf.lmi import existence, symmetric_basis
+from ambrose.synthesis.hinf.scaling import ScaledPlant
+from ambrose.synthesis.lpv.family import Family
+
+Varying = Literal["none", "R", "S"]
+_LARGEST = 1e6  # R and S while gamma is minimised, in balanced states
+_TOLERANCE = 1e-5  # of gamma
+_TIGHT = 1e-4  # residual of an iterate that is looked at although the method ended early
+_MARGINS = ((1e-4, 1e3), (1e-4, 1e4), (1e-5, 1e5), (1e-6, 1e6))  # (slack, largest R and S) of the second pass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lyapunov:
+    """R(p) = sum_j p^j R_j and S(p) = sum_j p^j S_j of the relative parameter p; R (a, n, n), S (b, n, n)."""
+
+    R: np.ndarray
+    S: np.ndarray
+
+    def at(self, p: float) -> tuple[np.ndarray, np.ndarray]:
+        """R and S (n, n) at a relative parameter."""
+        return _polynomial(self.R, p), _polynomial(self.S, p)
+
+    def slope(self, p: float) -> tuple[np.ndarray, np.ndarray]:
+        """dR/dp and dS/dp (n, n)."""
+        return _slope(self.R, p), _slope(self.S, p)
+
+
+def _polynomial(coefficients: np.ndarray, p: float) -> np.ndarray:
+    return np.tensordot(p ** np.arange(len(coefficients)), coefficients, 1)
+
+
+def _slope(coefficients: np.ndarray, p: float) -> np.ndarray:
+    j = np.arange(1, len(coefficients))
+    return np.tensordot(j * p ** (j - 1), coefficients[1:], 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """Which matrix varies, as a polynomial of which degree, and at which relative rate at most."""
+
+    varying: Varying
+    degree: int
+    rate: float
+
+    @property
+    def kind(self) -> str:
+        """ "none", "affine" or "polynomial" in the parameter."""
+        if self.varying == "none":
+            return "none"
+        return "affine" if self.degree == 1 else "polynomial"
+
+    def terms(self, name: str) -> int:
+        return 1 + self.degree if self.varying == name else 1
+
+    @property
+    def rates(self) -> tuple[float, ...]:
+        return (0.0,) if self.varying == "none" or self.rate == 0 else (-self.rate, self.rate)
+
+
+def smallest_gamma(family: Family, shape: Shape, time_limit: float) -> tuple[float, float, Lyapunov]:
+    """The smallest gamma in the family's units, a lower bound of it, and R and S there. Raises NumericalFailure."""
+    cost, items = first_program(family, shape)
+    found = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
+    _check(found, f"gamma cannot be minimised over the {len(family.grid)} grid points", time_limit)
+    bound = found.bound if found.dual_error < _TIGHT else float("nan")
+    return found.value, bound, _lyapunov(found.x, family.n, shape)
+
+
+def first_program(family: Family, shape: Shape) -> tuple[np.ndarray, list[Inequality]]:
+    """Cost and inequalities of the first pass; the variables are svec(R_j), svec(S_j) and gamma."""
+    return _program(family, shape, None, 0.0, _LARGEST)
+
+
+def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapunov:
+    """R and S strictly feasible at gamma = 1 with R S far from I. Raises NumericalFailure."""
+    reasons = []
+    for strict, largest in _MARGINS:
+        cost, items = _program(family, shape, 1.0, strict, largest)
+        found = minimise(cost, items, tolerance=1e-3, time_limit=time_limit, hopeless=-1.0)
+        reason = f"slack {strict:g}, R and S up to {largest:g}: {found.status}, t = {-found.value:.4g}"
+        if found.primal_error < 1e-8 and -found.value > 1:
+            return _lyapunov(found.x, family.n, shape)
+        reasons.append(reason)
+    raise NumericalFailure(f"no well-conditioned solution at this gamma ({reasons[-1]}); increase the back-off")
+
+
+def _check(found: Minimum, what: str, time_limit: float) -> None:
+    if found.status == "optimal" or (found.status == "inexact" and found.primal_error < _TIGHT and found.value > 0):
+        return  # an inexact end is accepted here because everything is recomputed at the end
+    if found.status == "time limit":
+        raise NumericalFailure(f"{what} within {time_limit:.3g} s; raise time_limit or take fewer grid points")
+    raise NumericalFailure(f"{what} (the solver ended {found.status} with a residual of {found.primal_error:.2g})")
+
+
+def _lyapunov(x: np.ndarray, n: int, shape: Shape) -> Lyapunov:
+    count, a = n * (n + 1) // 2, shape.terms("R")
+    matrices = smat(x[:-1].reshape(-1, count))
+    return Lyapunov(matrices[:a], matrices[a:])
+
+
+def _program(
+    family: Family, shape: Shape, gamma: float | None, strict: float, largest: float
+) -> tuple[np.ndarray, list[Inequality]]:
+    """Variables svec(R_j), svec(S_j), then gamma (gamma None) or t: cost and inequalities."""
+    n = family.n
+    count, a, b = n * (n + 1) // 2, shape.terms("R"), shape.terms("S")
+    last = np.array([(a + b) * count])
+    of_R, of_S = np.arange(a * count), np.arange(a * count, (a + b) * count)
+    items = []
+    for plant, p in zip(family.plants, family.relative, strict=True):
+        for dual, columns, terms in ((False, of_R, a), (True, of_S, b)):
+            of_matrix, of_gamma, constant, of_rate = _existence(plant, dual)
+            for rate in shape.rates if terms > 1 else (0.0,):
+                rows = np.hstack([
+                    p**j * of_matrix + (j * p ** (j - 1) * rate * of_rate if j else 0.0) for j in range(terms)
+                ])  # fmt: skip
+                if gamma is None:
+                    items.append(Inequality(np.column_stack([rows, of_gamma]), constant, np.append(columns, last)))
+                else:
+                    slack = strict * svec(np.eye(side(len(constant))))
+                    items.append(Inequality(rows, constant + gamma * of_gamma - slack, columns))
+    return _cost(len(last) + (a + b) * count, gamma), items + _coupling(family, shape, gamma, largest, (of_R, of_S, last))
+
+
+def _cost(size: int, gamma: float | None) -> np.ndarray:
+    cost = np.zeros(size)
+    cost[-1] = 1.0 if gamma is None else -1.0
+    return cost
+
+
+def _existence(plant: ScaledPlant, dual: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """``existence`` for R, or for S; and what the derivative of the matrix adds, (k, n(n+1)/2)."""
+    P = plant.dual() if dual else plant
+    of_matrix, of_gamma, constant = existence(P.A, P.B1, P.B2, P.C1, P.D11, P.D12)
+    zero = np.zeros_like
+    half = (1 if dual else -1) / 2 * np.eye(len(P.A))
+    of_rate = existence(half, zero(P.B1), P.B2, zero(P.C1), zero(P.D11), P.D12)[0]
+    return of_matrix, of_gamma, constant, of_rate
+
+
+def _coupling(
+    family: Family, shape: Shape, gamma: float | None, largest: float, columns: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> list[Inequality]:
+    """[R I; I S] >= 0 or [R tI; tI S] >= 0, and R and S at most ``largest``, at every point where that is needed.
+
+    Both are affine in R and S: for polynomials of degree 1 they hold everywhere when they hold at the two ends.
+    """
+    n = family.n
+    of_R, of_S, last = columns
+    basis, zero = symmetric_basis(n), np.zeros((n, n))
+    up = np.array([svec(sla.block_diag(M, zero)) for M in basis]).T
+    low = np.array([svec(sla.block_diag(zero, M)) for M in basis]).T
+    off = svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
+    bound, items = largest * svec(np.eye(n)), []
+    for p in {"none": family.relative[:1], "affine": family.relative[[0, -1]]}.get(shape.kind, family.relative):
+        powers_R, powers_S = p ** np.arange(shape.terms("R")), p ** np.arange(shape.terms("S"))
+        rows = np.hstack([np.kron(powers_R, up), np.kron(powers_S, low)])
+        if gamma is None:
+            items.append(Inequality(rows, off, np.concatenate([of_R, of_S])))
+        else:
+            items.append(Inequality(np.column_stack([rows, off]), 0 * off, np.concatenate([of_R, of_S, last])))
+        items += [
+            Inequality(-np.kron(powers, np.eye(len(bound))), bound, variables)
+            for powers, variables in ((powers_R, of_R), (powers_S, of_S))
+        ]
+    return items

@@ -1,0 +1,273 @@
+"""Gridded LPV synthesis: one controller whose matrices follow a measured parameter, such as the speed.
+
+A quadratic Lyapunov function common to all values of the parameter bounds the gain from w to z by gamma however the parameter
+moves; with a bound on its rate the function may depend on it, and gamma falls. Sources: Apkarian & Adams 1998, IEEE Trans.
+Control Systems Technology 6; Wu, Yang, Packard & Becker 1996, Int. J. Robust Nonlinear Control 6.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import AmbroseError, NumericalFailure, check_positive, invalid
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.realisation.balancing import balance_system
+from ambrose.core.scheduled import ScheduledSystem, check_grid, interval_points
+from ambrose.core.statespace import StateSpace
+from ambrose.synthesis.hinf.riccati import normal_form, search_gamma
+from ambrose.synthesis.hinf.scaling import ScaledPlant, original_matrices
+from ambrose.synthesis.lpv.controller import Factors, controller, factors
+from ambrose.synthesis.lpv.family import Family, scaled_family
+from ambrose.synthesis.lpv.inequalities import Shape, Varying, smallest_gamma, well_conditioned
+from ambrose.synthesis.lpv.verification import Frozen, between, frozen
+from ambrose.synthesis.result import Certificate, Synthesis
+
+_WIDEST = 0.5  # the back-off less 1 is doubled up to this before giving up
+_REFINED = 2  # how often the grid is refined where the guarantee fails between its points
+_HOLDS = 1.02  # gamma guaranteed between grid points over the designed one, above which the grid is refined
+_KEPT = 1e-9  # relative change of B2, C2, D12, D21 over the grid that counts as none
+PlantAt = Callable[[float], GeneralizedPlant]
+
+
+def synthesize(
+    plants: Sequence[GeneralizedPlant] | PlantAt,
+    grid: ArrayLike,
+    *,
+    rate: float | None = None,
+    varying: Literal["R", "S"] = "R",
+    degree: int = 1,
+    backoff: float = 1.05,
+    points_between: int = 3,
+    nominal: float | None = None,
+    parameter: str = "speed",
+    unit: str = "rad/s",
+    time_limit: float = 300.0,
+    progress: Callable[[str], None] | None = None,
+) -> Synthesis:
+    """A controller scheduled over the ``grid`` (k,) of a parameter, verified on the plants and between them.
+
+    plants: a function from the parameter to its generalized plant (then the plant between grid points is checked as it is), or
+    one plant per grid point (then it is taken as linear in between); all with the same signals, in states that mean the same
+    everywhere. rate [unit of the parameter per s]: the fastest it changes, either way; None: arbitrarily fast, with R and S
+    constant. With a rate, ``varying`` R (or S) is a polynomial of ``degree`` in the parameter and the other constant, so that
+    the controller needs the parameter but not its rate. backoff [-] > 1: how far above the smallest gamma to stay, which keeps
+    the poles slow. points_between: frozen points that are verified in every interval. nominal: the value whose frozen
+    controller is the result's ``controller`` (None: the middle of the grid); ``scheduled`` is the whole one. time_limit [s]:
+    of each call of the solver.
+
+    ``gamma`` bounds the gain from w to z along every trajectory within the range (and rate), as verified at all these points.
+    certificate.margins: gamma_optimal and gamma_lower of the inequalities, gamma_designed, pointwise_largest (of the grid
+    points' own optimal H-infinity values), guaranteed_between (the largest gamma needed at a point between). history: a row for
+    each verified value. Raises InvalidInput and NumericalFailure; nothing unverified is returned.
+    """
+    values = check_grid(grid, parameter)
+    if not 1 < check_positive(backoff, "backoff", "1.05 to 1.1 suits most uses") < 1 + _WIDEST:
+        raise invalid("backoff", backoff, f"above 1 and below {1 + _WIDEST:g}", "1.05 to 1.1 suits most uses")
+    if rate is not None:
+        check_positive(rate, "rate", f"give the fastest change in {unit}/s, or None for arbitrarily fast changes")
+    if varying not in ("R", "S") or not isinstance(degree, int) or not 1 <= degree <= 4:
+        raise invalid("varying, degree", f"{varying!r}, {degree}", '"R" or "S" and 1 to 4', "leave them out")
+    if not callable(plants) and len(plants) != len(values):
+        raise invalid("the number of plants", len(plants), f"{len(values)}, one per grid point", "give one for each")
+    plant_at = plants if callable(plants) else between(plants, values)
+    job = _Job(plant_at, rate, varying if rate is not None else "none", degree, backoff, points_between, parameter, unit,
+               check_positive(time_limit, "time_limit", "give seconds"), progress)  # fmt: skip
+    for _ in range(_REFINED + 1):
+        design = _design(job, values)
+        weak = [f.value for f in design.found if not f.guaranteed <= _HOLDS * design.family.unit]
+        if not weak or not callable(plants):
+            break
+        job.say(f"the guarantee is weak at {', '.join(f'{v:g}' for v in weak)} {unit}: added to the grid")
+        values = np.unique(np.append(values, weak))
+    return _result(job, design, nominal)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Job:
+    plant_at: PlantAt
+    rate: float | None
+    varying: Varying
+    degree: int
+    backoff: float
+    points_between: int
+    parameter: str
+    unit: str
+    time_limit: float
+    progress: Callable[[str], None] | None
+
+    def say(self, text: str) -> None:
+        if self.progress is not None:
+            self.progress(text)
+
+    def shape(self, family: Family) -> Shape:
+        return Shape(self.varying, self.degree, 0.0 if self.rate is None else family.relative_rate(self.rate))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    """family: in units of the designed gamma; optimal and lower bound of it; pointwise (k,): the grid points' own optima."""
+
+    scheduled: ScheduledSystem
+    family: Family
+    found: tuple[Frozen, ...]
+    optimal: float
+    lower: float
+    pointwise: np.ndarray
+    backoff: float
+    notes: tuple[str, ...]
+
+
+def _design(job: _Job, values: np.ndarray) -> _Design:
+    """Both passes on one grid, at growing back-offs until the controller passes its verification at the grid points."""
+    plants = [job.plant_at(float(value)) for value in values]
+    family = scaled_family(plants, values)
+    pointwise = np.array([_optimum(plant, family, value) for plant, value in zip(family.plants, values, strict=True)])
+    job.say(f"{len(values)} points, {family.n} states; the largest pointwise H-infinity value is {pointwise.max():.6g}")
+    shape = job.shape(family)
+    begun = time.monotonic()
+    smallest, bound, _ = smallest_gamma(family, shape, job.time_limit)
+    optimal, lower = smallest * family.unit, bound * family.unit
+    job.say(f"smallest gamma {optimal:.6g} ({time.monotonic() - begun:.1f} s)")
+    step, reason = job.backoff - 1, ""
+    while step <= _WIDEST:
+        chosen = family.in_units(smallest * (1 + step))
+        try:
+            point = factors(well_conditioned(chosen, shape, job.time_limit), shape.varying)
+            scheduled, found = _verified(job, chosen, point, shape)
+        except (AmbroseError, np.linalg.LinAlgError) as failure:
+            reason = f"back-off {1 + step:.4g}: {failure}"
+            job.say(reason)
+            step *= 2
+            continue
+        fastest = max(f.fastest_pole for f in found)
+        job.say(f"gamma {chosen.unit:.6g}: verified at {len(found)} points, fastest pole {fastest:.3g} rad/s")
+        return _Design(scheduled, chosen, found, optimal, lower, pointwise, 1 + step, family.notes)
+    raise NumericalFailure(
+        f"no scheduled controller passed its verification ({reason}); narrow the range, take more grid points, or give a rate"
+    )
+
+
+def _optimum(plant: ScaledPlant, family: Family, value: float) -> float:
+    """The optimal gamma of the plant at one grid point, in original units. Raises NumericalFailure naming the point."""
+    try:
+        return search_gamma(normal_form(plant)[0], 1e-3, lambda _: None).best.gamma * family.unit
+    except NumericalFailure as failure:
+        raise NumericalFailure(f"the grid point {value:g} alone has no H-infinity controller: {failure}") from failure
+
+
+def _verified(job: _Job, family: Family, point: Factors, shape: Shape) -> tuple[ScheduledSystem, tuple[Frozen, ...]]:
+    """The schedule and what was found of it; it gains points of its own where interpolation spoils what R and S allow."""
+    checked = interval_points(family.grid, job.points_between)
+    values = family.grid
+    for _ in range(_REFINED + 1):
+        scheduled = _scheduled(job, family, point, values)
+        found = frozen(job.plant_at, scheduled, family, point, checked, shape.rates)
+        _require(job, found, family.unit)
+        weak = [f.value for f in found if not f.guaranteed <= _HOLDS * family.unit and f.value not in values]
+        if not weak:
+            break
+        values = np.unique(np.append(values, weak))
+        checked = np.unique(np.append(checked, interval_points(values, 1)))
+    return scheduled, found
+
+
+def _scheduled(job: _Job, family: Family, point: Factors, values: np.ndarray) -> ScheduledSystem:
+    """The controllers at the values in original units and in the states of ``point``, where the plant has one there."""
+    root = np.sqrt(family.rate)
+    kept, systems = [], []
+    for value in values:
+        given = job.plant_at(float(value))
+        plant = family.scaled(given)
+        try:
+            A, B, C, D = controller(plant, point, float(family.to_relative(value)))
+        except NumericalFailure:
+            if value in family.grid:
+                raise
+            continue
+        matrices = original_matrices(plant, (A * family.rate, B * root, C * root, D))
+        kept.append(value)
+        systems.append(StateSpace(*matrices, given.y, given.u))
+    return ScheduledSystem(kept, systems, job.parameter, job.unit)
+
+
+def balanced_states(scheduled: ScheduledSystem) -> ScheduledSystem:
+    """The same system in states scaled diagonally, by one scaling for all points."""
+    largest = (np.abs([getattr(s, x) for s in scheduled.systems]).max(axis=0) for x in "ABC")
+    t = balance_system(*largest)[3]
+    systems = [
+        StateSpace(s.A * t / t[:, None], s.B / t[:, None], s.C * t, s.D, s.inputs, s.outputs, s.dt) for s in scheduled.systems
+    ]
+    return ScheduledSystem(scheduled.grid, systems, scheduled.parameter, scheduled.unit, scheduled.outside)
+
+
+def _require(job: _Job, found: Sequence[Frozen], gamma: float) -> None:
+    """Raises NumericalFailure unless every frozen loop is stable and the grid points keep ``gamma``."""
+    for f in found:
+        where = f"at {job.parameter} {f.value:g} {job.unit}"
+        if not f.stable:
+            raise NumericalFailure(f"the loop is unstable {where} (spectral abscissa {f.spectral_abscissa:.4g} rad/s)")
+        if f.on_grid and not (f.slack < 0 and f.norm <= gamma * (1 + 1e-6)):
+            raise NumericalFailure(f"norm {f.norm:.6g}, largest eigenvalue of the inequality {f.slack:.2g} {where}")
+
+
+def _result(job: _Job, design: _Design, nominal: float | None) -> Synthesis:
+    found, gamma = design.found, design.family.unit
+    worst = max(found, key=lambda f: f.guaranteed)
+    if not np.isfinite(worst.guaranteed):
+        raise NumericalFailure(
+            f"between the grid points, at {job.parameter} {worst.value:g} {job.unit}, nothing is guaranteed while the "
+            f"{job.parameter} changes; add grid points there"
+        )
+    low, high = design.scheduled.range
+    value = float(design.scheduled.grid[len(design.scheduled.grid) // 2]) if nominal is None else float(nominal)
+    if not low <= value <= high:
+        raise invalid("nominal", f"{value:g} {job.unit}", f"between {low:g} and {high:g}", "choose it within the grid")
+    inside = [f.guaranteed for f in found if not f.on_grid]
+    margins = {
+        "gamma_optimal": design.optimal,
+        "gamma_lower": design.lower,
+        "gamma_designed": gamma,
+        "pointwise_largest": float(design.pointwise.max()),
+        "guaranteed_between": max(inside, default=float("nan")),
+        "grid_points": float(len(design.family.grid)),
+        "schedule_points": float(len(design.scheduled.grid)),
+        "checked_points": float(len(found)),
+    }
+    certificate = Certificate(
+        all(f.stable for f in found), max(f.spectral_abscissa for f in found), max(f.norm for f in found),
+        max(f.fastest_pole for f in found), margins,
+        f"{design.family.n} states, {job.parameter} {low:g} to {high:g} {job.unit}, {len(found)} points",
+    )  # fmt: skip
+    scheduled = balanced_states(design.scheduled)
+    return Synthesis(
+        scheduled.at(value), "lpv", worst.guaranteed, "verified", certificate, tuple(f.row() for f in found),
+        (*design.notes, *_words(job, design, worst)), scheduled,
+    )  # fmt: skip
+
+
+def _words(job: _Job, design: _Design, worst: Frozen) -> tuple[str, ...]:
+    """What is guaranteed, in sentences."""
+    grid = design.family.grid
+    speed = "however fast it changes" if job.rate is None else f"up to {job.rate:g} {job.unit}/s either way"
+    notes = [
+        f"gamma {worst.guaranteed:.4g} holds for a changing {job.parameter}, {speed}: proved at {len(grid)} grid points and "
+        f"checked at {len(design.found) - len(grid)} points between, nowhere else"
+    ]
+    plants = design.family.plants
+    kept = all(
+        np.abs(getattr(p, name) - getattr(plants[0], name)).max() <= _KEPT * (1 + np.abs(getattr(plants[0], name)).max())
+        for p in plants for name in ("B2", "C2", "D12", "D21")
+    )  # fmt: skip
+    if kept and job.rate is None:
+        notes.append("for a plant that is linear in the parameter between grid points it holds in between as well")
+    if design.backoff > job.backoff:
+        notes.append(
+            f"the back-off is {design.backoff:.4g} instead of {job.backoff:g}: closer to the optimum verification failed"
+        )
+    return tuple(notes)

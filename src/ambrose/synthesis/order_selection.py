@@ -1,0 +1,176 @@
+"""The lowest order of a controller at a stated loss: reduced in its loop, then polished where reduction alone goes too far.
+
+Every candidate is judged by the same measure as the controller it comes from, such as the worst sensitivity of the sampled loop
+over the tolerances (``sampled_sensitivity``): what a reduced controller is worth is not read off its Hankel values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, invalid
+from ambrose.core.lft import GeneralizedPlant, close_uncertainty
+from ambrose.core.sampling import c2d, delayed
+from ambrose.core.statespace import StateSpace
+from ambrose.core.worst_case.loop import corners
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
+from ambrose.plant.uncertainty import perturbed
+from ambrose.synthesis.certificate import certify, generalized_certificate
+from ambrose.synthesis.design import JUDGED_ROUNDS, design_tolerances, on_full_plant
+from ambrose.synthesis.fixed_order import polish
+from ambrose.synthesis.fixed_order.reduction import reduce_controller
+from ambrose.synthesis.loop_delay import late, loop_delay
+from ambrose.synthesis.problem import design_plant, open_model
+from ambrose.synthesis.result import Synthesis, is_verified
+from ambrose.synthesis.weights import machine_weights, scale_control
+
+_LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of a single parameter; of several their corners and the centre
+_GIVE_UP = 3  # orders in a row beyond the loss: the values come in pairs, and an odd order may be the worse one
+Measure = Callable[[StateSpace], float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lowered:
+    """The controller of lowest order whose measure is within the loss; of the start: ``reference``.
+
+    tried: (order, "reduced" or "polished", measure) of all that were looked at, infinite where the loop is unstable.
+    """
+
+    controller: StateSpace
+    measure: float
+    reference: float
+    tried: tuple[tuple[int, str, float], ...]
+
+
+def lower(
+    problem: GeneralizedPlant,
+    controller: StateSpace,
+    measure: Measure,
+    loss: float,
+    *,
+    polishing: bool = True,
+    rounds: int = JUDGED_ROUNDS,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Lowered:
+    """Reduce ``controller`` as far as its measure rises by no more than ``loss`` [-] (0.05: 5 %).
+
+    problem: the design problem with its real blocks. measure: StateSpace -> number, less is better, infinite where unstable.
+    polishing: orders below the lowest that reduction reaches are tried by ``polish``, two states less at a time, with so many
+    ``rounds`` each.
+    Raises InvalidInput, and UnstableSystem where the measure of ``controller`` itself is infinite.
+    """
+    check_positive(loss, "loss", "0.05 allows 5 %", zero_allowed=True)
+    reference = measure(controller)
+    if not np.isfinite(reference):
+        raise UnstableSystem("the controller to be lowered is unstable in its loop; lower one that holds it")
+    limit = (1 + loss) * reference
+    best, found = controller, reference
+    tried: list[tuple[int, str, float]] = [(controller.n_states, "given", reference)]
+    models, beyond = _models(problem), 0
+    for order in range(controller.n_states - 1, 0, -1):
+        candidate = _reduced(models, controller, order)
+        if candidate is None or candidate.n_states >= best.n_states or any(candidate.n_states == row[0] for row in tried):
+            continue
+        value = measure(candidate)
+        tried.append((candidate.n_states, "reduced", value))
+        progress(f"order {candidate.n_states}, reduced: {value:.4g} (at most {limit:.4g})")
+        if value <= limit:
+            best, found, beyond = candidate, value, 0
+        else:
+            beyond += 1
+            if beyond == _GIVE_UP:
+                break
+    while polishing and best.n_states > 2:
+        order = best.n_states - 2
+        try:
+            candidate = polish.synthesize(problem, controller, order=order, rounds=rounds, judge=measure).controller
+        except NumericalFailure as error:
+            progress(f"order {order}, polished: {error}")
+            tried.append((order, "polished", float("inf")))
+            break
+        value = measure(candidate)
+        tried.append((candidate.n_states, "polished", value))
+        progress(f"order {candidate.n_states}, polished: {value:.4g} (at most {limit:.4g})")
+        if value > limit or candidate.n_states >= best.n_states:
+            break
+        best, found = candidate, value
+    return Lowered(best, found, reference, tuple(tried))
+
+
+def lowered(
+    plant: Plant,
+    result: Synthesis,
+    loss: float,
+    sample_time: float,
+    *,
+    computing_samples: int = 1,
+    bending_modes: int = 0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Synthesis:
+    """A synthesis at the lowest order for which the sampled loop's worst sensitivity rises by at most ``loss`` [-].
+
+    plant: the full one it was made for; bending_modes: of the design model. The weights are the machine's, scaled as the
+    synthesis had them. The certificate is made anew on the full plant; margins gain "sampled_sensitivity" and, of the
+    controller before, "sampled_sensitivity_given". Raises InvalidInput for a machine without tolerances or weights.
+    """
+    weights = scale_control(machine_weights(plant.machine), result.certificate.margins.get("control_weight_factor", 1.0))
+    delay = loop_delay(sample_time, computing_samples)
+    problem = design_plant(
+        late(open_model(reduce(plant, bending_modes), design_tolerances(plant.machine), True), delay), weights
+    )
+    measure = sampled_sensitivity(reduce(plant, bending_modes + 1), sample_time, computing_samples)
+    found = lower(problem, result.controller, measure, loss, progress=progress)
+    before, after = result.controller.n_states, found.controller.n_states
+    note = (
+        f"lowered from {before} to {after} states: worst sampled sensitivity {found.reference:.3g} -> {found.measure:.3g} "
+        f"over the tolerances, at {1 / sample_time:g} Hz with {computing_samples} samples of delay"
+    )
+    margins = {"sampled_sensitivity": found.measure, "sampled_sensitivity_given": found.reference}
+    certificate = generalized_certificate(
+        design_plant(reduce(plant, bending_modes), weights, uncertain=False), found.controller
+    )
+    fresh = replace(result, controller=found.controller, certificate=certificate, notes=(*result.notes, note), gamma=np.nan)
+    kept = result.status if is_verified(result.status) else "verified"  # with what it says of an early end
+    return on_full_plant(plant, replace(fresh, status=kept if certificate.stable else "unstable"), margins)
+
+
+def sampled_sensitivity(plant: Plant, sample_time: float, computing_samples: int = 1) -> Measure:
+    """A measure: the largest sigma_max(S_o) of the sampled loop over the design's tolerances, at corners or five levels.
+
+    plant: reduced, its bending modes kept so that spillover counts. sample_time [s]; the controller is sampled by Tustin's map
+    and acts ``computing_samples`` later. Raises InvalidInput for a machine without tolerances.
+    """
+    names = [tolerance.parameter for tolerance in design_tolerances(plant.machine)]
+    if not names:
+        raise invalid("the machine's tolerances", "none", "at least one", "add a [[tolerance]]")
+    points = _points(len(names))
+    plants = [perturbed(plant, dict(zip(names, point.tolist(), strict=True))) for point in points]
+
+    def measure(controller: StateSpace) -> float:
+        running = delayed(c2d(controller, sample_time, "tustin"), computing_samples)
+        return max(certify(item, running).closed_loop_norm for item in plants)
+
+    return measure
+
+
+def _models(problem: GeneralizedPlant) -> list[GeneralizedPlant]:
+    """The problem's performance at levels or corners of its blocks."""
+    names, n_w, n_z = [block.name for block in problem.blocks], problem.n_w_blocks, problem.n_z_blocks
+    points = _points(len(names))
+    systems = [close_uncertainty(problem, dict(zip(names, point.tolist(), strict=True))) for point in points]
+    return [GeneralizedPlant(system, problem.w[n_w:], problem.u, problem.z[n_z:], problem.y) for system in systems]
+
+
+def _points(count: int) -> np.ndarray:
+    return np.array(_LEVELS)[:, None] if count == 1 else np.vstack([np.zeros((1, count)), corners(count)])
+
+
+def _reduced(models: Sequence[GeneralizedPlant], controller: StateSpace, order: int) -> StateSpace | None:
+    try:
+        return reduce_controller(models, controller, order)[0]
+    except NumericalFailure:
+        return None

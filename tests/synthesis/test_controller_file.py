@@ -1,0 +1,336 @@
+"""The controller file: exact round trips, atomic writing, and a reader that refuses what it does not know."""
+
+from __future__ import annotations
+
+import json
+import math
+import stat
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from ambrose import __version__
+from ambrose.core.checks import InvalidInput
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace, select, static_gain
+from ambrose.machine.description import Machine, MagneticBearing, OperatingPoint, Sensor, ShaftSection
+from ambrose.plant.assemble import assemble
+from ambrose.synthesis.controller_file import machine_hash, match_controller, read_controller, write_controller
+from ambrose.synthesis.result import Certificate, Synthesis
+
+AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
+INPUTS, OUTPUTS = [f"err_{a}" for a in AXES], [f"u_{a}" for a in AXES]
+DATE = datetime(2026, 1, 31, 12, 0, 0, tzinfo=UTC)
+MACHINE = Machine(
+    name="small",
+    shaft=(ShaftSection(start=0.0, length=0.8, outer_diameter=0.1),),
+    bearings=tuple(
+        MagneticBearing(name, z, 6.0, force_per_current=(150.0, 150.0), negative_stiffness=(1e6, 1e6))
+        for name, z in (("A", 0.2), ("B", 0.6))
+    ),
+    sensors=(Sensor("A", 0.2), Sensor("B", 0.6)),
+)
+
+
+def random_controller(n: int, seed: int = 0, dt: float | None = None) -> StateSpace:
+    rng = np.random.default_rng(seed)
+    scale = 10.0 ** rng.integers(-12, 12, (n + 4, n + 4))
+    M = rng.standard_normal((n + 4, n + 4)) * scale
+    return StateSpace(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:], INPUTS, OUTPUTS, dt)
+
+
+def synthesis(controller: StateSpace, **changes) -> Synthesis:
+    margins = {"sensitivity_peak": 2.9 + 1e-15, "gain_margin": math.inf, "phase_margin_rad": 0.1 + 0.2}
+    certificate = Certificate(True, -5.1 / 3, 2.9 + 1e-15, 2857.1428571428573, margins, "small, standstill, 24 states")
+    return replace(Synthesis(controller, "pid", math.nan, "verified", certificate), **changes)
+
+
+class TestRoundTrip:
+    @pytest.mark.parametrize("dt", [None, 1e-4, 0.1 + 0.2])
+    @pytest.mark.parametrize("n", [0, 1, 7, 24])
+    def test_every_double_comes_back(self, tmp_path, n, dt):
+        controller = random_controller(n, n, dt)
+        read = read_controller(write_controller(tmp_path / "k.json", controller)).controller
+        for letter in "ABCD":
+            assert getattr(read, letter).tobytes() == getattr(controller, letter).tobytes()
+        assert (read.inputs, read.outputs, read.dt) == (controller.inputs, controller.outputs, controller.dt)
+
+    def test_extreme_doubles_come_back(self, tmp_path):
+        values = [np.nextafter(1, 2), 5e-324, 1.7976931348623157e308, -0.0]
+        controller = static_gain(np.diag(values), INPUTS, OUTPUTS)
+        read = read_controller(write_controller(tmp_path / "k.json", controller)).controller
+        assert read.D.tobytes() == controller.D.tobytes()
+
+    def test_certificate_and_provenance_come_back(self, tmp_path):
+        result = synthesis(random_controller(3))
+        file = read_controller(write_controller(tmp_path / "k.json", result, MACHINE, DATE))
+        assert (file.method, file.status) == ("pid", "verified")
+        assert math.isnan(file.gamma)
+        for name in ("stable", "spectral_abscissa", "closed_loop_norm", "fastest_pole", "plant", "margins"):
+            assert getattr(file.certificate, name) == getattr(result.certificate, name)
+        assert file.provenance.package_version == __version__
+        assert (file.provenance.machine, file.provenance.machine_hash) == ("small", machine_hash(MACHINE))
+        assert datetime.fromisoformat(file.provenance.date) == DATE
+
+    def test_an_unstable_verdict_comes_back(self, tmp_path):
+        verdict = Certificate(False, 47.7, math.inf, 2857.0, {}, "small")
+        result = synthesis(random_controller(2), status="unstable", certificate=verdict, gamma=math.inf)
+        file = read_controller(write_controller(tmp_path / "k.json", result))
+        assert not file.certificate.stable
+        assert file.certificate.closed_loop_norm == math.inf == file.gamma
+
+    def test_a_controller_alone_is_uncertified(self, tmp_path):
+        file = read_controller(write_controller(tmp_path / "k.json", random_controller(2)))
+        assert (file.status, file.certificate, file.provenance.machine) == ("uncertified", None, None)
+
+    def test_a_python_control_system_is_welcome(self, tmp_path):
+        controller = random_controller(3)
+        file = read_controller(write_controller(tmp_path / "k.json", controller.to_control()))
+        np.testing.assert_array_equal(file.controller.A, controller.A)
+
+
+class TestWriting:
+    def test_the_file_is_plain_json_with_units(self, tmp_path):
+        content = json.loads(write_controller(tmp_path / "k.json", synthesis(random_controller(2))).read_text())
+        assert content["format"] == "ambrose-controller"
+        assert content["version"] == 1
+        assert content["inputs"][0] == {"name": "err_A_zeta", "unit": "m"}
+        assert content["outputs"][3] == {"name": "u_B_eta", "unit": "A"}
+
+    def test_a_failed_write_leaves_the_old_file_and_nothing_else(self, tmp_path, monkeypatch):
+        path = write_controller(tmp_path / "k.json", random_controller(2))
+        before = path.read_bytes()
+
+        def full(descriptor):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr("os.fsync", full)
+        with pytest.raises(InvalidInput, match="No space left"):
+            write_controller(path, random_controller(5))
+        assert path.read_bytes() == before
+        assert [p.name for p in tmp_path.iterdir()] == ["k.json"]
+
+    def test_overwriting_replaces(self, tmp_path):
+        path = write_controller(tmp_path / "k.json", random_controller(2))
+        write_controller(path, random_controller(5))
+        assert read_controller(path).controller.n_states == 5
+        assert stat.S_IMODE(path.stat().st_mode) & stat.S_IRUSR
+
+    @pytest.mark.parametrize("place", ["missing/k.json", "", "."])
+    def test_a_path_that_cannot_be_written(self, tmp_path, place):
+        with pytest.raises(InvalidInput):
+            write_controller(tmp_path / place, random_controller(2))
+
+    def test_signals_of_something_else_are_refused(self, tmp_path):
+        with pytest.raises(InvalidInput, match="'u1', but must be err_<axis>"):
+            write_controller(tmp_path / "k.json", static_gain(np.eye(4)))
+        assert not list(tmp_path.iterdir())
+
+
+def delete(key):
+    return lambda content: content.pop(key)
+
+
+def put(value, *keys):
+    def change(content):
+        for key in keys[:-1]:
+            content = content[key]
+        content[keys[-1]] = value
+
+    return change
+
+
+BAD_CONTENT = {
+    "another format": (put("ambrose-record", "format"), "format is 'ambrose-record'"),
+    "no format": (delete("format"), "format is None"),
+    "later version": (put(3, "version"), "version is 3"),
+    "version as text": (put("1", "version"), "version is '1'"),
+    "version true": (put(True, "version"), "version is True"),
+    "unknown key": (put(1, "colour"), "unknown key 'colour'"),
+    "missing key": (delete("sample_time"), "lacks the key 'sample_time'"),
+    "scheduling": (put({"parameter": "speed"}, "scheduling"), "scheduling"),
+    "A not square": (lambda c: c["A"][1].append(0.0), "length of row 2 of A is 4, but must be 3"),
+    "A a number": (put(1.0, "A"), "A is float"),
+    "B of other height": (lambda c: c["B"].pop(), "rows of B is 2, but must be 3"),
+    "C of other width": (lambda c: c["C"][0].pop(), "row 1 of C is 2, but must be 3"),
+    "D of other size": (lambda c: c["D"].pop(), "rows of D is 3, but must be 4"),
+    "row a number": (put(0.0, "B", 0), "row 1 of B is float"),
+    "text for a number": (put("1.0", "A", 0, 0), r"A\[1\]\[1\] is '1.0', but must be a number"),
+    "null for a number": (put(None, "D", 3, 3), r"D\[4\]\[4\] is None"),
+    "true for a number": (put(True, "A", 0, 0), r"A\[1\]\[1\] is True"),
+    "a huge whole number": (put(10**400, "A", 0, 0), r"A\[1\]\[1\] is inf, but must be finite"),
+    "no inputs": (put([], "inputs"), "inputs"),
+    "a signal without unit": (put({"name": "err_A_zeta"}, "inputs", 0), "lacks the key 'unit'"),
+    "another unit": (put("um", "inputs", 2, "unit"), r"inputs\[3\].unit is 'um', but must be 'm'"),
+    "another quantity": (put("y_A_zeta", "inputs", 0, "name"), "must be err_<axis>"),
+    "a repeated signal": (put("u_A_zeta", "outputs", 1, "name"), "repeating u_A_zeta"),
+    "negative sample time": (put(-1e-4, "sample_time"), "dt is -0.0001"),
+    "sample time as text": (put("0.1 ms", "sample_time"), "sample_time is '0.1 ms'"),
+    "unknown status": (put("probably", "status"), "status is 'probably'"),
+    "gamma as a list": (put([1.0], "gamma"), "gamma"),
+    "certificate a list": (put([], "certificate"), "certificate is list"),
+    "certificate without norm": (lambda c: c["certificate"].pop("closed_loop_norm"), "lacks the key 'closed_loop_norm'"),
+    "stable as a number": (put(1, "certificate", "stable"), "true or false"),
+    "margin as text": (put("good", "certificate", "margins", "gain_margin"), "margins.gain_margin is 'good'"),
+    "verified without certificate": (put(None, "certificate"), "does not say stable"),
+    "verified but unstable": (put(False, "certificate", "stable"), "does not say stable"),
+    "another package": (put("pickle", "provenance", "package"), "provenance.package"),
+    "no date": (put("yesterday", "provenance", "date"), "provenance.date is 'yesterday'"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_CONTENT)
+def test_bad_content_is_named(tmp_path, name):
+    change, message = BAD_CONTENT[name]
+    path = write_controller(tmp_path / "k.json", synthesis(random_controller(3)), MACHINE)
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_controller(path)
+    assert str(path) in str(caught.value)
+
+
+BAD_BYTES = {
+    "truncated": (lambda text: text[: len(text) // 2], "not complete JSON"),
+    "empty": (lambda text: "", "not complete JSON"),
+    "NaN": (lambda text: text.replace('"sample_time": null', '"sample_time": NaN'), "NaN"),
+    "Infinity": (lambda text: text.replace('"sample_time": null', '"sample_time": -Infinity'), "-Infinity"),
+    "overflowing number": (lambda text: text.replace('"sample_time": null', '"sample_time": 1e999'), "finite"),
+    "a key twice": (lambda text: text.replace('"method"', '"version": 1, "method"'), "'version' is given twice"),
+    "a list": (lambda text: f"[{text}]", "format is list"),
+    "deep nesting": (lambda text: "[" * 200_000, "JSON"),
+    "endless digits": (lambda text: text.replace('"sample_time": null', f'"sample_time": {"9" * 5000}'), "JSON|finite"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_BYTES)
+def test_bad_text_is_refused(tmp_path, name):
+    change, message = BAD_BYTES[name]
+    path = write_controller(tmp_path / "k.json", synthesis(random_controller(3)))
+    text = path.read_text()
+    assert change(text) != text
+    path.write_text(change(text))
+    with pytest.raises(InvalidInput, match=message):
+        read_controller(path)
+
+
+@pytest.mark.parametrize(
+    "status", ["verified, but stopped early: the time limit", "verified; its start, by mu: verified, but stopped"]
+)
+def test_a_result_that_was_stopped_early_reads_back(tmp_path, status):
+    certificate = Certificate(True, -1.0, 2.0, 100.0, {}, "a plant")
+    write_controller(tmp_path / "k.json", Synthesis(random_controller(4), "mu", 2.0, status, certificate))
+    assert read_controller(tmp_path / "k.json").status == status
+
+
+def test_every_truncation_is_refused(tmp_path):
+    path = write_controller(tmp_path / "k.json", synthesis(random_controller(1)))
+    data = path.read_bytes()
+    for length in range(0, len(data.rstrip()), 7):
+        path.write_bytes(data[:length])
+        with pytest.raises(InvalidInput):
+            read_controller(path)
+
+
+def test_a_pickle_is_not_opened(tmp_path):
+    path = tmp_path / "k.json"
+    path.write_bytes(b"\x80\x04\x95\x1e\x00\x00\x00\x00\x00\x00\x00\x8c\x05posix\x94\x8c\x06system\x94\x93\x94.")
+    with pytest.raises(InvalidInput, match="not text"):
+        read_controller(path)
+
+
+@pytest.mark.parametrize("name", ["absent.json", "."])
+def test_a_missing_file_or_a_folder(tmp_path, name):
+    with pytest.raises(InvalidInput, match=r"cannot be read|ordinary file"):
+        read_controller(tmp_path / name)
+
+
+class _Loop:
+    """What match_controller asks of a plant."""
+
+    machine, axes = MACHINE, MACHINE.axes
+
+
+class TestMatching:
+    def test_signals_are_put_into_the_plants_order(self):
+        controller = random_controller(3)
+        shuffled = select(controller, INPUTS[::-1], [OUTPUTS[2], *OUTPUTS[:2], OUTPUTS[3]])
+        matched = match_controller(shuffled, _Loop())
+        np.testing.assert_array_equal(matched.D, controller.D)
+        assert (list(matched.inputs), list(matched.outputs)) == (INPUTS, OUTPUTS)
+
+    def test_another_size_is_refused(self):
+        controller = select(random_controller(3), INPUTS[:2], OUTPUTS)
+        with pytest.raises(InvalidInput, match="number of the controller's inputs is 2, but must be 4"):
+            match_controller(controller, _Loop())
+
+    def test_other_axes_are_refused(self):
+        controller = static_gain(np.eye(4), [f"err_{b}_{a}" for b in "CD" for a in ("zeta", "eta")], OUTPUTS)
+        with pytest.raises(InvalidInput, match=r"err_C_zeta.*must be err_A_zeta.*'small'"):
+            match_controller(controller, _Loop())
+
+
+def test_the_hash_follows_the_description():
+    assert machine_hash(MACHINE) == machine_hash(replace(MACHINE))
+    assert machine_hash(MACHINE) != machine_hash(replace(MACHINE, modal_damping=0.0051))
+    whole = replace(MACHINE, bearings=(replace(MACHINE.bearings[0], bias_current=6), MACHINE.bearings[1]))
+    assert machine_hash(whole) == machine_hash(MACHINE)  # 6 and 6.0 are one number
+
+
+def scheduled_synthesis() -> Synthesis:
+    scheduled = ScheduledSystem([100.0, 200.0 + 1e-13, 500.0], [random_controller(3, seed) for seed in range(3)])
+    return synthesis(scheduled.at(150.0), method="lpv", scheduled=scheduled)
+
+
+class TestScheduling:
+    def test_schedule_comes_back_bit_by_bit(self, tmp_path):
+        result = scheduled_synthesis()
+        file = read_controller(write_controller(tmp_path / "k.json", result, MACHINE))
+        assert file.law is file.scheduled
+        np.testing.assert_array_equal(file.scheduled.grid, result.scheduled.grid)
+        for found, given in zip(file.scheduled.systems, result.scheduled.systems, strict=True):
+            for letter in "ABCD":
+                assert getattr(found, letter).tobytes() == getattr(given, letter).tobytes()
+            assert (found.inputs, found.outputs) == (given.inputs, given.outputs)
+        assert (file.scheduled.parameter, file.scheduled.unit, file.scheduled.outside) == ("speed", "rad/s", "refuse")
+        np.testing.assert_array_equal(file.controller.A, result.controller.A)
+
+    def test_fixed_controllers_stay_version_1(self, tmp_path):
+        content = json.loads(write_controller(tmp_path / "k.json", synthesis(random_controller(3))).read_text())
+        assert (content["version"], content["scheduling"]) == (1, None)
+        file = read_controller(tmp_path / "k.json")
+        assert file.scheduled is None
+        assert file.law is file.controller
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (lambda c: c.update(version=1), r"scheduling is given, but must be null in version 1"),
+            (lambda c: c.update(scheduling=None), r"scheduling is NoneType"),
+            (lambda c: c["scheduling"].update(grid=[100.0, 50.0, 500.0]), r"grid of the speed .* ascending"),
+            (lambda c: c["scheduling"].update(grid=[100.0, 500.0]), r"number of systems is 3"),
+            (lambda c: c["scheduling"].update(grid=[100.0, "fast", 500.0]), r"scheduling.grid\[2\]"),
+            (lambda c: c["scheduling"].update(interpolation="cubic"), r"scheduling.interpolation is 'cubic'"),
+            (lambda c: c["scheduling"].update(outside="extrapolate"), r"scheduling.outside"),
+            (lambda c: c["scheduling"].update(colour="red"), r"unknown key 'colour'"),
+            (lambda c: c["scheduling"]["points"][1].pop("D"), r"scheduling.points\[2\] lacks the key 'D'"),
+            (lambda c: c["scheduling"]["points"][2]["A"].pop(), r"rows of scheduling.points\[3\].A"),
+        ],
+    )
+    def test_bad_schedules_are_named(self, tmp_path, change, message):
+        path = write_controller(tmp_path / "k.json", scheduled_synthesis())
+        content = json.loads(path.read_text())
+        change(content)
+        path.write_text(json.dumps(content))
+        with pytest.raises(InvalidInput, match=message):
+            read_controller(path)
+
+    def test_controller_at_the_speed_of_the_plant(self, tmp_path):
+        scheduled = scheduled_synthesis().scheduled
+        plant = assemble(MACHINE, OperatingPoint(speed=300.0))
+        np.testing.assert_array_equal(match_controller(scheduled, plant).A, scheduled.at(300.0).A)
+        with pytest.raises(InvalidInput, match="between 100 and 500 rad/s"):
+            match_controller(scheduled, assemble(MACHINE))

@@ -1,0 +1,65 @@
+"""The lowest order at a stated loss: judged in the sampled loop, never by Hankel values alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambrose import load_machine
+from ambrose.core.checks import InvalidInput, UnstableSystem
+from ambrose.plant.assemble import assemble
+from ambrose.plant.reduce import reduce
+from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.loop_delay import late, loop_delay
+from ambrose.synthesis.order_selection import lower, sampled_sensitivity
+from ambrose.synthesis.problem import design_plant, open_model
+from ambrose.synthesis.weights import machine_weights
+
+SAMPLE = 1e-4
+
+
+@pytest.fixture(scope="module")
+def task():
+    """Problem with the sampled loop's delay, an H-infinity controller of it, the measure."""
+    plant = assemble(load_machine("seal-rig"))
+    weights = machine_weights(plant.machine)
+    problem, nominal = (
+        design_plant(late(open_model(reduce(plant), None, flag), loop_delay(SAMPLE)), weights, uncertain=flag)
+        for flag in (True, False)
+    )
+    return problem, hinf.synthesize(nominal).controller, sampled_sensitivity(reduce(plant, 1), SAMPLE)
+
+
+def test_reduction_stays_within_the_stated_loss(task):
+    problem, controller, measure = task
+    orders = []
+    for loss in (0.01, 0.2):
+        found = lower(problem, controller, measure, loss, polishing=False)
+        assert found.reference == measure(controller)
+        assert found.measure == measure(found.controller) <= (1 + loss) * found.reference
+        orders.append(found.controller.n_states)
+        beyond = [value for order, _, value in found.tried if order < found.controller.n_states]
+        assert beyond  # it went on until the loss was passed
+        assert min(beyond) > (1 + loss) * found.reference
+    assert orders[1] <= orders[0] < controller.n_states
+
+
+def test_polishing_reaches_orders_that_reduction_does_not(task):
+    problem, controller, measure = task
+    reduced = lower(problem, controller, measure, 0.0, polishing=False)
+    polished = lower(problem, controller, measure, 0.0, rounds=1)
+    assert polished.controller.n_states < reduced.controller.n_states
+    assert polished.measure <= polished.reference
+
+
+def test_refusals(task):
+    problem, controller, measure = task
+    with pytest.raises(InvalidInput, match="loss"):
+        lower(problem, controller, measure, -0.1)
+    wrong = replace(controller, B=-controller.B)
+    with pytest.raises(UnstableSystem, match="unstable in its loop"):
+        lower(problem, wrong, measure, 0.1)
+    machine = replace(load_machine("seal-rig"), tolerances=())
+    with pytest.raises(InvalidInput, match="tolerances"):
+        sampled_sensitivity(reduce(assemble(machine)), SAMPLE)
+    assert np.isinf(measure(wrong))
