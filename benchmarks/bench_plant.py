@@ -20,7 +20,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import modal_reduction
 from ambrose.synthesis import pid
-from ambrose.verify import nominal
+from ambrose.verification import nominal
 
 
 def seconds(action: Callable[[], Any], runs: int = 7) -> float:

@@ -21,7 +21,7 @@ from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis import pid
-from ambrose.verify import robust
+from ambrose.verification import robust
 
 _EIGENVALUES, _RESPONSES = 16, 4  # points at which the peer is timed
 _GROWN = 3.0  # of the box, for the count: some of its points are unstable

@@ -25,7 +25,7 @@ from ambrose.simulate.spin_up import spin_up, steps
 from ambrose.simulate.trace import Trace
 from ambrose.synthesis.design import design
 from ambrose.synthesis.lpv.machine import design_over_speed
-from ambrose.verify.loop_response import loop_evaluator
+from ambrose.verification.loop_response import loop_evaluator
 
 HZ = 2 * np.pi
 SPEEDS_HZ = (20, 25, 30, 35, 60, 100, 140, 180, 220, 260, 300)

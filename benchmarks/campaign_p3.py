@@ -31,8 +31,15 @@ from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weights import machine_weights
-from ambrose.verify.over_box import BoxUnbalance, PulseFamily, box_members, loop_over_box, pulse_family, unbalance_over_box
-from ambrose.verify.robust import box_loops
+from ambrose.verification.robust import box_loops
+from ambrose.verification.worst_case_responses import (
+    BoxUnbalance,
+    PulseFamily,
+    box_members,
+    loop_over_box,
+    pulse_family,
+    unbalance_over_box,
+)
 
 HZ = 2 * np.pi
 POINT = "140 Hz (P3)"

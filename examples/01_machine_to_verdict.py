@@ -4,7 +4,7 @@ from ambrose import load_machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis import pid
-from ambrose.verify import nominal
+from ambrose.verification import nominal
 
 machine = load_machine("seal-rig")
 verdicts = {}

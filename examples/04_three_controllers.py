@@ -3,7 +3,7 @@
 from ambrose import load_machine
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.design import design
-from ambrose.verify import robust
+from ambrose.verification import robust
 
 plant = assemble(load_machine("seal-rig"))
 syntheses = {method: design(plant, method) for method in ("pid", "hinf", "mu")}  # designed on 8 rotor states ...

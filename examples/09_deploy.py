@@ -18,7 +18,7 @@ from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import load_scenario
 from ambrose.synthesis.design import design
 from ambrose.synthesis.loop_delay import loop_delay
-from ambrose.verify import nominal
+from ambrose.verification import nominal
 
 SAMPLE = 1e-4  # s
 machine = load_machine("seal-rig")

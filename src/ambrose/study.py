@@ -28,7 +28,7 @@ from ambrose.stages.run_up import RunUp, run_ups
 from ambrose.stages.trial import simulations
 from ambrose.synthesis.design import methods_for
 from ambrose.synthesis.result import Synthesis
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 Progress = Callable[[str], None]
 TITLES = {"pid": "PID", "hinf": "H-infinity", "mu": "mu", "polish": "mu, polished", "lpv": "LPV"}

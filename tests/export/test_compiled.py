@@ -17,7 +17,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.simulate import virtual_rig
 from ambrose.simulate.scenario import load_scenario
 from ambrose.synthesis import pid
-from ambrose.verify import nominal
+from ambrose.verification import nominal
 
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
 SAMPLE = 1e-4

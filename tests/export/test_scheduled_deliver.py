@@ -31,8 +31,8 @@ from ambrose.simulate.scenario import load_scenario
 from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design
 from ambrose.synthesis.result import Certificate, Synthesis
-from ambrose.verify import nominal
-from ambrose.verify.checks import Check, Checks
+from ambrose.verification import nominal
+from ambrose.verification.checks import Check, Checks
 from schedule_driver import block_of, small_schedule
 
 GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"

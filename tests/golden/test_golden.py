@@ -13,7 +13,7 @@ from ambrose import load_machine
 from ambrose.plant.assemble import assemble
 from ambrose.stages.plants import facts
 from ambrose.synthesis.design import design
-from ambrose.verify import nominal
+from ambrose.verification import nominal
 
 HERE = Path(__file__).with_name("golden.json")
 CHECKS = ("sensitivity.output.max", "compliance.max", "unbalance.orbit", "impulse.displacement", "margin.disk.output")

@@ -26,7 +26,7 @@ from ambrose.synthesis.loop_delay import late, loop_delay
 from ambrose.synthesis.order_selection import lower, sampled_sensitivity
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.weights import machine_weights, scale_control
-from ambrose.verify import nominal
+from ambrose.verification import nominal
 
 pytestmark = [pytest.mark.literature, pytest.mark.skipif(not has_compiler(), reason="no C compiler here")]
 SAMPLE = 1e-4

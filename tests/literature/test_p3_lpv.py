@@ -19,7 +19,7 @@ from ambrose.simulate.spin_up import spin_up, steps
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.design import design
 from ambrose.synthesis.lpv.machine import design_over_speed
-from ambrose.verify.loop_response import loop_evaluator
+from ambrose.verification.loop_response import loop_evaluator
 
 pytestmark = pytest.mark.literature
 HZ = 2 * np.pi

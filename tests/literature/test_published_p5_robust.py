@@ -10,7 +10,7 @@ from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.pid import axes_controller
 from ambrose.synthesis.problem import published_p5_problem, published_p5_weights
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
-from ambrose.verify import robust
+from ambrose.verification import robust
 
 pytestmark = pytest.mark.literature
 AXES = tuple(published_p5_data()["axes"])

@@ -22,7 +22,7 @@ from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 from ambrose.synthesis.weights import machine_weights, scale_control
-from ambrose.verify import nominal, robust
+from ambrose.verification import nominal, robust
 
 pytestmark = pytest.mark.literature
 HZ = 2 * np.pi

@@ -26,8 +26,8 @@ from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Certificate, Synthesis
-from ambrose.verify import nominal, robust
-from ambrose.verify.checks import Check, Checks, Curve
+from ambrose.verification import nominal, robust
+from ambrose.verification.checks import Check, Checks, Curve
 
 POINTS = ("zero pressure", "nominal pressure", "twice nominal pressure")
 NODES = np.linspace(0.0, 0.86, 40)

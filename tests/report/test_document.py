@@ -17,7 +17,7 @@ from ambrose.machine.description import Machine
 from ambrose.report import document, tables
 from ambrose.report.document import Cell, Figure, Report, Section, Table, Verdict
 from ambrose.report.verification import verification_report
-from ambrose.verify.checks import Check, Checks, Curve
+from ambrose.verification.checks import Check, Checks, Curve
 
 VOID = {"meta", "link", "img", "br", "hr", "input", "col"}
 

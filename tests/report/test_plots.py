@@ -13,7 +13,7 @@ from ambrose.machine.description import Disc, Machine
 from ambrose.report import plots, theme
 from ambrose.report.poles import pole_figure
 from ambrose.report.rotor_drawing import equivalent_cylinder
-from ambrose.verify.checks import Checks, Curve
+from ambrose.verification.checks import Checks, Curve
 
 TWO_PI = 2 * np.pi
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from ambrose.machine.atomic_write import write_text
 from ambrose.synthesis.result import Certificate
-from ambrose.verify.checks import Checks
+from ambrose.verification.checks import Checks
 
 
 def checks_to_dict(checks: Checks) -> dict[str, Any]:

@@ -24,9 +24,9 @@ from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.certificate import certify, match_controller
 from ambrose.synthesis.result import is_verified
-from ambrose.verify import nominal
-from ambrose.verify.checks import Check, Checks
-from ambrose.verify.criteria import Demand, information, judge
+from ambrose.verification import nominal
+from ambrose.verification.checks import Check, Checks
+from ambrose.verification.criteria import Demand, information, judge
 
 _FULL_POINTS = 40  # points of the box at which the eigenvalues of the full plant's loop are computed
 _MODES = 3  # bending modes per plane of the plant on which all points are examined

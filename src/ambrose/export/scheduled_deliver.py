@@ -11,7 +11,7 @@ from ambrose.export.scheduled_code import check_precision
 from ambrose.export.scheduled_deploy import ScheduledDeployment, sensitivity_peak, unmet_over_range
 from ambrose.machine.description import Machine
 from ambrose.synthesis.controller_file import ControllerFile
-from ambrose.verify.checks import Checks
+from ambrose.verification.checks import Checks
 
 
 def check_deliverable(scheduled: ScheduledSystem, target: str, arithmetic: str) -> None:

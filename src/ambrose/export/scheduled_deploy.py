@@ -32,8 +32,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
 from ambrose.synthesis.certificate import match_controller
-from ambrose.verify import nominal
-from ambrose.verify.checks import Checks
+from ambrose.verification import nominal
+from ambrose.verification.checks import Checks
 
 BETWEEN = 1  # speeds in every interval of the grid at which the loop is verified
 _TINY = 2.0**-150  # weight of the states among the outputs, from which the transform is read

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.report import units
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 _DECADES, _OVERLAY_DECADES = 4.0, 7.0  # of a logarithmic view below its top; models differ where they are small
 _BELOW_LIMITS = 2.0  # decades below the lowest limit: what is read against limits needs the room around them

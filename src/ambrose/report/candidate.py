@@ -9,7 +9,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
 from ambrose.simulate.trace import Trace
 from ambrose.synthesis.result import Synthesis
-from ambrose.verify.checks import Check, Checks
+from ambrose.verification.checks import Check, Checks
 
 
 @dataclass(frozen=True, slots=True, eq=False)

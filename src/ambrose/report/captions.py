@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 # The first entry whose words all occur in the curve's name applies.
 _BY_NAME: tuple[tuple[tuple[str, ...], str], ...] = (

@@ -12,7 +12,7 @@ from ambrose.report import units
 from ambrose.report.candidate import Candidate, find
 from ambrose.report.document import Cell, Table, Verdict
 from ambrose.report.tables import RELATION, place, reason, verdict
-from ambrose.verify.checks import Check, Checks
+from ambrose.verification.checks import Check, Checks
 
 Row = tuple[str | Cell, ...]
 Better = Callable[..., Any]  # min or max

@@ -13,7 +13,7 @@ import numpy as np
 from ambrose.report import theme, units
 from ambrose.report.axes import Axes, axes_of, drawn, is_map
 from ambrose.report.limits import amount, beyond, draw_limits, limit_levels
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 Labelled = Sequence[tuple[str, Curve]]
 

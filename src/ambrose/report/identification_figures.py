@@ -15,7 +15,7 @@ from ambrose.report import theme, units
 from ambrose.report.identification_tables import COVERAGE, fixed
 from ambrose.report.panels import Panel, panel_figure
 from ambrose.report.record_curves import thinned
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 _PERIODS = 6  # of the strongest frequency in the telling window
 _ROW, _LEAST = 26, 120  # [px]

@@ -8,7 +8,7 @@ from typing import Any
 
 from ambrose.report import theme, units
 from ambrose.report.axes import Axes
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 
 def limit_levels(curves: Sequence[tuple[str, Curve]], axes: Axes) -> list[tuple[float, str]]:

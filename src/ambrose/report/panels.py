@@ -12,7 +12,7 @@ from ambrose.report import theme, units
 from ambrose.report.axes import Axes, axes_of, drawn
 from ambrose.report.curves import mark_peak
 from ambrose.report.limits import beyond, draw_limits, limit_levels
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 Labelled = tuple[tuple[str, Curve], ...]
 

@@ -1,6 +1,6 @@
 """All pictures of the package, as plotly figures.
 
-    figure([("standstill", curve), ("nominal seal", curve)])       any Curve of ambrose.verify.checks, overlaid
+    figure([("standstill", curve), ("nominal seal", curve)])       any Curve of ambrose.verification.checks, overlaid
     figure([("full", curve), ("8 states", curve)], overlay=True)   "is it the same?": the first broad and pale, the rest on top
     rotor_drawing(machine, node_positions, shapes, frequencies)    the rotor to scale, free-free shapes beneath
 
@@ -21,7 +21,7 @@ from ambrose.report import theme
 from ambrose.report.curves import line_figure
 from ambrose.report.poles import pole_figure
 from ambrose.report.rotor_drawing import rotor_drawing
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 __all__ = ["figure", "rotor_drawing"]
 

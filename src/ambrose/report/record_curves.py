@@ -9,7 +9,7 @@ import numpy as np
 from ambrose.machine.description import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report.stations import Station
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 _BINS = 1000  # of a thinned curve, each with its lowest and highest value
 _DRIVEN = (("e", "Current excitation"), ("r", "Reference"), ("d", "Output disturbance"), ("f", "Applied forces"))

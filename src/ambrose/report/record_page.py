@@ -21,7 +21,7 @@ from ambrose.report.stations import largest, rotor_speed, stations, window
 from ambrose.report.waterfall import waterfall_figure
 from ambrose.simulate.scenario import Scenario
 from ambrose.simulate.trace import Trace
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 _CAPTIONS = {
     "radius": "The decisive picture: how near the shaft comes to the touchdown bearings, and whether the motion dies out, "

@@ -12,7 +12,7 @@ from ambrose.report.document import Cell, Figure, Section, Table
 from ambrose.report.panels import Panel, panel_figure
 from ambrose.simulate.spin_up import Step
 from ambrose.simulate.trace import Trace
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 _SPAN = 0.1  # s, of the first and the last panel
 _WORDS = (

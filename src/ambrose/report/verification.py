@@ -11,7 +11,7 @@ from ambrose.report import tables, units
 from ambrose.report.captions import caption
 from ambrose.report.document import Figure, Report, Section
 from ambrose.report.plots import figure, rotor_drawing
-from ambrose.verify.checks import Checks, Curve
+from ambrose.verification.checks import Checks, Curve
 
 Labelled = Sequence[tuple[str, Curve]]
 

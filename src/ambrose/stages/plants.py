@@ -19,7 +19,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.lpv.machine import speed_grid
-from ambrose.verify.checks import Curve
+from ambrose.verification.checks import Curve
 
 
 def full_plants(machine: Machine) -> tuple[Plant, ...]:

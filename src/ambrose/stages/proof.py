@@ -15,8 +15,8 @@ from ambrose.plant.reduce import reduce
 from ambrose.stages.plants import plants_along_speed
 from ambrose.synthesis.controller_file import match_controller
 from ambrose.synthesis.weights import machine_weights
-from ambrose.verify import campbell, nominal, robust
-from ambrose.verify.checks import Checks, Curve
+from ambrose.verification import campbell, nominal, robust
+from ambrose.verification.checks import Checks, Curve
 
 Progress = Callable[[str], None]
 _CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10

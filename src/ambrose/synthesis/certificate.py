@@ -37,7 +37,7 @@ def certify(plant: Plant | StateSpace, controller: Any, label: str = "") -> Cert
     - ``sensitivity_peak``, ``complementary_peak`` [-]: H-infinity norms of S_o and T_o;
     - ``disk_gain_margin``, ``disk_gain_reduction`` [-], ``disk_phase_margin_rad``: what every axis at once may change, each
       by its own factor, the better of the bounds M_S/(M_S-1), M_S/(M_S+1), 2 asin(1/2M_S) and 1+1/M_T, 1-1/M_T,
-      2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981). Margins of single axes: verify/margins.py.
+      2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981). Margins of single axes: verification/margins.py.
 
     An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises InvalidInput when sizes do not fit.
     """

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.verify.loop_response import Evaluator, LoopResponse
+from ambrose.verification.loop_response import Evaluator, LoopResponse
 
 Rows = Callable[[LoopResponse], np.ndarray]  # a LoopResponse -> (k, w) real, non-negative
 

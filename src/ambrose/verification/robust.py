@@ -36,8 +36,8 @@ from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.model import Plant
 from ambrose.synthesis.problem import design_plant, with_performance_block
 from ambrose.synthesis.weights import Weights
-from ambrose.verify.checks import Check, Checks, Curve
-from ambrose.verify.criteria import SENSITIVITY, Demand, demand, information, judge, zone_lines
+from ambrose.verification.checks import Check, Checks, Curve
+from ambrose.verification.criteria import SENSITIVITY, Demand, demand, information, judge, zone_lines
 
 TWO_PI = 2 * np.pi
 FAMILY = (-1.0, -0.5, 0.0, 0.5, 1.0)

@@ -21,10 +21,10 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.description import Requirements
 from ambrose.plant.model import Plant
-from ambrose.verify.checks import Check, Curve
-from ambrose.verify.criteria import CURRENT_PULSE, Pulse, demand, information, judge
-from ambrose.verify.peaks import Peak
-from ambrose.verify.unbalance import axis_limit_check, magnet_coefficients
+from ambrose.verification.checks import Check, Curve
+from ambrose.verification.criteria import CURRENT_PULSE, Pulse, demand, information, judge
+from ambrose.verification.peaks import Peak
+from ambrose.verification.unbalance import axis_limit_check, magnet_coefficients
 
 _STEP = 1e-4  # s; a 550 Hz mode has 18 samples a period
 _FIRST_RECORD = 0.25  # s

@@ -11,8 +11,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
 from ambrose.plant.assemble import assemble
-from ambrose.verify.loop_response import frequency_grid, loop_evaluator
-from ambrose.verify.unbalance import (
+from ambrose.verification.loop_response import frequency_grid, loop_evaluator
+from ambrose.verification.unbalance import (
     assembled_check,
     distributed_orbits,
     orbit,

@@ -22,8 +22,8 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.problem import design_plant, published_p5_problem, published_p5_weights
 from ambrose.synthesis.weights import Weights, control_weight, performance_weight
-from ambrose.verify import robust
-from ambrose.verify.checks import Checks
+from ambrose.verification import robust
+from ambrose.verification.checks import Checks
 
 K = "seal.center.k"
 SEAL = (Tolerance(K, relative=1.0),)

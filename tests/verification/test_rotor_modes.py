@@ -9,7 +9,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import closed_loop
-from ambrose.verify.rotor_modes import (
+from ambrose.verification.rotor_modes import (
     Modes,
     damping_ratio,
     direction,

@@ -22,10 +22,10 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Requirements
-from ambrose.verify.checks import Check, Curve
-from ambrose.verify.criteria import demand, information, judge
-from ambrose.verify.loop_response import Evaluator, LoopResponse
-from ambrose.verify.peaks import peaks_of
+from ambrose.verification.checks import Check, Curve
+from ambrose.verification.criteria import demand, information, judge
+from ambrose.verification.loop_response import Evaluator, LoopResponse
+from ambrose.verification.peaks import peaks_of
 
 TWO_PI = 2 * np.pi
 SIDES = ("output", "input")

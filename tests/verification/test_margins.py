@@ -23,8 +23,8 @@ from ambrose.core.statespace import (
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import reduce
-from ambrose.verify.loop_response import frequency_grid, loop_evaluator
-from ambrose.verify.margins import loop_margins, margin_checks, opened_loops
+from ambrose.verification.loop_response import frequency_grid, loop_evaluator
+from ambrose.verification.margins import loop_margins, margin_checks, opened_loops
 from eigenvalue_margins import loop_margins as eigenvalue_margins
 
 MASS, K_I, K_S, GAIN, DERIVATIVE, TAU = 2.0, 100.0, 2e5, 5000.0, 8.0, 2e-4

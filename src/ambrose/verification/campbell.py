@@ -17,9 +17,9 @@ from ambrose.core.checks import check_shape, invalid
 from ambrose.core.statespace import spectral_abscissa
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
-from ambrose.verify.checks import Check, Curve
-from ambrose.verify.criteria import Demand, judge
-from ambrose.verify.rotor_modes import OSCILLATORY, TWO_PI, Modes, damping_ratio, direction, modes
+from ambrose.verification.checks import Check, Curve
+from ambrose.verification.criteria import Demand, judge
+from ambrose.verification.rotor_modes import OSCILLATORY, TWO_PI, Modes, damping_ratio, direction, modes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

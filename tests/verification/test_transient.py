@@ -12,8 +12,8 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import static_gain
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import closed_loop
-from ambrose.verify.criteria import CURRENT_PULSE, Pulse
-from ambrose.verify.transient import PulseResponse, pulse_checks, pulse_response
+from ambrose.verification.criteria import CURRENT_PULSE, Pulse
+from ambrose.verification.transient import PulseResponse, pulse_checks, pulse_response
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ import scipy.linalg as sla
 
 from ambrose.core.statespace import StateSpace, balance, index_of
 from ambrose.machine.description import Requirements
-from ambrose.verify.checks import Check, Curve
-from ambrose.verify.criteria import SENSITIVITY_RANGE, Demand, demand, information, judge
+from ambrose.verification.checks import Check, Curve
+from ambrose.verification.criteria import SENSITIVITY_RANGE, Demand, demand, information, judge
 
 TWO_PI = 2 * np.pi
 PLANAR = 0.1  # below this modulus of the whirl measure a mode has no direction

@@ -10,7 +10,7 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.plant.assemble import assemble
-from ambrose.verify.campbell import campbell, campbell_curves, critical_speeds
+from ambrose.verification.campbell import campbell, campbell_curves, critical_speeds
 
 PORTS = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 

@@ -22,7 +22,7 @@ from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import uncertain
-from ambrose.verify.unbalance import Unbalance, residual_unbalance
+from ambrose.verification.unbalance import Unbalance, residual_unbalance
 
 _BLOCK = 64  # members integrated at once
 

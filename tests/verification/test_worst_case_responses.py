@@ -17,8 +17,8 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.simulate import linear
 from ambrose.simulate.scenario import Pulse, Scenario
 from ambrose.synthesis import pid
-from ambrose.verify.over_box import loop_over_box, pulse_family, unbalance_over_box
-from ambrose.verify.unbalance import residual_unbalance
+from ambrose.verification.unbalance import residual_unbalance
+from ambrose.verification.worst_case_responses import loop_over_box, pulse_family, unbalance_over_box
 
 MACHINE = load_machine("turboexpander")
 PLANT = reduce(assemble(MACHINE, MACHINE.operation.points[4]), 1)

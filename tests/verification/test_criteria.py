@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ambrose.machine.description import Requirements
-from ambrose.verify import criteria
-from ambrose.verify.checks import Check, Checks
+from ambrose.verification import criteria
+from ambrose.verification.checks import Check, Checks
 
 
 @pytest.mark.parametrize(

@@ -18,15 +18,15 @@ from ambrose.core.checks import check_shape, invalid
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.model import Plant
-from ambrose.verify.campbell import speed_stability_check
-from ambrose.verify.checks import Check, Checks, Curve
-from ambrose.verify.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR
-from ambrose.verify.loop_response import add_poles, frequency_grid, loop_evaluator
-from ambrose.verify.margins import margin_checks
-from ambrose.verify.rotor_modes import modes, pole_checks, pole_curve
-from ambrose.verify.sensitivity import sensitivity_checks
-from ambrose.verify.transient import pulse_checks, pulse_response
-from ambrose.verify.unbalance import (
+from ambrose.verification.campbell import speed_stability_check
+from ambrose.verification.checks import Check, Checks, Curve
+from ambrose.verification.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR
+from ambrose.verification.loop_response import add_poles, frequency_grid, loop_evaluator
+from ambrose.verification.margins import margin_checks
+from ambrose.verification.rotor_modes import modes, pole_checks, pole_curve
+from ambrose.verification.sensitivity import sensitivity_checks
+from ambrose.verification.transient import pulse_checks, pulse_response
+from ambrose.verification.unbalance import (
     Unbalance,
     assembled_check,
     residual_unbalance,

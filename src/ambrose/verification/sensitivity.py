@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.machine.description import Requirements
-from ambrose.verify.checks import Check, Curve
-from ambrose.verify.criteria import SENSITIVITY, demand, judge, zone_lines
-from ambrose.verify.loop_response import Evaluator, LoopResponse
-from ambrose.verify.peaks import Peak, peaks_of
+from ambrose.verification.checks import Check, Curve
+from ambrose.verification.criteria import SENSITIVITY, demand, judge, zone_lines
+from ambrose.verification.loop_response import Evaluator, LoopResponse
+from ambrose.verification.peaks import Peak, peaks_of
 
 TWO_PI = 2 * np.pi
 

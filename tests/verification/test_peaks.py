@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ambrose.verify.loop_response import LoopResponse, frequency_grid
-from ambrose.verify.peaks import peaks, peaks_of
+from ambrose.verification.loop_response import LoopResponse, frequency_grid
+from ambrose.verification.peaks import peaks, peaks_of
 
 W0 = 2 * np.pi * 137.0
 

@@ -18,7 +18,7 @@ from ambrose.machine.description import OperatingPoint, Operation, Requirements
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
-from ambrose.verify import nominal
+from ambrose.verification import nominal
 
 TABLES = ("rotor_modes", "campbell", "sensitivity", "margins", "unbalance", "transient")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ambrose.machine.description import Requirements
-from ambrose.verify.checks import Check
+from ambrose.verification.checks import Check
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.plant.loop import closed_loop
-from ambrose.verify.loop_response import LoopResponse, add_poles, frequency_grid, hold, loop_at, loop_evaluator
+from ambrose.verification.loop_response import LoopResponse, add_poles, frequency_grid, hold, loop_at, loop_evaluator
 
 # The shaft's element frequencies reach 1e7 rad/s, its rigid stiffness is 1e5 rad2/s2: in first-order form eps 1e7/(1e5/1e7) is
 # 1e-7 of relative error, for a Schur form and for a direct solution alike.

@@ -35,10 +35,10 @@ from ambrose.machine.description import Machine, Requirements
 from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.model import Plant
-from ambrose.verify.checks import Check, Curve
-from ambrose.verify.criteria import BALANCE_GRADE, demand, judge, machine_limit
-from ambrose.verify.loop_response import Evaluator, LoopResponse, loop_at
-from ambrose.verify.peaks import Peak, peaks_of
+from ambrose.verification.checks import Check, Curve
+from ambrose.verification.criteria import BALANCE_GRADE, demand, judge, machine_limit
+from ambrose.verification.loop_response import Evaluator, LoopResponse, loop_at
+from ambrose.verification.peaks import Peak, peaks_of
 
 TWO_PI = 2 * np.pi
 
