@@ -34,9 +34,9 @@ from ambrose.export.sampling import Deployment, deploy
 from ambrose.export.structured_text import structured_text
 from ambrose.machine.description import Machine
 from ambrose.plant.assemble import assemble
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Scenario, load_scenario
-from ambrose.simulate.trace import Trace
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Scenario, load_scenario
+from ambrose.simulation.trace import Trace
 from ambrose.synthesis.controller_file import ControllerFile, Provenance
 from ambrose.synthesis.design import design
 

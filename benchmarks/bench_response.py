@@ -20,8 +20,8 @@ from ambrose.machine.record.record import Record, read_record, write_record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulate import linear
-from ambrose.simulate.scenario import load_scenario
+from ambrose.simulation import linear
+from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis import pid
 
 DT = 1e-4

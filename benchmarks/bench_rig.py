@@ -16,12 +16,12 @@ import numpy as np
 from ambrose import load_machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import amplifier, coupling, magnet, seal
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.rig_controller import deployed
-from ambrose.simulate.rig_drive import Drive, plan, stretch
-from ambrose.simulate.rig_start import levitated, measurement
-from ambrose.simulate.rig_state import Rig, build, compiled
-from ambrose.simulate.scenario import Prbs, Scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.rig.controller import deployed
+from ambrose.simulation.rig.equilibrium import levitated, measurement
+from ambrose.simulation.rig.inputs import Drive, plan, stretch
+from ambrose.simulation.rig.state import Rig, build, compiled
+from ambrose.simulation.scenario import Prbs, Scenario
 from ambrose.synthesis import pid
 
 DT = 1e-4

@@ -19,10 +19,10 @@ from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import load_scenario
-from ambrose.simulate.spin_up import spin_up, steps
-from ambrose.simulate.trace import Trace
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.run_up import spin_up, steps
+from ambrose.simulation.scenario import load_scenario
+from ambrose.simulation.trace import Trace
 from ambrose.synthesis.design import design
 from ambrose.synthesis.lpv.machine import design_over_speed
 from ambrose.verification.loop_response import loop_evaluator

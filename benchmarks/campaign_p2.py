@@ -34,8 +34,8 @@ from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.report.campaign import Condition, campaign_report
 from ambrose.report.document import Report, write
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Prbs, Pulse, Scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis import pid
 
 DT = 1e-4

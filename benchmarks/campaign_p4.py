@@ -38,8 +38,8 @@ from ambrose.physics import seal
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Chirp, Prbs, Pulse, Scenario, Sine, SteppedSine
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Chirp, Prbs, Pulse, Scenario, Sine, SteppedSine
 from ambrose.synthesis import pid
 
 HZ, BAR, DT = 2 * np.pi, 1e5, 1e-4

@@ -11,8 +11,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.model_updating import identified_machine
 from ambrose.identification.pipeline import checked_identification
 from ambrose.plant.assemble import assemble
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Prbs, Scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Prbs, Scenario
 from ambrose.synthesis import pid
 
 machine = load_machine("seal-rig")

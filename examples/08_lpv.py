@@ -5,8 +5,8 @@ import numpy as np
 from ambrose import load_machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
-from ambrose.simulate.scenario import load_scenario
-from ambrose.simulate.spin_up import spin_up, steps
+from ambrose.simulation.run_up import spin_up, steps
+from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.design import design
 from ambrose.synthesis.lpv.machine import design_over_speed
 

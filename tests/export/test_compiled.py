@@ -14,8 +14,8 @@ from ambrose.export.control_block import control_block
 from ambrose.export.deliver import limits
 from ambrose.export.sampling import deploy
 from ambrose.plant.assemble import assemble
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import load_scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis import pid
 from ambrose.verification import nominal
 

@@ -15,7 +15,7 @@ from ambrose.export.controller_code import generate
 from ambrose.export.sampling import deploy
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.simulate.control_program import ControlProgram
+from ambrose.simulation.control_program import ControlProgram
 from ambrose.synthesis import pid
 from ambrose.synthesis.controller_file import write_controller
 from ambrose.synthesis.design import design

@@ -24,10 +24,10 @@ from ambrose.export.scheduled_compiled import CompiledSchedule, probed_at
 from ambrose.export.scheduled_deploy import deploy_scheduled, sensitivity_peak
 from ambrose.export.scheduled_run import run_scheduled
 from ambrose.plant.assemble import assemble
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.control_program import ControlProgram, ScheduledProgram
-from ambrose.simulate.rig_controller import sample_time
-from ambrose.simulate.scenario import load_scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.control_program import ControlProgram, ScheduledProgram
+from ambrose.simulation.rig.controller import sample_time
+from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design
 from ambrose.synthesis.result import Certificate, Synthesis

@@ -17,8 +17,8 @@ from ambrose.export.deliver import limits
 from ambrose.export.sampling import box_check, deploy, unmet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import load_scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis import pid
 from ambrose.synthesis.design import design, design_tolerances
 from ambrose.synthesis.fixed_order import polish

@@ -15,7 +15,7 @@ from ambrose.identification.output_error import closed_loop
 from ambrose.identification.parameters import expand
 from ambrose.machine.description import OperatingPoint
 from ambrose.physics import magnet
-from ambrose.simulate import virtual_rig
+from ambrose.simulation import virtual_rig
 
 pytestmark = pytest.mark.literature
 FOLDER = Path(__file__).parents[2] / "benchmarks"

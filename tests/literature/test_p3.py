@@ -14,8 +14,8 @@ import pytest
 
 from ambrose.core.statespace import poles, spectral_abscissa
 from ambrose.plant.loop import closed_loop
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Pulse, Scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Pulse, Scenario
 
 pytestmark = pytest.mark.literature
 FILE = Path(__file__).parents[2] / "benchmarks" / "campaign_p3.py"

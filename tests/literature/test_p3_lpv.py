@@ -13,9 +13,9 @@ import pytest
 from ambrose import load_machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import load_scenario
-from ambrose.simulate.spin_up import spin_up, steps
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.run_up import spin_up, steps
+from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.design import design
 from ambrose.synthesis.lpv.machine import design_over_speed

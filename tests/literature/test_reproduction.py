@@ -13,9 +13,9 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
-from ambrose.simulate import linear
-from ambrose.simulate.scenario import load_scenario
-from ambrose.simulate.trace import settling
+from ambrose.simulation import linear
+from ambrose.simulation.scenario import load_scenario
+from ambrose.simulation.trace import settling
 from ambrose.synthesis import pid
 from ambrose.synthesis.design import design
 from ambrose.synthesis.hinf import synthesis as hinf

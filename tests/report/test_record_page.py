@@ -18,8 +18,8 @@ from ambrose.report.record_verdicts import record_verdicts
 from ambrose.report.rotor_animation import rotor_animation
 from ambrose.report.stations import Station, rotor_speed, stations, window
 from ambrose.report.waterfall import spectrum, waterfall_figure
-from ambrose.simulate.scenario import Scenario
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.scenario import Scenario
+from ambrose.simulation.trace import Trace
 
 RATE, RADIUS, WHIRL = 10e3, 20e-6, 2 * np.pi * 80.0
 MACHINE = load_machine("seal-rig")

@@ -8,8 +8,8 @@ import pytest
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.record import Record
 from ambrose.report.run_up import run_up_section
-from ambrose.simulate.spin_up import Step
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.run_up import Step
+from ambrose.simulation.trace import Trace
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report.traces import trace_curves
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.trace import Trace
 
 
 def trace() -> Trace:

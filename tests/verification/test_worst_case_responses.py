@@ -14,8 +14,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.simulate import linear
-from ambrose.simulate.scenario import Pulse, Scenario
+from ambrose.simulation import linear
+from ambrose.simulation.scenario import Pulse, Scenario
 from ambrose.synthesis import pid
 from ambrose.verification.unbalance import residual_unbalance
 from ambrose.verification.worst_case_responses import loop_over_box, pulse_family, unbalance_over_box

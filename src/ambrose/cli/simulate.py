@@ -43,8 +43,8 @@ def simulate(
     from ambrose.machine.parameters import operating_point
     from ambrose.machine.record.record import write_record
     from ambrose.plant.assemble import assemble
-    from ambrose.simulate import virtual_rig
-    from ambrose.simulate.scenario import load_scenario
+    from ambrose.simulation import virtual_rig
+    from ambrose.simulation.scenario import load_scenario
     from ambrose.stages.trial import simulation
     from ambrose.synthesis.controller_file import read_controller
 

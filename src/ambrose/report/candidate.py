@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.trace import Trace
 from ambrose.synthesis.result import Synthesis
 from ambrose.verification.checks import Check, Checks
 

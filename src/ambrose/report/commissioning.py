@@ -12,7 +12,7 @@ from ambrose.report.candidate import Candidate
 from ambrose.report.document import Cell, Figure, Section, Table
 from ambrose.report.identification_figures import change_figure
 from ambrose.report.identification_tables import findings_table, parameters_table
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.trace import Trace
 
 _WORDS = (
     "The virtual rig stands for the machine on site. A record taken under the reference controller identifies the machine "

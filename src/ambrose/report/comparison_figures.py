@@ -16,7 +16,7 @@ from ambrose.report.captions import caption
 from ambrose.report.document import Figure
 from ambrose.report.panels import Panel, panel_figure
 from ambrose.report.traces import trace_curves
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Checks, Curve
 
 _LOOPS = (  # (curve, the check that holds its refined peak)

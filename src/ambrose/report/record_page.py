@@ -19,8 +19,8 @@ from ambrose.report.record_verdicts import record_verdicts, signals_table
 from ambrose.report.rotor_animation import rotor_animation
 from ambrose.report.stations import largest, rotor_speed, stations, window
 from ambrose.report.waterfall import waterfall_figure
-from ambrose.simulate.scenario import Scenario
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.scenario import Scenario
+from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Curve
 
 _CAPTIONS = {

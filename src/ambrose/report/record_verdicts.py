@@ -12,7 +12,7 @@ from ambrose.report import units
 from ambrose.report.document import Cell, Table, Verdict
 from ambrose.report.orbits import percent
 from ambrose.report.stations import Station
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.trace import Trace
 
 _AT_LIMIT = 0.999
 _CLEAR = 0.05  # [s] without contact after which a rotor that starts in contact counts as lifted

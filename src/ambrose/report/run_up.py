@@ -10,8 +10,8 @@ import numpy as np
 from ambrose.report import theme, units
 from ambrose.report.document import Cell, Figure, Section, Table
 from ambrose.report.panels import Panel, panel_figure
-from ambrose.simulate.spin_up import Step
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.run_up import Step
+from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Curve
 
 _SPAN = 0.1  # s, of the first and the last panel

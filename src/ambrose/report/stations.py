@@ -10,7 +10,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.ports import Port, ports, sensor_ports
-from ambrose.simulate.scenario import Scenario
+from ambrose.simulation.scenario import Scenario
 
 _FEWEST = 32  # samples in a window
 _PERIODS = 3.0

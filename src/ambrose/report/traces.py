@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Machine
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Curve
 
 _KINDS = (("y", "displacement", "m"), ("i", "current", "A"), ("u", "controller output", "A"))

@@ -31,9 +31,9 @@ from ambrose.machine.file.toml import dumps_machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.report.candidate import Candidate
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import load_scenario
-from ambrose.simulate.trace import Trace
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import load_scenario
+from ambrose.simulation.trace import Trace
 from ambrose.stages.control import kept_or_designed
 from ambrose.stages.plants import full_plants
 from ambrose.stages.proof import over_tolerances, verification

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from ambrose.plant.model import Plant
 from ambrose.report.candidate import Candidate
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import load_scenario
-from ambrose.simulate.spin_up import Step, spin_up, steps
-from ambrose.simulate.trace import Trace
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.run_up import Step, spin_up, steps
+from ambrose.simulation.scenario import load_scenario
+from ambrose.simulation.trace import Trace
 
 SCENARIO = "spin-up-steps"  # P3: 20 to 300 Hz in 1 s, a step of force or set point every 50 ms
 Progress = Callable[[str], None]

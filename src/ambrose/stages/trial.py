@@ -10,10 +10,10 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
-from ambrose.simulate import linear, virtual_rig
-from ambrose.simulate.scenario import load_scenario
-from ambrose.simulate.spin_up import spin_up
-from ambrose.simulate.trace import Trace
+from ambrose.simulation import linear, virtual_rig
+from ambrose.simulation.run_up import spin_up
+from ambrose.simulation.scenario import load_scenario
+from ambrose.simulation.trace import Trace
 from ambrose.synthesis.controller_file import match_controller
 
 Progress = Callable[[str], None]

@@ -28,8 +28,8 @@ from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.report.identification import identification_report
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Prbs, Pulse, Scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis import pid
 
 DT, K, LIMIT = 1e-4, 12000, 0.5

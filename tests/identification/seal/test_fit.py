@@ -23,8 +23,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed, uncertain
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Scenario, SteppedSine
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Scenario, SteppedSine
 from ambrose.synthesis import pid
 
 HZ = 2 * np.pi

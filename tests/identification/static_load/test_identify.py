@@ -14,8 +14,8 @@ from ambrose.identification.static_load.levels import Levels, steady_levels
 from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Pulse, Scenario, load_scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Pulse, Scenario, load_scenario
 from ambrose.synthesis import pid
 
 RIG = load_machine("seal-rig")

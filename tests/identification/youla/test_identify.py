@@ -27,8 +27,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Prbs, Scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Prbs, Scenario
 from ambrose.synthesis import pid
 
 DT = 1e-4

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from ambrose.core.checks import NumericalFailure, check_positive, invalid
-from ambrose.simulate.rig_controller import Law
-from ambrose.simulate.rig_drive import Drive
-from ambrose.simulate.rig_state import Rig, compiled
+from ambrose.simulation.rig.controller import Law
+from ambrose.simulation.rig.inputs import Drive
+from ambrose.simulation.rig.state import Rig, compiled
 
 # (Fastest pole) times step: chosen at most (error 3e-6 in the tests), and refused above; unstable from 2.6 on.
 _COMFORTABLE, _LARGEST = 0.2, 1.0

@@ -3,7 +3,7 @@
 The plant is computed at a few speeds in states that mean the same at all of them (modes of the free rotor) and is linear in
 between; speeds are added until half-way between two of them it agrees with the plant computed there. The controller is taken at
 every speed as it is. The linear simulation then holds both over short intervals, as many as its answer needs
-(simulate/linear.py).
+(simulation/linear.py).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from ambrose.plant.assemble import bending_modes_of
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulate import linear
-from ambrose.simulate.scenario import Scenario
-from ambrose.simulate.trace import Trace
+from ambrose.simulation import linear
+from ambrose.simulation.scenario import Scenario
+from ambrose.simulation.trace import Trace
 
 _COARSEST, _FINEST = 9, 513  # speeds at which a plant is computed
 _STRAIGHT = 1e-3  # of a row's largest entry: how far the plant may bend between two of them

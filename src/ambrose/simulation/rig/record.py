@@ -12,7 +12,7 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.machine.record.record import Record, signal_dimension
-from ambrose.simulate.rig_drive import Drive, Plan
+from ambrose.simulation.rig.inputs import Drive, Plan
 
 _LARGEST = 100_000_000  # numbers in one record: 0.8 GB
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.simulate.scenario import (
+from ambrose.simulation.scenario import (
     Chirp,
     Prbs,
     Pulse,
@@ -15,7 +15,7 @@ from ambrose.simulate.scenario import (
     load_scenario,
     read_scenario,
 )  # fmt: skip
-from ambrose.simulate.waveforms import waveforms
+from ambrose.simulation.waveforms import waveforms
 
 FORCES = ("f_A_zeta", "f_A_eta", "f_center_x", "f_center_y")
 

@@ -19,7 +19,7 @@ from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.messages import suggestion
 from ambrose.machine.record.record import signal_dimension
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.simulate.disturbances import (
+from ambrose.simulation.disturbances import (
     Chirp,
     Disturbance,
     Failure,
@@ -185,7 +185,7 @@ def load_scenario(name: str | Path) -> Scenario:
 
     Quantities are SI numbers or strings with a unit ("10 ms", "0.05 A"). Raises InvalidInput naming file, table and key.
     """
-    path = files("ambrose").joinpath("simulate", "scenarios", f"{name}.toml") if str(name) in _bundled_names() else Path(name)
+    path = files("ambrose").joinpath("simulation", "scenarios", f"{name}.toml") if str(name) in _bundled_names() else Path(name)
     if not path.is_file():
         raise InvalidInput(f"{name} is neither a file nor a bundled scenario; {suggestion(str(name), _bundled_names())}")
     try:
@@ -208,7 +208,7 @@ def read_scenario(document: Mapping[str, Any]) -> Scenario:
 
 
 def _bundled_names() -> list[str]:
-    folder = files("ambrose").joinpath("simulate", "scenarios")
+    folder = files("ambrose").joinpath("simulation", "scenarios")
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 

@@ -20,9 +20,9 @@ from ambrose.core.response import sample_polynomial, simulate_piecewise
 from ambrose.core.statespace import StateSpace, as_statespace, index_of, poles, select
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.record import Record, signal_dimension
-from ambrose.simulate.scenario import Scenario
-from ambrose.simulate.trace import Trace
-from ambrose.simulate.waveforms import FASTEST, waveforms
+from ambrose.simulation.scenario import Scenario
+from ambrose.simulation.trace import Trace
+from ambrose.simulation.waveforms import FASTEST, waveforms
 
 LoopAt = Callable[[float], Any]
 _SAMPLE_TIME = 1e-4  # [s] unless the scenario, the loop or the caller says otherwise

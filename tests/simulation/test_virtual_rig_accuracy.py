@@ -12,12 +12,12 @@ from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulate import linear, virtual_rig
-from ambrose.simulate.rig_controller import deployed
-from ambrose.simulate.rig_drive import plan, stretch
-from ambrose.simulate.rig_start import standing
-from ambrose.simulate.rig_state import build, compiled
-from ambrose.simulate.scenario import Prbs, Pulse, Scenario, Unbalance, load_scenario
+from ambrose.simulation import linear, virtual_rig
+from ambrose.simulation.rig.controller import deployed
+from ambrose.simulation.rig.equilibrium import standing
+from ambrose.simulation.rig.inputs import plan, stretch
+from ambrose.simulation.rig.state import build, compiled
+from ambrose.simulation.scenario import Prbs, Pulse, Scenario, Unbalance, load_scenario
 from ambrose.synthesis import pid
 
 RIG = load_machine("seal-rig")

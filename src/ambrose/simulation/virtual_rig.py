@@ -1,6 +1,6 @@
 """The virtual rig: a nonlinear machine in a scenario, under a controller as it is deployed.
 
-Every control sample is a short list of stages (rig_kernel.py): measure, control, command the amplifiers, log, integrate. The
+Every control sample is a short list of stages (rig/kernel.py): measure, control, command the amplifiers, log, integrate. The
 machine between the samples is the rotor in free modes under magnet, contact, coupling, seal, weight and unbalance forces.
 """
 
@@ -16,15 +16,23 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.machine.description import Machine, OperatingPoint
-from ambrose.simulate.control_program import ControlProgram, ScheduledProgram
-from ambrose.simulate.rig_controller import ControllerAt, Law, closed_loop_poles, deployed, sample_time, taking_over
-from ambrose.simulate.rig_drive import Drive, Plan, plan, sample, stretch
-from ambrose.simulate.rig_outcome import judged, watch
-from ambrose.simulate.rig_record import Recorder
-from ambrose.simulate.rig_start import fastest_pole, levitated, linear_view, measurement, resting, standing, steps_per_sample
-from ambrose.simulate.rig_state import Rig, build, compiled
-from ambrose.simulate.scenario import LEVITATED, Scenario
-from ambrose.simulate.trace import Trace
+from ambrose.simulation.control_program import ControlProgram, ScheduledProgram
+from ambrose.simulation.rig.controller import ControllerAt, Law, closed_loop_poles, deployed, sample_time, taking_over
+from ambrose.simulation.rig.equilibrium import (
+    fastest_pole,
+    levitated,
+    linear_view,
+    measurement,
+    resting,
+    standing,
+    steps_per_sample,
+)
+from ambrose.simulation.rig.inputs import Drive, Plan, plan, sample, stretch
+from ambrose.simulation.rig.outcome import judged, watch
+from ambrose.simulation.rig.record import Recorder
+from ambrose.simulation.rig.state import Rig, build, compiled
+from ambrose.simulation.scenario import LEVITATED, Scenario
+from ambrose.simulation.trace import Trace
 
 _STRETCH = 4000  # control samples computed at once
 _SCHEDULED_STRETCH = 50  # of a controller that changes with speed

@@ -28,9 +28,9 @@ from ambrose.plant.assemble import assemble, attached_rotor, wire
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction, reduce
-from ambrose.simulate import linear
-from ambrose.simulate.scenario import Pulse, Scenario, Unbalance
-from ambrose.simulate.spin_up import spin_up
+from ambrose.simulation import linear
+from ambrose.simulation.run_up import spin_up
+from ambrose.simulation.scenario import Pulse, Scenario, Unbalance
 from ambrose.stages.trial import simulation
 from ambrose.synthesis import pid
 

@@ -158,8 +158,8 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
 
 @cache
 def compiled() -> tuple[Any, Any]:
-    """The compiled functions ``advance`` and ``slope`` of rig_kernel.py; half a minute on a machine that never ran them."""
-    from ambrose.simulate import rig_kernel
+    """The compiled functions ``advance`` and ``slope`` of rig/kernel.py; half a minute on a machine that never ran them."""
+    from ambrose.simulation.rig import kernel as rig_kernel
 
     modules = (rig_kernel, amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance)
     digest = hashlib.sha256()

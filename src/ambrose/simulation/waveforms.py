@@ -9,8 +9,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.response import hermite
 from ambrose.core.statespace import index_of
-from ambrose.simulate.disturbances import Chirp, Disturbance, Prbs, Pulse, Unbalance
-from ambrose.simulate.scenario import Scenario
+from ambrose.simulation.disturbances import Chirp, Disturbance, Prbs, Pulse, Unbalance
+from ambrose.simulation.scenario import Scenario
 
 FASTEST = 0.32  # largest (w dt) of a sine between samples: an error of 3e-5
 

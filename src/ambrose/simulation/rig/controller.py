@@ -11,7 +11,7 @@ from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, as_statespace, select
 from ambrose.machine.description import Machine
-from ambrose.simulate.control_program import ControlProgram
+from ambrose.simulation.control_program import ControlProgram
 
 DEFAULT_SAMPLE_TIME = 1e-4  # [s]
 ControllerAt = Callable[[float], Any]  # speed [rad/s] -> controller, always in the same states

@@ -19,9 +19,9 @@ from ambrose.machine.record.record import read_record, write_record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulate import linear
-from ambrose.simulate.scenario import Pulse, Scenario, Sine, Unbalance, bundled_scenarios, load_scenario
-from ambrose.simulate.trace import Trace, peaks, settling
+from ambrose.simulation import linear
+from ambrose.simulation.scenario import Pulse, Scenario, Sine, Unbalance, bundled_scenarios, load_scenario
+from ambrose.simulation.trace import Trace, peaks, settling
 from ambrose.synthesis import pid
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

@@ -3,7 +3,7 @@
 State z (n,): modal displacements, then modal velocities, x and y in turn (q_1x, q_1y, q_2x, ...), then two amplifier states
 [A] per axis, the bias currents [A], the sensors' lagged signals [m], the seals' lagged displacements x, y [m]. The forces are
 those of ``physics``, compiled as they stand. This module imports numba: import it only inside functions. What the arrays hold
-is said in rig_state.py and rig_drive.py.
+is said in rig/state.py and rig/inputs.py.
 """
 
 from __future__ import annotations

@@ -12,9 +12,9 @@ from ambrose.machine.description import Seal
 from ambrose.machine.messages import suggestion
 from ambrose.physics import seal, seal_rational
 from ambrose.plant.assemble import seal_poles
-from ambrose.simulate.rig_state import Rig
-from ambrose.simulate.scenario import Scenario
-from ambrose.simulate.waveforms import directions, sample_of, waveforms
+from ambrose.simulation.rig.state import Rig
+from ambrose.simulation.scenario import Scenario
+from ambrose.simulation.waveforms import directions, sample_of, waveforms
 
 _SEAL_GRID = 50  # samples between the points at which a varying operating point is looked up
 

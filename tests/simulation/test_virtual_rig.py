@@ -9,8 +9,8 @@ from ambrose import StateSpace, load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.description import OperatingPoint, Runout
 from ambrose.machine.record.record import read_record
-from ambrose.simulate import virtual_rig
-from ambrose.simulate.scenario import Failure, PressureChange, Pulse, Scenario, load_scenario
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import Failure, PressureChange, Pulse, Scenario, load_scenario
 from ambrose.synthesis import pid
 
 RIG = load_machine("seal-rig")

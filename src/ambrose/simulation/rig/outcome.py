@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ambrose.simulate.rig_drive import Plan
-from ambrose.simulate.rig_state import Rig
-from ambrose.simulate.scenario import LEVITATED, Scenario
+from ambrose.simulation.rig.inputs import Plan
+from ambrose.simulation.rig.state import Rig
+from ambrose.simulation.scenario import LEVITATED, Scenario
 
 _CLEAR, _OFF = 0.05, 0.9  # a rotor that stays [s] within this part of the touchdown gap counts as lifted
 _BEFORE = 0.05  # [s] before a touchdown in which currents at their limit count as its cause
@@ -34,7 +34,7 @@ class Watch:
     limited: list[tuple[float, str]] = field(default_factory=list)
 
     def follow(self, task: Plan, number: int, log: np.ndarray) -> None:
-        """One stretch: number of its first sample, log (k, columns) as rig_kernel.py writes it."""
+        """One stretch: number of its first sample, log (k, columns) as rig/kernel.py writes it."""
         a = len(self.rig.axes)
         time = (number + np.arange(len(log))) * task.dt
         outputs, places = log[:, a : 2 * a].T, log[:, 4 * a : 5 * a].T
