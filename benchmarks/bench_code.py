@@ -22,16 +22,16 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.core.statespace import StateSpace
-from ambrose.export.code_cost import flop_floor
-from ambrose.export.compiled import CompiledBlock, probed
-from ambrose.export.control_block import ControlBlock, control_block
-from ambrose.export.controller_code import Arithmetic, generate
-from ambrose.export.deliver import limits
-from ambrose.export.fixed_point import fixed_point
-from ambrose.export.fmu import fmu_files
-from ambrose.export.mat import mat_files
-from ambrose.export.sampling import Deployment, deploy
-from ambrose.export.structured_text import structured_text
+from ambrose.deployment.block.cost import flop_floor
+from ambrose.deployment.block.fixed import ControlBlock, control_block
+from ambrose.deployment.block.fixed_point import fixed_point
+from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.c.fixed import Arithmetic, generate
+from ambrose.deployment.discretisation.fixed import Deployment, deploy
+from ambrose.deployment.fmu.archive import fmu_files
+from ambrose.deployment.mat import mat_files
+from ambrose.deployment.pipeline import limits
+from ambrose.deployment.structured_text import structured_text
 from ambrose.machine.description import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig

@@ -7,11 +7,11 @@ that come back one sample later. A controller whose sampled loop is unstable at 
 from ambrose import load_machine
 from ambrose.core.checks import UnstableSystem
 from ambrose.core.sampling import delayed
-from ambrose.export.compiled import CompiledBlock, probed
-from ambrose.export.control_block import control_block
-from ambrose.export.controller_code import generate
-from ambrose.export.deliver import limits
-from ambrose.export.sampling import deploy
+from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.c.fixed import generate
+from ambrose.deployment.discretisation.fixed import deploy
+from ambrose.deployment.pipeline import limits
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ambrose.export.control_block import ControlBlock
-from ambrose.export.controller_code import generate
+from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.c.fixed import generate
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-Wconversion", "-Wshadow"]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]

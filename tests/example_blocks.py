@@ -4,8 +4,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose import StateSpace
-from ambrose.export.control_block import ControlBlock, control_block
-from ambrose.export.sampling import deploy
+from ambrose.deployment.block.fixed import ControlBlock, control_block
+from ambrose.deployment.discretisation.fixed import deploy
 
 ERROR, CURRENT, DT = 0.5e-3, 4.0, 1e-4
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

@@ -10,9 +10,9 @@ import code_driver as driver
 from ambrose import StateSpace
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.export.scheduled_block import ScheduledBlock, scheduled_block
-from ambrose.export.scheduled_code import generate_scheduled
-from ambrose.export.scheduled_deploy import deploy_scheduled, response
+from ambrose.deployment.block.scheduled import ScheduledBlock, scheduled_block
+from ambrose.deployment.c.scheduled import generate_scheduled
+from ambrose.deployment.discretisation.scheduled import deploy_scheduled, response
 
 ERROR, CURRENT, DT = 1e-3, 2.0, 1e-4
 GRID = (100.0, 250.0, 300.0, 600.0)  # rad/s

@@ -15,7 +15,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.export.compiled import has_compiler
+from ambrose.deployment.c.compiled import has_compiler
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.record.record import read_record

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.export.results import certificate_to_dict, checks_to_dict, plain, write_json
+from ambrose.deployment.results import certificate_to_dict, checks_to_dict, plain, write_json
 from ambrose.identification.pipeline import as_dict
 from ambrose.machine.description import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes

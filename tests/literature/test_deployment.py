@@ -11,10 +11,10 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.sampling import c2d, delayed
-from ambrose.export.compiled import CompiledBlock, has_compiler, probed
-from ambrose.export.control_block import control_block
-from ambrose.export.deliver import limits
-from ambrose.export.sampling import box_check, deploy, unmet
+from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.c.compiled import CompiledBlock, has_compiler, probed
+from ambrose.deployment.discretisation.fixed import box_check, deploy, unmet
+from ambrose.deployment.pipeline import limits
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig

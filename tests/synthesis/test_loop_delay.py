@@ -8,7 +8,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import select
-from ambrose.export.sampling import box_check
+from ambrose.deployment.discretisation.fixed import box_check
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.design import design

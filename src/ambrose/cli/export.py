@@ -49,7 +49,7 @@ def export(
 
     A controller scheduled over speed is written as C in floating point, verified at frozen speeds over its range."""
     from ambrose.core.checks import check_positive
-    from ambrose.export.deliver import deliver
+    from ambrose.deployment.pipeline import deliver
     from ambrose.synthesis.controller_file import read_controller
 
     remedy = "give it in Hz"

@@ -56,7 +56,7 @@ def synthesize(
 ) -> None:
     """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.export.results import certificate_to_dict
+    from ambrose.deployment.results import certificate_to_dict
     from ambrose.plant.reduce import reduce
     from ambrose.stages.plants import plant_at
     from ambrose.synthesis.controller_file import write_controller

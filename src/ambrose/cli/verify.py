@@ -19,7 +19,7 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prog
 def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all its tolerances."""
     from ambrose.core.checks import invalid
-    from ambrose.export.results import checks_to_dict
+    from ambrose.deployment.results import checks_to_dict
     from ambrose.stages.plants import full_plants
     from ambrose.stages.proof import over_tolerances, verification
     from ambrose.synthesis.controller_file import match_controller, read_controller

@@ -16,11 +16,11 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
-from ambrose.export.compiled import CompiledBlock, has_compiler, probed
-from ambrose.export.control_block import control_block
-from ambrose.export.controller_code import write_code
-from ambrose.export.deliver import SAMPLE_TIME, limits, provenance
-from ambrose.export.sampling import Deployment, deploy, unmet
+from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.c.compiled import CompiledBlock, has_compiler, probed
+from ambrose.deployment.c.fixed import write_code
+from ambrose.deployment.discretisation.fixed import Deployment, deploy, unmet
+from ambrose.deployment.pipeline import SAMPLE_TIME, limits, provenance
 from ambrose.identification.model_updating import identified_machine
 from ambrose.identification.parameters import expand
 from ambrose.identification.pipeline import CheckedIdentification, checked_identification, usual_unknowns

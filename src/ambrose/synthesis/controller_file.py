@@ -19,7 +19,7 @@ from ambrose import __version__
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
-from ambrose.export.results import certificate_to_dict, plain
+from ambrose.deployment.results import certificate_to_dict, plain
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import machine_hash

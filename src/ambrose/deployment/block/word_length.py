@@ -1,0 +1,108 @@
+"""What a word length does to the controller: rounded coefficients, moved poles, changed gain, and rounding while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ambrose.core.checks import invalid
+from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.block.fixed_point import spread
+
+BITS = (8, 12, 16, 24, 32, 53)
+_POINTS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class WordLength:
+    """gain_error [-]: of the response, relative to its largest singular value at each frequency; pole_shift [-]: relative to
+    the pole's distance from z = 1."""
+
+    bits: int
+    gain_error: float
+    pole_shift: float
+
+
+def rounded(block: ControlBlock, bits: int) -> ControlBlock:
+    """The block with every coefficient rounded to ``bits`` bits of mantissa. Raises InvalidInput."""
+    if not 2 <= bits <= 53:
+        raise invalid("bits", bits, "from 2 to 53 bits of mantissa", "24 is single precision, 53 double")
+    return replace(
+        block,
+        increment=to_bits(block.increment, bits),
+        B=to_bits(block.B, bits),
+        C=to_bits(block.C, bits),
+        D=to_bits(block.D, bits),
+        unwind=to_bits(block.unwind, bits),
+        from_error=to_bits(block.from_error, bits),
+        from_output=to_bits(block.from_output, bits),
+    )
+
+
+def to_bits(x: np.ndarray, bits: int) -> np.ndarray:
+    """x rounded to ``bits`` bits of mantissa."""
+    mantissa, exponent = np.frexp(x)
+    return np.ldexp(np.round(np.ldexp(mantissa, bits)), exponent - bits)
+
+
+def word_lengths(block: ControlBlock, bits: tuple[int, ...] = BITS) -> tuple[WordLength, ...]:
+    """The effect of each word length on the block between its limits, from 1e-6 of the Nyquist frequency up to it."""
+    omega = np.geomspace(1e-6, 0.999, _POINTS) * np.pi / block.sample_time
+    exact = _response(block, omega)
+    size = np.linalg.norm(exact, 2, axis=(1, 2))
+    result = []
+    for count in bits:
+        other = rounded(block, count)
+        error = np.linalg.norm(_response(other, omega) - exact, 2, axis=(1, 2)) / np.maximum(size, np.finfo(float).tiny)
+        result.append(WordLength(count, float(error.max()), _pole_shift(block, other)))
+    return tuple(result)
+
+
+def _response(block: ControlBlock, omega: np.ndarray) -> np.ndarray:
+    return law_response(block.increment, block.B, block.C, block.D, omega * block.sample_time)
+
+
+def law_response(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """C (delta - increment)^-1 B + D (w, p, m) at angles (w,) per sample, with delta = z - 1 evaluated without cancellation."""
+    if not len(increment):
+        return np.broadcast_to(D, (len(angle), *D.shape)).astype(complex)
+    inner = np.expm1(1j * angle)[:, None, None] * np.eye(len(increment)) - increment
+    return C @ np.linalg.solve(inner, np.broadcast_to(B, (len(angle), *B.shape))) + D
+
+
+def gain_error(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, bits: int) -> float:
+    """What rounding A - I, B, C and D to ``bits`` bits of mantissa does to the response, relative to its largest singular
+    value at each frequency: the largest, from 1e-6 of the Nyquist frequency up to it."""
+    angle = np.geomspace(1e-6, 0.999, _POINTS) * np.pi
+    meant = law_response(increment, B, C, D, angle)
+    off = law_response(to_bits(increment, bits), to_bits(B, bits), to_bits(C, bits), to_bits(D, bits), angle) - meant
+    size = np.maximum(np.linalg.norm(meant, 2, axis=(1, 2)), np.finfo(float).tiny)
+    return float((np.linalg.norm(off, 2, axis=(1, 2)) / size).max())
+
+
+def _pole_shift(block: ControlBlock, other: ControlBlock) -> float:
+    worst, start = 0.0, 0
+    for k in block.sizes:
+        own = slice(start, start + k)
+        old, new = (np.sort_complex(np.linalg.eigvals(b.increment[own, own])) for b in (block, other))
+        size = np.abs(old)
+        worst = max(worst, float((np.abs(new - old)[size > 0] / size[size > 0]).max(initial=0.0)))
+        start += k
+    return worst
+
+
+def floating_error(block: ControlBlock, bits: int) -> np.ndarray:
+    """Bound (p,) [A] on what ``bits`` bits of mantissa do to the outputs in HORIZON samples, with exact inputs and no limiting.
+
+    First order in 2^-bits: every coefficient and every sum may be off by half a unit; slow states are summed with compensation.
+    """
+    unit, n = 2.0**-bits, block.n_states
+    terms = n and max(block.sizes) + len(block.inputs) + 1
+    size = np.abs(block.increment).sum(axis=1) + np.abs(block.B) @ block.error_limit
+    source = unit * (1 + terms) * size
+    source[block.winding :] += unit
+    source[: block.winding] += 2 * unit**2 * (terms + 1) + 2 * unit * size[: block.winding]
+    asked = np.abs(block.C).sum(axis=1) + np.abs(block.D) @ block.error_limit
+    states = spread(block, source) + 2 * unit * (np.arange(n) < block.winding)
+    return np.abs(block.C) @ states + unit * (2 + n + len(block.inputs)) * asked

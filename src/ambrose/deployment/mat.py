@@ -1,0 +1,162 @@
+"""A controller for MATLAB, Simulink and Octave: one struct in a MAT-file (version 5), and a script that reads and checks it.
+
+The struct holds the sampled controller as it runs, the continuous one it was made from, the block (scaled states, limits,
+anti-windup), test vectors and what the loop was verified on. ``K = ss(c.A, c.B, c.C, c.D, c.dt)`` is the controller in m and A.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ambrose import __version__
+from ambrose.core.checks import invalid
+from ambrose.core.statespace import StateSpace
+from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.block.names import as_comment
+from ambrose.deployment.block.vectors import Vectors, as_csv, vectors
+from ambrose.deployment.discretisation.fixed import Deployment
+from ambrose.deployment.rendering import render
+from ambrose.synthesis.controller_file import ControllerFile
+
+FORMAT = "ambrose-controller-mat"
+VERSION = 1
+_WORDS = """
+break case catch classdef continue else elseif end for function global if otherwise parfor persistent return spmd switch try
+while ans pi eps inf nan i j do until unwind_protect end_try_catch endfunction endif endwhile endfor
+"""  # MATLAB's keywords, Octave's, and names whose meaning everybody relies on
+_RESERVED = frozenset(_WORDS.split())
+_FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+
+
+def mat_files(
+    block: ControlBlock, deployment: Deployment, file: ControllerFile, provenance: Sequence[str] = ()
+) -> dict[str, str | bytes]:
+    """<name>.mat, <name>_load.m and <name>_vectors.csv.
+
+    file: where the controller comes from. provenance: the lines that other targets put into their headers. Raises InvalidInput.
+    """
+    if block.name.lower() in _RESERVED:
+        raise invalid("the name of the block", repr(block.name), "no word of MATLAB or Octave", "give another --name")
+    run = vectors(block)
+    facts = {
+        "name": block.name, "provenance": [as_comment(line) for line in provenance], "ni": len(block.inputs),
+        "no": len(block.outputs), "nx": block.n_states, "rate": f"{1 / block.sample_time:.9g}", "delay": block.delay,
+        "continuous": deployment.source.dt is None,
+    }  # fmt: skip
+    return {
+        f"{block.name}.mat": _bytes({block.name: content(block, deployment, file, provenance, run)}),
+        f"{block.name}_load.m": render("load.m.j2", facts),
+        f"{block.name}_vectors.csv": as_csv(block, run),
+    }
+
+
+def content(
+    block: ControlBlock, deployment: Deployment, file: ControllerFile, provenance: Sequence[str], run: Vectors
+) -> dict[str, Any]:
+    """The struct's fields."""
+    K, source = deployment.controller, deployment.source
+    return {
+        "format": FORMAT,
+        "version": float(VERSION),
+        **_matrices(K),
+        "dt": block.sample_time,
+        "delay_samples": float(block.delay),
+        "inputs": _cells(K.inputs),
+        "outputs": _cells(K.outputs),
+        "input_unit": "m",
+        "output_unit": "A",
+        "sign": "input = reference - displacement; a positive current pulls towards positive displacement",
+        "increment": deployment.increment,
+        "continuous": {**_matrices(source), "inputs": _cells(source.inputs), "outputs": _cells(source.outputs)}
+        if source.dt is None
+        else np.zeros((0, 0)),
+        "limits": {"error": _column(block.error_limit), "current": _column(block.current_limit)},
+        "block": _block(block),
+        "vectors": {
+            "errors": run.errors, "valid": run.valid.astype(float), "currents": run.currents,
+            "status": _column(run.status),
+        },
+        "method": file.method,
+        "status": file.status,
+        "gamma": float(file.gamma),
+        "certificate": _certificate(file),
+        "verified": deployment.verified,
+        "verification": _verification(deployment),
+        "provenance": {
+            "package": "ambrose", "package_version": __version__, "machine": file.provenance.machine or "",
+            "machine_hash": file.provenance.machine_hash or "", "date": file.provenance.date, "lines": _cells(provenance),
+        },
+    }  # fmt: skip
+
+
+def _matrices(system: StateSpace) -> dict[str, np.ndarray]:
+    return {letter: np.asarray(getattr(system, letter), float) for letter in "ABCD"}
+
+
+def _block(block: ControlBlock) -> dict[str, Any]:
+    """What the generated code computes with, in scaled states; the formulas are those of block/fixed.py."""
+    return {
+        "increment": block.increment, "B": block.B, "C": block.C, "D": block.D, "unwind": block.unwind,
+        "from_error": block.from_error, "from_output": block.from_output, "winding": float(block.winding),
+        "hold_samples": float(block.hold_samples), "windup_time": block.windup_time,
+    }  # fmt: skip
+
+
+def _certificate(file: ControllerFile) -> Any:
+    if file.certificate is None:
+        return np.zeros((0, 0))
+    found = file.certificate
+    return {
+        "stable": found.stable, "spectral_abscissa": float(found.spectral_abscissa),
+        "closed_loop_norm": float(found.closed_loop_norm), "fastest_pole": float(found.fastest_pole), "plant": found.plant,
+        "margins": {_field(name): float(value) for name, value in found.margins.items()} or np.zeros((0, 0)),
+    }  # fmt: skip
+
+
+def _verification(deployment: Deployment) -> Any:
+    """One struct per operating point, and over the tolerances: stable, and every quantity with its value and limit."""
+    checks = [*deployment.checks, *([deployment.box] if deployment.box is not None else [])]
+    if not checks:
+        return np.zeros((0, 0))
+    names = ("label", "stable", "quantity", "value", "unit", "limit")
+    points = np.empty((len(checks), 1), [(name, object) for name in names])
+    for i, point in enumerate(checks):
+        limits = [math.nan if check.limit is None else check.limit for check in point.checks]
+        points[i, 0] = (
+            point.label, point.stable, _cells([check.title for check in point.checks]),
+            _column([check.value for check in point.checks]), _cells([check.unit for check in point.checks]), _column(limits),
+        )  # fmt: skip
+    return points
+
+
+def _field(name: str) -> str:
+    """A name as a field of a struct."""
+    text = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return (text if _FIELD.fullmatch(text) else f"m_{text}")[:63]
+
+
+def _cells(texts: Sequence[str]) -> np.ndarray:
+    cells = np.empty((len(texts), 1), object)
+    cells[:, 0] = list(texts)
+    return cells
+
+
+def _column(values: Any) -> np.ndarray:
+    return np.asarray(values, float).reshape(-1, 1)
+
+
+def _bytes(variables: Mapping[str, Any]) -> bytes:
+    from scipy.io import savemat
+
+    stream = io.BytesIO()
+    savemat(stream, dict(variables), format="5", do_compression=False, long_field_names=True, oned_as="column")
+    return stream.getvalue()
+
+
+__all__ = ["FORMAT", "VERSION", "content", "mat_files"]

@@ -1,0 +1,191 @@
+"""A control block as IEC 61131-3 structured text: a function block, a program that tests it, its vectors.
+
+The language is the common part of the standard's second and third editions: arrays, FOR, IF; no pointers, no methods, no
+library. Signs, order of the sums and limits are those of the generated C, so results agree to the last digits.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from ambrose.core.checks import invalid
+from ambrose.deployment.block.cost import diagonals_of, step_cost
+from ambrose.deployment.block.fixed import ControlBlock, transfers
+from ambrose.deployment.block.names import as_comment
+from ambrose.deployment.block.run import FLOOR
+from ambrose.deployment.block.vectors import SAMPLES, Vectors, as_csv, vectors
+from ambrose.deployment.block.word_length import floating_error
+from ambrose.deployment.c.fixed import on_diagonal, single_limits
+from ambrose.deployment.rendering import render
+
+Precision = Literal["double", "float"]
+_TYPES = {"double": "LREAL", "float": "REAL"}
+_WORDS = """
+abs abstract acos action add and any any_bit any_date any_derived any_elementary any_int any_magnitude any_num
+any_real any_string array asin at atan bool by byte case char class concat configuration constant continue cos ctd ctu
+ctud date date_and_time delete dint div do dt dword else elsif en end_action end_case end_class end_configuration
+end_for end_function end_function_block end_if end_interface end_method end_namespace end_program end_repeat
+end_resource end_step end_struct end_transition end_type end_var end_while eno eq exit exp expt extends f_edge f_trig
+false final find for from function function_block ge global gt if implements initial_step insert int interface
+internal interval ldate ldt le left len limit lint ln log lreal lt ltime ltod lword max method mid min mod move mul
+mux namespace ne non_retain not null of on or override overlap pointer pou priority private program property protected
+public r_edge r_trig read_only read_write real ref ref_to reference repeat replace resource retain return right rol
+ror rs rtc sel sema shl shr sin single sint sqrt sr step string string# struct sub super tan task then this time
+time_of_day to tod tof ton tp transition true trunc type udint uint ulint until usint using var var_access var_config
+var_external var_global var_in_out var_input var_output var_temp wchar when while with word wstring xor
+"""  # keywords, types, functions and function blocks of IEC 61131-3, and extensions of the largest tools
+KEYWORDS = frozenset(_WORDS.split())
+_IDENTIFIER = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
+_OWN = """
+reset track held fault limited e u d state carry last missing error_limit current_limit ni no nx nw first i j o good
+asked given sum change check block sample samples wrong done errors valid currents status expected largest tolerance direct
+to_current from_error unwind transfer_error transfer_current
+"""  # what the function block and the test declare besides signals
+_WIDTH = 118
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A constant array: its name, bounds as text, element type and initial values as text."""
+
+    name: str
+    bounds: str
+    type: str
+    values: str
+
+
+def structured_text(block: ControlBlock, precision: Precision = "double", provenance: Sequence[str] = ()) -> dict[str, str]:
+    """<name>.st (the function block), <name>_test.st (a program that replays the vectors), <name>_vectors.csv.
+
+    precision: "double" (LREAL) or "float" (REAL). Raises InvalidInput for names that structured text reserves.
+    """
+    if precision not in _TYPES:
+        remedy = "structured text is written in floating point; take the C code for fixed point"
+        raise invalid("arithmetic", repr(precision), "double or float", remedy)
+    if precision == "float":
+        block = single_limits(block)
+    _check_names(block)
+    run = vectors(block, single=precision == "float")
+    facts = _facts(block, precision, provenance)
+    return {
+        f"{block.name}.st": render("block.st.j2", {**facts, "tables": _tables(block, precision)}),
+        f"{block.name}_test.st": render("test.st.j2", {**facts, **_test(block, run, precision)}),
+        f"{block.name}_vectors.csv": as_csv(block, run),
+    }
+
+
+def _check_names(block: ControlBlock) -> None:
+    """Names that structured text allows: case does not count, no two underscores in a row, no keyword, none of ours."""
+    own = frozenset(_OWN.split()) | {d["name"] for d in _diagonals(block)}
+    checked = [("the name of the block", block.name, "give another --name")]
+    checked += [("a signal's name", s, "rename() the controller's signals") for s in (*block.inputs, *block.outputs)]
+    for what, name, remedy in checked:
+        if not _IDENTIFIER.fullmatch(name):
+            wanted = "an identifier of IEC 61131-3 (letters, digits, single underscores between them)"
+            raise invalid(what, repr(name), wanted, remedy)
+        if name.lower() in KEYWORDS | own:
+            raise invalid(what, repr(name), "no word of structured text or of the function block", remedy)
+    every = [block.name, *block.inputs, *block.outputs, f"{block.name}_test", f"{block.name}_check"]
+    every += [f"{part}_{name}" for part, names in (("valid", block.inputs), ("given", block.outputs)) for name in names]
+    lower = [name.lower() for name in every]
+    for name in every:
+        if lower.count(name.lower()) > 1:
+            raise invalid("a signal's name", repr(name), "unique, capitals or not", "rename() the controller's signals")
+
+
+def _facts(block: ControlBlock, precision: Precision, provenance: Sequence[str]) -> dict[str, Any]:
+    cost = step_cost(block, precision)
+    return {
+        "name": block.name, "type": _TYPES[precision], "ni": len(block.inputs), "no": len(block.outputs),
+        "nx": block.n_states, "winding": block.winding,
+        "inputs": _signals(block.inputs, block.error_limit), "outputs": _signals(block.outputs, block.current_limit),
+        "provenance": [_comment(line) for line in provenance] or ["provenance: not given"],
+        "sample_time": f"{block.sample_time:.9g}", "rate": f"{1 / block.sample_time:.9g}", "delay": block.delay,
+        "hold": block.hold_samples, "windup": f"{block.windup_time:g}", "cost": cost, "transfers": transfers(block),
+        "direct": bool(block.D.any()), "diagonals": _diagonals(block), "floor": literal(FLOOR["float"], "float"),
+    }  # fmt: skip
+
+
+def _signals(names: Sequence[str], limits: np.ndarray) -> list[dict[str, str]]:
+    return [{"name": name, "limit": f"{limit:.9g}"} for name, limit in zip(names, limits.tolist(), strict=True)]
+
+
+def _diagonals(block: ControlBlock) -> list[dict[str, Any]]:
+    """The diagonals of A - I with the states that they reach: first and last row, and where they read."""
+    n = block.n_states
+    return [
+        {
+            "offset": k,
+            "name": f"{'below' if k < 0 else 'above'}_{abs(k)}" if k else "own",
+            "first": max(0, -k), "last": n - 1 - max(0, k),
+            "shift": f" {'-' if k < 0 else '+'} {abs(k)}" if k else "",
+        }
+        for k, _ in diagonals_of(block.increment)
+    ]  # fmt: skip
+
+
+def _tables(block: ControlBlock, precision: Precision) -> list[Table]:
+    kind, n, m, p, w = _TYPES[precision], block.n_states, len(block.inputs), len(block.outputs), block.winding
+
+    def table(name: str, x: np.ndarray) -> Table:
+        return Table(name, ", ".join(f"0..{count - 1}" for count in x.shape), kind, values(x, precision))
+
+    found = [table("error_limit", block.error_limit), table("current_limit", block.current_limit)]
+    found += [table(str(d["name"]), on_diagonal(block.increment, int(d["offset"]))) for d in _diagonals(block)]
+    if n:
+        found += [table("from_error", block.B.T), table("to_current", block.C.T)]
+    if block.D.any():
+        found.append(table("direct", block.D.T))
+    if w:
+        found.append(table("unwind", block.unwind[:w].T))
+    if transfers(block):
+        found += [table("transfer_error", block.from_error.T), table("transfer_current", block.from_output.T)]
+    assert all(t.values for t in found), (m, p)
+    return found
+
+
+def _test(block: ControlBlock, run: Vectors, precision: Precision) -> dict[str, Any]:
+    tolerance = 1e-12 * block.raw_limit if precision == "double" else floating_error(block, 24)
+    return {
+        "samples": SAMPLES, "errors": values(run.errors, precision), "currents": values(run.currents, precision),
+        "tolerance": values(tolerance, precision), "status": _lines([str(int(v)) for v in run.status]),
+        "valid": _lines(["TRUE" if v else "FALSE" for v in run.valid.ravel()]),
+    }  # fmt: skip
+
+
+def values(x: np.ndarray, precision: Precision) -> str:
+    """The initial values of an array, the last index fastest, in lines."""
+    return _lines([literal(float(v), precision) for v in x.ravel()])
+
+
+def _lines(items: Sequence[str]) -> str:
+    lines, line = [], ""
+    for k, text in enumerate(items):
+        item = text + (", " if k + 1 < len(items) else "")
+        if line and len(line) + len(item) > _WIDTH:
+            lines.append(line.rstrip())
+            line = ""
+        line += item
+    return "\n        ".join([*lines, line])
+
+
+def literal(value: float, precision: Precision) -> str:
+    """A number with the point that the standard demands: 1.0E-05, not 1e-05."""
+    text = f"{value:.17g}" if precision == "double" else f"{float(np.float32(value)):.9g}"
+    digits, _, exponent = text.partition("e")
+    if "." not in digits:
+        digits += ".0"
+    return f"{digits}E{int(exponent)}" if exponent else digits
+
+
+def _comment(text: str) -> str:
+    """``text`` made safe inside (* *)."""
+    return as_comment(text).replace("(*", "( *").replace("*)", "* )").replace("$", "_")
+
+
+__all__ = ["KEYWORDS", "Precision", "literal", "structured_text", "values"]
