@@ -32,8 +32,8 @@ from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.report.campaign import Condition, campaign_report
-from ambrose.report.document import Report, write
+from ambrose.report.comparison.campaign import Condition, campaign_report
+from ambrose.report.page import Report, write
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis import pid

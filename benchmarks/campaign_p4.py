@@ -341,7 +341,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ):  # fmt: skip
         print(text, end="\n\n")
     if options.output is not None:
-        from ambrose.report.document import write
+        from ambrose.report.page import write
         from benchmarks.campaign_p4_page import page
 
         options.output.mkdir(parents=True, exist_ok=True)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from ambrose.identification.frf.spectral import Frf
 from ambrose.machine.description import Machine
-from ambrose.report import seal_figures
-from ambrose.report.document import Figure, Report, Section
+from ambrose.report.figures import seals as seal_figures
+from ambrose.report.page import Figure, Report, Section
 from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Impulses, Stepped, Swept, truth
 
 GREEK = {"zeta": "ζ", "eta": "η"}

@@ -13,7 +13,7 @@ from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
-from ambrose.report.pole_map import describe, pole_zero_map
+from ambrose.report.figures.pole_map import describe, pole_zero_map
 
 STIFFNESS = "bearing.B.negative_stiffness.eta"
 machine = load_machine("turboexpander")

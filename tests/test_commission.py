@@ -16,14 +16,14 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.deployment.c.compiled import has_compiler
+from ambrose.evaluation import Candidate
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.record.record import read_record
 from ambrose.plant.reduce import reduce
-from ambrose.report import document
-from ambrose.report.candidate import Candidate
+from ambrose.report import page as document
 from ambrose.report.commissioning import commissioning_section
-from ambrose.report.document import Report
+from ambrose.report.page import Report
 from ambrose.stages import commission as stage
 from ambrose.stages.commission import coded, commission
 from ambrose.stages.plants import full_plants

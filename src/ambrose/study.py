@@ -14,12 +14,12 @@ from typing import Any
 
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.deployment.results import certificate_to_dict, checks_to_dict, plain, write_json
+from ambrose.evaluation import Candidate, points_of
 from ambrose.identification.pipeline import as_dict
 from ambrose.machine.description import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.report.candidate import Candidate, points_of
 from ambrose.stages.commission import NAME, Commissioning, commission
 from ambrose.stages.control import kept_or_designed
 from ambrose.stages.plants import covers, full_plants, model_comparison, schedulable
@@ -166,8 +166,8 @@ def commissioned_results(commissioned: Commissioning) -> dict[str, Any]:
 def write_report(study: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
     from ambrose.report.commissioning import commissioning_section
-    from ambrose.report.comparison import comparison_report
-    from ambrose.report.document import write
+    from ambrose.report.comparison.page import comparison_report
+    from ambrose.report.page import write
     from ambrose.report.run_up import run_up_section
 
     rotor = finite_element_rotor(study.machine)

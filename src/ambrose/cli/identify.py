@@ -119,7 +119,7 @@ def identify(
         compared = _compared(done, other)
         _write(done, output)
         if report is not None:
-            from ambrose.report.document import write
+            from ambrose.report.page import write
 
             progress("writing the report")
             write(done.page(compared), report)
@@ -191,7 +191,7 @@ def _loop(given: _Given, method: str, repeated: bool) -> _Done:
     from ambrose.identification.model_updating import identified_machine
     from ambrose.identification.parameters import split_timing
     from ambrose.identification.pipeline import as_dict, checked_identification, provenance, usual_unknowns
-    from ambrose.report.identification import identification_report
+    from ambrose.report.identification.page import identification_report
 
     wanted = given.unknown or usual_unknowns(given.machine, given.records)
     paths = [path for kind in split_timing(given.machine, wanted) for path in kind]
@@ -218,7 +218,7 @@ def _loop(given: _Given, method: str, repeated: bool) -> _Done:
 
 
 def _loop_tables(checked: Any) -> list[tuple[Any, bool]]:
-    from ambrose.report.identification_tables import fit_table, parameters_table, repeats_table, residual_tests_table
+    from ambrose.report.identification.tables import fit_table, parameters_table, repeats_table, residual_tests_table
 
     tables = [(parameters_table(checked.result), False)]
     if checked.repeats is not None:
@@ -237,8 +237,8 @@ def _loop_lines(checked: Any) -> list[str]:
 def _seal(given: _Given, form: str, seal: str | None) -> _Done:
     from ambrose.identification.pipeline import as_dict, provenance
     from ambrose.identification.seal import pipeline as seal_checked
-    from ambrose.report.identification import identification_report
-    from ambrose.report.identification_tables import seal_lines_table, seal_table
+    from ambrose.report.identification.page import identification_report
+    from ambrose.report.identification.tables import seal_lines_table, seal_table
 
     found = seal_checked.seal_identification(
         given.machine, given.records, given.controller, form, given.unknown, seal=seal, start=given.start,
@@ -276,8 +276,8 @@ def _seal(given: _Given, form: str, seal: str | None) -> _Done:
 def _static(given: _Given, repeated: bool) -> _Done:
     from ambrose.identification.model_updating import identified_machine
     from ambrose.identification.static_load.pipeline import as_dict, checked_static_load, provenance
-    from ambrose.report.identification_static import static_report, static_table
-    from ambrose.report.identification_tables import repeats_table
+    from ambrose.report.identification.static_load import static_report, static_table
+    from ambrose.report.identification.tables import repeats_table
 
     checked = checked_static_load(given.machine, given.records, repeats=repeated, progress=given.progress, **given.options)
     origin, comment = provenance(checked, given.names)
@@ -311,7 +311,7 @@ def _print(done: _Done, compared: Any, output: Path, report: Path | None) -> Non
     for table, only_failed in tables:
         _table(table, only_failed)
     if compared is not None:
-        from ambrose.report.identification_tables import compared_table
+        from ambrose.report.identification.tables import compared_table
 
         _table(compared_table(compared))
     for line in done.lines:

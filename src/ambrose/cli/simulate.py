@@ -73,8 +73,8 @@ def simulate(
     if linear or output.suffix.lower() == ".csv":
         write_record(trace.record, output)
     if report is not None:
-        from ambrose.report.document import write
-        from ambrose.report.record_page import record_report
+        from ambrose.report.page import write
+        from ambrose.report.record.page import record_report
 
         write(record_report(trace, description), report)
     summary = {"record": str(output), "outcome": trace.outcome, "text": trace.text, "report": str(report) if report else None}

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ambrose.evaluation import Candidate
 from ambrose.identification.pipeline import CheckedIdentification
 from ambrose.report import tables, units
-from ambrose.report.candidate import Candidate
-from ambrose.report.document import Cell, Figure, Section, Table
-from ambrose.report.identification_figures import change_figure
-from ambrose.report.identification_tables import findings_table, parameters_table
+from ambrose.report.identification.figures import change_figure
+from ambrose.report.identification.tables import findings_table, parameters_table
+from ambrose.report.page import Cell, Figure, Section, Table
 from ambrose.simulation.trace import Trace
 
 _WORDS = (

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from ambrose.report import theme, units
-from ambrose.report.document import Cell, Figure, Section, Table
-from ambrose.report.panels import Panel, panel_figure
+from ambrose.report.figures.panels import Panel, panel_figure
+from ambrose.report.page import Cell, Figure, Section, Table
 from ambrose.simulation.run_up import Step
 from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Curve

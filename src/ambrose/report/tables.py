@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ambrose.machine.description import Machine, OperatingPoint
 from ambrose.report import units
-from ambrose.report.document import Cell, Table, Verdict
+from ambrose.report.page import Cell, Table, Verdict
 from ambrose.verification.checks import Check, Checks
 
 _WIDEST = 6  # operating points side by side in one table

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from ambrose.machine.description import Machine
 from ambrose.report import tables, units
 from ambrose.report.captions import caption
-from ambrose.report.document import Figure, Report, Section
-from ambrose.report.plots import figure, rotor_drawing
+from ambrose.report.figures.plots import figure, rotor_drawing
+from ambrose.report.page import Figure, Report, Section
 from ambrose.verification.checks import Checks, Curve
 
 Labelled = Sequence[tuple[str, Curve]]

@@ -21,6 +21,7 @@ from ambrose.deployment.c.compiled import CompiledBlock, has_compiler, probed
 from ambrose.deployment.c.fixed import write_code
 from ambrose.deployment.discretisation.fixed import Deployment, deploy, unmet
 from ambrose.deployment.pipeline import SAMPLE_TIME, limits, provenance
+from ambrose.evaluation import Candidate
 from ambrose.identification.model_updating import identified_machine
 from ambrose.identification.parameters import expand
 from ambrose.identification.pipeline import CheckedIdentification, checked_identification, usual_unknowns
@@ -30,7 +31,6 @@ from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import dumps_machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.report.candidate import Candidate
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
 from ambrose.simulation.trace import Trace
@@ -131,8 +131,8 @@ def identified(
 
     Raises NumericalFailure where the fit did not converge.
     """
-    from ambrose.report.document import write
-    from ambrose.report.identification import identification_report
+    from ambrose.report.identification.page import identification_report
+    from ambrose.report.page import write
 
     paths = expand(machine, usual_unknowns(machine, [record]))
     checked = checked_identification(machine, [record], controller, paths, progress=progress)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ambrose.evaluation import Candidate
 from ambrose.plant.model import Plant
-from ambrose.report.candidate import Candidate
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.run_up import Step, spin_up, steps
 from ambrose.simulation.scenario import load_scenario

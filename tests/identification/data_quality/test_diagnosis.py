@@ -27,7 +27,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
-from ambrose.report.identification import identification_report
+from ambrose.report.identification.page import identification_report
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis import pid

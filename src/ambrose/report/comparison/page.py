@@ -1,0 +1,175 @@
+"""Several controllers for one machine on one page, so that a reader can choose: who passes where, the quantities that decide
+side by side, the curves in panels with common axes, the gains, the time responses, and everything else behind them.
+
+    comparison_report(machine, [Candidate("PID", synthesis, checks, robust, traces), ...], node_positions=rotor.positions)
+
+Operating points keep their colour and dash wherever they are drawn; controllers stand in panels of their own, or have other
+colours where they are overlaid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from numpy.typing import ArrayLike
+
+from ambrose.evaluation import Candidate, points_of
+from ambrose.machine.description import Machine
+from ambrose.report import tables, units
+from ambrose.report.comparison import figures
+from ambrose.report.comparison import tables as comparison_tables
+from ambrose.report.figures.traces import trace_curves
+from ambrose.report.page import Cell, Report, Section, Table
+from ambrose.report.verification import Labelled, curve_figures, machine_section, verification_report
+
+__all__ = ["Candidate", "comparison_report"]
+
+_HISTORY = (
+    ("iteration", "Iteration"),
+    ("order", "Order"),
+    ("gamma", "γ"),
+    ("mu_complex", "Complex µ, upper"),
+    ("mu_mixed", "Mixed µ, upper"),
+    ("mu_mixed_lower", "Mixed µ, lower"),
+)
+
+
+def comparison_report(
+    machine: Machine,
+    candidates: Sequence[Candidate],
+    *,
+    node_positions: ArrayLike,
+    shapes: ArrayLike | None = None,
+    frequencies: ArrayLike | None = None,
+    models: Sequence[tuple[str, str]] = (),
+    comparison: Labelled = (),
+    over_speed: Labelled = (),
+    facts: Sequence[tuple[str, str]] = (),
+    more: Sequence[Section] = (),
+    title: str = "Comparison of controllers",
+    date: str = "",
+) -> Report:
+    """The report of one machine and several controllers; of a single one the verification report.
+
+    candidates: in the order of the columns, with a name each; their operating points are matched by label. node_positions (n,)
+    [m], shapes (n, k), frequencies (k,) [rad/s], models, comparison, facts, date: as for ``verification_report``. over_speed:
+    (candidate or operating point, Curve) pairs of maps over speed, one figure each; more: sections of other stages, before the
+    machine's. Raises InvalidInput for no candidates or
+    names that do not tell them apart.
+    """
+    points = points_of(machine, candidates)
+    if len(candidates) == 1:
+        only = candidates[0]
+        report = verification_report(
+            machine, [checks for point in points if (checks := only.at(point)) is not None],
+            node_positions=node_positions, shapes=shapes, frequencies=frequencies, models=models,
+            responses=[(point, curve) for point, trace in only.traces for curve in trace_curves(trace, machine)],
+            comparison=comparison, over_speed=over_speed, facts=facts, title=title, date=date,
+        )  # fmt: skip
+        return _with_box(report, machine, only)
+    sections = [_glance(machine, candidates, points), _loops(candidates, points)]
+    families = figures.family_figures(machine, candidates)
+    if families:
+        words = "The uncertain parameters go through their tolerances; the darker the line, the larger the parameter."
+        sections.append(Section("Over the tolerances", words, families))
+    sections.append(_controllers(machine, candidates))
+    responses = figures.time_figures(machine, candidates, points)
+    if responses:
+        words = (
+            "Linear model: valid while currents and displacements stay inside their limits. The panels of a figure share axes."
+        )
+        sections.append(Section("Time responses", words, responses))
+    sections += [*_over_speed(over_speed), *more]
+    sections.append(machine_section(machine, node_positions, shapes, frequencies, models))
+    sections += _models(comparison)
+    sections.append(_details(candidates, points))
+    verdicts = comparison_tables.verdicts_of(candidates, points)
+    outcome = comparison_tables.result(candidates)
+    return Report(title, machine, tuple(sections), verdicts, tuple(facts), date, result=outcome)
+
+
+def _with_box(report: Report, machine: Machine, candidate: Candidate) -> Report:
+    """The verification report of one controller, and what was found over the tolerance box."""
+    if candidate.robust is None:
+        return report
+    label = f"whole tolerance box ({candidate.robust.label})"
+    table = replace(tables.checks_table(candidate.robust), title=label)
+    section = Section("Over the tolerances", "", figures.family_figures(machine, [candidate]), (table,))
+    verdict = replace(tables.verdict(candidate.robust), label=label)
+    sections = (*report.sections[:-1], section, report.sections[-1])
+    return replace(report, sections=sections, verdicts=(*report.verdicts, verdict))
+
+
+def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
+    found = [comparison_tables.verdict_table(candidates, points), comparison_tables.glance_table(machine, candidates, points)]
+    if len(points) > 1:
+        found += comparison_tables.point_tables(candidates, points)
+    known = [point for label in points for point in machine.operation.points if point.label == label]
+    if known:
+        found.append(tables.operating_points_table(known))
+    return Section("At a glance", "", (), tuple(found))
+
+
+def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
+    words = (
+        "One panel per controller, all with the same axes. Every operating point keeps its colour and dash in all figures. "
+        "Drag to zoom (all panels follow), double-click to see everything, click on a legend entry to hide or show its lines."
+    )
+    return Section("Closed loop, side by side", words, figures.loop_figures(candidates, points))
+
+
+def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
+    rows = []
+    for candidate in candidates:
+        made = candidate.synthesis
+        order = Cell(str(made.controller.n_states), "number")
+        rows.append((candidate.name, made.method, order, made.status, made.certificate.plant, " ".join(made.notes)))
+    columns = ("Controller", "Method", "Order", "Status", "Certified on", "Notes")
+    found = [Table("How they were made", columns, tuple(rows))]
+    found += [_history(candidate) for candidate in candidates if any("mu_mixed" in row for row in candidate.synthesis.history)]
+    return Section("Controllers", "", figures.gain_figures(machine, candidates), tuple(found))
+
+
+def _history(candidate: Candidate) -> Table:
+    """What each iteration of a mu synthesis reached."""
+    history = candidate.synthesis.history
+    known = [(key, words) for key, words in _HISTORY if any(key in row for row in history)]
+    rows = tuple(
+        tuple(Cell(units.number(float(row[key]), 4) if key in row else "", "number") for key, _ in known) for row in history
+    )
+    return Table(f"{candidate.name}: what each iteration reached", tuple(words for _, words in known), rows)
+
+
+def _over_speed(over_speed: Labelled) -> list[Section]:
+    if not over_speed:
+        return []
+    words = "The closed loop assembled anew at every speed; where a mode meets the line of the speed, unbalance drives it."
+    labels = list(dict.fromkeys(label for label, _ in over_speed))
+    found = [
+        replace(figure, title=figure.title + (f", {label}" if len(labels) > 1 else ""))
+        for label in labels
+        for figure in curve_figures([pair for pair in over_speed if pair[0] == label], (label,))
+    ]
+    return [Section("Over speed", words, tuple(found))]
+
+
+def _models(comparison: Labelled) -> list[Section]:
+    if not comparison:
+        return []
+    words = "The reference is drawn broad and pale, the others on top: where a thin line leaves the broad one, they differ."
+    return [Section("Model against model", words, curve_figures(comparison, (), overlay=True))]
+
+
+def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
+    """Every check of every candidate, folded."""
+    found = []
+    for candidate in candidates:
+        ordered = [checks for point in points if (checks := candidate.at(point)) is not None]
+        for checks in [*ordered, *([candidate.robust] if candidate.robust is not None else [])]:
+            where, words = checks.label, tables.verdict(checks).text.partition(";")[0]
+            if checks is candidate.robust:  # "stable" would be said of the nominal loop only
+                where, words = f"whole tolerance box ({checks.label})", words.removeprefix("stable, ")
+            found.append(replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}"))
+    words = "Click on a line to unfold its table; paper shows those that are open."
+    return Section("All checks in detail", words, (), tuple(found), folded=True)

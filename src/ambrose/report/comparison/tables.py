@@ -1,0 +1,333 @@
+"""Several controllers in tables: who passes where and why not, and the quantities that decide, side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ambrose.evaluation import Candidate, find
+from ambrose.machine.description import Machine, Tolerance
+from ambrose.report import units
+from ambrose.report.page import Cell, Table, Verdict
+from ambrose.report.tables import RELATION, place, reason, verdict
+from ambrose.verification.checks import Check, Checks
+
+Row = tuple[str | Cell, ...]
+Better = Callable[..., Any]  # min or max
+
+_WIDEST = 9  # columns of values side by side in one table
+_MOST_REASONS = 3  # in one cell
+# The quantities that decide, and whether less or more of each is better.
+_AT_A_POINT: dict[str, Better] = {
+    "sensitivity.output.max": min,
+    "compliance.max": min,
+    "unbalance.orbit": min,
+    "unbalance.current": min,
+    "impulse.settling": min,
+    "impulse.current": min,
+    "poles.log_decrement.lowest": max,
+}
+_IN_THE_BOX: dict[str, Better] = {
+    "robust.stability.margin": max,
+    "robust.stability.proved": max,
+    "robust.sensitivity.worst": min,
+}
+_IMPLIED = {"stability.abscissa", "robust.stability.box", "robust.performance"}  # told by rows of their own
+
+
+def result(candidates: Sequence[Candidate]) -> Verdict:
+    """How it all turned out: "1 of 3 controllers passes every check: mu"."""
+    good = [candidate.name for candidate in candidates if candidate.passed]
+    count = (
+        f"{len(good)} of {len(candidates)} controllers {'passes' if len(good) == 1 else 'pass'} every check"
+        if good
+        else "no controller passes every check"
+    )
+    return Verdict("", bool(good), count + (f": {', '.join(good)}" if good else ""))
+
+
+def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Verdict, ...]:
+    """One line per candidate: where it passes and where not."""
+    return tuple(Verdict(candidate.name, candidate.passed, _line(candidate, points)) for candidate in candidates)
+
+
+def _line(candidate: Candidate, points: Sequence[str]) -> str:
+    groups: dict[str, list[str]] = {"unstable at": [], "fails at": [], "passes at": []}
+    for point in points:
+        found = candidate.at(point)
+        if found is not None:
+            groups["unstable at" if not found.stable else "passes at" if found.passed else "fails at"].append(point)
+    words = [f"{what} {_listed(labels)}" for what, labels in groups.items() if labels]
+    if not groups["unstable at"] and not groups["fails at"]:
+        words = [f"passes every check at {_listed(groups['passes at'])}"]
+    if candidate.robust is not None:
+        words.append(f"{'passes' if candidate.robust.passed else 'fails'} over the tolerances")
+    return "; ".join(words)
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
+    """One row per candidate, one column per operating point and one for the whole tolerance box: pass or fail, and why."""
+    box = any(candidate.robust is not None for candidate in candidates)
+    rows: list[Row] = []
+    for candidate in candidates:
+        cells = [_verdict_cell(candidate.at(point)) for point in points]
+        cells += [_box_cell(candidate.robust)] if box else []
+        rows.append((candidate.name, *cells))
+    columns = ("Controller", *points, *(["whole tolerance box"] if box else []))
+    rest = 86 // (len(columns) - 1)
+    return Table("Who passes where, and why not", columns, tuple(rows), "", (14, *[rest] * (len(columns) - 1)), (), True)
+
+
+def _verdict_cell(checks: Checks | None) -> Cell:
+    if checks is None:
+        return Cell("not verified", "muted")
+    judged = [check for check in checks.checks if check.passed is not None]
+    failed = [check for check in judged if not check.passed]
+    if not checks.stable:
+        return Cell("unstable", "fail", detail=", ".join(place(check) or reason(check) for check in failed))
+    if not failed:
+        return Cell("passes", "pass", detail=f"all {len(judged)} checks" if judged else "no limits were given")
+    reasons = "; ".join(reason(check) for check in failed[:_MOST_REASONS])
+    more = f"; and {len(failed) - _MOST_REASONS} more" if len(failed) > _MOST_REASONS else ""
+    return Cell(reasons + more, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass")
+
+
+def _box_cell(checks: Checks | None) -> Cell:
+    if checks is None:
+        return Cell("not evaluated", "muted")
+    margin, worst, proved = (find(checks, name) for name in _IN_THE_BOX_WORDS)
+    if not checks.stable:
+        return Cell("unstable", "fail", detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip())
+    if margin is not None and margin.passed is False:
+        return Cell(f"unstable from {units.number(margin.value)} of the tolerances on", "fail", detail=place(margin))
+    failed = [check for check in checks.checks if check.passed is False]
+    if failed:
+        return Cell("; ".join(reason(check) for check in failed[:_MOST_REASONS]), "fail", detail=_proof(proved))
+    size = "" if worst is None else f"worst output sensitivity {units.number(worst.value)}"
+    return Cell("passes", "pass", detail="; ".join(part for part in (size, _proof(proved)) if part))
+
+
+_IN_THE_BOX_WORDS = ("robust.stability.margin", "robust.sensitivity.worst", "robust.stability.proved")
+
+
+def _proof(check: Check | None) -> str:
+    if check is None:
+        return "stable at every point tried"
+    return "stability proved everywhere" if check.value >= 1 else f"stability proved for {units.number(check.value)} of them"
+
+
+def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
+    """The quantities that decide, one column per candidate: worst of all operating points, whole box, the controller."""
+    rows: list[Row] = [_heading("Worst of all operating points", candidates), _stability_row(candidates, points)]
+    for name, better in _names([checks for candidate in candidates for checks in candidate.checks], _AT_A_POINT):
+        rows.append(_row([_worst(candidate, points, name, better) for candidate in candidates], better))
+    boxes = [candidate.robust for candidate in candidates]
+    known = [checks for checks in boxes if checks is not None]
+    if known:
+        rows.append(_heading(f"Whole tolerance box ({_box(machine)}), on {known[0].label}", candidates))
+        for name, better in _names(known, _IN_THE_BOX):
+            rows.append(_row([_entry(checks, name, detailed=True) for checks in boxes], better))
+    rows += _mu_row(candidates)
+    rows += [_heading("Controller", candidates), *_controller_rows(candidates)]
+    note = (
+        "Shaded: the best of its row; an unstable loop has none. ✓ pass, ✗ fail, no sign: no limit. γ is "
+        "the norm that each method minimises on a design problem of its own: not to be compared between methods."
+    )
+    width = 60 // max(len(candidates), 2)
+    widths = (100 - 10 - width * len(candidates), 10, *[width] * len(candidates))
+    columns = ("Quantity", "Limit", *(candidate.name for candidate in candidates))
+    return Table("The quantities that decide", columns, tuple(rows), note, widths, by_cell=True)
+
+
+def point_tables(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Table, ...]:
+    """The same quantities at every operating point, the candidates side by side; cut into several tables to fit on paper."""
+    every = [checks for candidate in candidates for checks in candidate.checks]
+    names = _names(every, _AT_A_POINT)
+    size = max(1, _WIDEST // len(candidates))
+    return tuple(_point_table(candidates, points[i : i + size], names) for i in range(0, len(points), size))
+
+
+def _point_table(candidates: Sequence[Candidate], points: Sequence[str], names: Sequence[tuple[str, Better]]) -> Table:
+    found = [[candidate.at(point) for candidate in candidates] for point in points]
+    rows: list[Row] = [("Stability", "", *(_stability_cell(checks) for group in found for checks in group))]
+    for name, better in names:
+        groups = [[_entry(checks, name) for checks in group] for group in found]
+        cells = _row([entry for group in groups for entry in group], better, group=len(candidates))
+        rows.append(cells)
+    title = "At every operating point" if len(points) > 1 else f"At {points[0]}"
+    rest = 72 // max(len(points) * len(candidates), 6)
+    widths = (100 - 6 - rest * len(points) * len(candidates), 6, *[rest] * (len(points) * len(candidates)))
+    columns = ("Quantity", "Limit", *[candidate.name for _ in points for candidate in candidates])
+    groups_above = (("", 2), *((point, len(candidates)) for point in points))
+    return Table(title, columns, tuple(rows), "Shaded: the best at that operating point.", widths, groups_above, True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """What stands in one cell: a check with some words, or only words why there is none."""
+
+    check: Check | None
+    words: str = ""
+
+
+def _entry(checks: Checks | None, name: str, *, detailed: bool = False) -> _Entry:
+    if checks is None:
+        return _Entry(None, "not verified")
+    if not checks.stable:
+        return _Entry(None, "unstable")
+    check = find(checks, name)
+    if check is None:
+        return _Entry(None, "not evaluated")
+    words = [f"zone\u00a0{check.zone}"] if check.zone and math.isfinite(check.value) else []
+    return _Entry(check, ", ".join(words + ([place(check).removesuffix(", by search")] if detailed else [])))
+
+
+def _worst(candidate: Candidate, points: Sequence[str], name: str, better: Better) -> _Entry:
+    """The check where it is worst, and at which operating point; none where one of them is unstable."""
+    if not all(checks.stable for checks in candidate.checks):
+        return _Entry(None, "unstable")
+    known = [(check, point) for point in points if (check := find(candidate.at(point), name)) is not None]
+    if not known:
+        return _Entry(None, "not evaluated")
+    check, point = (max if better is min else min)(known, key=lambda pair: pair[0].value)
+    return _Entry(check, ", ".join(([f"zone\u00a0{check.zone}"] if check.zone else []) + ([point] if len(points) > 1 else [])))
+
+
+def _row(entries: Sequence[_Entry], better: Better, *, group: int = 0) -> Row:
+    """Title, limit and cells; among every ``group`` of them (0: all) the best is marked."""
+    checks = [entry.check for entry in entries if entry.check is not None]
+    if not checks:
+        return ("", "", *(Cell(entry.words, "muted") for entry in entries))
+    first = checks[0]
+    known = [abs(x) for check in checks for x in (check.value, check.limit or 0.0) if math.isfinite(x)]
+    factor, unit = units.scale(first.unit, max(known, default=0.0))
+    limits = {_limit(check, factor) for check in checks}
+    size = group or len(entries)
+    cells = []
+    for start in range(0, len(entries), size):
+        part = entries[start : start + size]
+        shown = [_amount(entry.check, factor) if entry.check is not None else "" for entry in part]
+        best = _best([entry.check for entry in part], shown, better)
+        for entry, text in zip(part, shown, strict=True):
+            own = "" if entry.check is None or len(limits) == 1 else f"limit {_limit(entry.check, factor) or 'none'}"
+            cells.append(_cell(entry, text, ", ".join(part for part in (entry.words, own) if part), best=text in best))
+    title = units.prose(first.title) + (f" [{unit}]" if unit else "")
+    return (title, limits.pop() if len(limits) == 1 else "", *cells)
+
+
+def _cell(entry: _Entry, text: str, detail: str, *, best: bool) -> Cell:
+    if entry.check is None:
+        return Cell(entry.words, "muted")
+    mark = {None: "", True: "pass", False: "fail"}[entry.check.passed]
+    return Cell(text, mark, best, detail)
+
+
+def _limit(check: Check, factor: float) -> str:
+    return "" if check.limit is None else f"{RELATION.get(check.relation, check.relation)} {units.number(check.limit * factor)}"
+
+
+def _amount(check: Check, factor: float) -> str:
+    """The value in the shown unit, with as many digits as it takes to tell it from its limit."""
+    if check.limit is None or not math.isfinite(check.value):
+        return units.number(check.value * factor)
+    return units.pair(check.value * factor, check.limit * factor, "")[0]
+
+
+def _best(checks: Sequence[Check | None], shown: Sequence[str], better: Better) -> set[str]:
+    """The texts of the best; none without a rival."""
+    known = [(check.value, text) for check, text in zip(checks, shown, strict=True) if check is not None]
+    if len(known) < 2 or len({text for _, text in known}) == 1:
+        return set()
+    return {better(known)[1]}
+
+
+def _names(every: Sequence[Checks], chosen: Mapping[str, Better]) -> list[tuple[str, Better]]:
+    """The chosen quantities that were evaluated, then every other one that fails somewhere."""
+    found = {check.name: check for checks in every for check in checks.checks}
+    failed = {check.name: check for checks in every for check in checks.checks if check.passed is False}
+    result: list[tuple[str, Better]] = [(name, better) for name, better in chosen.items() if name in found]
+    for name, check in failed.items():
+        if name not in chosen and name not in _IMPLIED:
+            result.append((name, max if check.relation in {">", ">="} else min))
+    return result
+
+
+def _heading(text: str, candidates: Sequence[Candidate]) -> Row:
+    return (Cell(text, "heading"), *[""] * (1 + len(candidates)))
+
+
+def _stability_row(candidates: Sequence[Candidate], points: Sequence[str]) -> Row:
+    cells = []
+    for candidate in candidates:
+        bad = [point for point in points if (found := candidate.at(point)) is not None and not found.stable]
+        everywhere = "" if len(candidate.checks) == 1 else "everywhere"
+        cells.append(
+            Cell("unstable", "fail", detail=f"at {_listed(bad)}") if bad else Cell("stable", "pass", detail=everywhere)
+        )
+    return ("Stability", "", *cells)
+
+
+def _stability_cell(checks: Checks | None) -> Cell:
+    if checks is None:
+        return Cell("not verified", "muted")
+    return Cell("stable", "pass") if checks.stable else Cell("unstable", "fail")
+
+
+def _box(machine: Machine) -> str:
+    return ", ".join(f"{units.prose(item.parameter)} ±{_half_width(item)}" for item in machine.tolerances) or "all tolerances"
+
+
+def _half_width(tolerance: Tolerance) -> str:
+    if tolerance.relative is not None:
+        return f"{units.number(100 * tolerance.relative)}\u00a0%"
+    return units.number(tolerance.absolute or 0.0)
+
+
+def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
+    """Mixed mu of the weighted loop: as robust verification found it, else as the synthesis did."""
+    checks = [find(candidate.robust, "robust.performance") for candidate in candidates]
+    uppers = [check.value if check is not None else math.nan for check in checks]
+    details = [", ".join(place(check).split(",")[:2]) if check is not None else "" for check in checks]
+    title = "Peak of mixed µ of the weighted loop, upper bound (below 1: robust performance)"
+    if not any(check is not None for check in checks):
+        margins = [candidate.synthesis.certificate.margins for candidate in candidates]
+        uppers = [found.get("mu_mixed", math.nan) for found in margins]
+        lowers = [found.get("mu_mixed_lower", math.nan) for found in margins]
+        details = [f"lower bound {units.number(lower)}" if math.isfinite(lower) else "" for lower in lowers]
+    if all(math.isnan(upper) for upper in uppers):
+        return []
+    return [(title, "", *_numbers(uppers, details, better=min, absent="not evaluated"))]
+
+
+def _controller_rows(candidates: Sequence[Candidate]) -> list[Row]:
+    made = [candidate.synthesis for candidate in candidates]
+    orders = [float(found.controller.n_states) for found in made]
+    factor, unit = units.scale("rad/s")
+    fastest = [found.certificate.fastest_pole * factor for found in made]
+    gammas = [
+        Cell(units.number(found.gamma), detail=found.method) if math.isfinite(found.gamma) else Cell("none", "muted")
+        for found in made
+    ]
+    return [
+        ("Order (number of states)", "", *_numbers(orders, better=min)),
+        (f"Fastest pole [{unit}]", "", *_numbers(fastest, better=min)),
+        ("γ", "", *gammas),
+    ]
+
+
+def _numbers(values: Sequence[float], details: Sequence[str] = (), *, better: Better, absent: str = "none") -> list[Cell]:
+    """Plain numbers as cells, the best of them marked; NaN where there is none."""
+    shown = [units.number(value) for value in values]
+    known = [(value, text) for value, text in zip(values, shown, strict=True) if not math.isnan(value)]
+    best = better(known)[1] if len({text for _, text in known}) > 1 else None
+    details = details or [""] * len(values)
+    return [
+        Cell(absent, "muted") if math.isnan(value) else Cell(text, "", text == best, detail)
+        for value, text, detail in zip(values, shown, details, strict=True)
+    ]

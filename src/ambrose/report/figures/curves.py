@@ -1,0 +1,252 @@
+"""Curves against frequency, speed and time: operating points overlaid, one small panel per axis where there are several."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ambrose.report import theme, units
+from ambrose.report.figures.axes import Axes, axes_of, drawn, is_map
+from ambrose.report.figures.limits import amount, beyond, draw_limits, limit_levels
+from ambrose.verification.checks import Curve
+
+Labelled = Sequence[tuple[str, Curve]]
+
+_ENVELOPE = re.compile(r"max|worst|sigma|σ|envelope|largest|all axes", re.IGNORECASE)
+_MOST_PANELS = 8
+_AGREEMENT = 0.05  # the legend says up to where an overlaid model stays this close to the reference
+_MAIN_HEIGHT, _ONLY_HEIGHT, _SMALL_HEIGHT, _GAP = 280, 320, 140, 68  # [px]
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One plot area: its lines by name, its place in the grid."""
+
+    names: tuple[str, ...]
+    row: int
+    column: int
+    main: bool
+
+
+def line_figure(curves: Labelled, style: Mapping[str, theme.Style], *, overlay: bool = False) -> Any:
+    """A figure of curves of kind "frequency", "speed" or "time"; all of one kind and unit (see plots.figure)."""
+    from plotly.subplots import make_subplots
+
+    panels, specs, heights = _arrange(curves)
+    axes = axes_of(curves, overlay=overlay)
+    total = sum(heights) + _GAP * (len(heights) - 1)
+    figure = make_subplots(
+        rows=len(heights), cols=len(specs[0]), specs=specs, row_heights=[h / sum(heights) for h in heights],
+        horizontal_spacing=0.042 if len(specs[0]) > 2 else 0.06, vertical_spacing=_GAP / total,
+    )  # fmt: skip
+    legend = len(dict.fromkeys(label for label, _ in curves)) > 1 or _peaked(curves[0][1])
+    for panel in panels:
+        _draw(figure, panel, curves, axes, style, first=panel is panels[0], overlay=overlay)
+    theme.dress(figure, total, legend=legend)
+    _scale_axes(figure, panels, axes, len(heights))
+    levels = limit_levels(curves, axes)
+    for panel in panels:
+        size = (860, _MAIN_HEIGHT) if panel.main else (410, _SMALL_HEIGHT)
+        named = panel.main or not panels[0].main
+        draw_limits(figure, {"row": panel.row, "col": panel.column}, levels, axes, size=size, named=named)
+        _panel_title(figure, panel, axes, many=len(panels) > 1)
+    _beyond(figure, curves, axes)
+    return figure
+
+
+def _arrange(curves: Labelled) -> tuple[list[Panel], list[list[Any]], list[int]]:
+    """Which lines share a panel, the grid for make_subplots, and the heights of its rows [px]."""
+    names = list(dict.fromkeys(name for _, curve in curves for name in curve.labels))
+    together = is_map(curves[0][1]) or len(names) == 1 or len(names) > _MOST_PANELS
+    if together:
+        return [Panel(tuple(names), 1, 1, True)], [[{}]], [_ONLY_HEIGHT]
+    envelope = [name for name in names if _ENVELOPE.search(name)][:1]
+    rest = [name for name in names if name not in envelope]
+    columns = min(4, len(rest)) if envelope else 2
+    specs: list[list[Any]] = []
+    panels: list[Panel] = []
+    if envelope:
+        specs.append([{"colspan": columns}] + [None] * (columns - 1))
+        panels.append(Panel((envelope[0],), 1, 1, True))
+    for i, name in enumerate(rest):
+        if i % columns == 0:
+            specs.append([None] * columns)
+        specs[-1][i % columns] = {}
+        panels.append(Panel((name,), len(specs), i % columns + 1, False))
+    heights = [_MAIN_HEIGHT] * len(envelope) + [_SMALL_HEIGHT] * (len(specs) - len(envelope))
+    return panels, specs, heights
+
+
+def _draw(
+    figure: Any, panel: Panel, curves: Labelled, axes: Axes, style: Mapping[str, theme.Style], *, first: bool, overlay: bool
+) -> None:
+    import plotly.graph_objects as go
+
+    shown: set[str] = set()
+    for label, curve in curves:
+        look = style[label]
+        x = curve.x * axes.x_factor
+        for name, values in zip(curve.labels, curve.y, strict=True):
+            if name not in panel.names:
+                continue
+            y = values * axes.y_factor
+            words = f"{theme.plain(label)}<br>{theme.plain(units.axis_name(name))}"
+            hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
+            figure.add_trace(
+                go.Scatter(
+                    x=drawn(x), y=drawn(y), mode="lines", legendgroup=theme.plain(label),
+                    showlegend=first and label not in shown,
+                    name=theme.plain(label) + _legend_text(panel, label, curves, axes, overlay=overlay),
+                    line={"color": look.colour, "dash": _dash(name, look, curve), "width": look.width if panel.main else 1.4},
+                    hovertemplate=hover,
+                ),
+                row=panel.row, col=panel.column,
+            )  # fmt: skip
+            shown.add(label)
+            if panel.main and len(panel.names) == 1 and _peaked(curve) and not overlay:
+                mark_peak(figure, {"row": panel.row, "col": panel.column}, x, y, look)
+    if is_map(curves[0][1]):
+        _map_furniture(figure, panel, curves, axes)
+
+
+def _dash(name: str, look: theme.Style, curve: Curve) -> str:
+    """On a Campbell map the dash tells backward from forward whirl, elsewhere it tells operating points apart."""
+    if is_map(curve):
+        return "6px,3px" if "backward" in name.lower() else "solid"
+    return look.dash
+
+
+def _peaked(curve: Curve) -> bool:
+    return curve.kind in {"frequency", "speed"} and curve.y_unit not in {"rad", "rad/s"}
+
+
+def _legend_text(panel: Panel, label: str, curves: Labelled, axes: Axes, *, overlay: bool) -> str:
+    """What the legend adds to the label: the peak, or how far an overlaid model agrees with the reference."""
+    curve = next(curve for other, curve in curves if other == label)
+    rows = [row for name, row in zip(curve.labels, curve.y, strict=True) if name in panel.names or not panel.main]
+    if not overlay:
+        return _peak_text(np.array(rows), curve, axes)
+    reference = curves[0][1]
+    if label == curves[0][0] or curve.kind != "frequency" or curve.labels != reference.labels:
+        return ""
+    if not np.array_equal(curve.x, reference.x):
+        return ""
+    near = np.abs(curve.y - reference.y) <= _AGREEMENT * np.abs(reference.y)
+    apart = np.flatnonzero(~near.all(axis=0))
+    if not apart.size:
+        return f" · within {_AGREEMENT:.0%} everywhere"
+    return f" · within {_AGREEMENT:.0%} up to {units.quantity(float(curve.x[apart[0]]), 'rad/s')}"
+
+
+def _peak_text(rows: np.ndarray, curve: Curve, axes: Axes) -> str:
+    """For the legend: where and how high the peak of these lines (k, n) is; nothing where they start highest."""
+    if is_map(curve) or curve.y_unit == "rad" or not np.isfinite(rows).any():
+        return ""
+    size = np.where(np.isfinite(rows), np.abs(rows), -1.0).max(axis=0)
+    largest = int(size.argmax())
+    text = amount(float(size[largest]) * axes.y_factor, axes)
+    if curve.kind == "time":
+        return f" · largest {text}"
+    if largest == 0 < len(size) - 1:
+        return ""
+    where = units.join(units.number(float(curve.x[largest]) * axes.x_factor), "rpm" if curve.kind == "speed" else "Hz")
+    return f" · {'peak' if largest < len(size) - 1 else 'up to'} {text} at {where}"
+
+
+def mark_peak(figure: Any, place: dict[str, int], x: np.ndarray, y: np.ndarray, look: theme.Style) -> None:
+    """A circle at the maximum of a line, unless it lies at one of its ends; x, y (n,) in shown units."""
+    import plotly.graph_objects as go
+
+    if not np.isfinite(y).any():
+        return
+    i = int(np.nanargmax(y))
+    if i in {0, len(y) - 1}:
+        return
+    marker = {"color": "white", "size": 7, "line": {"color": look.colour, "width": 1.6}}
+    figure.add_trace(go.Scatter(x=[x[i]], y=[y[i]], mode="markers", marker=marker, showlegend=False, hoverinfo="skip"), **place)
+
+
+def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> None:
+    """On a map over speed: the synchronous line (frequency = speed) and the names of the lines at their right ends."""
+    import plotly.graph_objects as go
+
+    place = {"row": panel.row, "col": panel.column}
+    first = curves[0][1]
+    high = min(axes.x_range[1] / 60, axes.y_range[1])
+    low = min(axes.x_range[0] / 60, high)
+    line = {"color": theme.MUTED, "width": 1, "dash": "2px,3px"}
+    ends = {"x": [low * 60, high * 60], "y": [low, high]}
+    figure.add_trace(go.Scatter(**ends, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
+    figure.add_annotation(
+        x=high * 33, y=high * 0.55, text="1× speed", showarrow=False, xanchor="left", yanchor="top", xshift=5,
+        font={"size": 12, "color": theme.MUTED}, **place,
+    )  # fmt: skip
+    if 1 < len(panel.names) <= 16:
+        for level, name in _spread(
+            [(float(row[-1]) * axes.y_factor, n) for n, row in zip(first.labels, first.y, strict=True)], axes
+        ):
+            figure.add_annotation(
+                xref="x domain", x=1.0, y=level, text=theme.plain(units.axis_name(name)), showarrow=False, xanchor="left",
+                xshift=5, font={"size": 12, "color": theme.INK}, **place,
+            )  # fmt: skip
+
+
+def _spread(ends: Sequence[tuple[float, str]], axes: Axes) -> list[tuple[float, str]]:
+    """Names near their lines' ends, pushed apart so that they do not overprint."""
+    step = (axes.y_range[1] - axes.y_range[0]) * 14.5 / _ONLY_HEIGHT
+    placed: list[tuple[float, str]] = []
+    for level, name in sorted(end for end in ends if math.isfinite(end[0]) and end[0] <= axes.y_range[1]):
+        placed.append((max(level, placed[-1][0] + step) if placed else level, name))
+    return placed
+
+
+def _scale_axes(figure: Any, panels: Sequence[Panel], axes: Axes, rows: int) -> None:
+    x: dict[str, Any] = {"range": list(axes.x_range)}
+    y: dict[str, Any] = {"range": list(axes.y_range)}
+    if axes.log_x:
+        x = theme.decades(*axes.x_range)
+    if axes.log_y:
+        y = theme.decades(*axes.y_range)
+    figure.update_xaxes(**x)
+    figure.update_yaxes(**y)
+    for panel in panels:
+        place = {"row": panel.row, "col": panel.column}
+        bottom = panel.main or (not panels[0].main and panel.row == rows)
+        figure.update_xaxes(
+            title_text=axes.x_text if bottom else None, matches="x" if panel is not panels[0] else None, **place
+        )
+        if not panel.main:
+            figure.update_yaxes(showticklabels=panel.column == 1, **place)
+    small = [panel for panel in panels if not panel.main]
+    for panel in small[1:]:
+        reference = figure.get_subplot(small[0].row, small[0].column).yaxis.plotly_name
+        figure.update_yaxes(matches=reference.replace("axis", ""), row=panel.row, col=panel.column)
+    if rows == 1 and panels[0].main and len(panels[0].names) > 1:
+        figure.update_layout(margin={"r": 125})
+
+
+def _beyond(figure: Any, curves: Labelled, axes: Axes) -> None:
+    """One line, upper right, that names what lies outside the view."""
+    words = beyond(curves, axes)
+    if words:
+        figure.add_annotation(
+            xref="paper", yref="paper", x=1, y=1, xanchor="right", yanchor="bottom", showarrow=False,
+            text=theme.plain(words), font={"size": 12, "color": theme.MUTED},
+        )  # fmt: skip
+
+
+def _panel_title(figure: Any, panel: Panel, axes: Axes, *, many: bool) -> None:
+    """The unit (and the line's name where there are several panels) above the panel's upper left corner."""
+    words = [theme.plain(units.axis_name(panel.names[0]))] if many else []
+    if axes.y_unit:
+        words.append(f"[{axes.y_unit}]")
+    figure.add_annotation(
+        xref="x domain", yref="y domain", x=0, y=1, xanchor="left", yanchor="bottom", yshift=1, showarrow=False,
+        text=f"<b>{words[0]}</b> {' '.join(words[1:])}" if many else " ".join(words),
+        font={"size": 13, "color": theme.INK}, row=panel.row, col=panel.column,
+    )  # fmt: skip

@@ -1,0 +1,146 @@
+"""Small multiples: a grid of panels with common axes, so that the eye compares columns; the same look as every other figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ambrose.report import theme, units
+from ambrose.report.figures.axes import Axes, axes_of, drawn
+from ambrose.report.figures.curves import mark_peak
+from ambrose.report.figures.limits import beyond, draw_limits, limit_levels
+from ambrose.verification.checks import Curve
+
+Labelled = tuple[tuple[str, Curve], ...]
+
+_WIDTH = 900  # [px], of all panels of a row together, about
+_LEAST_GAP, _TITLE_GAP = 16, 40  # [px] between rows, without and with titles between them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Panel:
+    """One plot area: (label, Curve) pairs, every line drawn in its label's style.
+
+    title stands above its left corner; notes, (label, text) pairs, above its right one, each in its label's colour. side: what
+    its row shows, beside the axis of the first panel of the row.
+    """
+
+    title: str
+    curves: Labelled
+    notes: tuple[tuple[str, str], ...] = ()
+    side: str = ""
+
+
+def panel_figure(
+    rows: Sequence[Sequence[Panel]],
+    style: Mapping[str, theme.Style],
+    *,
+    height: int = 260,
+    view: Labelled = (),
+    span: tuple[float, float] | None = None,
+    mark_peaks: bool = False,
+) -> tuple[Any, str]:
+    """The plotly figure of a grid of panels, and what lies beyond its view in words ("" when nothing).
+
+    rows: the panels, row by row, the curves all of one kind and unit; a row may end early. height [px] of a row. view: the
+    curves that choose the range of y where not all are to (default: all). span: the visible range of x (SI unit; default:
+    all). mark_peaks: a circle at every line's maximum.
+    """
+    from plotly.subplots import make_subplots
+
+    everything = tuple(pair for row in rows for panel in row for pair in panel.curves)
+    axes = axes_of(everything, view=view)
+    if span is not None:
+        axes = replace(axes, x_range=(span[0] * axes.x_factor, span[1] * axes.x_factor))
+    columns = max(len(row) for row in rows)
+    gap = _TITLE_GAP if any(panel.title or panel.notes for row in rows[1:] for panel in row) else _LEAST_GAP
+    total = height * len(rows) + gap * (len(rows) - 1)
+    figure = make_subplots(
+        rows=len(rows), cols=columns, horizontal_spacing=0.028, vertical_spacing=gap / total,
+        specs=[[{} if j < len(row) else None for j in range(columns)] for row in rows],
+    )  # fmt: skip
+    levels = limit_levels(everything, axes)
+    shown: set[str] = set()
+    for i, row in enumerate(rows):
+        for j, panel in enumerate(row):
+            place = {"row": i + 1, "col": j + 1}
+            _draw(figure, panel, place, axes, style, shown, mark_peaks=mark_peaks)
+            draw_limits(figure, place, levels, axes, size=(_WIDTH // columns, height), named=i == j == 0)
+            _words(figure, panel, place, style)
+    theme.dress(figure, total, legend=len(shown) > 1)
+    _scale(figure, rows, axes)
+    return figure, beyond(everything, axes)
+
+
+def _draw(
+    figure: Any,
+    panel: Panel,
+    place: dict[str, int],
+    axes: Axes,
+    style: Mapping[str, theme.Style],
+    shown: set[str],
+    *,
+    mark_peaks: bool,
+) -> None:
+    import plotly.graph_objects as go
+
+    for label, curve in panel.curves:
+        look = style[label]
+        grid = _abscissae(curve.x * axes.x_factor)
+        for name, row in zip(curve.labels, curve.y, strict=True):
+            y = row * axes.y_factor
+            words = "<br>".join(theme.plain(units.axis_name(part)) for part in dict.fromkeys((label, name)))
+            figure.add_trace(
+                go.Scatter(
+                    **grid, y=drawn(y), mode="lines", legendgroup=theme.plain(label), showlegend=label not in shown,
+                    name=theme.plain(label), line={"color": look.colour, "dash": look.dash, "width": look.width},
+                    hovertemplate=f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>",
+                ),
+                **place,
+            )  # fmt: skip
+            shown.add(label)
+            if mark_peaks:
+                mark_peak(figure, place, curve.x * axes.x_factor, y, look)
+
+
+def _abscissae(x: np.ndarray) -> dict[str, Any]:
+    """x as plotly takes it: start and step where the steps are equal, which halves the weight of a time response."""
+    if len(x) > 2:
+        step = (x[-1] - x[0]) / (len(x) - 1)
+        if np.allclose(x, x[0] + step * np.arange(len(x)), rtol=0, atol=1e-6 * abs(step)):
+            return {"x0": float(x[0]), "dx": float(step)}
+    return {"x": drawn(x)}
+
+
+def _words(figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str, theme.Style]) -> None:
+    """Title and notes above the panel."""
+    common = {"xref": "x domain", "yref": "y domain", "y": 1, "yanchor": "bottom", "yshift": 1, "showarrow": False, **place}
+    if panel.title:
+        words = f"<b>{theme.plain(panel.title)}</b>"
+        figure.add_annotation(x=0, xanchor="left", text=words, font={"size": 13, "color": theme.INK}, **common)
+    if panel.notes:
+        parts = [
+            f'<span style="color: {style[label].colour if label in style else theme.MUTED}">{theme.plain(text)}</span>'
+            for label, text in panel.notes
+        ]
+        figure.add_annotation(x=1, xanchor="right", text=" · ".join(parts), font={"size": 12.5, "color": theme.MUTED}, **common)
+
+
+def _scale(figure: Any, rows: Sequence[Sequence[Panel]], axes: Axes) -> None:
+    figure.update_xaxes(**(theme.decades(*axes.x_range) if axes.log_x else {"range": list(axes.x_range)}))
+    figure.update_yaxes(**(theme.decades(*axes.y_range) if axes.log_y else {"range": list(axes.y_range)}))
+    for i, row in enumerate(rows):
+        for j, panel in enumerate(row):
+            place = {"row": i + 1, "col": j + 1}
+            bottom = i == len(rows) - 1 or j >= len(rows[i + 1])
+            figure.update_xaxes(
+                matches="x" if i or j else None, showticklabels=bottom, title_text=axes.x_text if bottom else None, **place
+            )
+            unit = f"[{axes.y_unit}]" if axes.y_unit else ""
+            side = theme.plain(" ".join(part for part in (panel.side, unit) if part))
+            figure.update_yaxes(
+                matches="y" if i or j else None, showticklabels=j == 0, title_text=side if j == 0 and side else None, **place
+            )

@@ -1,0 +1,155 @@
+"""The page of K_i from static loads: values beside the machine's, how straight force over current is, the levels.
+
+write(static_report(machine, checked, sources=["loads.h5"]), "static.html")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ambrose.identification.static_load.identify import StaticLoad
+from ambrose.identification.static_load.pipeline import CheckedStaticLoad
+from ambrose.identification.validation.agreement import Beside
+from ambrose.machine.description import Machine
+from ambrose.report import theme, units
+from ambrose.report.identification.tables import COVERAGE, compared_table, findings_table, fixed, repeats_table
+from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict
+
+_LINEAR = 0.01  # probability below which the straight line is rejected
+_FIGURE = (
+    "Magnet force over control current, less the straight line: what is left at every load level, with the cubic through the "
+    "levels. Points about zero mean a straight magnet; ends that bend down are iron that saturates, a jump to one side "
+    "friction or a stop; points above each other at one current were loaded across this axis. Bars: 95 % of the mean currents, "
+    "as forces."
+)
+
+
+def static_report(
+    machine: Machine,
+    checked: CheckedStaticLoad,
+    *,
+    sources: Sequence[str] = (),
+    compared: Sequence[Beside] | None = None,
+    date: str = "",
+) -> Report:
+    """The report of static loads; sources: the records' files; compared: with another method's; date: ISO (today if empty)."""
+    result = checked.result
+    tables = [static_table(checked)]
+    if checked.repeats is not None:
+        tables.append(repeats_table(checked.repeats))
+    if compared is not None:
+        tables.append(compared_table(compared))
+    picture = Figure("Force beyond the straight line", line_figure(result), _FIGURE)
+    sections = [
+        Section("Force per current", "", (picture,), tuple(tables), True),
+        Section("Load levels", "", (), (levels_table(result),), folded=True),
+    ]
+    if result.warnings:
+        sections.insert(0, Section("What makes this doubtful", "", (), (findings_table((), result.warnings),)))
+    count = len(result.warnings)
+    verdicts = (
+        Verdict("Straightness", not any("curved" in text for text in result.warnings), units.prose(result.verdict)),
+        Verdict(
+            "Loads", not count, f"{count} finding{'s' * (count != 1)}; see below" if count else "both sides, position held"
+        ),
+    )
+    words = "to be doubted; see below" if count else "identified, and nothing speaks against it"
+    facts = [
+        ("Records", ", ".join(sources)),
+        ("Operating point", result.point.label),
+        ("Levels", f"{len(result.levels.loads)}, loads at {', '.join(units.axis_name(port) for port in result.levels.ports)}"),
+        ("Largest force of a magnet", units.quantity(float(np.abs(result.forces).max()), "N")),
+    ]
+    return Report(
+        "Force per current from static loads", machine, tuple(sections), verdicts,
+        tuple((name, text) for name, text in facts if text), date, result=Verdict("Result", not count, words),
+    )  # fmt: skip
+
+
+def static_table(checked: CheckedStaticLoad) -> Table:
+    """K_i of every axis: the machine's, the line over the loads, the slope at rest."""
+    result, rows = checked.result, []
+    for i, path in enumerate(result.paths):
+        value, half = float(result.values[i]), COVERAGE * float(result.standard_deviations[i])
+        rest, rest_half = float(result.at_rest[i]), COVERAGE * float(result.at_rest_deviations[i])
+        own = float(checked.start[i])
+        rows.append(
+            (
+                path,
+                Cell(units.quantity(own, "N/A", 4), "number"),
+                Cell(f"{fixed(value, half)} ± {units.number(half, 2)} N/A", "number"),
+                Cell(f"{fixed(100 * (value / own - 1), 100 * half / own)} %", "number"),
+                Cell(f"{fixed(rest, rest_half)} ± {units.number(rest_half, 2)} N/A", "number"),
+                Cell(f"{units.number(100 * float(result.stiffness_share[i]), 2)} %", "number"),
+                Cell(
+                    f"{units.number(100 * (value / rest - 1), 2)} %" if result.linearity[i] < _LINEAR else "straight", "number"
+                ),
+            )
+        )
+    note = (
+        "Line: slope over these loads, which goes into the machine file, with 95 %. At rest: slope of a cubic at the unloaded "
+        "working point, which small motion sees. By displacement: share of the magnet's force that K_s makes; K_i is as wrong "
+        "as K_s by this share. Line over tangent: by how much they part where the levels are curved (99 %)."
+    )
+    columns = ("Parameter", "Machine", "Line", "Change", "At rest", "By displacement", "Line over tangent")
+    return Table("Force per current", columns, tuple(rows), note)
+
+
+def levels_table(result: StaticLoad) -> Table:
+    """Every level: loads, displacement and current of every axis."""
+    levels, rows = result.levels, []
+    for j in range(len(levels.loads)):
+        loads = ", ".join(f"{units.number(float(load), 3)} N" for load in levels.loads[j])
+        moved = ", ".join(units.number(1e6 * float(y), 2) for y in levels.displacement[j])
+        currents = ", ".join(units.number(float(i), 3) for i in levels.current[j])
+        forces = ", ".join(units.number(float(f), 3) for f in result.forces[j])
+        rows.append((str(int(levels.record[j])), f"{levels.start[j]:.2f} s", loads, moved, currents, forces))
+    ports = ", ".join(units.axis_name(port) for port in levels.ports)
+    axes = ", ".join(units.axis_name(axis) for axis in result.axes)
+    columns = ("Record", "From", f"Loads {ports}", "Displacement [µm]", "Current [A]", "Magnet force [N]")
+    return Table("Load levels", columns, tuple(rows), f"Per axis: {axes}. Forces are relative to the unloaded rotor.")
+
+
+def line_figure(result: StaticLoad) -> Any:
+    """Magnet force less the straight line [N] over the control current [A], an axis each, with the cubic through the levels."""
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+
+    lefts = [_beyond(result, i) for i in range(len(result.axes))]
+    shares = [100 * float(np.abs(left).max() / np.ptp(result.forces[:, i])) for i, left in enumerate(lefts)]
+    titles = [
+        f"<b>{units.axis_name(axis)}</b>, {units.number(share, 2)} % of its range"
+        for axis, share in zip(result.axes, shares, strict=True)
+    ]
+    figure = make_subplots(rows=1, cols=len(titles), subplot_titles=titles, shared_yaxes=True, horizontal_spacing=0.02)
+    for column, current in enumerate(result.levels.current.T, 1):
+        i = column - 1
+        place = {"row": 1, "col": column}
+        left = lefts[i]
+        bars = COVERAGE * result.values[i] * result.levels.current_deviation[:, i]
+        figure.add_trace(
+            go.Scatter(
+                x=current, y=left, mode="markers", marker={"size": 7, "color": "#0072b2"}, showlegend=False,
+                error_y={"type": "data", "array": bars, "thickness": 1.2, "width": 3},
+                hovertemplate="%{x:.4g} A: %{y:.3g} N beyond the line<extra></extra>",
+            ), **place,
+        )  # fmt: skip
+        if len(current) > 5:
+            span = np.linspace(current.min(), current.max(), 60)
+            cubic = np.polynomial.Polynomial.fit(current, left, 3)
+            look = {"color": theme.INK, "width": 1.5}
+            figure.add_trace(go.Scatter(x=span, y=cubic(span), mode="lines", line=look, showlegend=False), **place)
+        figure.add_hline(y=0, line={"color": theme.MUTED, "width": 1}, **place)
+        figure.update_xaxes(title_text="Control current [A]", **place)
+    figure.update_yaxes(title_text="Force beyond the line [N]", row=1, col=1)
+    return theme.dress(figure, 300, legend=False)
+
+
+def _beyond(result: StaticLoad, i: int) -> np.ndarray:
+    """The magnet force (m,) [N] of an axis less its straight line over the current."""
+    current, force = result.levels.current[:, i], result.forces[:, i]
+    slope, level = np.polyfit(current, force, 1)
+    return np.asarray(force - slope * current - level)

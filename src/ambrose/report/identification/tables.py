@@ -1,0 +1,211 @@
+"""An identification as tables: parameters with their intervals, fit per signal, residual tests, findings, repeats."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ambrose.identification.data_quality.finding import ERROR, RecordFinding
+from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.output_error.delays import TIMING
+from ambrose.identification.seal.result import COEFFICIENTS, SealFit, line
+from ambrose.identification.validation.agreement import Beside
+from ambrose.identification.validation.repeatability import Repeats
+from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.units import DIMENSIONS
+from ambrose.report import units
+from ambrose.report.page import Cell, Table
+
+COVERAGE = 1.96  # standard deviations of a normal 95 % interval
+_UNSURE = 0.1  # half-width over value that is marked
+
+
+def unit_of(path: str) -> str:
+    """The SI unit of a parameter."""
+    return "s" if path in TIMING else DIMENSIONS[parse_parameter(path).dimension].unit
+
+
+def parameters_table(result: Identification) -> Table:
+    """Parameter, start, value, 95 % interval, relative standard deviation."""
+    rows = []
+    for path, start, value, deviation in zip(
+        result.paths, result.start, result.values, result.standard_deviations, strict=True
+    ):
+        unit, half = unit_of(path), COVERAGE * float(deviation)
+        relative = half / abs(value) if value else math.inf
+        change = f"{fixed(100 * (value / start - 1), 100 * half / abs(start))} %" if start else ""
+        rows.append(
+            (
+                Cell(path),
+                Cell(units.quantity(start, unit, 4), "number"),
+                Cell(f"{_value(value, half, unit)}", "number"),
+                Cell(_interval(value, half, unit), "number"),
+                Cell(f"{units.number(100 * float(deviation) / abs(value), 2)} %" if value else "", "number"),
+                Cell(change, "fail" if relative > 1 else "number"),
+            )
+        )
+    note = (
+        "95 % interval: 1.96 standard deviations from the colour of the residuals (sandwich covariance); it covers noise, not "
+        "what was taken as known: mass +1 % moves K_i and K_s by +0.9 %, controller gain +1 % moves K_s by +2 %."
+    )
+    return Table(
+        "Parameters", ("Parameter", "Start", "Value", "95 % interval", "Std. dev.", "Change"), tuple(rows), note
+    )  # fmt: skip
+
+
+def fit_table(result: Identification) -> Table:
+    """Goodness of fit per record and signal."""
+    rows = [
+        (str(number), units.axis_name(signal), Cell(f"{percent:.2f} %", "fail" if percent < 50 else "number"))
+        for number, signal, percent in result.fit
+    ]
+    note = "100 % (1 − |residual|/|signal − mean|). A wrong delay can still read 95 %: the residual tests decide."
+    return Table("Fit per signal", ("Record", "Signal", "Fit"), tuple(rows), note)
+
+
+def residual_tests_table(result: Identification) -> Table:
+    """Does a residual still follow an excitation, the worst first."""
+    ordered = sorted(result.tests, key=lambda test: -abs(test.correlation) / test.limit)
+    rows = [
+        (
+            units.axis_name(test.signal),
+            units.prose(test.excitation),
+            Cell(units.number(test.correlation, 2), "number"),
+            Cell(units.number(test.limit, 2), "number"),
+            Cell(str(test.lag), "number"),
+            Cell("within" if test.passed else "beyond", "pass" if test.passed else "fail"),
+        )
+        for test in ordered
+    ]
+    note = "Largest correlation of the residual with the excitation over the lags, against its 99 % limit over all pairs."
+    columns = ("Residual of", "Excitation", "Correlation", "Limit", "Lag [samples]", "")
+    return Table("Residual tests", columns, tuple(rows), note)
+
+
+def findings_table(findings: Sequence[RecordFinding], warnings: Sequence[str]) -> Table:
+    """Everything that makes the result doubtful."""
+    rows = [
+        (
+            Cell(units.prose(finding.what), "fail" if finding.severity == ERROR else "none"),
+            units.prose(finding.evidence),
+            units.prose(finding.remedy),
+        )
+        for finding in findings
+    ]
+    rows += [
+        (Cell(units.prose(text.split(";")[0]), "none"), "", units.prose("; ".join(text.split(";")[1:]))) for text in warnings
+    ]
+    return Table("Findings", ("What", "Evidence", "What to do"), tuple(rows))
+
+
+def repeats_table(repeats: Repeats) -> Table:
+    """Mean, interval of the mean and scatter over repeated experiments, beside the scatter that each one states."""
+    rows = []
+    for i, path in enumerate(repeats.paths):
+        unit, mean, half = unit_of(path), float(repeats.mean[i]), float(repeats.half_width[i])
+        stated = 100 * float(repeats.predicted[i]) / abs(mean) if mean else math.nan
+        rows.append(
+            (
+                path,
+                Cell(_value(mean, half, unit), "number"),
+                Cell(_interval(mean, half, unit), "number"),
+                Cell(f"{units.number(float(repeats.rsd[i]), 2)} %", "number"),
+                Cell(f"{units.number(stated, 2)} %", "number"),
+            )
+        )
+    note = (
+        f"{repeats.count} records, each identified alone. Interval of the mean: Student's t. RSD: scatter of one record over "
+        "the mean; where it is far above what the single records state, something else than noise changes between them."
+    )
+    columns = ("Parameter", "Mean", f"{100 * repeats.level:g} % interval", "RSD", "RSD stated")
+    return Table("Repeats", columns, tuple(rows), note)
+
+
+def seal_table(fit: SealFit) -> Table:
+    """K, k, C, c at every pressure with their 95 % intervals."""
+    rows = []
+    for i, pressure in enumerate(fit.pressure.tolist()):
+        cells = [Cell(units.quantity(pressure, "Pa", 4))]
+        for j, letter in enumerate(COEFFICIENTS):
+            value, half = float(fit.values[i, j]), COVERAGE * float(fit.deviations[i, j])
+            factor, unit = (1e-3, "kN/m") if letter in "Kk" else (1.0, "N s/m")
+            cells.append(Cell(f"{fixed(value * factor, half * factor)} ± {units.number(half * factor, 2)} {unit}", "number"))
+        rows.append(tuple(cells))
+    note = "95 % interval of what noise leaves open, all else as identified. K and c, and k and C, act alike at one frequency."
+    columns = ("Pressure", *COEFFICIENTS)
+    return Table(f"Seal {units.axis_name(fit.seal)} by pressure", columns, tuple(rows), note)
+
+
+def seal_lines_table(fit: SealFit) -> Table:
+    """The regression lines over pressure."""
+    rows = []
+    for letter in COEFFICIENTS:
+        one = line(fit, letter)
+        factor, unit = (1e-3, "kN/m") if letter in "Kk" else (1.0, "N s/m")
+        bar, top = units.scale("Pa")[0], float(fit.pressure.max())
+        half, times = float(one.confidence(0.0)), float(one.confidence(0.0) / one.deviation(0.0))
+        slope = float(one.covariance[1, 1]) ** 0.5 * times / bar * factor
+        width = float(max(one.prediction(0.0), one.prediction(top))) * factor
+        rows.append(
+            (
+                letter,
+                Cell(_plus_minus(one.intercept * factor, half * factor, unit), "number"),
+                Cell(_plus_minus(one.slope / bar * factor, slope, f"{unit} per {units.scale('Pa')[1]}"), "number"),
+                Cell(f"{units.number(width, 2)} {unit}", "number"),
+                Cell(units.number(one.scatter, 2), "number"),
+            )
+        )
+    note = (
+        "95 % by Student's t. Next: half-width of the band for a further measurement, at its widest up to the highest pressure "
+        "measured; the machine file's tolerance is this band over all operating points. Scatter: of the points about the line "
+        "over what each states; above 1 the bands are widened by it."
+    )
+    columns = ("Coefficient", "At zero pressure", "Slope", "Next", "Scatter")
+    return Table(f"Seal {units.axis_name(fit.seal)}: lines over pressure", columns, tuple(rows), note)
+
+
+def _plus_minus(value: float, half: float, unit: str) -> str:
+    return f"{fixed(value, half)} ± {units.number(half, 2)} {unit}"
+
+
+def compared_table(rows: Sequence[Beside]) -> Table:
+    """What was found beside what another method had found."""
+    cells = []
+    for row in rows:
+        unit = unit_of(row.path)
+        difference = f"{units.number(row.difference, 2)} ± {units.number(row.difference_half_width, 2)} %" if row.other else ""
+        cells.append(
+            (
+                row.path,
+                Cell(_value(row.value, row.half_width, unit), "number"),
+                Cell(_value(row.other, row.other_half_width, unit), "number"),
+                Cell(difference, "number"),
+                Cell(("noise" if row.agree else "more than noise") if row.other_half_width else "the other states no interval"),
+            )
+        )
+    note = (
+        "Difference with its 95 % half-width from both intervals. Beyond noise it is one of methods: chord over loads against "
+        "tangent at small motion, or a model that is wrong in one of them."
+    )
+    return Table(
+        "Beside the other file", ("Parameter", "Found", "Other file", "Difference", "Explained by"), tuple(cells), note
+    )
+
+
+def _value(value: float, half: float, unit: str) -> str:
+    factor, name = units.scale(unit, value)
+    return units.join(fixed(value * factor, half * factor), name)
+
+
+def _interval(value: float, half: float, unit: str) -> str:
+    factor, name = units.scale(unit, value)
+    low, high = (fixed((value + side * half) * factor, half * factor) for side in (-1, 1))
+    return units.join(f"{low} … {high}", name)
+
+
+def fixed(value: float, half: float) -> str:
+    """A number with as many digits as its half-width makes sense of: two of the half-width's."""
+    if not (math.isfinite(value) and math.isfinite(half)) or half <= 0 or value == 0:
+        return units.number(value, 5)
+    digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(half))
+    return units.number(value, min(max(digits, 1), 9))

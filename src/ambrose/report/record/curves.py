@@ -1,0 +1,115 @@
+"""The signals of a record over time as Curves: thinned without losing a peak, with the machine's limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ambrose.machine.description import Machine
+from ambrose.machine.record.record import Record
+from ambrose.report.figures.stations import Station
+from ambrose.verification.checks import Curve
+
+_BINS = 1000  # of a thinned curve, each with its lowest and highest value
+_DRIVEN = (("e", "Current excitation"), ("r", "Reference"), ("d", "Output disturbance"), ("f", "Applied forces"))
+
+
+def radius_curve(record: Record, found: Sequence[Station], machine: Machine) -> Curve:
+    """Distance of the shaft's centre from the middle of every bearing (of every station, where no bearing is known)."""
+    shown = [station for station in found if station.bearing] or list(found)
+    values = np.array([station.radius for station in shown])
+    labels = tuple(station.name for station in shown)
+    limits = _limits("touchdown gap", [station.gap for station in shown], both=False)
+    return _curve(record, "radius", "Distance from the middle of the bearing", values, labels, "m", limits)
+
+
+def signal_curves(record: Record, machine: Machine) -> list[Curve]:
+    """Currents against their limit, magnet forces, what was driven, and what varied of the operating point."""
+    found: list[Curve | None] = []
+    currents = [bearing.max_current for bearing in machine.bearings]
+    forces = [bearing.max_force for bearing in machine.bearings]
+    for kind, title, unit, limits in (
+        ("u", "Controller output", "A", _limits("largest control current", currents)),
+        ("i", "Control currents in the coils", "A", _limits("largest control current", currents)),
+        ("f_magnet", "Magnet forces", "N", _limits("largest force", forces)),
+        ("y", "Displacements at the sensors", "m", ()),
+    ):
+        names = [name for axis in machine.axes if (name := f"{kind}_{axis}") in record.signals]
+        found.append(_signals(record, kind, title, names, unit, limits))
+    for kind, title in _DRIVEN:
+        names = [n for n in record.signals if n.startswith(f"{kind}_") and not n.startswith("f_magnet_") and record[n].any()]
+        unit = record.units[record.signals.index(names[0])] if names else ""
+        found.append(_signals(record, kind, title, names, unit, (), whole=True))
+    for kind, title in (("p", "Seal pressure"), ("speed", "Rotor speed")):
+        names = [n for n in record.signals if n.partition("_")[0] == kind and np.ptp(record[n]) > 0]
+        found.append(_signals(record, kind, title, names, "Pa" if kind == "p" else "rad/s", (), whole=True))
+    return [curve for curve in found if curve is not None]
+
+
+def zoomed_curves(record: Record, machine: Machine, part: slice) -> list[tuple[str, Curve]]:
+    """Controller outputs and coil currents in these samples, as (label, Curve) pairs for one figure."""
+    limits = _limits("largest control current", [bearing.max_current for bearing in machine.bearings])
+    pairs = []
+    for kind, label in (("u", "controller output"), ("i", "coil current")):
+        names = [name for axis in machine.axes if (name := f"{kind}_{axis}") in record.signals]
+        if names:
+            labels = tuple(name.removeprefix(f"{kind}_") for name in names)
+            time, values = record.time[part], record.select(names).values[:, part]
+            pairs.append((label, Curve("record.near", "Currents", "time", time, values, labels, "s", "A", limits)))
+    return pairs
+
+
+def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) and values (p, n): the lowest and the highest value of every bin, in the order in which they occur."""
+    k = len(time)
+    size = -(-k // _BINS)
+    if size <= 2:
+        return time, values
+    starts = np.arange(0, k, size)
+    low, high = np.minimum.reduceat(values, starts, axis=1), np.maximum.reduceat(values, starts, axis=1)
+    rising = np.array([[part.argmin() < part.argmax() for part in np.split(row, starts[1:])] for row in values])
+    result = np.empty((len(values), 2 * len(starts)))
+    result[:, 0::2], result[:, 1::2] = np.where(rising, low, high), np.where(rising, high, low)
+    step = time[1] - time[0]
+    middle = time[starts] + step * (np.diff(starts, append=k) - 1) / 2
+    at = np.empty(2 * len(starts))
+    at[0::2], at[1::2] = time[starts], middle
+    return at, result
+
+
+def _signals(
+    record: Record,
+    kind: str,
+    title: str,
+    names: Sequence[str],
+    unit: str,
+    limits: tuple[tuple[str, float], ...],
+    *,
+    whole: bool = False,
+) -> Curve | None:
+    if not names:
+        return None
+    labels = tuple(name if whole else name.removeprefix(f"{kind}_") for name in names)
+    return _curve(record, kind, title, record.select(names).values, labels, unit, limits)
+
+
+def _curve(
+    record: Record,
+    kind: str,
+    title: str,
+    values: np.ndarray,
+    labels: tuple[str, ...],
+    unit: str,
+    limits: tuple[tuple[str, float], ...],
+) -> Curve:
+    time, shown = thinned(record.time, values)
+    return Curve(f"record.{kind}", title, "time", time, shown, labels, "s", unit, limits)
+
+
+def _limits(words: str, values: Sequence[float | None], *, both: bool = True) -> tuple[tuple[str, float], ...]:
+    """The tightest one, on both sides."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return ()
+    return ((words, min(known)), (words, -min(known))) if both else ((words, min(known)),)
