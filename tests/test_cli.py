@@ -37,7 +37,7 @@ def study(tmp_path_factory):
     directory = tmp_path_factory.mktemp("study")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "ambrose.stages.commission.METHOD", "hinf"
+            "ambrose.stages.commissioning.METHOD", "hinf"
         )  # for the identified machine: half a minute less than "polish"
         return directory, call("study", RIG, "-o", directory, "--json")
 

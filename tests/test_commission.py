@@ -24,11 +24,11 @@ from ambrose.plant.reduce import reduce
 from ambrose.report import page as document
 from ambrose.report.commissioning import commissioning_section
 from ambrose.report.page import Report
-from ambrose.stages import commission as stage
-from ambrose.stages.commission import coded, commission
+from ambrose.stages import commissioning as stage
+from ambrose.stages.commissioning import coded, commission
 from ambrose.stages.plants import full_plants
 from ambrose.stages.proof import verification
-from ambrose.stages.trial import simulations
+from ambrose.stages.trials import simulations
 from ambrose.synthesis import pid
 from ambrose.synthesis.controller_file import read_controller
 
@@ -187,7 +187,7 @@ def test_section_says_what_was_found(section, commissioned, machine):
 
 
 def test_results_are_plain_data(commissioned):
-    from ambrose.study import commissioned_results
+    from ambrose.workflow import commissioned_results
 
     found = json.loads(json.dumps(commissioned_results(commissioned), default=str))
     assert found["compiled"] is commissioned.from_code

@@ -1,4 +1,4 @@
-"""Control of rotors on active magnetic bearings with destabilising seal forces. Read ``study.py`` first."""
+"""Control of rotors on active magnetic bearings with destabilising seal forces. Read ``workflow.py`` first."""
 
 from __future__ import annotations
 

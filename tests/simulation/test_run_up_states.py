@@ -31,7 +31,7 @@ from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.simulation import linear
 from ambrose.simulation.run_up import spin_up
 from ambrose.simulation.scenario import Pulse, Scenario, Unbalance
-from ambrose.stages.trial import simulation
+from ambrose.stages.trials import simulation
 from ambrose.synthesis import pid
 
 LOW, HIGH, KNOT = 60.0, 2800.0, 1500.0  # rad/s; of the table
@@ -180,7 +180,7 @@ def test_poles_of_a_seal_with_states_are_common_to_all_speeds():
 
 
 def test_the_linear_trial_of_a_run_up_changes_the_plant_with_the_speed(monkeypatch):
-    from ambrose.stages import trial
+    from ambrose.stages import trials as trial
 
     short = replace(RUN_UP, duration=0.05, pulses=(Pulse("f_A_zeta", 50.0, 0.01),))
     monkeypatch.setattr(trial, "load_scenario", lambda name: short)

@@ -18,7 +18,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.loop import named_controller
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.stages.commission import identified
+from ambrose.stages.commissioning import identified
 from ambrose.synthesis import pid
 
 DT = 1e-4

@@ -45,7 +45,7 @@ def simulate(
     from ambrose.plant.assemble import assemble
     from ambrose.simulation import virtual_rig
     from ambrose.simulation.scenario import load_scenario
-    from ambrose.stages.trial import simulation
+    from ambrose.stages.trials import simulation
     from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)

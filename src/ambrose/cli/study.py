@@ -18,7 +18,7 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prin
 @AS_JSON
 def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
     """The whole chain: every controller the machine file allows, verified, simulated and compared in report.html."""
-    from ambrose import study
+    from ambrose import workflow as study
     from ambrose.report.tables import verdict
 
     description = load(machine)

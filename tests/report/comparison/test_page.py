@@ -23,7 +23,7 @@ from ambrose.report.comparison import tables as comparison_tables
 from ambrose.report.comparison.page import Candidate, comparison_report
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Cell, Report, Section, Table
-from ambrose.stages.trial import SCENARIOS, simulation
+from ambrose.stages.trials import SCENARIOS, simulation
 from ambrose.synthesis import pid
 from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.mu import synthesis as mu

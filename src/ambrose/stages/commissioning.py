@@ -37,7 +37,7 @@ from ambrose.simulation.trace import Trace
 from ambrose.stages.control import kept_or_designed
 from ambrose.stages.plants import full_plants
 from ambrose.stages.proof import over_tolerances, verification
-from ambrose.stages.trial import SCENARIOS, experiment, simulation
+from ambrose.stages.trials import SCENARIOS, experiment, simulation
 from ambrose.synthesis.controller_file import read_controller
 from ambrose.synthesis.design import design_tolerances
 from ambrose.synthesis.loop_delay import loop_delay

@@ -20,12 +20,12 @@ from ambrose.machine.description import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.stages.commission import NAME, Commissioning, commission
+from ambrose.stages.commissioning import NAME, Commissioning, commission
 from ambrose.stages.control import kept_or_designed
 from ambrose.stages.plants import covers, full_plants, model_comparison, schedulable
 from ambrose.stages.proof import campbell_map, over_tolerances, verification
 from ambrose.stages.run_up import RunUp, run_ups
-from ambrose.stages.trial import simulations
+from ambrose.stages.trials import simulations
 from ambrose.synthesis.design import methods_for
 from ambrose.synthesis.result import Synthesis
 from ambrose.verification.checks import Curve
