@@ -3,8 +3,9 @@
 python -m benchmarks.snapshot -o before.json [--quick]    # minutes; --quick leaves the studies out
 python -m benchmarks.snapshot --compare before.json after.json
 
-It sees the command line only, so that it outlives any move of the code behind it. Files are taken apart to their leaves: JSON and
-TOML by key, records by signal (hash, range, mean), code by the numbers in it, pages by their count. Dates and versions are left out.
+It sees the command line only, so that it outlives any move of the code behind it. Files are taken apart to their leaves: JSON
+and TOML by key, records by signal (hash, range, mean), code by the numbers in it, pages by their count. Dates and versions are
+left out.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Oracle of verification/margins.py: gain and phase margins of one scalar loop from eigenvalues, so that no crossing is missed for
+"""Oracle of verification/margins.py: gain and phase margins of one scalar loop from eigenvalues, so that no crossing is missed
+for
 falling between grid points; slow on large plants."""
 
 from __future__ import annotations

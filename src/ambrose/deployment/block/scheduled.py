@@ -9,7 +9,8 @@
 Linear in v between grid points and continuous across them; at a frozen speed the law of block/fixed.py, other gains.
 With L = unwind, x[k+1] = (A - L C) x + (B - L D) e + L us holds whatever is limited. Peak gains of that system bound the states
 at every grid point and three speeds in every interval, frozen: within +-1 in the scaled states. For any motion of the speed the
-states are bounded where one quadratic Lyapunov function serves all speeds, which is examined (``motion``; discretisation/motion.py).
+states are bounded where one quadratic Lyapunov function serves all speeds, which is examined (``motion``;
+discretisation/motion.py).
 """
 
 from __future__ import annotations

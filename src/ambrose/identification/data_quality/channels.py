@@ -1,8 +1,8 @@
 """Which channel is which? The measured closed-loop responses against the model's, for every way channels could be mixed up.
 
-Responses T from the excitations to y, u and i (frf/spectral.py, free of the loop's noise) must be those of the loop: T_y and T_u those
-of the model, T_u = -K T_y whatever the plant is, and T_i the amplifier's response to u + e. A swapped or inverted channel
-breaks some of these and not the others, which tells it from a changed parameter, and mostly also tells which one it is.
+Responses T from the excitations to y, u and i (frf/spectral.py, free of the loop's noise) must be those of the loop: T_y and
+T_u those of the model, T_u = -K T_y whatever the plant is, and T_i the amplifier's response to u + e. A swapped or inverted
+channel breaks some of these and not the others, which tells it from a changed parameter, and mostly also tells which one it is.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Is this record what it says it is? Findings before the identification, so that no wrong number comes out silently.
 
-Signal by signal (data_quality/signals.py), the controller against its own output (data_quality/controller.py), the measured responses
-against the model's for every way the channels could be mixed up (data_quality/channels.py).
+Signal by signal (data_quality/signals.py), the controller against its own output (data_quality/controller.py), the measured
+responses against the model's for every way the channels could be mixed up (data_quality/channels.py).
 """
 
 from __future__ import annotations

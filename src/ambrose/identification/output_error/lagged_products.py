@@ -1,8 +1,8 @@
 """Sums over products of signals some samples apart, from records that are only seen piece by piece.
 
 Overlap-save: each piece is transformed together with the ``span`` samples before it, so that every pair of samples at most
-``span`` apart meets exactly once and the memory does not grow with the record. What output_error/statistics.py does on whole records is the
-oracle in the tests.
+``span`` apart meets exactly once and the memory does not grow with the record. What output_error/statistics.py does on whole
+records is the oracle in the tests.
 """
 
 from __future__ import annotations

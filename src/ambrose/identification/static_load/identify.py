@@ -7,7 +7,8 @@ the (flexible) rotor on its couplings and seals leaves exactly one force per con
 
 and k_i is the slope of f_b - k_s q_b over the control current: where the integrator holds the rotor the second term is small,
 and zero in paper P2 (section 5), whose A x = b this is. A chord over the loads, where identification from small motion
-(output_error/closed_loop.py) finds the tangent at the working point: the two part where the iron saturates, which ``local`` shows.
+(output_error/closed_loop.py) finds the tangent at the working point: the two part where the iron saturates, which ``local``
+shows.
 """
 
 from __future__ import annotations

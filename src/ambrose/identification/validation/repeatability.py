@@ -1,9 +1,9 @@
 """Repeated experiments: mean, relative standard deviation, confidence intervals; predicted against observed scatter.
 
-A single identification states its own standard deviation (output_error/statistics.py, from the colour of the residuals). Repeats show the
-scatter itself, whatever causes it: noise, but also run-out, temperature, or a model that is wrong in another way each time.
-Means have Student's t intervals (papers P2: five repeats, 95 %), scatters have chi-square ones: the standard deviation of five
-repeats is itself uncertain by a factor between 0.6 and 2.9.
+A single identification states its own standard deviation (output_error/statistics.py, from the colour of the residuals).
+Repeats show the scatter itself, whatever causes it: noise, but also run-out, temperature, or a model that is wrong in another
+way each time. Means have Student's t intervals (papers P2: five repeats, 95 %), scatters have chi-square ones: the standard
+deviation of five repeats is itself uncertain by a factor between 0.6 and 2.9.
 """
 
 from __future__ import annotations

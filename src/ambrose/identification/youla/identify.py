@@ -1,11 +1,11 @@
 """Closed-loop identification through the Youla residual: the record of an unstable machine becomes an open-loop experiment.
 
 From a record of the loop v = K y + e two observers make alpha = V~ v - U~ y = V~ e, which no noise disturbs, and
-eps = M~ y - N~ v = S(theta) alpha + (M~ + S U~) d (core/realisation/coprime.py). S is stable and zero for the machine as modelled, so that
-eps shows directly by how much the machine differs. The parameters are fitted to it by the least squares of output_error/closed_loop.py.
-Both methods simulate the same loop; here the error is weighted by M~ (I + G K), which takes the loop's colour out of the noise:
-with the observer of ``factors`` white measurement noise stays white, and least squares is efficient near the machine modelled.
-Lauridsen's paper P1; Hansen, Franklin & Kosut (1989).
+eps = M~ y - N~ v = S(theta) alpha + (M~ + S U~) d (core/realisation/coprime.py). S is stable and zero for the machine as
+modelled, so that eps shows directly by how much the machine differs. The parameters are fitted to it by the least squares of
+output_error/closed_loop.py. Both methods simulate the same loop; here the error is weighted by M~ (I + G K), which takes the
+loop's colour out of the noise: with the observer of ``factors`` white measurement noise stays white, and least squares is
+efficient near the machine modelled. Lauridsen's paper P1; Hansen, Franklin & Kosut (1989).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The residual system S(theta) of core/realisation/coprime.py as a function of the unknown parameters, with its exact derivatives.
+"""The residual system S(theta) of realisation/coprime.py as a function of the unknown parameters, with exact derivatives.
 
-Sampled: the loop as it runs (identification/output_error/loop_model.py), driven by alpha in place of the excitation and watched by the nominal
-plant's observer. Held: the continuous loop of an observer-based controller into which alpha is fed, held between the samples
-(P1's experiment); there theta is a feedback around the nominal S, P1 (13).
+Sampled: the loop as it runs (identification/output_error/loop_model.py), driven by alpha in place of the excitation and watched
+by the nominal plant's observer. Held: the continuous loop of an observer-based controller into which alpha is fed, held between
+the samples (P1's experiment); there theta is a feedback around the nominal S, P1 (13).
 """
 
 from __future__ import annotations

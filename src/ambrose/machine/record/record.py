@@ -2,7 +2,8 @@
 
 SI inside and in every file written; any unit of the right kind is understood when reading. Files are written under a temporary
 name and renamed, so that a reader never meets half a file. A reader refuses what it does not know and never alters its source.
-The formats: record/hdf5_file.py and record/csv_file.py. Long runs: record/writer.py. Files of other programs: record/foreign.py.
+The formats: record/hdf5_file.py and record/csv_file.py. Long runs: record/writer.py. Files of other programs:
+record/foreign.py.
 """
 
 from __future__ import annotations
