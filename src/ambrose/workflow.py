@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.deployment.results import certificate_to_dict, checks_to_dict, plain, write_json
+from ambrose.core.presentation import to_plain
 from ambrose.evaluation import Candidate, points_of
 from ambrose.identification.pipeline import as_dict
+from ambrose.machine.atomic_write import write_json
 from ambrose.machine.description import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import Plant
@@ -131,7 +132,7 @@ def results(study: Study) -> dict[str, Any]:
         "run_up": {
             run.name: {
                 where: [
-                    {"start_s": s.start, "speed_rad_s": s.speed, "peak_m": s.peak, "settling_s": plain(s.settling)}
+                    {"start_s": s.start, "speed_rad_s": s.speed, "peak_m": s.peak, "settling_s": to_plain(s.settling)}
                     for s in found
                 ]
                 for where, found in (("linear", run.linear_steps), ("rig", run.rig_steps))
@@ -142,9 +143,9 @@ def results(study: Study) -> dict[str, Any]:
         "controllers": {
             c.name: {
                 "status": c.synthesis.status,
-                "certificate": certificate_to_dict(c.synthesis.certificate),
-                "points": [checks_to_dict(checks) for checks in c.checks],
-                "robust": checks_to_dict(c.robust) if c.robust else None,
+                "certificate": c.synthesis.certificate.to_dict(),
+                "points": [checks.to_dict() for checks in c.checks],
+                "robust": c.robust.to_dict() if c.robust else None,
             }
             for c in study.candidates
         },
@@ -156,7 +157,7 @@ def commissioned_results(commissioned: Commissioning) -> dict[str, Any]:
     deployment = commissioned.deployment
     return {
         "identification": as_dict(commissioned.checked),
-        "sampled": [checks_to_dict(checks) for checks in (*deployment.checks, *([deployment.box] if deployment.box else []))],
+        "sampled": [checks.to_dict() for checks in (*deployment.checks, *([deployment.box] if deployment.box else []))],
         "files": [str(path) for path in commissioned.files],
         "compiled": commissioned.from_code,
         "rig": {label: trace.outcome for label, trace in commissioned.candidate.traces if "rig" in trace.scenario},

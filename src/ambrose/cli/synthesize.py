@@ -56,7 +56,6 @@ def synthesize(
 ) -> None:
     """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.deployment.results import certificate_to_dict
     from ambrose.plant.reduce import reduce
     from ambrose.stages.plants import plant_at
     from ambrose.synthesis.controller_file import write_controller
@@ -105,7 +104,7 @@ def synthesize(
                 progress=progress,
             )
     write_controller(output, result, description)
-    certificate = certificate_to_dict(result.certificate)
+    certificate = result.certificate.to_dict()
     if as_json:
         summary: dict[str, Any] = {"controller": str(output), "method": method, "status": result.status}
         summary["notes"] = list(result.notes)

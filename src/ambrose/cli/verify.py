@@ -19,7 +19,6 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prog
 def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all its tolerances."""
     from ambrose.core.checks import invalid
-    from ambrose.deployment.results import checks_to_dict
     from ambrose.stages.plants import full_plants
     from ambrose.stages.proof import over_tolerances, verification
     from ambrose.synthesis.controller_file import match_controller, read_controller
@@ -40,7 +39,7 @@ def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
         points = verification(plants, controller, progress)
         over_box = over_tolerances(plants[0], match_controller(controller, plants[0]), points[0].stable, progress)
     if as_json:
-        found = {"points": [checks_to_dict(r) for r in points], "robust": checks_to_dict(over_box) if over_box else None}
+        found = {"points": [r.to_dict() for r in points], "robust": over_box.to_dict() if over_box else None}
         click.echo(json.dumps({"machine": description.name, **found}))
     else:
         for result in [*points, *([over_box] if over_box else [])]:

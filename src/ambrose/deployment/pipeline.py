@@ -21,11 +21,11 @@ from ambrose.deployment.c.fixed import Arithmetic, generate
 from ambrose.deployment.c.scheduled import generate_scheduled
 from ambrose.deployment.discretisation.fixed import Deployment, Progress, deploy, unmet
 from ambrose.deployment.discretisation.scheduled import ScheduledDeployment, deploy_scheduled
-from ambrose.deployment.file_set import check_place, write_files
 from ambrose.deployment.fmu.archive import fmu_files
 from ambrose.deployment.mat import mat_files
 from ambrose.deployment.scheduled_pipeline import check_deliverable, scheduled_provenance
 from ambrose.deployment.structured_text import Precision, structured_text
+from ambrose.machine.atomic_write import check_place, write_files
 from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.plant.assemble import assemble

@@ -17,9 +17,9 @@ from typing import Any
 
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.presentation import to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
-from ambrose.deployment.results import certificate_to_dict, plain
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import machine_hash
@@ -118,13 +118,13 @@ def _content(
         "version": VERSION,
         "method": method,
         "status": status,
-        "gamma": plain(float(gamma)),
+        "gamma": to_plain(float(gamma)),
         "inputs": _signals(controller.inputs, *INPUT_UNIT, "inputs"),
         "outputs": _signals(controller.outputs, *OUTPUT_UNIT, "outputs"),
         "sample_time": controller.dt,
         **{letter: getattr(controller, letter).tolist() for letter in "ABCD"},
         "scheduling": None,
-        "certificate": None if certificate is None else certificate_to_dict(certificate),
+        "certificate": None if certificate is None else certificate.to_dict(),
         "provenance": {
             "package": "ambrose",
             "package_version": __version__,

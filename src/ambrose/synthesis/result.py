@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
+from ambrose.core.presentation import to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 
@@ -24,6 +26,10 @@ class Certificate:
     fastest_pole: float
     margins: Mapping[str, float] = field(default_factory=dict)
     plant: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data; numbers that are not finite become strings ("inf")."""
+        return {item.name: to_plain(getattr(self, item.name)) for item in fields(self)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
+
+from ambrose.core.presentation import to_plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +73,15 @@ class Checks:
             if check.name == name:
                 return check
         raise KeyError(name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict without its curves as JSON-ready data; numbers that are not finite become strings ("inf")."""
+        return {
+            "label": self.label,
+            "stable": self.stable,
+            "passed": self.passed,
+            "checks": [to_plain(asdict(check)) for check in self.checks],
+        }
 
     def curve(self, name: str) -> Curve:
         """The curve of that name; raises KeyError."""

@@ -22,9 +22,9 @@ from ambrose.deployment.block.fixed import transfers
 from ambrose.deployment.block.fixed_point import fixed_point
 from ambrose.deployment.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
 from ambrose.deployment.c.fixed import single_limits
-from ambrose.deployment.file_set import write_files
 from ambrose.deployment.fmu.archive import fmu, fmu_files, source_files
 from ambrose.deployment.fmu.description import variables
+from ambrose.machine.atomic_write import write_files
 from example_blocks import CURRENT, ERROR, gain_block, rig_block, small_block
 from fmu_player import Player
 

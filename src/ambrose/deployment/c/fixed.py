@@ -21,8 +21,8 @@ from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.run import FLOOR
 from ambrose.deployment.block.vectors import SAMPLES, as_csv, vectors
 from ambrose.deployment.block.word_length import floating_error, word_lengths
-from ambrose.deployment.file_set import write_files
 from ambrose.deployment.rendering import render
+from ambrose.machine.atomic_write import write_files
 
 Arithmetic = Literal["double", "float", "fixed32", "fixed16"]
 _WORDS = {"fixed32": 32, "fixed16": 16}

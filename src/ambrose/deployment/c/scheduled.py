@@ -22,8 +22,8 @@ from ambrose.deployment.block.scheduled_run import run_scheduled
 from ambrose.deployment.block.vectors import csv_text
 from ambrose.deployment.block.word_length import gain_error
 from ambrose.deployment.c.fixed import array, delay_text, literal
-from ambrose.deployment.file_set import write_files
 from ambrose.deployment.rendering import render
+from ambrose.machine.atomic_write import write_files
 
 Precision = Literal["double", "float"]
 _TAIL = 24  # samples without a speed, at the end

@@ -1,0 +1,65 @@
+"""How results show themselves: one line at a prompt, a table in a notebook, plain data for a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from html import escape
+from typing import Any
+
+_LONGEST = 190  # characters of a repr
+
+
+class Presented:
+    """A result with a one-line ``repr`` and a table for notebooks, both made from its ``facts``.
+
+    A subclass is a dataclass with ``repr=False`` and says what it is by ``facts``.
+    """
+
+    __slots__ = ()
+
+    def facts(self) -> Mapping[str, Any]:
+        """What a reader wants to know first: a few named texts and numbers (SI), most important first."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        words = ", ".join(f"{name}={in_words(value)}" for name, value in self.facts().items())
+        text = f"{type(self).__name__}({words})"
+        return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 4]}...)"
+
+    def _repr_html_(self) -> str:
+        return html_table(
+            [(name.replace("_", " "), in_words(value)) for name, value in self.facts().items()], type(self).__name__
+        )
+
+
+def in_words(value: Any) -> str:
+    """A number with four digits, a text as it is, a list by its elements."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(in_words(item) for item in value)}]"
+    return str(value)
+
+
+def html_table(rows: Iterable[Iterable[str]], caption: str = "", heading: Iterable[str] = ()) -> str:
+    """Rows of texts as an HTML table; every text is escaped."""
+    head = "".join(f"<th>{escape(text)}</th>" for text in heading)
+    body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows)
+    title = f"<caption><b>{escape(caption)}</b></caption>" if caption else ""
+    return f"<table>{title}{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+
+
+def to_plain(value: Any) -> Any:
+    """Nested data with JSON types only; NaN and infinities as strings, because JSON has none."""
+    if isinstance(value, Mapping):
+        return {str(key): to_plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return to_plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, str | int | float | bool) or value is None:
+        return value
+    raise TypeError(f"{type(value).__name__} is no plain data")
