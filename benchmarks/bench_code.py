@@ -37,8 +37,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.simulation.trace import Trace
-from ambrose.synthesis.controller_file import ControllerFile, Provenance
 from ambrose.synthesis.design import design
+from ambrose.synthesis.result import Provenance, Synthesis
 
 STEPS = 2_000_000
 _SAMPLES = 20_000
@@ -190,8 +190,7 @@ def _generation(block: ControlBlock) -> dict[str, Any]:
 
 def _other_targets(deployment: Deployment, block: ControlBlock) -> list[dict[str, Any]]:
     """CPU seconds of writing the other targets; the FMUs' includes the compiler's."""
-    provenance = Provenance("", None, None, "2026-01-01T00:00:00+00:00")
-    file = ControllerFile(deployment.source, "mu", "uncertified", float("nan"), None, provenance)
+    file = Synthesis(deployment.source, "mu", provenance=Provenance(date="2026-01-01T00:00:00+00:00"))
     targets = {
         "MAT-file, script, vectors": lambda: mat_files(block, deployment, file),
         "structured text, test program, vectors": lambda: structured_text(block),

@@ -142,7 +142,8 @@ def results(study: Study) -> dict[str, Any]:
         "commissioned": commissioned_results(study.commissioned) if study.commissioned else None,
         "controllers": {
             c.name: {
-                "status": c.synthesis.status,
+                "status": str(c.synthesis.status),
+                "stopped_early": c.synthesis.stopped_early,
                 "certificate": c.synthesis.certificate.to_dict(),
                 "points": [checks.to_dict() for checks in c.checks],
                 "robust": c.robust.to_dict() if c.robust else None,

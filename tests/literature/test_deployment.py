@@ -25,7 +25,6 @@ from ambrose.synthesis.fixed_order import polish
 from ambrose.synthesis.loop_delay import late, loop_delay
 from ambrose.synthesis.order_selection import lower, sampled_sensitivity
 from ambrose.synthesis.problem import design_plant, open_model
-from ambrose.synthesis.weights import machine_weights, scale_control
 from ambrose.verification import nominal
 
 pytestmark = [pytest.mark.literature, pytest.mark.skipif(not has_compiler(), reason="no C compiler here")]
@@ -65,7 +64,7 @@ def reference(plants):
 
 @pytest.fixture(scope="module")
 def problem(plants, synthesis):
-    weights = scale_control(machine_weights(RIG), synthesis.certificate.margins["control_weight_factor"])
+    weights = synthesis.weights
     model = open_model(reduce(plants["nominal pressure"]), design_tolerances(RIG), True)
     return design_plant(late(model, loop_delay(SAMPLE)), weights)
 

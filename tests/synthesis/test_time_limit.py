@@ -85,13 +85,11 @@ def test_mu_on_a_busy_machine_returns_what_it_returns_on_an_idle_one(skipped):
     np.testing.assert_array_equal(busy.controller.A, idle.controller.A)
     skipped["wall"] = 0.0
     late = mu.synthesize(problem(), iterations=4, time_limit=5.0, progress=wait)  # the outer guard, at 25 s
-    assert "5 times the time limit of 5 s passed" in late.status
+    assert "5 times the time limit of 5 s passed" in late.stopped_early and late.status == "verified"
 
 
 def stopped(result):
-    return replace(
-        result, status="verified, but stopped after iteration 1: the time limit of 120 s was reached; raise time_limit"
-    )
+    return replace(result, stopped_early="after iteration 1, the time limit of 120 s was reached; raise time_limit")
 
 
 def test_the_title_of_ambrose_synthesize_says_it_and_the_exit_status_stays(monkeypatch, tmp_path):
@@ -99,7 +97,7 @@ def test_the_title_of_ambrose_synthesize_says_it_and_the_exit_status_stays(monke
     done = CliRunner().invoke(main, ["synthesize", "seal-rig", "--method", "mu", "-o", str(tmp_path / "c.json")])
     assert done.exit_code == 0, done.stderr
     title = done.stdout.split("┏")[0]
-    assert "mu controller, STOPPED EARLY: verified, but stopped after iteration 1" in " ".join(title.split())
+    assert "mu controller, STOPPED EARLY: verified, but stopped early: after iteration 1" in " ".join(title.split())
 
 
 def test_a_polished_controller_says_how_its_start_ended(monkeypatch):
@@ -109,4 +107,5 @@ def test_a_polished_controller_says_how_its_start_ended(monkeypatch):
     monkeypatch.setattr(design.mu, "synthesize", lambda model, **_: stopped(held))
     monkeypatch.setattr(design.polish, "synthesize", lambda model, start, **_: held)
     found = design.design(plant, "polish", match_reference=False)
-    assert found.status.startswith("verified; its start, by mu: verified, but stopped after iteration 1")
+    assert found.status == "verified"
+    assert found.stopped_early.startswith("its start, by mu: after iteration 1, the time limit")

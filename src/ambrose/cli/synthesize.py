@@ -62,7 +62,7 @@ def synthesize(
     from ambrose.synthesis.design import design
     from ambrose.synthesis.loop_delay import loop_delay
     from ambrose.synthesis.order_selection import lowered, sampled_sensitivity
-    from ambrose.synthesis.result import is_verified
+    from ambrose.synthesis.result import Status
 
     description = load(machine)
     hertz = 6.283185307179586  # rad/s
@@ -107,13 +107,17 @@ def synthesize(
     certificate = result.certificate.to_dict()
     if as_json:
         summary: dict[str, Any] = {"controller": str(output), "method": method, "status": result.status}
+        summary["stopped_early"] = result.stopped_early
+        summary["control_weight_factor"] = None if result.weights is None else result.weights.control_factor
         summary["notes"] = list(result.notes)
         summary["certificate"] = certificate
         click.echo(json.dumps(summary))
     else:
         rows = [(name.replace("_", " "), shown(value)) for name, value in certificate.items() if name != "margins"]
         rows += [(name.replace("_", " "), shown(value)) for name, value in certificate["margins"].items()]
+        if result.weights is not None:
+            rows.append(("control weight factor", shown(result.weights.control_factor)))
         rows += [("note", note) for note in result.notes]
-        early = "STOPPED EARLY: " if "stopped" in result.status else ""
-        print_table(f"{method} controller, {early}{result.status}: {output}", ("certificate", "value"), rows)
-    sys.exit(0 if is_verified(result.status) else 1)
+        early = "STOPPED EARLY: " if result.stopped_early else ""
+        print_table(f"{method} controller, {early}{result.verdict}: {output}", ("certificate", "value"), rows)
+    sys.exit(0 if result.status is Status.VERIFIED else 1)

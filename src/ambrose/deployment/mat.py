@@ -22,7 +22,7 @@ from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.vectors import Vectors, as_csv, vectors
 from ambrose.deployment.discretisation.fixed import Deployment
 from ambrose.deployment.rendering import render
-from ambrose.synthesis.controller_file import ControllerFile
+from ambrose.synthesis.result import Status, Synthesis
 
 FORMAT = "ambrose-controller-mat"
 VERSION = 1
@@ -35,7 +35,7 @@ _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
 def mat_files(
-    block: ControlBlock, deployment: Deployment, file: ControllerFile, provenance: Sequence[str] = ()
+    block: ControlBlock, deployment: Deployment, file: Synthesis, provenance: Sequence[str] = ()
 ) -> dict[str, str | bytes]:
     """<name>.mat, <name>_load.m and <name>_vectors.csv.
 
@@ -57,7 +57,7 @@ def mat_files(
 
 
 def content(
-    block: ControlBlock, deployment: Deployment, file: ControllerFile, provenance: Sequence[str], run: Vectors
+    block: ControlBlock, deployment: Deployment, file: Synthesis, provenance: Sequence[str], run: Vectors
 ) -> dict[str, Any]:
     """The struct's fields."""
     K, source = deployment.controller, deployment.source
@@ -83,7 +83,7 @@ def content(
             "status": _column(run.status),
         },
         "method": file.method,
-        "status": file.status,
+        "status": file.verdict,
         "gamma": float(file.gamma),
         "certificate": _certificate(file),
         "verified": deployment.verified,
@@ -108,8 +108,8 @@ def _block(block: ControlBlock) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _certificate(file: ControllerFile) -> Any:
-    if file.certificate is None:
+def _certificate(file: Synthesis) -> Any:
+    if file.status is Status.UNCERTIFIED:
         return np.zeros((0, 0))
     found = file.certificate
     return {

@@ -27,9 +27,9 @@ from ambrose.deployment.scheduled_pipeline import check_deliverable, scheduled_p
 from ambrose.deployment.structured_text import Precision, structured_text
 from ambrose.machine.atomic_write import check_place, write_files
 from ambrose.machine.description import Machine
-from ambrose.machine.file.toml import bundled_machines, load_machine
+from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.plant.assemble import assemble
-from ambrose.synthesis.controller_file import ControllerFile, machine_hash
+from ambrose.synthesis.result import Synthesis
 
 SAMPLE_TIME = 1e-4  # s, where neither the caller nor the controller says one
 Target = Literal["c", "mat", "fmu", "st"]
@@ -40,7 +40,7 @@ Files = Mapping[str, str | bytes]
 class Order:
     """What a target writes from: the controller file, its deployment and block, the lines of provenance, and the options."""
 
-    file: ControllerFile
+    file: Synthesis
     deployment: Deployment
     block: ControlBlock
     lines: Sequence[str]
@@ -70,7 +70,7 @@ class Delivery:
 
 
 def deliver(
-    file: ControllerFile,
+    file: Synthesis,
     directory: str | Path,
     machine: Machine | None = None,
     *,
@@ -129,7 +129,7 @@ def deliver(
     return Delivery(deployment, block, tuple(write_files(directory, TARGETS[target](order))))
 
 
-def _check_order(file: ControllerFile, target: Target, name: str, arithmetic: str, delay_samples: int) -> None:
+def _check_order(file: Synthesis, target: Target, name: str, arithmetic: str, delay_samples: int) -> None:
     """What can be refused before anything is computed. Raises InvalidInput."""
     check_identifier(name, "the name of the block", "choose letters, digits and underscores")
     if target not in TARGETS:
@@ -143,7 +143,7 @@ def _check_order(file: ControllerFile, target: Target, name: str, arithmetic: st
         raise invalid("delay_samples", delay_samples, "a whole number, zero or more", "1 is usual")
 
 
-def bundled_machine(file: ControllerFile) -> Machine | None:
+def bundled_machine(file: Synthesis) -> Machine | None:
     """The bundled machine that the file was made for; None where there is none, or it has changed since."""
     if file.provenance.machine not in bundled_machines():
         return None
@@ -163,7 +163,7 @@ def limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | None]:
 
 
 def _limits(
-    file: ControllerFile, machine: Machine | None, error_limit: ArrayLike | None, current_limit: ArrayLike | None
+    file: Synthesis, machine: Machine | None, error_limit: ArrayLike | None, current_limit: ArrayLike | None
 ) -> tuple[ArrayLike, ArrayLike]:
     """The limits given, else those of the machine. Raises InvalidInput where neither says one."""
     errors, currents = (None, None) if machine is None else limits(machine)
@@ -181,7 +181,7 @@ def _given(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
     return value
 
 
-def provenance(file: ControllerFile, machine: Machine | None, deployment: Deployment) -> Sequence[str]:
+def provenance(file: Synthesis, machine: Machine | None, deployment: Deployment) -> Sequence[str]:
     """The lines of the header that say where the controller comes from and what it was verified on."""
     made = file.provenance
     lines = [

@@ -10,7 +10,7 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.c.scheduled import check_precision
 from ambrose.deployment.discretisation.scheduled import ScheduledDeployment, sensitivity_peak, unmet_over_range
 from ambrose.machine.description import Machine
-from ambrose.synthesis.controller_file import ControllerFile
+from ambrose.synthesis.result import Synthesis
 from ambrose.verification.checks import Checks
 
 
@@ -26,7 +26,7 @@ def check_deliverable(scheduled: ScheduledSystem, target: str, arithmetic: str) 
     check_precision(arithmetic)
 
 
-def scheduled_provenance(file: ControllerFile, machine: Machine | None, deployment: ScheduledDeployment) -> Sequence[str]:
+def scheduled_provenance(file: Synthesis, machine: Machine | None, deployment: ScheduledDeployment) -> Sequence[str]:
     """The lines of the header that say where the controller comes from and what it was verified on."""
     made, (low, high) = file.provenance, deployment.sampled.range
     lines = [

@@ -42,7 +42,7 @@ from ambrose.synthesis.controller_file import read_controller
 from ambrose.synthesis.design import design_tolerances
 from ambrose.synthesis.loop_delay import loop_delay
 from ambrose.synthesis.order_selection import sampled_sensitivity
-from ambrose.synthesis.result import Synthesis, is_verified
+from ambrose.synthesis.result import Status, Synthesis
 
 NAME = "commissioned"
 METHOD = "polish"
@@ -98,7 +98,7 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     InvalidInput where the reference controller does not hold the nominal plant or the machine lacks what a robust design needs,
     and what the stages raise.
     """
-    if not is_verified(reference.status):
+    if reference.status is not Status.VERIFIED:
         raise InvalidInput("the reference controller does not hold the nominal plant, so there is nothing to record")
     directory.mkdir(parents=True, exist_ok=True)
     record = recorded(plants[0], reference.controller, directory / "record.h5", progress)

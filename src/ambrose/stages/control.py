@@ -26,8 +26,7 @@ def kept_or_designed(
     try:
         kept = read_controller(path)
         if kept.certificate and (kept.provenance.machine_hash, kept.method) == (machine_hash(plant.machine), method):
-            old = Synthesis(kept.controller, kept.method, kept.gamma, kept.status, kept.certificate, scheduled=kept.scheduled)
-            return old if kept.scheduled is not None else on_full_plant(plant, old, {})
+            return kept if kept.scheduled is not None else on_full_plant(plant, kept, {})
     except AmbroseError:
         pass  # absent, or not readable any more: designed anew
     synthesis = design(plant, method, delay=delay, judge=judge, progress=progress)

@@ -1,85 +1,171 @@
-"""The controller file: JSON with matrices, signals, units, sample time, certificate and provenance, versioned and checked.
+"""The controller file: a Synthesis as JSON, with units, certificate and provenance, versioned and checked.
 
 Numbers are written with the digits that give back the same double; a file is complete or absent, never half written. The
-reader takes nothing on trust: unknown keys, other versions, sizes that do not fit, NaN and truncated text are refused.
+reader takes nothing on trust: unknown keys, other versions, sizes that do not fit, NaN and truncated text are refused. The JSON
+schema of what it takes is docs/controller.schema.json.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
+import stat
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic.json_schema import GenerateJsonSchema
 
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.presentation import to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import machine_hash
 from ambrose.synthesis.certificate import match_controller
-from ambrose.synthesis.controller_parsing import (
-    parse_date,
-    parse_keys,
-    parse_matrix,
-    parse_number,
-    parse_scheduling,
-    parse_signals,
-    parse_text,
-    read_json,
-)
-from ambrose.synthesis.result import Certificate, Synthesis, is_verified
+from ambrose.synthesis.hinf.scaling import Matrices
+from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
+from ambrose.synthesis.weights import Weights
 
-__all__ = ["ControllerFile", "Provenance", "machine_hash", "match_controller", "read_controller", "write_controller"]
+__all__ = ["controller_schema", "machine_hash", "match_controller", "read_controller", "write_controller"]
 
 FORMAT = "ambrose-controller"
-VERSION = 1
-SCHEDULED_VERSION = 2  # the same with a table in "scheduling"; version 1 has null there
-INPUT_UNIT = ("err_", "m")
-OUTPUT_UNIT = ("u_", "A")
-STATUSES = ("verified", "unstable", "uncertified")  # as in Synthesis; uncertified: a controller written alone
-KEYS = (
-    "format", "version", "method", "status", "gamma", "inputs", "outputs", "sample_time", "A", "B", "C", "D",
-    "scheduling", "certificate", "provenance",
-)  # fmt: skip
-CERTIFICATE_KEYS = ("stable", "spectral_abscissa", "closed_loop_norm", "fastest_pole", "margins", "plant")
-PROVENANCE_KEYS = ("package", "package_version", "machine", "machine_hash", "date")
+VERSION = 3  # 1 and 2 told less than a Synthesis says and are refused
+_UNITS = {"inputs": ("err_", "m"), "outputs": ("u_", "A")}
+_LARGEST = 64_000_000  # bytes; a controller with 500 states and 4 axes takes 6 MB
+_AGAIN = "write the file again"
 
 
-@dataclass(frozen=True, slots=True)
-class Provenance:
-    """Where a controller file comes from: versions, the machine's name and hash (None: not given), date in UTC (ISO 8601)."""
-
-    package_version: str
-    machine: str | None
-    machine_hash: str | None
-    date: str
+def _date(text: str) -> str:
+    try:
+        datetime.fromisoformat(text)
+    except ValueError:
+        raise ValueError("a date such as 2026-01-31T12:00:00+00:00") from None
+    return text
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ControllerFile:
-    """What a controller file says. controller: StateSpace from err_<axis> [m] to u_<axis> [A], continuous or sampled;
-    gamma is NaN where the method has none; certificate None where the controller was written without one. scheduled: the
-    controller over a range of speeds, of which ``controller`` is the one at the nominal speed; None for a fixed one."""
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Loose = Annotated[
+    float,
+    BeforeValidator(lambda value: float(value) if value in ("nan", "inf", "-inf") else value),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"enum": ["nan", "inf", "-inf"]}]}),
+]
+Text = Annotated[str, Field(min_length=1)]
+Matrix = list[list[Number]]
 
-    controller: StateSpace
-    method: str
-    status: str
-    gamma: float
-    certificate: Certificate | None
-    provenance: Provenance
-    scheduled: ScheduledSystem | None = None
 
-    @property
-    def law(self) -> StateSpace | ScheduledSystem:
-        """What runs: the scheduled controller where there is one."""
-        return self.controller if self.scheduled is None else self.scheduled
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class ErrorSignal(_Table):
+    """A displacement error r - y."""
+
+    name: Annotated[str, Field(pattern=r"^err_.", description="err_<axis>")]
+    unit: Literal["m"]
+
+
+class CurrentSignal(_Table):
+    """A control current."""
+
+    name: Annotated[str, Field(pattern=r"^u_.", description="u_<axis>")]
+    unit: Literal["A"]
+
+
+class SystemTable(_Table):
+    """x' = A x + B u, y = C x + D u; row by row."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+
+class SchedulingTable(_Table):
+    """The controller over a range of a measured parameter: matrices at every point of a grid."""
+
+    parameter: Text
+    unit: Text
+    interpolation: Literal["linear"]
+    outside: Literal["refuse", "clamp"] = Field(description="what happens beyond the grid")
+    grid: list[Number] = Field(description="ascending values of the parameter")
+    points: list[SystemTable] = Field(description="one for each value of the grid, of the controller's own sizes")
+
+
+class CertificateTable(_Table):
+    """What was recomputed for the controller on the plant that it was made for."""
+
+    stable: bool = Field(description="whether the closed loop was shown to be")
+    spectral_abscissa: Loose = Field(description="of the closed loop [rad/s]")
+    closed_loop_norm: Loose = Field(description="the H-infinity norm that the method minimises [-]")
+    fastest_pole: Loose = Field(description="largest modulus of the controller's poles [rad/s]")
+    margins: dict[str, Loose] = Field(description="further numbers by name")
+    plant: str = Field(description="what it was verified on")
+
+
+class WeightsTable(_Table):
+    """The weights of the design problem, the same for every axis."""
+
+    performance: SystemTable = Field(description="W_p [-]")
+    control: SystemTable = Field(description="W_u [-]")
+    error_scale: Number = Field(description="D_e, the largest acceptable error [m]")
+    current_scale: Number = Field(description="D_u, the largest control current [A]")
+    current_disturbance: Number = Field(description="size of w1 in units of D_u [-]")
+    output_disturbance: Number = Field(description="size of w2 in units of D_e [-]")
+    control_factor: Number = Field(description="what W_u was multiplied by since the machine file stated it [-]")
+
+
+class ProvenanceTable(_Table):
+    """Where the controller comes from."""
+
+    package: Literal["ambrose"]
+    package_version: Text
+    machine: Text | None = Field(description="the machine's name")
+    machine_hash: Text | None = Field(description="SHA-256 of everything in the machine file that is computed with")
+    date: Annotated[str, AfterValidator(_date)] = Field(description="UTC, ISO 8601")
+    settings: dict[str, Any] | None = Field(description="what the design was asked for")
+
+
+class ControllerTable(_Table):
+    """A controller from displacement errors to control currents, with its certificate; made by `ambrose synthesize`."""
+
+    format: Literal["ambrose-controller"]
+    version: Literal[3]
+    method: Text
+    status: Annotated[Status, Field(strict=False)]
+    stopped_early: Text | None = Field(description="why the iteration ended before its end")
+    gamma: Loose = Field(description="the norm that the method reached [-]")
+    inputs: Annotated[list[ErrorSignal], Field(min_length=1)]
+    outputs: Annotated[list[CurrentSignal], Field(min_length=1)]
+    sample_time: Number | None = Field(description="[s]; null: continuous")
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    scheduling: SchedulingTable | None
+    certificate: CertificateTable | None = Field(description="null: the status is uncertified")
+    weights: WeightsTable | None
+    history: list[dict[str, Loose]] = Field(description="a row for each iteration")
+    notes: list[str]
+    provenance: ProvenanceTable
+
+
+def controller_schema() -> dict[str, Any]:
+    """The JSON schema (draft 2020-12) of controller files."""
+
+    class Untitled(GenerateJsonSchema):
+        def field_title_should_be_set(self, schema: Any) -> bool:
+            return False
+
+    made = ControllerTable.model_json_schema(schema_generator=Untitled)
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"ambrose controller file, version {VERSION}"}
+    return {**head, **made, **head}
 
 
 def write_controller(
@@ -90,64 +176,23 @@ def write_controller(
 ) -> Path:
     """Write a Synthesis, or a controller alone, to ``path``; the file appears complete or not at all. Returns the path.
 
-    The controller's inputs are err_<axis> [m] and its outputs u_<axis> [A]. machine: recorded by name and hash; date (None:
-    now). Raises InvalidInput for other signals or a path that cannot be written.
+    The controller's inputs are err_<axis> [m] and its outputs u_<axis> [A]. machine: recorded by name and hash; None: the
+    one of the synthesis. date: None: that of the synthesis, else now. Raises InvalidInput for other signals or a path that
+    cannot be written.
     """
-    if not isinstance(result, Synthesis):
-        controller = as_statespace(result)
-        content = _content(controller, "given", "uncertified", math.nan, None, machine, date)
-    else:
-        content = _content(result.controller, result.method, result.status, result.gamma, result.certificate, machine, date)
-        if result.scheduled is not None:
-            content |= {"version": SCHEDULED_VERSION, "scheduling": _scheduling(result.scheduled)}
-    return write_text(path, _layout(content), "controller file")
+    result = result if isinstance(result, Synthesis) else Synthesis(as_statespace(result))
+    made = result.provenance
+    if machine is not None:
+        made = replace(made, package_version=__version__, machine=machine.name, machine_hash=machine_hash(machine))
+    if date is not None or not made.date:
+        made = replace(made, date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"))
+    content = replace(result, provenance=made).to_dict()
+    signals = {side: _signals(content[side], side) for side in _UNITS}
+    return write_text(path, _layout({"format": FORMAT, "version": VERSION, **content, **signals}), "controller file")
 
 
-def _content(
-    controller: StateSpace,
-    method: str,
-    status: str,
-    gamma: float,
-    certificate: Certificate | None,
-    machine: Machine | None,
-    date: datetime | None,
-) -> dict[str, Any]:
-    moment = (date or datetime.now(UTC)).astimezone(UTC)
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "method": method,
-        "status": status,
-        "gamma": to_plain(float(gamma)),
-        "inputs": _signals(controller.inputs, *INPUT_UNIT, "inputs"),
-        "outputs": _signals(controller.outputs, *OUTPUT_UNIT, "outputs"),
-        "sample_time": controller.dt,
-        **{letter: getattr(controller, letter).tolist() for letter in "ABCD"},
-        "scheduling": None,
-        "certificate": None if certificate is None else certificate.to_dict(),
-        "provenance": {
-            "package": "ambrose",
-            "package_version": __version__,
-            "machine": None if machine is None else machine.name,
-            "machine_hash": None if machine is None else machine_hash(machine),
-            "date": moment.isoformat(timespec="seconds"),
-        },
-    }
-
-
-def _scheduling(scheduled: ScheduledSystem) -> dict[str, Any]:
-    """The grid and the matrices at each of its points; inputs, outputs and sample time are those of the file."""
-    return {
-        "parameter": scheduled.parameter,
-        "unit": scheduled.unit,
-        "interpolation": "linear",
-        "outside": scheduled.outside,
-        "grid": scheduled.grid.tolist(),
-        "points": [{letter: getattr(system, letter).tolist() for letter in "ABCD"} for system in scheduled.systems],
-    }
-
-
-def _signals(names: Sequence[str], prefix: str, unit: str, side: str) -> list[dict[str, str]]:
+def _signals(names: Sequence[str], side: str) -> list[dict[str, str]]:
+    prefix, unit = _UNITS[side]
     for name in names:
         if not name.startswith(prefix):
             raise invalid(f"one of the controller's {side}", repr(name), f"{prefix}<axis> [{unit}]", "rename() its signals")
@@ -166,87 +211,154 @@ def _layout(content: Mapping[str, Any]) -> str:
     return "{\n " + ",\n ".join(lines) + "\n}\n"
 
 
-def read_controller(path: str | os.PathLike[str]) -> ControllerFile:
+def read_controller(path: str | os.PathLike[str]) -> Synthesis:
     """The controller file at ``path``, every part of it checked; nothing in it is ever executed.
 
     Raises InvalidInput that names the file, the key, its value and the remedy.
     """
     path = Path(path)
     try:
-        return _parse(read_json(path))
+        return _synthesis(_parse(_read(path)))
     except InvalidInput as error:
         raise InvalidInput(f"controller file {path}: {error}") from error
 
 
-def _parse(content: Any) -> ControllerFile:
+def _read(path: Path) -> Any:
+    """The parsed content of a UTF-8 JSON file; NaN, Infinity and repeated keys are refused. Raises InvalidInput."""
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise InvalidInput("is no ordinary file; give the path of a file")
+        if status.st_size > _LARGEST:
+            raise invalid("the file's size", f"{status.st_size} bytes", f"at most {_LARGEST}", "is this the right file?")
+        text = path.read_bytes().decode("utf-8")
+    except OSError as error:
+        raise InvalidInput(f"cannot be read ({error.strerror or error}); check the path") from error
+    except UnicodeDecodeError as error:
+        raise InvalidInput(f"is not text (byte {error.start} is no UTF-8); is this the right file?") from error
+    try:
+        return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise InvalidInput(f"is not complete JSON ({error.msg} at {where}); {_AGAIN}, it may be truncated") from error
+    except (RecursionError, ValueError) as error:
+        if isinstance(error, InvalidInput):
+            raise
+        raise InvalidInput(f"is not JSON that can be read ({error}); {_AGAIN}") from error
+
+
+def _no_constant(text: str) -> float:
+    raise invalid("a number", text, "finite", f"{_AGAIN} from a controller without NaN")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) != len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise invalid(f"key {twice!r}", "given twice", "given once", _AGAIN)
+    return result
+
+
+def _parse(content: Any) -> ControllerTable:
+    """The content as tables. Raises InvalidInput for the first thing wrong."""
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = repr(content.get("format")) if isinstance(content, dict) else type(content).__name__
-        raise invalid("format", found, repr(FORMAT), "this is no controller file; write one with `ambrose synthesize -o`")
+        value = repr(content.get("format")) if isinstance(content, dict) else type(content).__name__
+        raise invalid("format", value, repr(FORMAT), "this is no controller file; write one with `ambrose synthesize -o`")
     version = content.get("version")
-    if type(version) is not int or version not in (VERSION, SCHEDULED_VERSION):
-        raise invalid("version", repr(version), f"{VERSION} or {SCHEDULED_VERSION}", "it needs another version of ambrose")
-    parse_keys(content, KEYS, "the file")
-    if version == VERSION and content["scheduling"] is not None:
-        raise invalid("scheduling", "given", "null in version 1", "it needs another version of ambrose")
-    inputs = parse_signals(content["inputs"], "inputs", *INPUT_UNIT)
-    outputs = parse_signals(content["outputs"], "outputs", *OUTPUT_UNIT)
-    A = parse_matrix(content["A"], "A", None, None)
-    n, m, p = len(A), len(inputs), len(outputs)
-    B = parse_matrix(content["B"], "B", n, m)
-    C = parse_matrix(content["C"], "C", p, n)
-    D = parse_matrix(content["D"], "D", p, m)
-    dt = None if content["sample_time"] is None else parse_number(content["sample_time"], "sample_time")
-    controller = StateSpace(A, B, C, D, inputs, outputs, dt)
-    certificate = _parse_certificate(content["certificate"])
-    status = parse_text(content["status"], "status")
-    if status not in STATUSES and not is_verified(status):
-        raise invalid("status", repr(status), " or ".join(STATUSES), "it needs another version of ambrose")
-    if is_verified(status) and (certificate is None or not certificate.stable):
+    if type(version) is not int or version != VERSION:
+        old = type(version) is int and 1 <= version < VERSION
+        remedy = "design it again with `ambrose synthesize`" if old else "it needs another version of ambrose"
+        raise invalid("version", repr(version), str(VERSION), remedy)
+    try:
+        return ControllerTable.model_validate(content)
+    except ValidationError as error:
+        raise _complaint(error.errors()[0]) from None
+
+
+_REQUIREMENTS = {  # by the kind of pydantic's error
+    "float_type": "a number", "finite_number": "a finite number", "list_type": "a list", "too_short": "one at least",
+    "bool_type": "true or false", "string_type": "text", "string_too_short": "text that is not empty", "dict_type": "a table",
+}  # fmt: skip
+
+
+def _complaint(detail: Any) -> InvalidInput:
+    """One of pydantic's errors as a sentence with key, value, requirement and remedy; indices count from 1."""
+    *above, last = path = detail["loc"]
+    kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
+    if kind == "extra_forbidden":
+        return InvalidInput(f"{_place(above)} has the unknown key {last!r}; remove it, or use the version that wrote it")
+    if kind == "missing":
+        return InvalidInput(f"{_place(above)} lacks the key {last!r}; {_AGAIN}, it may come from another version")
+    if kind == "model_type":
+        return invalid(_place(path), type(value).__name__, "a table", _AGAIN)
+    requirement = _REQUIREMENTS.get(kind) or {
+        "literal_error": context.get("expected"), "enum": context.get("expected"),
+        "string_pattern_mismatch": f"{str(context.get('pattern')).strip('^.')}<axis>", "value_error": str(context.get("error")),
+    }.get(kind)  # fmt: skip
+    shown = repr(value)
+    return invalid(_place(path), shown if len(shown) < 80 else type(value).__name__, requirement or detail["msg"], _AGAIN)
+
+
+def _place(path: Sequence[str | int]) -> str:
+    """("inputs", 2, "unit") as inputs[3].unit."""
+    text = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in path)
+    return text.removeprefix(".") or "the file"
+
+
+def _synthesis(table: ControllerTable) -> Synthesis:
+    """The tables' content as nouns; raises InvalidInput where they do not fit together."""
+    inputs, outputs = [item.name for item in table.inputs], [item.name for item in table.outputs]
+
+    def system(letters: ControllerTable | SystemTable, where: str = "") -> StateSpace:
+        return StateSpace(
+            *_matrices(letters, where, len(table.A), len(inputs), len(outputs)), inputs, outputs, table.sample_time
+        )
+
+    scheduled = None
+    if (plan := table.scheduling) is not None:
+        points = [system(point, f"scheduling.points[{i}].") for i, point in enumerate(plan.points, start=1)]
+        scheduled = ScheduledSystem(plan.grid, points, plan.parameter, plan.unit, plan.outside)
+    certificate = Certificate() if table.certificate is None else Certificate(**table.certificate.model_dump())
+    if table.status is Status.VERIFIED and not certificate.stable:
         raise InvalidInput("status is 'verified', but the certificate does not say stable; design the controller again")
-    return ControllerFile(
-        controller,
-        parse_text(content["method"], "method"),
-        status,
-        parse_number(content["gamma"], "gamma", any_value=True),
-        certificate,
-        _parse_provenance(content["provenance"]),
-        parse_scheduling(content["scheduling"], controller) if version == SCHEDULED_VERSION else None,
+    if table.method == "lpv" and scheduled is None:
+        raise InvalidInput("method is 'lpv', but scheduling is null; design the controller again")
+    if table.certificate is None and table.status is not Status.UNCERTIFIED:
+        raise InvalidInput(f"status is '{table.status}', but there is no certificate; design the controller again")
+    made = table.provenance.model_dump(exclude={"package"})
+    return Synthesis(
+        system(table), table.method, table.gamma, table.status, certificate, tuple(table.history), tuple(table.notes),
+        scheduled, table.stopped_early, None if table.weights is None else _weights(table.weights), Provenance(**made),
+    )  # fmt: skip
+
+
+def _weights(table: WeightsTable) -> Weights:
+    sizes = table.model_dump(exclude={"performance", "control"})
+    performance = StateSpace(
+        *_matrices(table.performance, "weights.performance.", len(table.performance.A), 1, 1), ["err"], ["z1"]
+    )
+    return Weights(
+        performance,
+        StateSpace(*_matrices(table.control, "weights.control.", len(table.control.A), 1, 1), ["u"], ["z2"]),
+        **sizes,
     )
 
 
-def _parse_certificate(content: Any) -> Certificate | None:
-    if content is None:
-        return None
-    parse_keys(content, CERTIFICATE_KEYS, "certificate")
-    if not isinstance(content["stable"], bool):
-        raise invalid("certificate.stable", repr(content["stable"]), "true or false", "write the file again")
-    if not isinstance(content["margins"], dict):
-        raise invalid("certificate.margins", repr(content["margins"]), "a table of numbers", "write the file again")
-    numbers = {
-        key: parse_number(content[key], f"certificate.{key}", any_value=True)
-        for key in ("spectral_abscissa", "closed_loop_norm", "fastest_pole")
-    }
-    margins = {
-        name: parse_number(value, f"certificate.margins.{name}", any_value=True) for name, value in content["margins"].items()
-    }
-    return Certificate(
-        stable=content["stable"],
-        margins=margins,
-        plant=parse_text(content["plant"], "certificate.plant", empty=True),
-        **numbers,
-    )
+def _matrices(table: ControllerTable | SystemTable, where: str, n: int, m: int, p: int) -> Matrices:
+    """A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput naming the matrix and the row that do not fit."""
+
+    def array(letter: str, rows: int, columns: int) -> np.ndarray:
+        matrix, name, remedy = getattr(table, letter), f"{where}{letter}", "its sizes must fit A and the signals"
+        if len(matrix) != rows:
+            raise invalid(f"the number of rows of {name}", len(matrix), str(rows), remedy)
+        for i, row in enumerate(matrix, start=1):
+            if len(row) != columns:
+                raise invalid(f"the length of row {i} of {name}", len(row), str(columns), remedy)
+        return np.array(matrix, float).reshape(rows, columns)
+
+    return array("A", n, n), array("B", n, m), array("C", p, n), array("D", p, m)
 
 
-def _parse_provenance(content: Any) -> Provenance:
-    parse_keys(content, PROVENANCE_KEYS, "provenance")
-    if content["package"] != "ambrose":
-        raise invalid("provenance.package", repr(content["package"]), "'ambrose'", "write the file with ambrose")
-    texts = [
-        None if content[key] is None else parse_text(content[key], f"provenance.{key}") for key in ("machine", "machine_hash")
-    ]
-    return Provenance(
-        parse_text(content["package_version"], "provenance.package_version"),
-        texts[0],
-        texts[1],
-        parse_date(content["date"], "provenance.date"),
-    )
+if __name__ == "__main__":  # python -m ambrose.synthesis.controller_file docs/controller.schema.json
+    Path(sys.argv[1]).write_text(json.dumps(controller_schema(), indent=1) + "\n", encoding="utf-8")

@@ -20,7 +20,7 @@ from ambrose.synthesis.loop_delay import late
 from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
 from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.problem import design_plant, open_model
-from ambrose.synthesis.result import Synthesis
+from ambrose.synthesis.result import Status, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.synthesis.weights import machine_weights
 
@@ -106,21 +106,20 @@ def design(
         tuned = tune_control_weight(model, weights, reference, synthesize, uncertain=uncertain)
         progress(f"control weight times {tuned.factor:.3g}: direct gains {100 * tuned.mismatch:+.1f} % of the reference's")
         result, weights = tuned.synthesis, tuned.weights
-        extra["control_weight_factor"] = tuned.factor
     else:
         result = synthesize(design_plant(model, weights, uncertain=uncertain))
     if method == "polish":
         rounds = POLISH_ROUNDS if judge is None else JUDGED_ROUNDS
-        start, begun = result.controller, result.status
-        lower = (start.n_states - (len(machine.axes) if delay else 0)) // 2 if order is None else order
+        start = result
+        lower = (start.controller.n_states - (len(machine.axes) if delay else 0)) // 2 if order is None else order
         result = polish.synthesize(
-            design_plant(model, weights), start, order=lower, rounds=rounds, judge=judge, progress=progress
+            design_plant(model, weights), start.controller, order=lower, rounds=rounds, judge=judge, progress=progress
         )
-        if begun != "verified":  # the start's status, or polishing would hide that it is no final iterate
-            result = replace(result, status=f"{result.status}; its start, by mu: {begun}")
+        early = [result.stopped_early, start.stopped_early and f"its start, by mu: {start.stopped_early}"]
+        result = replace(result, stopped_early="; ".join(filter(None, early)) or None)  # or polishing would hide the start's
     if reference is not None:  # of the controller that is returned: polishing moves it
         extra["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
-    return on_full_plant(plant, result, extra)
+    return on_full_plant(plant, replace(result, weights=weights), extra)
 
 
 def design_tolerances(machine: Machine) -> tuple[Tolerance, ...]:
@@ -146,4 +145,4 @@ def on_full_plant(plant: Plant, result: Synthesis, extra: dict[str, float]) -> S
     before = result.certificate.plant
     label = before if full.plant in before else f"{before}; {full.plant}"  # a kept controller carries it already
     certificate = replace(result.certificate, stable=stable, margins=margins, plant=label)
-    return replace(result, certificate=certificate, status=result.status if stable else "unstable")
+    return replace(result, certificate=certificate, status=result.status if stable else Status.UNSTABLE)

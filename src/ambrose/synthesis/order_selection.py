@@ -25,8 +25,8 @@ from ambrose.synthesis.fixed_order import polish
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
 from ambrose.synthesis.loop_delay import late, loop_delay
 from ambrose.synthesis.problem import design_plant, open_model
-from ambrose.synthesis.result import Synthesis, is_verified
-from ambrose.synthesis.weights import machine_weights, scale_control
+from ambrose.synthesis.result import Status, Synthesis
+from ambrose.synthesis.weights import machine_weights
 
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of a single parameter; of several their corners and the centre
 _GIVE_UP = 3  # orders in a row beyond the loss: the values come in pairs, and an odd order may be the worse one
@@ -117,7 +117,7 @@ def lowered(
     synthesis had them. The certificate is made anew on the full plant; margins gain "sampled_sensitivity" and, of the
     controller before, "sampled_sensitivity_given". Raises InvalidInput for a machine without tolerances or weights.
     """
-    weights = scale_control(machine_weights(plant.machine), result.certificate.margins.get("control_weight_factor", 1.0))
+    weights = machine_weights(plant.machine) if result.weights is None else result.weights
     delay = loop_delay(sample_time, computing_samples)
     problem = design_plant(
         late(open_model(reduce(plant, bending_modes), design_tolerances(plant.machine), True), delay), weights
@@ -133,9 +133,11 @@ def lowered(
     certificate = generalized_certificate(
         design_plant(reduce(plant, bending_modes), weights, uncertain=False), found.controller
     )
-    fresh = replace(result, controller=found.controller, certificate=certificate, notes=(*result.notes, note), gamma=np.nan)
-    kept = result.status if is_verified(result.status) else "verified"  # with what it says of an early end
-    return on_full_plant(plant, replace(fresh, status=kept if certificate.stable else "unstable"), margins)
+    status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
+    fresh = replace(
+        result, controller=found.controller, certificate=certificate, status=status, notes=(*result.notes, note), gamma=np.nan
+    )
+    return on_full_plant(plant, fresh, margins)
 
 
 def sampled_sensitivity(plant: Plant, sample_time: float, computing_samples: int = 1) -> Measure:

@@ -18,7 +18,7 @@ from ambrose.machine.description import Machine, MagneticBearing, PidSettings
 from ambrose.plant.model import Plant
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.filters import lead, low_pass, notch, pid_term
-from ambrose.synthesis.result import Synthesis
+from ambrose.synthesis.result import Status, Synthesis
 
 COORDINATES = ("axes", "tilt-translate")
 
@@ -43,7 +43,7 @@ def synthesize(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
         stable = stable and sampled.stable
         extra = {"sampled_spectral_abscissa": sampled.spectral_abscissa, "sampled_sensitivity_peak": sampled.closed_loop_norm}
         certificate = replace(certificate, margins={**certificate.margins, **extra})
-    return Synthesis(design, "pid", float("nan"), "verified" if stable else "unstable", certificate)
+    return Synthesis(design, "pid", float("nan"), Status.VERIFIED if stable else Status.UNSTABLE, certificate)
 
 
 def controller(settings: PidSettings, machine: Machine) -> StateSpace:

@@ -2,61 +2,171 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from enum import StrEnum
 from typing import Any
 
-from ambrose.core.presentation import to_plain
+from ambrose import __version__
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.presentation import Presented, to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.synthesis.weights import Weights
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Certificate:
-    """Facts recomputed on the original plant after the synthesis.
+class Status(StrEnum):
+    """What was shown of a controller's loop: it is stable; it is not (a verdict on a controller, no failure); nothing."""
 
-    closed_loop_norm [-]: H-infinity norm that the method minimises (for PID: the output sensitivity's); spectral_abscissa
-    [rad/s] of the closed loop, negative when stable; fastest_pole [rad/s]: largest modulus among the controller's poles;
-    margins: named numbers such as {"sensitivity_peak": ..., "disk_gain_margin": ...}; plant: what it was verified on.
+    VERIFIED = "verified"
+    UNSTABLE = "unstable"
+    UNCERTIFIED = "uncertified"
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Certificate(Presented):
+    """Facts recomputed on the original plant after the synthesis; by default nothing is shown.
+
+    stable: the closed loop was shown to be; closed_loop_norm [-]: H-infinity norm that the method minimises (for PID: the
+    output sensitivity's); spectral_abscissa [rad/s] of the closed loop, negative when stable; fastest_pole [rad/s]: largest
+    modulus among the controller's poles; margins: named numbers such as {"sensitivity_peak": ..., "disk_gain_margin": ...};
+    plant: what it was verified on.
     """
 
-    stable: bool
-    spectral_abscissa: float
-    closed_loop_norm: float
-    fastest_pole: float
+    stable: bool = False
+    spectral_abscissa: float = math.nan
+    closed_loop_norm: float = math.nan
+    fastest_pole: float = math.nan
     margins: Mapping[str, float] = field(default_factory=dict)
     plant: str = ""
+
+    def facts(self) -> Mapping[str, Any]:
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "margins"}
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data; numbers that are not finite become strings ("inf")."""
         return {item.name: to_plain(getattr(self, item.name)) for item in fields(self)}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Synthesis:
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a controller comes from: package version; name and hash of the machine (None: not given); date in UTC (ISO 8601, ""
+    until it is written); settings: what ``design`` was asked for, as plain data (None: it comes from elsewhere)."""
+
+    package_version: str = __version__
+    machine: str | None = None
+    machine_hash: str | None = None
+    date: str = ""
+    settings: Mapping[str, Any] | None = None
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """All that decides which controller comes out; equal keys, equal controllers."""
+        return self.package_version, self.machine_hash, self.settings
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data."""
+        return {"package": "ambrose", **{item.name: to_plain(getattr(self, item.name)) for item in fields(self)}}
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Synthesis(Presented):
     """controller: StateSpace from sensor error ("err_A_zeta" [m]) to current ("u_A_zeta" [A]).
 
-    gamma: the norm the method reached (NaN where it has none); status: "verified", or "unstable" (a reference controller
-    that does not hold this plant: a verdict, not a failure); history: one mapping per iteration; notes: what the reader must
-    know of how it was reached (a regularisation, a wider back-off), a sentence each. scheduled: the controller over a range
-    of speeds, of which ``controller`` is the one at the nominal speed (method "lpv"; None for the others).
+    gamma: the norm the method reached (NaN where it has none); history: one mapping per iteration; notes: what the reader must
+    know of how it was reached (a regularisation, a wider back-off), a sentence each. scheduled: the controller over a range of
+    speeds, of which ``controller`` is the one at the nominal speed (method "lpv"; None for the others). stopped_early: why the
+    iteration ended before its end, with the best verified controller so far (None: it did not). weights: of the design problem
+    (None where there is none). By default, a controller from elsewhere that nothing was shown of.
+
+    Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for an unknown status.
     """
 
     controller: StateSpace
-    method: str
-    gamma: float
-    status: str
-    certificate: Certificate
+    method: str = "given"
+    gamma: float = math.nan
+    status: Status = Status.UNCERTIFIED
+    certificate: Certificate = Certificate()
     history: tuple[Mapping[str, float], ...] = ()
     notes: tuple[str, ...] = ()
     scheduled: ScheduledSystem | None = None
+    stopped_early: str | None = None
+    weights: Weights | None = None
+    provenance: Provenance = Provenance()
+
+    def __post_init__(self) -> None:
+        if self.status not in list(Status):
+            raise invalid("status", repr(self.status), ", ".join(Status), "take a member of Status")
+        object.__setattr__(self, "status", Status(self.status))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Synthesis):
+            return NotImplemented
+        return {**self.to_dict(), "provenance": None} == {**other.to_dict(), "provenance": None}
+
+    __hash__ = None  # type: ignore[assignment]
 
     @property
     def law(self) -> StateSpace | ScheduledSystem:
         """What runs: the schedule where there is one, else the controller."""
         return self.controller if self.scheduled is None else self.scheduled
 
+    @property
+    def verdict(self) -> str:
+        """The status in words, with an early end."""
+        return self.status if self.stopped_early is None else f"{self.status}, but stopped early: {self.stopped_early}"
 
-def is_verified(status: str) -> bool:
-    """Whether a synthesis' status says verified, perhaps of an iteration that was stopped early ("verified, but ...")."""
-    return status.partition(",")[0].partition(";")[0] == "verified"
+    def facts(self) -> Mapping[str, Any]:
+        known: dict[str, Any] = {"method": self.method, "status": self.verdict, "states": self.controller.n_states}
+        if not math.isnan(self.gamma):
+            known["gamma"] = float(self.gamma)
+        if self.scheduled is not None:
+            low, high = self.scheduled.range
+            known["scheduled_over"] = f"{self.scheduled.parameter} {low:.4g} to {high:.4g} {self.scheduled.unit}"
+        return {**known, "certified_on": self.certificate.plant or "nothing"}
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as JSON-ready data; numbers that are not finite become strings ("inf")."""
+        schedule = self.scheduled
+        return {
+            "method": self.method,
+            "status": str(self.status),
+            "stopped_early": self.stopped_early,
+            "gamma": to_plain(float(self.gamma)),
+            "inputs": list(self.controller.inputs),
+            "outputs": list(self.controller.outputs),
+            "sample_time": self.controller.dt,
+            **matrices(self.controller),
+            "scheduling": None if schedule is None else _scheduling(schedule),
+            "certificate": None if self.status is Status.UNCERTIFIED else self.certificate.to_dict(),
+            "weights": None if self.weights is None else self.weights.to_dict(),
+            "history": to_plain(self.history),
+            "notes": list(self.notes),
+            "provenance": self.provenance.to_dict(),
+        }
+
+    def to_frame(self) -> Any:
+        """The history as a pandas DataFrame, a row for each iteration. Raises InvalidInput without pandas."""
+        try:
+            import pandas
+        except ImportError as error:
+            raise InvalidInput("to_frame() needs pandas, which is not installed; run: pip install pandas") from error
+        return pandas.DataFrame(list(self.history))
+
+
+def matrices(system: StateSpace) -> dict[str, Any]:
+    """A, B, C and D as nested lists."""
+    return {letter: getattr(system, letter).tolist() for letter in "ABCD"}
+
+
+def _scheduling(scheduled: ScheduledSystem) -> dict[str, Any]:
+    """The grid and the matrices at each of its points; inputs, outputs and sample time are those of the controller."""
+    return {
+        "parameter": scheduled.parameter,
+        "unit": scheduled.unit,
+        "interpolation": "linear",
+        "outside": scheduled.outside,
+        "grid": scheduled.grid.tolist(),
+        "points": [matrices(system) for system in scheduled.systems],
+    }

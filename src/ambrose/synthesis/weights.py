@@ -7,6 +7,7 @@ sec. 2.8.2). ``problem.py`` puts them around a plant.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import log
 from typing import Any
@@ -14,20 +15,23 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, series, static_gain, transfer_function
 from ambrose.machine.description import DesignWeights, Machine
 
+_SYSTEMS = ("performance", "control")
+_SIZES = ("error_scale", "current_scale", "current_disturbance", "output_disturbance", "control_factor")
 _LIMIT = 30.0  # default of |W_u| far above its crossover
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Weights:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Weights(Presented):
     """The weights of one design; every axis has the same ones.
 
     performance W_p and control W_u: stable systems with one input and one output [-]. error_scale D_e [m]: the largest error
     that is acceptable; current_scale D_u [A]: the largest control current. current_disturbance and output_disturbance [-]:
     sizes of the disturbances w1 (current, added before the amplifier) and w2 (measured displacement) in units of D_u and D_e.
-    Raises InvalidInput.
+    control_factor [-]: what W_u has been multiplied by since it was stated (``scale_control``). Raises InvalidInput.
     """
 
     performance: StateSpace
@@ -36,12 +40,21 @@ class Weights:
     current_scale: float
     current_disturbance: float = 1.0
     output_disturbance: float = 1.0
+    control_factor: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("performance", "control"):
+        for name in _SYSTEMS:
             object.__setattr__(self, name, _checked(getattr(self, name), f"the {name} weight"))
-        for name in ("error_scale", "current_scale", "current_disturbance", "output_disturbance"):
+        for name in _SIZES:
             check_positive(getattr(self, name), name, "a disturbance or scale of size zero makes the problem singular")
+
+    def facts(self) -> Mapping[str, Any]:
+        return {name: float(getattr(self, name)) for name in _SIZES}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Matrices and sizes as JSON-ready data."""
+        systems = {name: {x: getattr(getattr(self, name), x).tolist() for x in "ABCD"} for name in _SYSTEMS}
+        return {**systems, **{name: float(getattr(self, name)) for name in _SIZES}}
 
 
 def _checked(weight: Any, name: str) -> StateSpace:
@@ -137,4 +150,5 @@ def scale_control(weights: Weights, factor: float) -> Weights:
     """The weights with W_u multiplied by ``factor`` [-] at every frequency: above 1 the controller becomes more careful."""
     W = weights.control
     factor = check_positive(factor, "factor", "above 1 weighs the current more")
-    return replace(weights, control=StateSpace(W.A, W.B, W.C * factor, W.D * factor, W.inputs, W.outputs))
+    control = StateSpace(W.A, W.B, W.C * factor, W.D * factor, W.inputs, W.outputs)
+    return replace(weights, control=control, control_factor=weights.control_factor * factor)

@@ -360,7 +360,7 @@ def test_interruption_returns_the_best_verified_controller():
             raise KeyboardInterrupt
 
     result = mu.synthesize(published_p5_problem(), order=1, progress=interrupt)
-    assert result.status.startswith("verified, but stopped after iteration 1: interrupted")
+    assert (result.status, result.stopped_early) == ("verified", "after iteration 1, interrupted")
     assert len(result.history) == 2
     assert result.gamma == result.history[1]["gamma"]
     assert lines[0].startswith("iteration 0: complex mu <= ")
@@ -384,11 +384,11 @@ def test_failing_step_and_time_limit_return_what_there_is(monkeypatch):
 
     monkeypatch.setattr(hinf, "synthesize", failing)
     result = mu.synthesize(toy(1.0, 1.0))
-    assert "stopped after iteration 0: no luck" in result.status
+    assert result.stopped_early == "after iteration 0, no luck"
     assert result.certificate.stable
     monkeypatch.undo()
     short = mu.synthesize(published_p5_problem(), time_limit=0.3)
-    assert "time limit" in short.status
+    assert "time limit" in short.stopped_early
     assert short.certificate.stable
     with pytest.raises(NumericalFailure, match="time limit"):
         mu.synthesize(published_p5_problem(), time_limit=1e-4)

@@ -23,7 +23,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.certificate import certify, match_controller
-from ambrose.synthesis.result import is_verified
+from ambrose.synthesis.result import Status
 from ambrose.verification import nominal
 from ambrose.verification.checks import Check, Checks
 from ambrose.verification.criteria import Demand, information, judge
@@ -77,7 +77,7 @@ def deploy(
 ) -> Deployment:
     """``controller`` sampled at sample_time [s] and verified with the computing delay [s] in the loop.
 
-    controller: a Synthesis, a ControllerFile or a system, continuous or sampled already. method: "tustin", exact at
+    controller: a Synthesis or a system, continuous or sampled already. method: "tustin", exact at
     ``prewarp`` [rad/s] if given, or "zoh". plants: the full plant at every operating point, the nominal one first; its
     machine's tolerances are the uncertainty. Refused unless ``force``: a controller that is unstable itself or was not
     verified, and one whose sampled loop is unstable at an operating point or in the tolerances, or was not examined (no
@@ -124,16 +124,16 @@ def check_rate(source: StateSpace, dt: float) -> None:
         raise invalid("the sample rate", f"{1 / dt:.4g} Hz", f"at least {needed:.4g} Hz for a pole at {fastest}", remedy)
 
 
-def own_problems(source: StateSpace, status: str | None, *, examined: bool) -> list[str]:
+def own_problems(source: StateSpace, status: Status | None, *, examined: bool) -> list[str]:
     """What speaks against a controller before its loop is closed, one sentence each."""
     return status_problems(status, examined=examined) + instability(source)
 
 
-def status_problems(status: str | None, *, examined: bool) -> list[str]:
+def status_problems(status: Status | None, *, examined: bool) -> list[str]:
     """What a controller's own status says against it; ``examined``: whether its loop is about to be."""
-    if status is None or status == "uncertified":
+    if status is None or status is Status.UNCERTIFIED:
         return [] if examined else ["the controller carries no certificate: it was never verified on a plant"]
-    return [] if is_verified(status) else [f"the controller's status is {status!r}, not 'verified'"]
+    return [] if status is Status.VERIFIED else [f"the controller's status is '{status}', not 'verified'"]
 
 
 def instability(source: StateSpace, where: str = "") -> list[str]:

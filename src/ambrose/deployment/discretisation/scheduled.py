@@ -92,7 +92,7 @@ def deploy_scheduled(
 ) -> ScheduledDeployment:
     """A scheduled ``controller`` sampled at sample_time [s] and verified with the computing delay [s] in the loop.
 
-    controller: a Synthesis or ControllerFile with a schedule, or a ScheduledSystem over the speed in rad/s. method, prewarp
+    controller: a Synthesis with a schedule, or a ScheduledSystem over the speed in rad/s. method, prewarp
     [rad/s]: as in ``deploy``. machine: its full plant is closed at every grid point and ``between`` speeds in every interval,
     with the pressures and bias of its first operating point in the range (else its first), at its own operating points, and
     over its tolerances. Refused unless ``force``, as ``deploy`` does; operating points outside the range are examined with the

@@ -124,7 +124,7 @@ def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
     for candidate in candidates:
         made = candidate.synthesis
         order = Cell(str(made.controller.n_states), "number")
-        rows.append((candidate.name, made.method, order, made.status, made.certificate.plant, " ".join(made.notes)))
+        rows.append((candidate.name, made.method, order, made.verdict, made.certificate.plant, " ".join(made.notes)))
     columns = ("Controller", "Method", "Order", "Status", "Certified on", "Notes")
     found = [Table("How they were made", columns, tuple(rows))]
     found += [_history(candidate) for candidate in candidates if any("mu_mixed" in row for row in candidate.synthesis.history)]

@@ -26,7 +26,7 @@ from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
 from ambrose.synthesis.mu.d_step import design_grid
 from ambrose.synthesis.problem import PERFORMANCE, with_performance_block
-from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
 _POWERS = (15.0, 40.0, 100.0, 250.0)
@@ -63,13 +63,13 @@ def synthesize(
     ``gamma`` and the certificate's norm: the largest H-infinity norm of the performance over all models and all parameter
     values searched (a search, no proof). certificate.margins: "start_norm", the same for ``start``; "reduced_norm", after the
     reduction; "nominal_norm"; "proved_norm", a level proved for the whole box, stability included (inf where the proof fails);
-    "models". Ctrl-C and the time limit return the best verified controller so far, with a status that says so.
+    "models". Ctrl-C and the time limit return the best verified controller so far; ``stopped_early`` says which.
 
     Raises InvalidInput (no real blocks, complex blocks, a controller that does not fit) and NumericalFailure (the reduced
     controller does not even stabilise the nominal plant).
     """
     job = _Job.of(plant, start, order, deltas, iterations, rounds, time_limit, progress)
-    reason = ""
+    reason: str | None = None
     best = _reduced(job)
     history = [_row(job, 0, best)]
     rounds_done = [best]
@@ -318,7 +318,7 @@ def _row(job: _Job, number: int, point: _Point) -> dict[str, float]:
     }
 
 
-def _result(job: _Job, best: _Point, history: list[dict[str, float]], reason: str) -> Synthesis:
+def _result(job: _Job, best: _Point, history: list[dict[str, float]], reason: str | None) -> Synthesis:
     abscissa = max(spectral_abscissa(lft(job.model(delta), best.controller)) for delta in job.models)
     margins = {
         "start_norm": job.start_worst,
@@ -331,8 +331,9 @@ def _result(job: _Job, best: _Point, history: list[dict[str, float]], reason: st
         True, abscissa, best.worst, fastest_pole(best.controller), margins,
         f"generalized plant with {job.plant.system.n_states} states, worst of {len(job.models)} models and a search of the box",
     )  # fmt: skip
-    status = f"verified, but stopped early: {reason}" if reason else "verified"
     notes = [f"the worst norm is at {_named(job, best.worst_delta)}"]
     if best.controller.n_states < job.order:
         notes.append(f"order {best.controller.n_states} instead of {job.order}: the cut would have parted a pair")
-    return Synthesis(best.controller, "polish", best.worst, status, certificate, tuple(history), tuple(notes))
+    return Synthesis(
+        best.controller, "polish", best.worst, Status.VERIFIED, certificate, tuple(history), tuple(notes), stopped_early=reason
+    )

@@ -16,7 +16,7 @@ from ambrose.synthesis.certificate import generalized_certificate
 from ambrose.synthesis.hinf.assumptions import Assumptions, check_assumptions, full_regularisation
 from ambrose.synthesis.hinf.riccati import GammaSearch, Level, balanced, central_controller, normal_form, search_gamma
 from ambrose.synthesis.hinf.scaling import ScaledPlant, original_controller, scale_plant
-from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
 _WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
@@ -245,7 +245,7 @@ def _finish(
     for note in notes:
         job.say(f"note: {note}")
     return Synthesis(
-        design.controller, "hinf", found.closed_loop_norm, "verified", certificate,
+        design.controller, "hinf", found.closed_loop_norm, Status.VERIFIED, certificate,
         design.history if history is None else history, notes,
     )  # fmt: skip
 

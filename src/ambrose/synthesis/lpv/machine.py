@@ -17,8 +17,8 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.lpv import synthesis as lpv
 from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.result import Synthesis
-from ambrose.synthesis.weights import Weights
+from ambrose.synthesis.result import Status, Synthesis
+from ambrose.synthesis.weights import Weights, machine_weights
 
 POINTS = 8  # of a grid that is not given
 
@@ -71,6 +71,7 @@ def design_over_speed(
     full plant at every one has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv.synthesize``.
     """
     machine, point = plant.machine, plant.point
+    weights = machine_weights(machine) if weights is None else weights
     grid = speed_grid(machine, point) if speeds is None else check_grid(speeds, "speed")
     if not grid[0] <= point.speed <= grid[-1]:
         what = f"between {grid[0]:g} and {grid[-1]:g} rad/s"
@@ -99,4 +100,4 @@ def design_over_speed(
         },
         plant=f"{result.certificate.plant}; {machine.name}, full plant at {len(checked)} of these speeds",
     )
-    return replace(result, certificate=certificate, status=result.status if stable else "unstable")
+    return replace(result, certificate=certificate, status=result.status if stable else Status.UNSTABLE, weights=weights)

@@ -26,7 +26,7 @@ from ambrose.synthesis.lpv.controller import Factors, controller, factors
 from ambrose.synthesis.lpv.family import Family, scaled_family
 from ambrose.synthesis.lpv.inequalities import Shape, Varying, smallest_gamma, well_conditioned
 from ambrose.synthesis.lpv.verification import Frozen, between, frozen
-from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.result import Certificate, Status, Synthesis
 
 _WIDEST = 0.5  # the back-off less 1 is doubled up to this before giving up
 _REFINED = 2  # how often the grid is refined where the guarantee fails between its points
@@ -246,7 +246,7 @@ def _result(job: _Job, design: _Design, nominal: float | None) -> Synthesis:
     )  # fmt: skip
     scheduled = balanced_states(design.scheduled)
     return Synthesis(
-        scheduled.at(value), "lpv", worst.guaranteed, "verified", certificate, tuple(f.row() for f in found),
+        scheduled.at(value), "lpv", worst.guaranteed, Status.VERIFIED, certificate, tuple(f.row() for f in found),
         (*design.notes, *_words(job, design, worst)), scheduled,
     )  # fmt: skip
 

@@ -38,7 +38,7 @@ from ambrose.synthesis.mu.d_step import (
 )
 from ambrose.synthesis.mu.scaling import Scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.problem import with_performance_block
-from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
 _GAIN = 1e-3  # a step that lowers the best bound by less than this fraction ends the iteration
@@ -76,9 +76,9 @@ def synthesize(
     "mu_mixed_lower" (peaks on the grid), "mu_mixed_proved" (proved for all frequencies, at most gamma), "mu_frequency"
     [rad/s], "nominal_norm" (performance channels without perturbation), "scaling_states". history: one row per controller.
 
-    Ctrl-C, the time limit or a failing step end the iteration: the best verified controller so far is returned, with a status
-    that says so. Raises InvalidInput (no blocks, or bad arguments) and NumericalFailure when not even the first controller
-    could be verified. The controller keeps all its states: those of plant and scalings.
+    Ctrl-C, the time limit or a failing step end the iteration: the best verified controller so far is returned;
+    ``stopped_early`` says why. Raises InvalidInput (no blocks, or bad arguments) and NumericalFailure when not even the first
+    controller could be verified. The controller keeps all its states: those of plant and scalings.
     """
     job = _Job.of(plant, iterations, order, structure, backoff, fit_tolerance, omega, time_limit, progress)
     iterates: list[_Iterate] = []
@@ -360,14 +360,14 @@ def _result(job: _Job, iterates: Sequence[_Iterate], reason: str) -> Synthesis:
     )  # fmt: skip
     number = iterates.index(best)
     notes = [f"iteration {number} of {len(iterates) - 1} is the best"]
-    status = "verified"
-    if reason:
-        status = f"verified, but stopped after iteration {len(iterates) - 1}: {reason}"
-        notes.append(f"stopped early: {reason}")
+    stopped = f"after iteration {len(iterates) - 1}, {reason}" if reason else None
+    if stopped:
+        notes.append(f"stopped early: {stopped}")
     for note in notes:
         job.say(note)
     return Synthesis(
-        best.controller, "mu", best.gamma, status, certificate, tuple(item.row for item in iterates), tuple(notes)
+        best.controller, "mu", best.gamma, Status.VERIFIED, certificate, tuple(item.row for item in iterates), tuple(notes),
+        stopped_early=stopped,
     )  # fmt: skip
 
 
