@@ -18,8 +18,8 @@ from ambrose import load_machine
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty, lft
 from ambrose.core.statespace import StateSpace, is_stable
 from ambrose.machine.parameters import operating_point
-from ambrose.synthesis.fixed_order import polish
-from ambrose.synthesis.mu import synthesis as mu
+from ambrose.synthesis.fixed_order.polish import polish_synthesis
+from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import machine_problem, published_p5_problem, with_performance_block
 
 
@@ -30,7 +30,7 @@ def run() -> list[dict[str, Any]]:
 
 def _timed(plant: GeneralizedPlant, **settings: Any) -> tuple[float, Any]:
     start = time.perf_counter()
-    result = mu.synthesize(plant, **settings)
+    result = mu_synthesis(plant, **settings)
     return time.perf_counter() - start, result
 
 
@@ -54,9 +54,9 @@ def _published() -> dict[str, Any]:
 
 def _polished() -> dict[str, Any]:
     plant = published_p5_problem()
-    start = mu.synthesize(plant, order=1).controller
+    start = mu_synthesis(plant, order=1).controller
     begin = time.perf_counter()
-    result = polish.synthesize(plant, start, order=12)
+    result = polish_synthesis(plant, start, order=12)
     seconds = time.perf_counter() - begin
     margins = result.certificate.margins
     text = (

@@ -21,7 +21,7 @@ from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 DT, HZ = 1e-4, 2 * np.pi
 BAND = (10 * HZ, 140 * HZ)
@@ -39,7 +39,7 @@ def _plant() -> Any:
 def _records(noise: float) -> list[Record]:
     """A chirp of 20 s on each axis in turn."""
     plant = _plant()
-    loop = closed_loop(plant, c2d(pid.controller(plant.machine.controller, plant.machine), DT, "tustin", delay=DT))
+    loop = closed_loop(plant, c2d(pid_controller(plant.machine.controller, plant.machine), DT, "tustin", delay=DT))
     e, y, u, d = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "eyud")
     wave, made = 0.1 * excitation.chirp(2 * HZ, 150 * HZ, 200_000, DT), []
     for i in range(4):
@@ -86,7 +86,7 @@ def _stepped() -> dict[str, Any]:
     """Two records of ten frequencies, 1.2 s each, exact steady sines: the time of the evaluation."""
     machine = load_machine("seal-rig")
     plant = assemble(machine, OperatingPoint(seal_pressure=1e5))
-    loop = closed_loop(plant, c2d(pid.controller(machine.controller, machine), DT, "tustin", delay=DT))
+    loop = closed_loop(plant, c2d(pid_controller(machine.controller, machine), DT, "tustin", delay=DT))
     frequencies = HZ * np.arange(5.0, 100.0, 10.0)
     names = [f"{kind}_{axis}" for kind in "yi" for axis in machine.axes]
     H = frequency_response(select(loop, [f"e_{axis}" for axis in machine.axes], names), frequencies).values

@@ -14,8 +14,8 @@ import numpy as np
 
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.hinf.scaling import scale_plant
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.problem import published_p5_problem
 from ambrose.synthesis.result import Synthesis
 
@@ -62,7 +62,7 @@ def _optimal(result: Synthesis) -> float:
 
 
 def _against_slicot(name: str, plant: GeneralizedPlant, tolerance: float) -> dict[str, Any]:
-    ours, result = _timed(lambda: hinf.synthesize(plant, tolerance=tolerance))
+    ours, result = _timed(lambda: hinf_synthesis(plant, tolerance=tolerance))
     target = "< 0.1 s" if "20 states" in name else ""
     try:
         from slycot import sb10ad
@@ -81,7 +81,7 @@ def _against_slicot(name: str, plant: GeneralizedPlant, tolerance: float) -> dic
 def _against_inequalities(name: str, plant: GeneralizedPlant) -> dict[str, Any]:
     from ambrose.synthesis.hinf.lmi import smallest_gamma
 
-    ours, result = _timed(lambda: hinf.synthesize(plant, tolerance=1e-5))
+    ours, result = _timed(lambda: hinf_synthesis(plant, tolerance=1e-5))
     scaled = scale_plant(plant)
     peer, prepared = _timed(lambda: smallest_gamma(scaled, lambda: 120.0), repeats=1)
     return _row(
@@ -90,6 +90,6 @@ def _against_inequalities(name: str, plant: GeneralizedPlant) -> dict[str, Any]:
 
 
 def _singular() -> dict[str, Any]:
-    ours, result = _timed(lambda: hinf.synthesize(_random(20, singular=True)))
+    ours, result = _timed(lambda: hinf_synthesis(_random(20, singular=True)))
     epsilon = result.certificate.margins["epsilon"]
     return _row("random plant, 20 states, D12 and D21 singular", ours, None, "none", f"verified with epsilon {epsilon:g}")

@@ -31,7 +31,7 @@ from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 DT, PERIOD = 1e-4, 5110
 NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
@@ -79,7 +79,7 @@ class Case:
 
 def case(bending: int, delay: int, distinct: bool) -> Case:
     machine = load_machine("seal-rig")
-    return Case(machine, pid.synthesize(free_mode_reduction(assemble(machine), 1)).controller, bending, delay, distinct)
+    return Case(machine, pid_synthesis(free_mode_reduction(assemble(machine), 1)).controller, bending, delay, distinct)
 
 
 def run() -> list[dict[str, Any]]:

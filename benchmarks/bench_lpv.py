@@ -20,10 +20,10 @@ from ambrose.core.semidefinite import Inequality, minimise
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
-from ambrose.synthesis.lpv import synthesis as lpv
 from ambrose.synthesis.lpv.family import scaled_family
 from ambrose.synthesis.lpv.inequalities import Shape, first_program
 from ambrose.synthesis.lpv.machine import plants_over_speed
+from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 
 POINTS = 8
 
@@ -73,7 +73,7 @@ def _whole(
     name: str, plant_at: Callable[[float], GeneralizedPlant], grid: np.ndarray, rate: float | None = None, target: str = ""
 ) -> dict[str, Any]:
     start = time.process_time()
-    result = lpv.synthesize(plant_at, grid, rate=rate, backoff=1.1)
+    result = lpv_synthesis(plant_at, grid, rate=rate, backoff=1.1)
     spent = time.process_time() - start
     m = result.certificate.margins
     ratio = m["gamma_optimal"] / m["pointwise_largest"]

@@ -19,7 +19,7 @@ from ambrose.machine.description import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import modal_reduction
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 from ambrose.verification import nominal
 
 
@@ -49,7 +49,7 @@ def run() -> list[dict[str, Any]]:
         rows.append(_row(f"assembly + reduction to 8 states, {nodes} nodes", seconds(lambda m=machine: both(m), runs)))
     rows[0]["target"] = "< 0.05"
     rows.append(_closed_loop_response(rig))
-    controller = pid.controller(rig.controller, rig)
+    controller = pid_controller(rig.controller, rig)
     plant = assemble(rig)
     rows.append(_row("all nominal checks, full plant, 328 states", seconds(lambda: nominal.check(plant, controller), 3)))
     command = [sys.executable, "-c", "import ambrose"]
@@ -64,7 +64,7 @@ def both(machine: Machine) -> None:
 
 def _closed_loop_response(machine: Machine) -> dict[str, Any]:
     plant = assemble(machine)
-    loop = closed_loop(plant, pid.controller(machine.controller, machine))
+    loop = closed_loop(plant, pid_controller(machine.controller, machine))
     system = select(loop, [f"d_{a}" for a in plant.axes], [f"y_{a}" for a in plant.axes])
     omega = np.geomspace(1, 2e4, 2000)
     row = _row(

@@ -22,7 +22,7 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import linear
 from ambrose.simulation.scenario import load_scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
 
@@ -46,7 +46,7 @@ def _loop(bending_modes: int | None) -> StateSpace:
     plant = assemble(machine, OperatingPoint(seal_pressure=1e5))
     if bending_modes is not None:
         plant = free_mode_reduction(plant, bending_modes)
-    loop = closed_loop(plant, pid.controller(machine.controller, machine))
+    loop = closed_loop(plant, pid_controller(machine.controller, machine))
     return select(loop, "e_A_zeta", [f"y_{axis}" for axis in machine.axes])
 
 
@@ -144,7 +144,7 @@ def _sensitivity(loop: StateSpace) -> dict[str, Any]:
 def _run_up() -> dict[str, Any]:
     """Error: the estimate that the simulation makes of itself."""
     machine = load_machine("seal-rig")
-    K = pid.controller(machine.controller, machine)
+    K = pid_controller(machine.controller, machine)
 
     def loop_at(speed: float) -> StateSpace:
         return closed_loop(free_mode_reduction(assemble(machine, OperatingPoint(speed=speed)), 2), K)

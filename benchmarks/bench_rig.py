@@ -22,13 +22,13 @@ from ambrose.simulation.rig.equilibrium import levitated, measurement
 from ambrose.simulation.rig.inputs import Drive, plan, stretch
 from ambrose.simulation.rig.state import Rig, build, compiled
 from ambrose.simulation.scenario import Prbs, Scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
 LENGTH = 10.0  # simulated seconds
 PEER_LENGTH = 0.2
 MACHINE = load_machine("seal-rig")
-PID = pid.controller(MACHINE.controller, MACHINE)
+PID = pid_controller(MACHINE.controller, MACHINE)
 MEMORY = """
 import resource, tempfile, pathlib
 from benchmarks.bench_rig import MACHINE, PID, excited

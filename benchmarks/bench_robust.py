@@ -20,7 +20,7 @@ from ambrose.core.worst_case.search import box_margin, gain_bound, worst_gain
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 from ambrose.verification import robust
 
 _EIGENVALUES, _RESPONSES = 16, 4  # points at which the peer is timed
@@ -31,7 +31,7 @@ def run() -> list[dict[str, Any]]:
     """One row per case: name, ours [s], peer [s] or None, peer_name, error, target."""
     machine = load_machine("turboexpander")
     full = assemble(machine, operating_point(machine, "140 Hz"))
-    law = pid.synthesize(full).controller
+    law = pid_synthesis(full).controller
     rows = []
     for model, plant in (("full", full), ("reduced", reduce(full))):
         loop = robust.box_loops(plant, law)[0]

@@ -36,7 +36,7 @@ from ambrose.report.comparison.campaign import Condition, campaign_report
 from ambrose.report.page import Report, write
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Pulse, Scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
 BIASES = (6.0, 8.0, 10.0)
@@ -89,7 +89,7 @@ def controller(machine: Machine, bias: float, gain: float = 1.5, derivative_time
     found = [magnet.linearised(bearing, bias) for bearing in machine.bearings]
     most = max(k_s / k_i for c in found for k_i, k_s in zip(c.force_per_current, c.negative_stiffness, strict=True))
     bending = Notch(2 * np.pi * 550, 0.5, 0.02)
-    return pid.controller(PidSettings((gain * most,), 0.1, derivative_time, 0.05, notches=(bending,)), machine)
+    return pid_controller(PidSettings((gain * most,), 0.1, derivative_time, 0.05, notches=(bending,)), machine)
 
 
 def sequences(machine: Machine, seed: int, duration: float = 2.0, amplitude: float = 0.1) -> Scenario:

@@ -27,8 +27,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis.hinf import synthesis as hinf
-from ambrose.synthesis.mu import synthesis as mu
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weights import machine_weights
 from ambrose.verification.robust import box_loops
@@ -71,11 +71,11 @@ def designs(time_limit: float = 600.0) -> Designs:
     full = assemble(machine, operating_point(machine, POINT))
     rigid = reduce(full)
     problem = design_plant(rigid)
-    nominal = hinf.synthesize(design_plant(rigid, uncertain=False))
+    nominal = hinf_synthesis(design_plant(rigid, uncertain=False))
     start = time.process_time()
-    robust = mu.synthesize(problem, order=1, time_limit=time_limit)
+    robust = mu_synthesis(problem, order=1, time_limit=time_limit)
     seconds = time.process_time() - start
-    naive = {c: hinf.synthesize(rescaled(problem, c)).gamma for c in (1e-2, 1e-1, 1.0, 1e1)}
+    naive = {c: hinf_synthesis(rescaled(problem, c)).gamma for c in (1e-2, 1e-1, 1.0, 1e1)}
     judged = reduce(full, BENDING_MODES)
     return Designs(
         machine, full, judged, nominal.controller, robust.controller, nominal.gamma, robust.gamma, naive, seconds

@@ -40,7 +40,7 @@ from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Chirp, Prbs, Pulse, Scenario, Sine, SteppedSine
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 HZ, BAR, DT = 2 * np.pi, 1e5, 1e-4
 EIGHT = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")
@@ -72,7 +72,7 @@ def truth(pressure: float) -> np.ndarray:
 
 def controller(machine: Machine) -> StateSpace:
     """The printed PID."""
-    return pid.controller(machine.controller, machine)
+    return pid_controller(machine.controller, machine)
 
 
 def measure(machine: Machine, scenario: Scenario, pressure: float = 0.0, seed: int = 0) -> Record:

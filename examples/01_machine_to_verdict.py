@@ -3,7 +3,7 @@
 from ambrose import load_machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 from ambrose.verification import nominal
 
 machine = load_machine("seal-rig")
@@ -11,7 +11,7 @@ verdicts = {}
 for point in machine.operation.points:
     plant = assemble(machine, point)  # 40 nodes, 320 rotor states and 8 amplifier states
     small = reduce(plant)  # 8 rotor states: what controllers are designed on
-    controller = pid.synthesize(plant).controller
+    controller = pid_synthesis(plant).controller
     verdicts[point.label] = nominal.check(plant, controller)  # proved on the full plant, bending modes included
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import numpy as np
 from ambrose.machine.file.toml import loads_machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 from ambrose.plant.assemble import assemble
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 TEXT = """
 [machine]
@@ -59,7 +59,7 @@ machine = loads_machine(TEXT)
 rotor = finite_element_rotor(machine)
 mass = mass_properties(rotor).mass
 bending_hz = free_bending_frequencies(rotor, 2) / (2 * np.pi)
-result = pid.synthesize(assemble(machine))
+result = pid_synthesis(assemble(machine))
 
 if __name__ == "__main__":
     print(f"{mass:.1f} kg, free bending at {bending_hz[0]:.0f} and {bending_hz[1]:.0f} Hz")

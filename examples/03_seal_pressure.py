@@ -9,12 +9,12 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 machine = load_machine("seal-rig")
 full = assemble(machine)
 small = reduce(full)
-controller = pid.controller(machine.controller, machine)
+controller = pid_controller(machine.controller, machine)
 
 
 def abscissa(plant, delta):

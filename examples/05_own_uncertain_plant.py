@@ -6,8 +6,8 @@ from ambrose import GeneralizedPlant, StateSpace
 from ambrose.core.lft import RealBlock, lft
 from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.statespace import connect
-from ambrose.synthesis.hinf import synthesis as hinf
-from ambrose.synthesis.mu import synthesis as mu
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import with_performance_block
 from ambrose.synthesis.weights import performance_weight
 
@@ -29,7 +29,7 @@ problem = GeneralizedPlant(
 )
 
 nominal = GeneralizedPlant(system, w=["w1", "w2"], u=["u"], z=["z1", "z2"], y=["err"])
-results = {"H-infinity": hinf.synthesize(nominal), "mu": mu.synthesize(problem, order=1)}
+results = {"H-infinity": hinf_synthesis(nominal), "mu": mu_synthesis(problem, order=1)}
 analysis = with_performance_block(problem)
 peaks = {
     name: mu_peak(lft(problem, result.controller), analysis.blocks, np.geomspace(1e-3, 1e3, 200))

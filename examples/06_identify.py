@@ -13,10 +13,10 @@ from ambrose.identification.pipeline import checked_identification
 from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 machine = load_machine("seal-rig")
-controller = pid.synthesize(assemble(machine)).controller
+controller = pid_synthesis(assemble(machine)).controller
 
 # The experiment: a binary sequence on each axis, the four nearly uncorrelated.
 sequences = tuple(Prbs(f"e_{axis}", amplitude=0.1, bit_time=1e-3, order=9, seed=n) for n, axis in enumerate(machine.axes))

@@ -29,8 +29,8 @@ from ambrose.stages.commissioning import coded, commission
 from ambrose.stages.plants import full_plants
 from ambrose.stages.proof import verification
 from ambrose.stages.trials import simulations
-from ambrose.synthesis import pid
 from ambrose.synthesis.controller_file import read_controller
+from ambrose.synthesis.pid import pid_synthesis
 
 LABELS = ("nominal pressure", "zero pressure")
 
@@ -55,7 +55,7 @@ def plants(machine):
 
 @pytest.fixture(scope="module")
 def reference(plants):
-    return pid.synthesize(plants[0])
+    return pid_synthesis(plants[0])
 
 
 @pytest.fixture(scope="module")

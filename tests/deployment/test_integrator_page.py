@@ -16,10 +16,10 @@ from ambrose.deployment.discretisation.fixed import deploy
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulation.control_program import ControlProgram
-from ambrose.synthesis import pid
 from ambrose.synthesis.controller_file import write_controller
 from ambrose.synthesis.design import design
 from ambrose.synthesis.loop_delay import loop_delay
+from ambrose.synthesis.pid import pid_synthesis
 
 PAGE = (Path(__file__).parents[2] / "docs" / "integrator.md").read_text()
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]
@@ -32,7 +32,7 @@ def block(kind, word):
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
 def test_the_interrupt_compiles_as_printed(tmp_path):
     plant = assemble(load_machine("seal-rig"))
-    deployment = deploy(pid.synthesize(plant), 1e-4, 1e-4, plants=[], force=True)
+    deployment = deploy(pid_synthesis(plant), 1e-4, 1e-4, plants=[], force=True)
     for name, text in generate(control_block(deployment, "seal_rig", 0.5e-3, 4.0)).items():
         (tmp_path / name).write_text(text)
     (tmp_path / "main.c").write_text(block("c", '"seal_rig.h"'))

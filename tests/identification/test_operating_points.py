@@ -19,7 +19,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 DT, NOMINAL = 1e-4, 2.04e5
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -30,7 +30,7 @@ ENTRIES = tuple(f"seal.center.{name}" for name in ("K_xx", "K_yy", "k_xy", "k_yx
 @cache
 def rig():
     machine = load_machine("seal-rig")
-    return machine, pid.synthesize(free_mode_reduction(assemble(machine), 0)).controller
+    return machine, pid_synthesis(free_mode_reduction(assemble(machine), 0)).controller
 
 
 def plant_at(pressure, bias=None):

@@ -19,11 +19,11 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
-from ambrose.synthesis import pid
 from ambrose.synthesis.design import design, design_tolerances
-from ambrose.synthesis.fixed_order import polish
+from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.loop_delay import late, loop_delay
 from ambrose.synthesis.order_selection import lower, sampled_sensitivity
+from ambrose.synthesis.pid import pid_synthesis
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.verification import nominal
 
@@ -58,7 +58,7 @@ def mu(deployment):
 @pytest.fixture(scope="module")
 def reference(plants):
     """P5's PID as C code; its loop is unstable at twice nominal pressure, so it is deployed all the same."""
-    deployment = deploy(pid.synthesize(plants["nominal pressure"]), SAMPLE, SAMPLE, plants=[], force=True)
+    deployment = deploy(pid_synthesis(plants["nominal pressure"]), SAMPLE, SAMPLE, plants=[], force=True)
     return CompiledBlock(control_block(deployment, "pid", *limits(RIG)))
 
 
@@ -126,7 +126,7 @@ def test_half_the_states_suffice_at_a_loss_of_five_per_cent(plants, synthesis, p
 def test_ten_states_polished_meet_every_requirement_that_28_miss(plants, synthesis, deployment, problem):
     """sigma_max(S_o) below 3 in the sampled loop: polishing knows that the parameter is real, D-K iteration does not."""
     assert unmet(deployment)  # 3.32 at zero pressure
-    lowest = polish.synthesize(problem, synthesis.controller, order=10, rounds=1).controller
+    lowest = polish_synthesis(problem, synthesis.controller, order=10, rounds=1).controller
     found = deploy(lowest, SAMPLE, SAMPLE, plants=[plants[label] for label in PRESSURES])
     assert lowest.n_states == 10
     assert unmet(found) == () and found.problems == ()

@@ -23,7 +23,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 pytestmark = pytest.mark.literature
 B_Y = "bearing.B.negative_stiffness.eta"  # the bearing's y axis: its angle is zero
@@ -118,7 +118,7 @@ def test_P1_1_bending_modes_that_it_takes_to_follow_to_the_printed_frequency():
 
 
 def pid_factors():
-    K = pid.controller(machine().controller, machine())
+    K = pid_controller(machine().controller, machine())
     K = StateSpace(K.A, -K.B, K.C, -K.D, Y, U)
     return coprime_factors(nominal(), K, None, injection_gain(K.A, K.C, None, 10.0)[0])
 
@@ -204,7 +204,7 @@ def test_P1_3_the_observer_decides_what_the_experiment_is_worth():
 def test_bending_modes_left_out_bias_the_residual_less_than_the_whole_loop():
     """The 320-state machine under its PID, 40 kHz, 0.5 s, without noise; identified with 8 and with 16 rotor states."""
     dt, samples = 2.5e-5, 20000
-    law = c2d(pid.controller(machine().controller, machine()), dt, "tustin")
+    law = c2d(pid_controller(machine().controller, machine()), dt, "tustin")
     plant = perturbed(plants()[0], {B_Y: -THETA}, [Tolerance(B_Y, relative=1.0)])
     e = np.repeat(binary(samples // 40, 0.3), 40, axis=1)
     names = [f"e_{a}" for a in AXES]

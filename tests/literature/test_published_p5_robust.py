@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ambrose.plant.published import published_p5, published_p5_data, published_p5_pid
-from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.pid import axes_controller
 from ambrose.synthesis.problem import published_p5_problem, published_p5_weights
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
@@ -19,7 +19,7 @@ PID = axes_controller(published_p5_pid(), AXES)
 
 @pytest.fixture(scope="module")
 def synthesis():
-    return hinf.synthesize(published_p5_problem(uncertain=False))
+    return hinf_synthesis(published_p5_problem(uncertain=False))
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_tuning_finds_the_published_weight():
     from ambrose.synthesis.weights import scale_control
 
     found = tune_control_weight(
-        published_p5(), scale_control(published_p5_weights(), 0.1), PID, hinf.synthesize, uncertain=False, tolerance=0.005
+        published_p5(), scale_control(published_p5_weights(), 0.1), PID, hinf_synthesis, uncertain=False, tolerance=0.005
     )
     assert found.converged
     assert found.weights.control.D[0, 0] == pytest.approx(0.315, rel=0.05)

@@ -16,9 +16,9 @@ from ambrose.plant.reduce import reduce
 from ambrose.simulation import linear
 from ambrose.simulation.scenario import load_scenario
 from ambrose.simulation.trace import settling
-from ambrose.synthesis import pid
 from ambrose.synthesis.design import design
-from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.pid import pid_controller
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 from ambrose.synthesis.weights import machine_weights, scale_control
@@ -33,7 +33,7 @@ def rig():
     """Plants, controller and checks at nominal, zero and twice nominal pressure."""
     machine = load_machine("seal-rig")
     plants = {point.label: assemble(machine, point) for point in machine.operation.points}
-    controller = pid.controller(machine.controller, machine)
+    controller = pid_controller(machine.controller, machine)
     return plants, controller, {label: nominal.check(plant, controller) for label, plant in plants.items()}
 
 
@@ -213,7 +213,7 @@ def test_P5_11_more_gain_more_robustness(rig):
     weights = machine_weights(small.machine)
 
     def h_infinity(factor):
-        return hinf.synthesize(design_plant(small, scale_control(weights, factor), uncertain=False)).controller
+        return hinf_synthesis(design_plant(small, scale_control(weights, factor), uncertain=False)).controller
 
     def stiffer(factor):
         return StateSpace(reference.A, reference.B, reference.C * factor, reference.D * factor)

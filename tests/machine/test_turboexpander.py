@@ -9,7 +9,7 @@ from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 MACHINE = load_machine("turboexpander")
 PISTON_DIAMETER, PISTON_LENGTH = 0.11474, 0.0857  # P3, fig. 2
@@ -80,7 +80,7 @@ class TestChosen:
     @pytest.mark.parametrize("point", MACHINE.operation.points, ids=lambda point: point.label)
     def test_the_pid_stabilises_the_full_rotor(self, point):
         plant = assemble(MACHINE, point)
-        poles = np.linalg.eigvals(closed_loop(plant, pid.controller(MACHINE.controller, MACHINE)).A)
+        poles = np.linalg.eigvals(closed_loop(plant, pid_controller(MACHINE.controller, MACHINE)).A)
         assert poles.real.max() < -20
 
 

@@ -22,7 +22,7 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import linear
 from ambrose.simulation.scenario import Pulse, Scenario, Sine, Unbalance, bundled_scenarios, load_scenario
 from ambrose.simulation.trace import Trace, peaks, settling
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 M, KI, W, ZETA = 17.0, 150.0, 250.0, 0.08
@@ -291,7 +291,7 @@ def test_a_sampled_loop_keeps_its_rate():
 @cache
 def seal_rig(pressure, scenario) -> Trace:
     machine, point = load_machine("seal-rig"), OperatingPoint(seal_pressure=pressure)
-    loop = closed_loop(assemble(machine, point), pid.controller(machine.controller, machine))
+    loop = closed_loop(assemble(machine, point), pid_controller(machine.controller, machine))
     gap = machine.bearings[0].touchdown_gap
     return linear.run(loop, load_scenario(scenario), machine=machine.name, point=point, displacement_limit=gap)
 
@@ -309,7 +309,7 @@ def test_seal_rig_with_the_reference_controller(scenario):
 def test_seal_rig_equals_stepping_its_336_states():
     trace = seal_rig(0.0, "force-impulse")
     machine = load_machine("seal-rig")
-    loop = closed_loop(assemble(machine, OperatingPoint()), pid.controller(machine.controller, machine))
+    loop = closed_loop(assemble(machine, OperatingPoint()), pid_controller(machine.controller, machine))
     held = c2d(select(loop, "f_A_zeta", "y_A_zeta"), 1e-4)
     x, y = np.zeros(held.n_states), []
     for force in trace.record["f_A_zeta"]:
@@ -320,7 +320,7 @@ def test_seal_rig_equals_stepping_its_336_states():
 
 def test_seal_rig_run_up_is_affine_in_speed():
     machine = load_machine("seal-rig")
-    K = pid.controller(machine.controller, machine)
+    K = pid_controller(machine.controller, machine)
 
     def loop_at(speed):
         return closed_loop(free_mode_reduction(assemble(machine, OperatingPoint(speed=speed)), 2), K)

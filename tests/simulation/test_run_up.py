@@ -20,7 +20,7 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation.run_up import loops_over_speed, spin_up, steps
 from ambrose.simulation.scenario import Pulse, Scenario
 from ambrose.simulation.trace import Trace
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 RUN_UP = Scenario(
     name="short", duration=0.2, speed=400.0, to_speed=900.0,
@@ -37,7 +37,7 @@ def plant():
 
 @pytest.fixture(scope="module")
 def controller(plant):
-    return pid.synthesize(plant).controller
+    return pid_synthesis(plant).controller
 
 
 def test_between_its_points_the_loop_is_that_of_the_plant_assembled_there(plant, controller):

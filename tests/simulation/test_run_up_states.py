@@ -32,7 +32,7 @@ from ambrose.simulation import linear
 from ambrose.simulation.run_up import spin_up
 from ambrose.simulation.scenario import Pulse, Scenario, Unbalance
 from ambrose.stages.trials import simulation
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 LOW, HIGH, KNOT = 60.0, 2800.0, 1500.0  # rad/s; of the table
 RUN_UP = Scenario("run-up", 0.1, unbalances=(Unbalance("piston", 1e-4),), speed=LOW, to_speed=HIGH)
@@ -58,7 +58,7 @@ def machine(kind: str) -> Machine:
 
 @cache
 def controller(kind: str):
-    return pid.controller(machine(kind).controller, machine(kind))
+    return pid_controller(machine(kind).controller, machine(kind))
 
 
 def at(kind: str, speed: float) -> Plant:

@@ -11,11 +11,11 @@ from ambrose.machine.description import OperatingPoint, Runout
 from ambrose.machine.record.record import read_record
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Failure, PressureChange, Pulse, Scenario, load_scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
 WEIGHTLESS = replace(RIG, gravity_direction=None)
-PID = pid.controller(RIG.controller, RIG)
+PID = pid_controller(RIG.controller, RIG)
 POINTS = {point.label: point for point in RIG.operation.points}
 
 
@@ -135,7 +135,7 @@ def test_switch_between_controllers_is_bumpless():
     same = virtual_rig.run(RIG, PID, steady, second=PID).record
     assert np.abs(same.values - plain.values).max() < 1e-6
     quiet = replace(steady, pulses=())
-    other = pid.controller(replace(RIG.controller, gain=(23000.0,), integral_time=0.1, derivative_time=4e-3), RIG)
+    other = pid_controller(replace(RIG.controller, gain=(23000.0,), integral_time=0.1, derivative_time=4e-3), RIG)
     trace = virtual_rig.run(RIG, PID, quiet, second=other)
     assert trace.outcome == "completed"
     assert np.abs(trace.record.select([f"y_{a}" for a in RIG.axes]).values).max() < 1e-9

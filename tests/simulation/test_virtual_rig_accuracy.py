@@ -18,11 +18,11 @@ from ambrose.simulation.rig.equilibrium import standing
 from ambrose.simulation.rig.inputs import plan, stretch
 from ambrose.simulation.rig.state import build, compiled
 from ambrose.simulation.scenario import Prbs, Pulse, Scenario, Unbalance, load_scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
 WEIGHTLESS = replace(RIG, gravity_direction=None)
-PID = pid.controller(RIG.controller, RIG)
+PID = pid_controller(RIG.controller, RIG)
 EXPANDER = load_machine("turboexpander")
 
 
@@ -57,7 +57,7 @@ def test_energy_without_damping_is_kept():
     rig = build(machine, OperatingPoint(speed=500.0))
     k, p = rig.constants, rig.modes
     task = plan(rig, Scenario("x", 0.5, sample_time=1e-4), 1e-4, 0)
-    law = deployed(pid.controller(PidSettings(gain=(0.0,)), RIG), RIG, 1e-4, 0.0, 1)
+    law = deployed(pid_controller(PidSettings(gain=(0.0,)), RIG), RIG, 1e-4, 0.0, 1)
 
     def energy(z):
         q, v = z[: 2 * p].reshape(p, 2), z[2 * p : 4 * p].reshape(p, 2)
@@ -104,7 +104,7 @@ def test_small_motion_is_that_of_the_linear_simulation(case, drive):
     """The linear loop with the same sampled, delayed controller: equal to 1e-6 for small amplitudes."""
     machine, point, modes = CASES[case]
     point = machine.operation.nominal if point is None else point
-    K = pid.controller(machine.controller, machine)
+    K = pid_controller(machine.controller, machine)
     amplitude = 1e-4 if drive.startswith("e") else 1e-2
     scenario = Scenario("x", 0.05, pulses=(Pulse(drive, amplitude, 2e-3, 5e-3),))
     step = 5e-6 if modes == 1 else 2.5e-6
@@ -147,7 +147,7 @@ def test_magnet_coefficients_from_loads_and_displacements(bias):
     point = OperatingPoint(bias_current=bias)
     known = [magnet.linearised(b, bias) for b in RIG.bearings]
     gain = tuple(2 * k_s / k_i for c in known for k_i, k_s in zip(c.force_per_current, c.negative_stiffness, strict=True))
-    K = pid.controller(PidSettings(gain, integral_time=0.05, derivative_time=1e-3), bare)
+    K = pid_controller(PidSettings(gain, integral_time=0.05, derivative_time=1e-3), bare)
     load, shift = 20.0, 2e-6
     loaded = virtual_rig.run(bare, K, Scenario("load", 2.0, pulses=(Pulse("f_A_zeta", load, 0.0),)), point=point)
     moved = Scenario("move", 2.0, pulses=(Pulse("r_A_zeta", shift, 0.0), Pulse("r_B_zeta", shift, 0.0)))

@@ -19,7 +19,7 @@ from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.loop import named_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.stages.commissioning import identified
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
 
@@ -29,7 +29,7 @@ def test_a_fit_that_does_not_converge_ends_the_commissioning(tmp_path, monkeypat
     machine = replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft))
     bearings = tuple(replace(b, negative_stiffness=tuple(1.1 * k for k in b.negative_stiffness)) for b in machine.bearings)
     plant = free_mode_reduction(assemble(replace(machine, bearings=bearings)), 1)
-    controller = pid.controller(machine.controller, machine)
+    controller = pid_controller(machine.controller, machine)
     loop = loop_of(plant, c2d(named_controller(plant, controller), DT, "tustin", delay=DT))
     e = np.stack([0.1 * excitation.prbs(9, 10, 6000, shift=127 * i) for i in range(4)])
     names = [[f"{kind}_{axis}" for axis in plant.axes] for kind in "yue"]

@@ -9,7 +9,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.loop_delay import late, loop_delay
 from ambrose.synthesis.order_selection import lower, sampled_sensitivity
 from ambrose.synthesis.problem import design_plant, open_model
@@ -27,7 +27,7 @@ def task():
         design_plant(late(open_model(reduce(plant), None, flag), loop_delay(SAMPLE)), weights, uncertain=flag)
         for flag in (True, False)
     )
-    return problem, hinf.synthesize(nominal).controller, sampled_sensitivity(reduce(plant, 1), SAMPLE)
+    return problem, hinf_synthesis(nominal).controller, sampled_sensitivity(reduce(plant, 1), SAMPLE)
 
 
 def test_reduction_stays_within_the_stated_loss(task):

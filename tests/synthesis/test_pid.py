@@ -23,8 +23,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis import pid
 from ambrose.synthesis.filters import lead, low_pass, notch
+from ambrose.synthesis.pid import channel, discrete, pid_controller, pid_synthesis, tilt_translate
 from eigenvalue_margins import loop_margins, opened
 
 OMEGA = np.geomspace(1e-2, 1e5, 60)
@@ -132,7 +132,7 @@ KINDS = {
 @pytest.mark.parametrize("name", KINDS)
 def test_frequency_response_is_the_formula(name):
     settings, item = KINDS[name], machine()
-    response = frequency_response(pid.controller(settings, item), OMEGA)
+    response = frequency_response(pid_controller(settings, item), OMEGA)
     gains = np.broadcast_to(settings.gain, 4)
     wanted = formula(settings, 1j * OMEGA)[:, None, None] * np.diag(gains)
     # relative to the gain: a notch with zero_damping 0 is exactly blocked, so relative to the value would say nothing
@@ -142,15 +142,15 @@ def test_frequency_response_is_the_formula(name):
 
 
 def test_frequency_response_is_relatively_exact_too():
-    values = frequency_response(pid.channel(KINDS["all"]), OMEGA).values[:, 0, 0]
+    values = frequency_response(channel(KINDS["all"]), OMEGA).values[:, 0, 0]
     np.testing.assert_allclose(values, formula(KINDS["all"], 1j * OMEGA), rtol=1e-9)
 
 
 def test_order_has_no_superfluous_states():
-    assert pid.controller(KINDS["pid"], machine()).n_states == 8
-    assert pid.controller(KINDS["pd"], machine()).n_states == 4
-    assert pid.controller(KINDS["proportional"], machine()).n_states == 0
-    assert pid.channel(KINDS["all"]).n_states == 2 + 4 + 1 + 2
+    assert pid_controller(KINDS["pid"], machine()).n_states == 8
+    assert pid_controller(KINDS["pd"], machine()).n_states == 4
+    assert pid_controller(KINDS["proportional"], machine()).n_states == 0
+    assert channel(KINDS["all"]).n_states == 2 + 4 + 1 + 2
 
 
 def test_notch_depth_width_and_far_gain():
@@ -173,13 +173,13 @@ def test_low_pass_and_lead_at_their_corners():
 
 def test_positive_gain_pulls_the_rotor_back():
     item = machine()
-    closed = feedback(series(pid.controller(PLAIN, item), rigid_rotor(item)), StateSpace([], [], [], np.eye(4)))
+    closed = feedback(series(pid_controller(PLAIN, item), rigid_rotor(item)), StateSpace([], [], [], np.eye(4)))
     assert np.linalg.eigvals(closed.A).real.max() < 0
     # static stiffness per axis: k_i K_p - k_s; just above the limit the rigid rotor is held, just below it falls
     for factor, held in ((1.02, True), (0.98, False)):
         damped = PidSettings(gain=(factor * K_S / K_I,), derivative_time=3.5e-3)
         item = machine(sensors=(0.2, 0.66))
-        loop = series(pid.controller(damped, item), rigid_rotor(item))
+        loop = series(pid_controller(damped, item), rigid_rotor(item))
         poles = np.linalg.eigvals(loop.A - loop.B @ loop.C)
         assert (poles.real.max() < 0) == held
 
@@ -187,9 +187,9 @@ def test_positive_gain_pulls_the_rotor_back():
 @pytest.mark.parametrize("tilted", [None, 0.3], ids=["same angle", "other angle at B"])
 def test_tilt_translate_is_decentralised_control_for_collocated_sensors(tilted):
     item = machine(sensors=(0.2, 0.66), tilted=tilted)
-    np.testing.assert_allclose(pid.tilt_translate(item, 1.0), np.eye(4), atol=1e-14)
+    np.testing.assert_allclose(tilt_translate(item, 1.0), np.eye(4), atol=1e-14)
     settings = PidSettings(gain=(1e4, 2e4, 3e4, 4e4), derivative_time=2e-3, coordinates="tilt-translate")
-    both = [frequency_response(pid.controller(s, item), OMEGA).values for s in (settings, PidSettings(
+    both = [frequency_response(pid_controller(s, item), OMEGA).values for s in (settings, PidSettings(
         gain=settings.gain, derivative_time=2e-3))]  # fmt: skip
     np.testing.assert_allclose(both[0], both[1], atol=1e-9 * np.abs(both[1]).max())
 
@@ -205,7 +205,7 @@ def test_tilt_translate_decouples_a_symmetric_rigid_rotor_exactly(sensors, tilt_
     rotor = rigid_rotor(item)
     # from rigid coordinates (x, y, tilt x, tilt y) through sensors, controller and magnets back to force and moment
     weights = np.diag([MASS, MASS, INERTIA, INERTIA])
-    K = frequency_response(pid.controller(settings, item), OMEGA).values
+    K = frequency_response(pid_controller(settings, item), OMEGA).values
     action = weights @ rotor.B[4:] @ K @ rotor.C[:, :4]
     half = 0.23
     wanted = np.diag([2.0, 2.0, 2 * tilt_gain * half**2, 2 * tilt_gain * half**2]) * K_I * 18e3
@@ -218,7 +218,7 @@ def test_tilt_gain_moves_the_conical_poles_only():
 
     def poles(tilt_gain: float) -> np.ndarray:
         settings = PidSettings(gain=(18e3,), derivative_time=3.5e-3, coordinates="tilt-translate", tilt_gain=tilt_gain)
-        loop = series(pid.controller(settings, item), rigid_rotor(item))
+        loop = series(pid_controller(settings, item), rigid_rotor(item))
         return np.linalg.eigvals(loop.A - loop.B @ loop.C)
 
     # parallel mode: m s^2 = 2 k_s - 2 k_i K(s), K = K_p (1 + T_d s/(eps T_d s + 1))
@@ -234,7 +234,7 @@ def test_tilt_gain_moves_the_conical_poles_only():
 @pytest.mark.parametrize("delay", [0.0, 1e-4, 3e-4])
 def test_discrete_is_tustin_with_whole_samples_of_delay(delay):
     dt = 1e-4
-    sampled = pid.discrete(pid.controller(KINDS["all"], machine()), dt, delay)
+    sampled = discrete(pid_controller(KINDS["all"], machine()), dt, delay)
     assert sampled.dt == dt
     omega = np.geomspace(1.0, 0.98 * np.pi / dt, 40)
     z = np.exp(1j * omega * dt)
@@ -246,13 +246,13 @@ def test_discrete_is_tustin_with_whole_samples_of_delay(delay):
 
 def test_a_fractional_delay_is_refused():
     with pytest.raises(InvalidInput, match="whole number of samples"):
-        pid.discrete(pid.controller(PLAIN, machine()), 1e-4, 1.5e-4)
+        discrete(pid_controller(PLAIN, machine()), 1e-4, 1.5e-4)
 
 
 class TestSynthesize:
     def test_a_loop_that_holds_is_verified(self):
         plant = rig()
-        result = pid.synthesize(plant)
+        result = pid_synthesis(plant)
         assert (result.method, result.status) == ("pid", "verified")
         assert np.isnan(result.gamma)
         assert result.controller.inputs == ("err_A_zeta", "err_A_eta", "err_B_zeta", "err_B_eta")
@@ -270,15 +270,15 @@ class TestSynthesize:
         """The finite-element plant, with poles to 7e5 rad/s, and the one with three bending modes; the rigid rotor promises
         four times the gain margin, for it is the first bending mode that limits it."""
         plants = assemble(levitating()), rig(3), rig()
-        full, reduced, _ = (pid.synthesize(plant).certificate.margins for plant in plants)
+        full, reduced, _ = (pid_synthesis(plant).certificate.margins for plant in plants)
         assert full == {name: pytest.approx(value, rel=1e-5) for name, value in reduced.items()}
-        controller = pid.controller(PLAIN, levitating())
+        controller = pid_controller(PLAIN, levitating())
         whole, near, rigid = (axis_margins(plant, controller) for plant in plants)
         assert rigid[0] > 4 * whole[0]
         np.testing.assert_allclose(whole, near, rtol=0.002)
 
     def test_too_little_gain_is_a_verdict_and_no_exception(self):
-        result = pid.synthesize(rig(), replace(PLAIN, gain=(5e3,)))
+        result = pid_synthesis(rig(), replace(PLAIN, gain=(5e3,)))
         assert result.status == "unstable"
         assert not result.certificate.stable
         assert result.certificate.spectral_abscissa > 0
@@ -286,11 +286,11 @@ class TestSynthesize:
     def test_a_delay_that_the_loop_does_not_bear_is_found(self):
         """The continuous controller holds; the sampled one with 3 ms of delay does not."""
         slow = replace(PLAIN, sample_time=5e-4, delay=3e-3)
-        result = pid.synthesize(rig(), slow)
+        result = pid_synthesis(rig(), slow)
         assert result.certificate.stable
         assert result.status == "unstable"
         assert result.certificate.margins["sampled_spectral_abscissa"] > 0
-        quick = pid.synthesize(rig(), replace(PLAIN, sample_time=5e-5, delay=5e-5))
+        quick = pid_synthesis(rig(), replace(PLAIN, sample_time=5e-5, delay=5e-5))
         assert quick.status == "verified"
         peaks = quick.certificate.margins
         assert peaks["sensitivity_peak"] < peaks["sampled_sensitivity_peak"] < 1.5 * peaks["sensitivity_peak"]
@@ -299,7 +299,7 @@ class TestSynthesize:
         plant = rig()
         bare = replace(plant, machine=replace(plant.machine, controller=None))
         with pytest.raises(InvalidInput, match="has no controller settings"):
-            pid.synthesize(bare)
+            pid_synthesis(bare)
 
 
 BAD = {
@@ -321,13 +321,13 @@ BAD = {
 def test_bad_settings_name_the_quantity(name):
     settings, message = BAD[name]
     with pytest.raises(InvalidInput, match=message):
-        pid.controller(settings, machine())
+        pid_controller(settings, machine())
 
 
 def test_tilt_translate_needs_two_planes():
     settings = PidSettings(gain=(1e4,), coordinates="tilt-translate")
     item = machine()
     with pytest.raises(InvalidInput, match="sensor positions"):
-        pid.controller(settings, machine(sensors=(0.4, 0.4)))
+        pid_controller(settings, machine(sensors=(0.4, 0.4)))
     with pytest.raises(InvalidInput, match="number of bearings is 1"):
-        pid.controller(settings, replace(item, bearings=item.bearings[:1], sensors=item.sensors[:1]))
+        pid_controller(settings, replace(item, bearings=item.bearings[:1], sensors=item.sensors[:1]))

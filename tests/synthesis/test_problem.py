@@ -19,7 +19,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.published import published_p5, published_p5_data, published_p5_pid
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import axes_controller, pid_controller
 from ambrose.synthesis.problem import (
     design_plant,
     machine_problem,
@@ -46,7 +46,7 @@ def plant(rig: Machine) -> Plant:
 
 @pytest.fixture(scope="module")
 def controller(rig: Machine) -> StateSpace:
-    return pid.controller(rig.controller, rig)
+    return pid_controller(rig.controller, rig)
 
 
 def values(system: StateSpace, inputs=None, outputs=None) -> np.ndarray:
@@ -83,7 +83,7 @@ def test_lower_lft_equals_the_formulas(plant, controller, weights, uncertain):
 def test_published_plant_equals_the_formulas():
     weights = published_p5_weights()
     data = published_p5_data()
-    controller = pid.axes_controller(published_p5_pid(), AXES)
+    controller = axes_controller(published_p5_pid(), AXES)
     s = 1j * OMEGA[:, None, None]
     wn, d = data["actuator"]["natural_frequency"], data["actuator"]["damping"]
     A, B, C = (np.array(data[key]) for key in "ABC")

@@ -15,8 +15,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.statespace import StateSpace
 from ambrose.plant.assemble import assemble
-from ambrose.synthesis import design, pid
-from ambrose.synthesis.mu import synthesis as mu
+from ambrose.synthesis import design
+from ambrose.synthesis.mu.synthesis import mu_synthesis
+from ambrose.synthesis.pid import pid_synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
 
@@ -77,14 +78,14 @@ def test_mu_on_a_busy_machine_returns_what_it_returns_on_an_idle_one(skipped):
     def wait(text: str) -> None:
         skipped["wall"] += 15.0
 
-    idle = mu.synthesize(problem(), iterations=1, time_limit=20.0)
-    busy = mu.synthesize(problem(), iterations=1, time_limit=20.0, progress=wait)
+    idle = mu_synthesis(problem(), iterations=1, time_limit=20.0)
+    busy = mu_synthesis(problem(), iterations=1, time_limit=20.0, progress=wait)
     assert skipped["wall"] > 20.0
     assert busy.status == idle.status == "verified"
     assert len(busy.history) == len(idle.history) == 2
     np.testing.assert_array_equal(busy.controller.A, idle.controller.A)
     skipped["wall"] = 0.0
-    late = mu.synthesize(problem(), iterations=4, time_limit=5.0, progress=wait)  # the outer guard, at 25 s
+    late = mu_synthesis(problem(), iterations=4, time_limit=5.0, progress=wait)  # the outer guard, at 25 s
     assert "5 times the time limit of 5 s passed" in late.stopped_early and late.status == "verified"
 
 
@@ -93,7 +94,7 @@ def stopped(result):
 
 
 def test_the_title_of_ambrose_synthesize_says_it_and_the_exit_status_stays(monkeypatch, tmp_path):
-    monkeypatch.setattr(design, "design", lambda plant, method, **_: stopped(replace(pid.synthesize(plant), method=method)))
+    monkeypatch.setattr(design, "design", lambda plant, method, **_: stopped(replace(pid_synthesis(plant), method=method)))
     done = CliRunner().invoke(main, ["synthesize", "seal-rig", "--method", "mu", "-o", str(tmp_path / "c.json")])
     assert done.exit_code == 0, done.stderr
     title = done.stdout.split("┏")[0]
@@ -103,9 +104,9 @@ def test_the_title_of_ambrose_synthesize_says_it_and_the_exit_status_stays(monke
 def test_a_polished_controller_says_how_its_start_ended(monkeypatch):
     """Polishing hid it: only its own status was left."""
     plant = assemble(load_machine("seal-rig"))
-    held = pid.synthesize(plant)
-    monkeypatch.setattr(design.mu, "synthesize", lambda model, **_: stopped(held))
-    monkeypatch.setattr(design.polish, "synthesize", lambda model, start, **_: held)
+    held = pid_synthesis(plant)
+    monkeypatch.setattr(design, "mu_synthesis", lambda model, **_: stopped(held))
+    monkeypatch.setattr(design, "polish_synthesis", lambda model, start, **_: held)
     found = design.design(plant, "polish", match_reference=False)
     assert found.status == "verified"
     assert found.stopped_early.startswith("its start, by mu: after iteration 1, the time limit")

@@ -23,7 +23,7 @@ from ambrose.machine.description import (
 )
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 PID = PidSettings(gain=(18250.0,), integral_time=0.2, derivative_time=3.5e-3, derivative_filter=0.1)
@@ -74,7 +74,7 @@ def rig_plants(rig: Machine) -> dict[str, Plant]:
 
 @pytest.fixture(scope="session")
 def rig_controller(rig: Machine) -> StateSpace:
-    return pid.controller(PID, rig)
+    return pid_controller(PID, rig)
 
 
 def make_single_masses(mass=2.0, k_i=100.0, k_s=2e5, damping=0.0, requirements=None) -> Plant:

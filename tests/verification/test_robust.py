@@ -19,7 +19,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.published import published_p5
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.problem import design_plant, published_p5_problem, published_p5_weights
 from ambrose.synthesis.weights import Weights, control_weight, performance_weight
 from ambrose.verification import robust
@@ -39,7 +39,7 @@ def rigid(rig_plants) -> Plant:
 @pytest.fixture(scope="module")
 def robust_controller(rigid) -> StateSpace:
     """An H-infinity controller of the nominal plant: it holds the whole range of the seal's stiffness."""
-    return hinf.synthesize(design_plant(rigid, WEIGHTS, uncertain=False)).controller
+    return hinf_synthesis(design_plant(rigid, WEIGHTS, uncertain=False)).controller
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def closed_by(problem: GeneralizedPlant, controller: StateSpace, delta: float) -
 
 
 def test_generalized_plant_is_taken_as_it_is():
-    controller = hinf.synthesize(published_p5_problem(uncertain=False)).controller
+    controller = hinf_synthesis(published_p5_problem(uncertain=False)).controller
     found = robust.check(published_p5(), controller, weights=published_p5_weights())
     assert found.stable and found["robust.stability.box"].value == 0
     assert found["robust.sensitivity.worst"].limit is None

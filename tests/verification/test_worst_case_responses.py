@@ -16,13 +16,13 @@ from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import linear
 from ambrose.simulation.scenario import Pulse, Scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 from ambrose.verification.unbalance import residual_unbalance
 from ambrose.verification.worst_case_responses import loop_over_box, pulse_family, unbalance_over_box
 
 MACHINE = load_machine("turboexpander")
 PLANT = reduce(assemble(MACHINE, MACHINE.operation.points[4]), 1)
-PID = pid.controller(MACHINE.controller, MACHINE)
+PID = pid_controller(MACHINE.controller, MACHINE)
 NAMES = [tolerance.parameter for tolerance in MACHINE.tolerances]
 OUTPUTS = ["q_A_zeta", "y_A_eta", "i_B_zeta"]
 
@@ -45,7 +45,7 @@ def test_every_member_is_the_loop_closed_around_the_perturbed_plant():
 
 def test_unstable_members_are_told_apart():
     """A derivative part too weak for the box: the family holds both kinds, as the eigenvalues say."""
-    weak = pid.controller(replace(MACHINE.controller, derivative_time=0.35e-3, integral_time=None), MACHINE)
+    weak = pid_controller(replace(MACHINE.controller, derivative_time=0.35e-3, integral_time=None), MACHINE)
     delta = np.array(np.meshgrid(*[[-1.0, 1.0]] * 2)).reshape(2, -1).T @ np.kron(np.eye(2), np.ones((1, 4)))
     family = pulse_family(PLANT, weak, "A_zeta", 1.0, 2e-3, OUTPUTS, 4 * delta, duration=0.01)
     truth = []

@@ -12,13 +12,13 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.description import Machine, Tolerance
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis import pid
 from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.fixed_order import polish
-from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.fixed_order.polish import polish_synthesis
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.loop_delay import late
 from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
-from ambrose.synthesis.mu import synthesis as mu
+from ambrose.synthesis.mu.synthesis import mu_synthesis
+from ambrose.synthesis.pid import pid_controller, pid_synthesis
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.result import Status, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
@@ -79,7 +79,7 @@ def design(
     if speeds is not None and method != "lpv":
         raise invalid("speeds", speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
     if method == "pid":
-        return pid.synthesize(plant)
+        return pid_synthesis(plant)
     if method == "lpv":
         if delay:
             raise invalid("delay", delay, "0 for method 'lpv'", "choose another method, or sample it much faster")
@@ -90,11 +90,11 @@ def design(
     small = reduce(plant, bending_modes)
     wide = design_tolerances(machine) if uncertain else None
     model = late(open_model(small, wide, uncertain), delay)
-    synthesize = hinf.synthesize if method == "hinf" else lambda problem: mu.synthesize(problem, order=SCALING_ORDER)
+    synthesize = hinf_synthesis if method == "hinf" else lambda problem: mu_synthesis(problem, order=SCALING_ORDER)
     if match_reference is None:
         constant = machine.weights is not None and machine.weights.control_crossover is None
         match_reference = machine.controller is not None and constant
-    reference = None if machine.controller is None else pid.controller(machine.controller, machine)
+    reference = None if machine.controller is None else pid_controller(machine.controller, machine)
     extra: dict[str, float] = {}
     if wide is not None and len(wide) < len(machine.tolerances):
         names = ", ".join(item.parameter for item in wide)
@@ -112,7 +112,7 @@ def design(
         rounds = POLISH_ROUNDS if judge is None else JUDGED_ROUNDS
         start = result
         lower = (start.controller.n_states - (len(machine.axes) if delay else 0)) // 2 if order is None else order
-        result = polish.synthesize(
+        result = polish_synthesis(
             design_plant(model, weights), start.controller, order=lower, rounds=rounds, judge=judge, progress=progress
         )
         early = [result.stopped_early, start.stopped_early and f"its start, by mu: {start.stopped_early}"]

@@ -21,7 +21,7 @@ from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.certificate import certify, generalized_certificate
 from ambrose.synthesis.design import JUDGED_ROUNDS, design_tolerances, on_full_plant
-from ambrose.synthesis.fixed_order import polish
+from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
 from ambrose.synthesis.loop_delay import late, loop_delay
 from ambrose.synthesis.problem import design_plant, open_model
@@ -87,7 +87,7 @@ def lower(
     while polishing and best.n_states > 2:
         order = best.n_states - 2
         try:
-            candidate = polish.synthesize(problem, controller, order=order, rounds=rounds, judge=measure).controller
+            candidate = polish_synthesis(problem, controller, order=order, rounds=rounds, judge=measure).controller
         except NumericalFailure as error:
             progress(f"order {order}, polished: {error}")
             tried.append((order, "polished", float("inf")))

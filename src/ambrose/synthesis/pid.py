@@ -23,7 +23,7 @@ from ambrose.synthesis.result import Status, Synthesis
 COORDINATES = ("axes", "tilt-translate")
 
 
-def synthesize(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
+def pid_synthesis(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
     """The PID controller of the settings (None: of the plant's machine), certified on the plant.
 
     The controller returned is continuous. Where the settings give a sample_time, the sampled and delayed one is certified
@@ -35,7 +35,7 @@ def synthesize(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
         raise InvalidInput(
             f"machine {plant.machine.name!r} has no controller settings; add a [controller] table or pass PidSettings"
         )
-    design = controller(settings, plant.machine)
+    design = pid_controller(settings, plant.machine)
     certificate = certify(plant, design)
     stable = certificate.stable
     if settings.sample_time is not None:
@@ -46,7 +46,7 @@ def synthesize(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
     return Synthesis(design, "pid", float("nan"), Status.VERIFIED if stable else Status.UNSTABLE, certificate)
 
 
-def controller(settings: PidSettings, machine: Machine) -> StateSpace:
+def pid_controller(settings: PidSettings, machine: Machine) -> StateSpace:
     """The continuous controller: inputs err_<axis> [m], outputs u_<axis> [A], axes in the machine's order.
 
     Coordinates "axes" treat every axis alone; "tilt-translate" splits the displacements into those of the parallel and of the

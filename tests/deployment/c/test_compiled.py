@@ -16,7 +16,7 @@ from ambrose.deployment.pipeline import limits
 from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 from ambrose.verification import nominal
 
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
@@ -29,7 +29,7 @@ def rig():
     machine = load_machine("seal-rig")
     zero = next(point for point in machine.operation.points if point.seal_pressure == 0)
     plant = assemble(machine, zero)
-    deployment = deploy(pid.synthesize(plant), SAMPLE, SAMPLE, plants=[], force=True)
+    deployment = deploy(pid_synthesis(plant), SAMPLE, SAMPLE, plants=[], force=True)
     errors, currents = limits(machine)
     return machine, plant, control_block(deployment, "pid", errors, currents)
 

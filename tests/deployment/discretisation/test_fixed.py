@@ -11,7 +11,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.design import design
-from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Certificate, Synthesis
 
@@ -32,7 +32,7 @@ def pid(plants):
 @pytest.fixture(scope="module")
 def robust(plants):
     """An H-infinity controller: stable from zero to twice the nominal pressure."""
-    return hinf.synthesize(design_plant(reduce(assemble(load_machine("seal-rig")), 0), uncertain=False))
+    return hinf_synthesis(design_plant(reduce(assemble(load_machine("seal-rig")), 0), uncertain=False))
 
 
 def test_a_controller_that_holds_everywhere_is_verified(plants, robust):

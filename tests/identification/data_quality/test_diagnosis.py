@@ -30,7 +30,7 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.report.identification.page import identification_report
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Pulse, Scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 DT, K, LIMIT = 1e-4, 12000, 0.5
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -46,7 +46,7 @@ def setting():
     machine = load_machine("seal-rig")
     machine = replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft))  # fast to assemble
     plant = free_mode_reduction(assemble(machine), 1)
-    controller = pid.synthesize(plant).controller
+    controller = pid_synthesis(plant).controller
     return machine, plant, controller
 
 

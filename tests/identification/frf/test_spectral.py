@@ -21,7 +21,7 @@ from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 HZ = 2 * np.pi
 DT = 1e-3
@@ -162,7 +162,7 @@ def test_two_inputs_from_two_records_or_from_two_sequences_in_one():
 def rig_loop():
     machine = load_machine("seal-rig")
     plant = free_mode_reduction(assemble(machine, OperatingPoint(seal_pressure=1e5)), 1)
-    law = c2d(pid.synthesize(plant).controller, 1e-4, "tustin", delay=1e-4)
+    law = c2d(pid_synthesis(plant).controller, 1e-4, "tustin", delay=1e-4)
     return plant, closed_loop(plant, law)
 
 

@@ -26,7 +26,7 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4
 NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
@@ -39,7 +39,7 @@ E = tuple(f"e_{a}" for a in AXES)
 def rig():
     machine = load_machine("seal-rig")
     plant = free_mode_reduction(assemble(machine), 1)
-    controller = pid.synthesize(plant).controller
+    controller = pid_synthesis(plant).controller
     return machine, plant, controller, c2d(controller, DT, "tustin", delay=DT)
 
 

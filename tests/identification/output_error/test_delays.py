@@ -21,7 +21,7 @@ from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -33,7 +33,7 @@ KNOWN = ("bearing.A.negative_stiffness.zeta", "seal.center.k", "amplifier.natura
 def rig():
     machine = load_machine("seal-rig")
     plant = free_mode_reduction(assemble(machine), 0)
-    controller = pid.synthesize(plant).controller
+    controller = pid_synthesis(plant).controller
     return machine, plant, controller, named_controller(plant, c2d(controller, DT, "tustin"))
 
 

@@ -21,7 +21,7 @@ from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 DT, P = 1e-4, 1270
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -33,7 +33,7 @@ NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "ampl
 def rig():
     machine = load_machine("seal-rig")
     plant = free_mode_reduction(assemble(machine), 0)
-    controller = pid.synthesize(plant).controller
+    controller = pid_synthesis(plant).controller
     return machine, plant, controller, nominal_values(plant, expand(machine, NINE))
 
 

@@ -25,7 +25,7 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed, uncertain
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Scenario, SteppedSine
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 HZ = 2 * np.pi
 DT = 1e-4
@@ -50,7 +50,7 @@ def true(pressure):
 
 @cache
 def law(machine):
-    return c2d(pid.controller(machine.controller, machine), DT, "tustin", delay=DT)
+    return c2d(pid_controller(machine.controller, machine), DT, "tustin", delay=DT)
 
 
 @cache
@@ -172,7 +172,7 @@ def test_steps_are_found_in_a_record_with_a_transient_and_noise():
     machine = rig()
     item = SteppedSine("e_A_zeta", 0.1, (10 * HZ, 35.5 * HZ, 90 * HZ), 0.8, 0.2)
     trace = virtual_rig.run(
-        machine, pid.controller(machine.controller, machine), Scenario("steps", 2.7, stepped_sines=(item,)),
+        machine, pid_controller(machine.controller, machine), Scenario("steps", 2.7, stepped_sines=(item,)),
         point=OperatingPoint(seal_pressure=0.5e5),
     )  # fmt: skip
     found = find_steps(trace.record)
@@ -278,7 +278,7 @@ PRESSURES = (0.5e5, 0.95e5, 1.4e5, 1.9e5)
 
 def test_impulses_pressure_by_pressure_and_their_line():
     records = [impulses(p, i) for i, p in enumerate(PRESSURES)]
-    controller = pid.controller(rig().controller, rig())
+    controller = pid_controller(rig().controller, rig())
     fit = seal_fit.from_records(rig(), records, controller, start={"seal.center.k": 1e6})
     error = np.abs(fit.values - [true(p) for p in PRESSURES]) / fit.deviations
     assert error.max() < 4
@@ -291,7 +291,7 @@ def test_impulses_pressure_by_pressure_and_their_line():
 
 
 def test_all_entries_a_row_per_record_and_fewer_coefficients():
-    controller = pid.controller(rig().controller, rig())
+    controller = pid_controller(rig().controller, rig())
     repeats = [impulses(0.95e5, seed) for seed in (11, 12)]
     fit = seal_fit.from_records(rig(), repeats, controller, together=False)
     assert len(fit) == 2

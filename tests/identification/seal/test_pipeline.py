@@ -24,7 +24,7 @@ from ambrose.physics import seal
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 DT, K = 1e-4, 8000
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -46,7 +46,7 @@ def machine():
 
 @cache
 def controller():
-    return pid.controller(machine().controller, machine())
+    return pid_controller(machine().controller, machine())
 
 
 @cache

@@ -16,7 +16,7 @@ from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Pulse, Scenario, load_scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
 BARE = replace(
@@ -240,7 +240,7 @@ def loaded(scenario, bias=None):
     gain = 1.5 * max(c.negative_stiffness[a] / c.force_per_current[a] for c in given for a in (0, 1))
     quick = Amplifier("first", bandwidth=2 * np.pi * 1000)
     machine = replace(RIG, tolerances=(), seals=BARE.seals, amplifier=quick)
-    law = pid.controller(PidSettings((gain,), 0.05, 2e-3, 0.05, notches=(Notch(2 * np.pi * 550, 0.5, 0.02),)), machine)
+    law = pid_controller(PidSettings((gain,), 0.05, 2e-3, 0.05, notches=(Notch(2 * np.pi * 550, 0.5, 0.02),)), machine)
     return machine, virtual_rig.run(machine, law, scenario, point=OperatingPoint(bias_current=bias)).record
 
 

@@ -29,7 +29,7 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Scenario
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_controller, pid_synthesis
 
 DT = 1e-4
 PATH = "bearing.B.negative_stiffness.eta"
@@ -49,7 +49,7 @@ def plant():
 
 @cache
 def controller():
-    return pid.controller(machine().controller, machine())
+    return pid_controller(machine().controller, machine())
 
 
 @cache
@@ -237,7 +237,7 @@ def test_nonlinear_rig_under_its_weight():
     rig = load_machine("seal-rig")
     rig = replace(rig, sensors=tuple(replace(sensor, noise=1e-7) for sensor in rig.sensors))
     model = free_mode_reduction(assemble(rig), 1)
-    law = pid.synthesize(model).controller
+    law = pid_synthesis(model).controller
     waves = tuple(Prbs(f"e_{axis}", amplitude=0.1, bit_time=1e-3, seed=i) for i, axis in enumerate(AXES))
     measured = virtual_rig.run(rig, law, Scenario("prbs", 2.0, sequences=waves)).record
     result = youla.identify(rig, measured, law, ["bearing.*.negative_stiffness.*"])

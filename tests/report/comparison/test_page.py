@@ -24,9 +24,9 @@ from ambrose.report.comparison.page import Candidate, comparison_report
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Cell, Report, Section, Table
 from ambrose.stages.trials import SCENARIOS, simulation
-from ambrose.synthesis import pid
-from ambrose.synthesis.hinf import synthesis as hinf
-from ambrose.synthesis.mu import synthesis as mu
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.mu.synthesis import mu_synthesis
+from ambrose.synthesis.pid import pid_synthesis
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Certificate, Synthesis
 from ambrose.verification import nominal, robust
@@ -46,9 +46,9 @@ def candidates(rig: Machine) -> list[Candidate]:
     """PID, H-infinity and mu on the reduced rig at its three pressures."""
     plants = [reduce(assemble(rig, point)) for point in rig.operation.points]
     made = {
-        "PID": pid.synthesize(plants[0]),
-        "H-infinity": hinf.synthesize(design_plant(plants[0], uncertain=False)),
-        "mu": mu.synthesize(design_plant(plants[0]), iterations=1),
+        "PID": pid_synthesis(plants[0]),
+        "H-infinity": hinf_synthesis(design_plant(plants[0], uncertain=False)),
+        "mu": mu_synthesis(design_plant(plants[0]), iterations=1),
     }
     return [
         Candidate(
@@ -200,7 +200,7 @@ def sample(name: str, **values: tuple[float, float | None]) -> Candidate:
         Check(key, key, value, "-", limit, "<=", None if limit is None else value <= limit)
         for key, (value, limit) in values.items()
     )
-    controller = pid.synthesize(reduce(assemble(load_machine("seal-rig")))).controller
+    controller = pid_synthesis(reduce(assemble(load_machine("seal-rig")))).controller
     certificate = Certificate(True, -1.0, 2.0, 100.0)
     return Candidate(name, Synthesis(controller, "pid", np.nan, "verified", certificate), (Checks("one", True, checks),))
 

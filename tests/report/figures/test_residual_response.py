@@ -16,7 +16,7 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.report.figures.residual_response import residual_figure
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 PATH = "bearing.A.negative_stiffness.zeta"
 
@@ -24,7 +24,7 @@ PATH = "bearing.A.negative_stiffness.zeta"
 def test_identified_curve_lies_in_the_measured_band():
     machine = load_machine("seal-rig")
     plant = free_mode_reduction(assemble(machine), 1)
-    controller, dt = pid.synthesize(plant).controller, 1e-4
+    controller, dt = pid_synthesis(plant).controller, 1e-4
     moved = perturbed(plant, {PATH: -1.0}, [Tolerance(PATH, relative=0.3)])
     loop = closed_loop(moved, c2d(controller, dt, "tustin", delay=dt))
     y, u, e, d = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "yued")

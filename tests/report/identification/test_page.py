@@ -30,7 +30,7 @@ from ambrose.report.identification.frequency_response import frf_figure
 from ambrose.report.identification.page import identification_report
 from ambrose.report.identification.tables import fixed, parameters_table
 from ambrose.report.page import render
-from ambrose.synthesis import pid
+from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -45,7 +45,7 @@ def names(kinds):
 def done():
     machine = load_machine("seal-rig")
     plant = free_mode_reduction(assemble(machine), 1)
-    controller = pid.synthesize(plant).controller
+    controller = pid_synthesis(plant).controller
     loop = select(
         closed_loop(plant, c2d(named_controller(plant, controller), DT, "tustin", delay=DT)), names("ed"), names("yu")
     )

@@ -12,12 +12,12 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, spectral_abscissa
-from ambrose.synthesis.fixed_order import polish
 from ambrose.synthesis.fixed_order.cost import Cost, block_form
 from ambrose.synthesis.fixed_order.descent import descend
+from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
-from ambrose.synthesis.hinf import synthesis as hinf
-from ambrose.synthesis.mu import synthesis as mu
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import published_p5_problem, with_performance_block
 
 OMEGA = np.geomspace(1e-3, 1e4, 50)
@@ -30,7 +30,7 @@ def plant() -> GeneralizedPlant:
 
 @pytest.fixture(scope="module")
 def start(plant):
-    return mu.synthesize(plant, order=1, iterations=2).controller
+    return mu_synthesis(plant, order=1, iterations=2).controller
 
 
 def at(plant: GeneralizedPlant, **delta: float) -> GeneralizedPlant:
@@ -130,7 +130,7 @@ def test_reduction_keeps_the_gain_at_zero_and_cuts_no_pair(plant, start):
 
 @pytest.fixture(scope="module")
 def polished(plant, start):
-    return polish.synthesize(plant, start, order=12, iterations=600, rounds=4)
+    return polish_synthesis(plant, start, order=12, iterations=600, rounds=4)
 
 
 def test_order_12_does_the_work_of_24(plant, start, polished):
@@ -169,8 +169,8 @@ def two_parameters() -> GeneralizedPlant:
 
 def test_two_parameters_against_the_whole_box():
     plant = two_parameters()
-    start = hinf.synthesize(at(plant)).controller
-    result = polish.synthesize(plant, start, iterations=200, rounds=3)
+    start = hinf_synthesis(at(plant)).controller
+    result = polish_synthesis(plant, start, iterations=200, rounds=3)
     grid = np.linspace(-1, 1, 9)
     norms = [hinf_norm(lft(at(plant, k=a, c=b), result.controller)).value for a in grid for b in grid]
     assert max(norms) == pytest.approx(result.gamma, rel=2e-3)
@@ -188,7 +188,7 @@ def test_a_judge_decides_between_the_rounds(plant, start):
         seen.append(controller)
         return -float(len(seen)) if len(seen) < 3 else 0.0  # the second of the start and two rounds
 
-    result = polish.synthesize(plant, start, order=14, iterations=30, rounds=2, judge=judge)
+    result = polish_synthesis(plant, start, order=14, iterations=30, rounds=2, judge=judge)
     assert len(seen) == 3
     assert result.controller is seen[1]
     assert result.certificate.stable
@@ -199,10 +199,10 @@ def test_interruption_and_time_limit(plant, start):
         if text.startswith("round 1"):
             raise KeyboardInterrupt
 
-    result = polish.synthesize(plant, start, order=14, iterations=20, rounds=2, progress=interrupt)
+    result = polish_synthesis(plant, start, order=14, iterations=20, rounds=2, progress=interrupt)
     assert (result.status, result.stopped_early) == ("verified", "interrupted")
     assert result.gamma == result.certificate.margins["reduced_norm"]
-    result = polish.synthesize(plant, start, order=14, time_limit=0.3)
+    result = polish_synthesis(plant, start, order=14, time_limit=0.3)
     assert "time limit" in result.stopped_early
     assert np.isfinite(result.gamma)
 
@@ -210,21 +210,21 @@ def test_interruption_and_time_limit(plant, start):
 def test_a_start_that_holds_nothing(plant, start):
     nothing = StateSpace(start.A, start.B, 0 * start.C, start.D * 0)
     with pytest.raises(NumericalFailure, match="stabilise"):
-        polish.synthesize(plant, nothing)
+        polish_synthesis(plant, nothing)
 
 
 def test_bad_input(plant, start):
     with pytest.raises(InvalidInput, match="real parameters"):
-        polish.synthesize(published_p5_problem(uncertain=False), start)
+        polish_synthesis(published_p5_problem(uncertain=False), start)
     whole = with_performance_block(plant)
     complex_plant = GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, [ComplexBlock("k", 2)])
     with pytest.raises(InvalidInput, match="real parameters"):
-        polish.synthesize(complex_plant, start)
+        polish_synthesis(complex_plant, start)
     with pytest.raises(InvalidInput, match="start"):
-        polish.synthesize(whole, StateSpace(-1, 1, 1, 0))
+        polish_synthesis(whole, StateSpace(-1, 1, 1, 0))
     with pytest.raises(InvalidInput, match="deltas"):
-        polish.synthesize(plant, start, deltas=(0.0, 2.0))
+        polish_synthesis(plant, start, deltas=(0.0, 2.0))
     with pytest.raises(InvalidInput, match="iterations"):
-        polish.synthesize(plant, start, iterations=0)
+        polish_synthesis(plant, start, iterations=0)
     with pytest.raises(InvalidInput, match="order"):
-        polish.synthesize(plant, start, order=30)
+        polish_synthesis(plant, start, order=30)

@@ -8,10 +8,10 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.hinf.assumptions import check_assumptions
 from ambrose.synthesis.hinf.riccati import normal_form, try_gamma
 from ambrose.synthesis.hinf.scaling import scale_plant
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import KINDS, random_plant
 
 
@@ -48,9 +48,9 @@ OSCILLATOR = [[0.0, 2.0], [-2.0, 0.0]]
 def test_unreachable_and_hidden_unstable_modes_are_named(block, text, scale):
     k = len(block)
     with pytest.raises(InvalidInput, match=rf"\(A, B2\) is not stabilisable: the mode {text} and no control u reaches it"):
-        hinf.synthesize(with_mode(block, np.zeros(k), np.ones(k), scale))
+        hinf_synthesis(with_mode(block, np.zeros(k), np.ones(k), scale))
     with pytest.raises(InvalidInput, match=rf"\(C2, A\) is not detectable: the mode {text} and no measurement y shows it"):
-        hinf.synthesize(with_mode(block, np.ones(k), np.zeros(k), scale))
+        hinf_synthesis(with_mode(block, np.ones(k), np.zeros(k), scale))
 
 
 def test_integrating_weight_is_named_with_its_remedy():
@@ -63,9 +63,9 @@ def test_integrating_weight_is_named_with_its_remedy():
     with pytest.raises(
         InvalidInput, match=r"mode s = -?0 rad/s is on the imaginary axis .* slow pole instead of an integrator"
     ):
-        hinf.synthesize(problem(0.0))
+        hinf_synthesis(problem(0.0))
     for slow in (1e-2, 1e-5, 1e-8):
-        assert hinf.synthesize(problem(slow)).status == "verified"
+        assert hinf_synthesis(problem(slow)).status == "verified"
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_rank_is_mended_and_announced(column, row, words):
     D[:-p, -1] *= not column
     D[-1, :-m] *= not row
     lines: list[str] = []
-    result = hinf.synthesize(parted(A, B, C, D, m, p), progress=lines.append)
+    result = hinf_synthesis(parted(A, B, C, D, m, p), progress=lines.append)
     epsilon = result.certificate.margins["epsilon"]
     assert 0 < epsilon <= 1e-2
     assert [note.split(" (")[0] for note in result.notes[: len(words)]] == words
@@ -98,7 +98,7 @@ def test_axis_zeros_are_found_at_their_frequency():
             "P12 has a zero on the imaginary axis, w = 2 rad/s",
             "P21 has a zero on the imaginary axis, w = 2 rad/s",
         ]
-    result = hinf.synthesize(with_mode(OSCILLATOR, [1.0, 0.5], [0.3, 1.0], 1.0))
+    result = hinf_synthesis(with_mode(OSCILLATOR, [1.0, 0.5], [0.3, 1.0], 1.0))
     assert result.status == "verified"
     assert "w = 2 rad/s" in result.notes[0]
 

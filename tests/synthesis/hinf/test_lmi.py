@@ -11,9 +11,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.semidefinite import smat, svec
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.hinf.lmi import smallest_gamma
 from ambrose.synthesis.hinf.scaling import scale_plant
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import KINDS, random_plant
 
 
@@ -35,7 +35,7 @@ def test_gamma_within_a_thousandth_or_better_than_the_inequalities(kind, seed):
     """Where the solver's gamma is the larger one, a verified controller below it shows which of the two is wrong."""
     item = plant(kind, seed)
     gamma = smallest_gamma(scale_plant(item), lambda: 60.0).gamma
-    result = hinf.synthesize(item, backoff=1.0005, tolerance=1e-5)
+    result = hinf_synthesis(item, backoff=1.0005, tolerance=1e-5)
     optimal = result.certificate.margins["gamma_optimal"]
     assert optimal <= 1.001 * gamma
     assert optimal >= 0.999 * gamma or result.gamma < gamma
@@ -45,7 +45,7 @@ def test_gamma_within_a_thousandth_or_better_than_the_inequalities(kind, seed):
 def test_controller_of_the_inequalities(kind, seed):
     """Verified like the other, at the same gamma, of the same order."""
     item = plant(kind, seed)
-    lmi, riccati = hinf.synthesize(item, method="lmi"), hinf.synthesize(item)
+    lmi, riccati = hinf_synthesis(item, method="lmi"), hinf_synthesis(item)
     assert lmi.status == "verified"
     assert lmi.notes == ()
     assert lmi.controller.n_states == item.system.n_states
@@ -58,11 +58,11 @@ def test_singular_plants(seed):
     """Regularised Riccati equations come within 1 % of the inequalities, which need no assumption; both are verified."""
     item = plant("singular", seed)
     exact = smallest_gamma(scale_plant(item), lambda: 60.0).gamma
-    riccati = hinf.synthesize(item)
+    riccati = hinf_synthesis(item)
     assert riccati.certificate.margins["gamma_optimal"] == pytest.approx(exact, rel=0.01)
     assert riccati.gamma >= exact * 0.998
     assert riccati.notes
-    lmi = hinf.synthesize(item, method="lmi")
+    lmi = hinf_synthesis(item, method="lmi")
     assert lmi.status == "verified"
     assert lmi.notes
 
@@ -70,4 +70,4 @@ def test_singular_plants(seed):
 def test_without_the_solver_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "clarabel", None)
     with pytest.raises(InvalidInput, match=r'pip install "ambrose\[lmi\]"'):
-        hinf.synthesize(plant("plain", 1), method="lmi")
+        hinf_synthesis(plant("plain", 1), method="lmi")

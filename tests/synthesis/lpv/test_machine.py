@@ -12,7 +12,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.design import METHODS, design, methods_for
-from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.lpv.machine import design_over_speed, plants_over_speed, speed_grid
 from ambrose.synthesis.problem import design_plant
 
@@ -49,8 +49,8 @@ def test_family_has_one_state_basis(plant):
 
 def test_family_holds_the_same_plant_as_the_modal_reduction(plant):
     """Galerkin and modal reduction differ by the bending modes they leave out: H-infinity values within 1 %."""
-    here = hinf.synthesize(plants_over_speed(plant)(plant.point.speed), tolerance=1e-5)
-    modal = hinf.synthesize(design_plant(reduce(plant), uncertain=False), tolerance=1e-5)
+    here = hinf_synthesis(plants_over_speed(plant)(plant.point.speed), tolerance=1e-5)
+    modal = hinf_synthesis(design_plant(reduce(plant), uncertain=False), tolerance=1e-5)
     values = [r.certificate.margins["gamma_optimal"] for r in (here, modal)]
     assert values[0] == pytest.approx(values[1], rel=1e-2)
 

@@ -13,8 +13,8 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.response import simulate_piecewise
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, spectral_abscissa
-from ambrose.synthesis.hinf import synthesis as hinf
-from ambrose.synthesis.lpv import synthesis as lpv
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 
 GRID = np.linspace(1.0, 5.0, 4)
 
@@ -31,19 +31,19 @@ def oscillator(stiffness: float, damping: float = 0.1) -> GeneralizedPlant:
 
 
 def optimum(plant: GeneralizedPlant) -> float:
-    return hinf.synthesize(plant, tolerance=1e-6).certificate.margins["gamma_optimal"]
+    return hinf_synthesis(plant, tolerance=1e-6).certificate.margins["gamma_optimal"]
 
 
 @pytest.fixture(scope="module")
 def designed():
-    return lpv.synthesize(oscillator, GRID)
+    return lpv_synthesis(oscillator, GRID)
 
 
 @pytest.mark.parametrize("stiffness", [3.0, -1.0])
 def test_a_family_of_one_plant_has_its_hinf_value(stiffness):
     """An independent oracle: the Riccati equations."""
     plant = oscillator(stiffness)
-    result = lpv.synthesize([plant] * 3, [0.0, 1.0, 2.0])
+    result = lpv_synthesis([plant] * 3, [0.0, 1.0, 2.0])
     margins = result.certificate.margins
     assert margins["gamma_optimal"] == pytest.approx(optimum(plant), rel=1e-4)
     assert margins["gamma_lower"] <= margins["gamma_optimal"] * (1 + 1e-6)
@@ -118,7 +118,7 @@ def test_gain_along_fast_trajectories_is_below_gamma(designed, seed):
 def test_survives_the_switching_that_destroys_controllers_designed_point_by_point():
     """A spring that is switched in step with the motion pumps energy into every frozen loop, but not past a common X."""
     values = np.array([-3.0, 9.0])
-    common = lpv.synthesize([oscillator(k, 0.0) for k in values], values)
+    common = lpv_synthesis([oscillator(k, 0.0) for k in values], values)
     assert common.gamma < np.inf
 
     def growth(loops: list[StateSpace]) -> float:
@@ -137,7 +137,7 @@ def test_survives_the_switching_that_destroys_controllers_designed_point_by_poin
 def test_a_bounded_rate_lowers_gamma_towards_the_pointwise_value():
     values = np.linspace(-2.0, 6.0, 4)
     margins = [
-        lpv.synthesize(oscillator, values, rate=rate, degree=degree, points_between=1).certificate.margins
+        lpv_synthesis(oscillator, values, rate=rate, degree=degree, points_between=1).certificate.margins
         for rate, degree in ((None, 1), (10.0, 1), (0.01, 1), (0.01, 2))
     ]
     gammas = [m["gamma_optimal"] for m in margins]
@@ -148,7 +148,7 @@ def test_a_bounded_rate_lowers_gamma_towards_the_pointwise_value():
 
 @pytest.mark.parametrize("varying", ["R", "S"])
 def test_rate_bounded_controller_keeps_its_gain_while_the_parameter_moves_at_that_rate(varying):
-    result = lpv.synthesize(oscillator, GRID, rate=2.0, varying=varying)
+    result = lpv_synthesis(oscillator, GRID, rate=2.0, varying=varying)
     dt, k = 0.02, 150
     stiffness = 3 + 2 * np.abs((np.arange(k) * 5 * dt * 2.0 / 2 % 4) - 2) - 2  # a triangle at 2 per second
     assert np.abs(np.diff(stiffness)).max() <= 2.0 * 5 * dt * (1 + 1e-9)
@@ -158,7 +158,7 @@ def test_rate_bounded_controller_keeps_its_gain_while_the_parameter_moves_at_tha
 
 def test_interpolated_controller_changes_smoothly(designed):
     """A common state basis: halving the grid step moves the controller in between little."""
-    fine = lpv.synthesize(oscillator, np.linspace(1.0, 5.0, 7))
+    fine = lpv_synthesis(oscillator, np.linspace(1.0, 5.0, 7))
     omega = np.array([0.1, 1.0, 3.0])
     for k in (1.7, 3.2, 4.6):
         a, b = (_response(result.scheduled.at(k), omega) for result in (designed, fine))
@@ -173,7 +173,7 @@ def _response(system: StateSpace, omega: np.ndarray) -> np.ndarray:
 def test_a_plant_that_bends_between_grid_points_gets_more_of_them():
     """Two grid points see a spring of 1 at both ends, and nothing of the negative one in the middle."""
     said: list[str] = []
-    result = lpv.synthesize(lambda p: oscillator(1 - 4 * p * (1 - p)), [0.0, 1.0], progress=said.append)
+    result = lpv_synthesis(lambda p: oscillator(1 - 4 * p * (1 - p)), [0.0, 1.0], progress=said.append)
     assert result.certificate.margins["grid_points"] > 2
     assert any("added to the grid" in text for text in said)
     for p in np.linspace(0, 1, 9):
@@ -201,7 +201,7 @@ def test_direct_terms_everywhere_and_d22():
         s = StateSpace(A + p * change, B, C, D)
         return GeneralizedPlant(s, s.inputs[:2], s.inputs[2:], s.outputs[:2], s.outputs[2:])
 
-    result = lpv.synthesize(plant, [-1.0, 0.0, 1.0])
+    result = lpv_synthesis(plant, [-1.0, 0.0, 1.0])
     assert result.certificate.margins["gamma_optimal"] >= max(optimum(plant(p)) for p in (-1, 0, 1)) * (1 - 1e-4)
     for p in (-1, -0.3, 0.6, 1):
         assert hinf_norm(lft(plant(p), result.scheduled.at(p))).value <= result.gamma
@@ -215,7 +215,7 @@ def test_plant_without_noise_or_control_cost_is_regularised():
         bare = StateSpace(s.A, s.B, s.C, D, s.inputs, s.outputs)
         return GeneralizedPlant(bare, ["w1", "w2"], "u", ["z1", "z2"], "err")
 
-    result = lpv.synthesize(plant, [1.0, 3.0])
+    result = lpv_synthesis(plant, [1.0, 3.0])
     assert "D21 has not full row rank" in result.notes[0]
     assert result.certificate.closed_loop_norm <= result.gamma
 
@@ -223,15 +223,15 @@ def test_plant_without_noise_or_control_cost_is_regularised():
 class TestBadInput:
     def test_one_point(self):
         with pytest.raises(InvalidInput, match=r"at least 2; one point needs no scheduling"):
-            lpv.synthesize(oscillator, [1.0])
+            lpv_synthesis(oscillator, [1.0])
 
     def test_unsorted(self):
         with pytest.raises(InvalidInput, match="ascending"):
-            lpv.synthesize(oscillator, [1.0, 3.0, 2.0])
+            lpv_synthesis(oscillator, [1.0, 3.0, 2.0])
 
     def test_number_of_plants(self):
         with pytest.raises(InvalidInput, match=r"number of plants is 1, but must be 2"):
-            lpv.synthesize([oscillator(1.0)], [1.0, 2.0])
+            lpv_synthesis([oscillator(1.0)], [1.0, 2.0])
 
     def test_orders_differ(self):
         larger = oscillator(1.0).system
@@ -242,20 +242,20 @@ class TestBadInput:
         )  # fmt: skip
         plants = [oscillator(1.0), GeneralizedPlant(other, ["w1", "w2"], "u", ["z1", "z2"], "err")]
         with pytest.raises(InvalidInput, match=r"n_states of .* is 4, but must be that of .* 1, 3"):
-            lpv.synthesize(plants, [1.0, 2.0])
+            lpv_synthesis(plants, [1.0, 2.0])
 
     def test_roles_differ(self):
         s = oscillator(1.0).system
         plants = [oscillator(1.0), GeneralizedPlant(s, ["w2", "w1"], "u", ["z1", "z2"], "err")]
         with pytest.raises(InvalidInput, match="must be"):
-            lpv.synthesize(plants, [1.0, 2.0])
+            lpv_synthesis(plants, [1.0, 2.0])
 
     @pytest.mark.parametrize(
         "arguments", [{"backoff": 1.0}, {"backoff": 3.0}, {"rate": -1.0}, {"varying": "X"}, {"degree": 0}, {"nominal": 9.0}]
     )
     def test_arguments(self, arguments):
         with pytest.raises(InvalidInput):
-            lpv.synthesize(oscillator, [1.0, 2.0], **arguments)
+            lpv_synthesis(oscillator, [1.0, 2.0], **arguments)
 
     def test_a_point_that_no_controller_stabilises_is_named(self):
         def plant(p: float) -> GeneralizedPlant:
@@ -265,7 +265,7 @@ class TestBadInput:
             return GeneralizedPlant(StateSpace(s.A, B, s.C, s.D, s.inputs, s.outputs), ["w1", "w2"], "u", ["z1", "z2"], "err")
 
         with pytest.raises((InvalidInput, NumericalFailure), match=r"grid point 0"):
-            lpv.synthesize(plant, [0.0, 1.0, 2.0])
+            lpv_synthesis(plant, [0.0, 1.0, 2.0])
 
     def test_no_common_solution_is_explained(self):
         """An actuator whose sign changes: each side can be controlled, but no function is common to both."""
@@ -277,8 +277,8 @@ class TestBadInput:
             return GeneralizedPlant(StateSpace(s.A, B, s.C, s.D, s.inputs, s.outputs), ["w1", "w2"], "u", ["z1", "z2"], "err")
 
         with pytest.raises(NumericalFailure, match=r"narrow the range|no controller|grid"):
-            lpv.synthesize([plant(-1.0), plant(1.0)], [-1.0, 1.0])
+            lpv_synthesis([plant(-1.0), plant(1.0)], [-1.0, 1.0])
 
     def test_time_limit(self):
         with pytest.raises(NumericalFailure, match=r"time_limit"):
-            lpv.synthesize(oscillator, GRID, time_limit=1e-9)
+            lpv_synthesis(oscillator, GRID, time_limit=1e-9)

@@ -30,13 +30,13 @@ from ambrose.core.statespace import (
 )
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.published import published_p5
-from ambrose.synthesis.hinf import synthesis as hinf
-from ambrose.synthesis.mu import synthesis as mu
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import RealRational, fit_magnitude
 from ambrose.synthesis.mu.d_step import d_blocks, d_step, design_grid, fit_scaling
 from ambrose.synthesis.mu.matrix_fit import fit_error, fit_matrix
 from ambrose.synthesis.mu.refine import peak_gain, refine
 from ambrose.synthesis.mu.scaling import Scaling, scalar_scaling, scaled_loop, scaled_plant
+from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import machine_problem, published_p5_problem, with_performance_block
 
 OMEGA = np.geomspace(1e-3, 1e4, 90)
@@ -146,7 +146,7 @@ def test_refinement_lowers_the_peak_and_stays_inside():
 
 def test_scaled_plant_and_scaled_loop_agree():
     plant = with_performance_block(published_p5_problem())
-    controller = hinf.synthesize(published_p5_problem(uncertain=False)).controller
+    controller = hinf_synthesis(published_p5_problem(uncertain=False)).controller
     d = RealRational(5000.0, np.array([3.0]), np.array([200.0]))
     one = RealRational(1.0, np.zeros(0), np.zeros(0))
     scaling = Scaling((scalar_scaling(plant.blocks[0], d), scalar_scaling(plant.blocks[1], one)))
@@ -184,11 +184,11 @@ def toy(alpha: float, beta: float) -> GeneralizedPlant:
 
 @pytest.mark.parametrize(("alpha", "beta"), [(1.0, 1.0), (30.0, 0.2), (1e-4, 400.0), (1e9, 1e-9)])
 def test_known_optimum_whatever_the_scale_of_the_block(alpha, beta):
-    result = mu.synthesize(toy(alpha, beta), order=2, backoff=1.01, fit_tolerance=0.01)
+    result = mu_synthesis(toy(alpha, beta), order=2, backoff=1.01, fit_tolerance=0.01)
     optimum = np.sqrt(alpha * beta)
     assert optimum * (1 - 1e-6) <= result.gamma <= 1.03 * optimum
     assert result.status == "verified"
-    unscaled = hinf.synthesize(with_performance_block(toy(alpha, beta)), backoff=1.01).gamma
+    unscaled = hinf_synthesis(with_performance_block(toy(alpha, beta)), backoff=1.01).gamma
     assert unscaled > 5 * optimum  # what D is good for
 
 
@@ -224,7 +224,7 @@ def distillation() -> GeneralizedPlant:
 @pytest.mark.literature
 def test_distillation_of_skogestad_and_postlethwaite():
     """The book's three D-K iterations end at a peak of 1.019; the least known value is 0.974 (Lundstrom)."""
-    result = mu.synthesize(distillation(), iterations=3, backoff=1.005, order=4)
+    result = mu_synthesis(distillation(), iterations=3, backoff=1.005, order=4)
     assert 0.974 * 0.995 < result.certificate.margins["mu_mixed_lower"] <= result.gamma
     assert result.gamma < 1.02
     assert result.controller.n_states <= 22  # as the book's
@@ -235,7 +235,7 @@ def test_distillation_of_skogestad_and_postlethwaite():
 
 @pytest.fixture(scope="module")
 def published():
-    return mu.synthesize(published_p5_problem(), order=1)
+    return mu_synthesis(published_p5_problem(), order=1)
 
 
 def worst_sensitivity(controller: StateSpace, deltas: np.ndarray) -> list[float]:
@@ -256,7 +256,7 @@ def test_published_plant_order_24_and_sensitivity_near_3(published):
     assert published.history[-1]["d_order"] == 1
     deltas = np.linspace(-1, 1, 11)
     assert max(worst_sensitivity(published.controller, deltas)) < 3.0
-    nominal = hinf.synthesize(published_p5_problem(uncertain=False), backoff=1.03).controller
+    nominal = hinf_synthesis(published_p5_problem(uncertain=False), backoff=1.03).controller
     assert 3.0 < max(worst_sensitivity(nominal, deltas)) < np.inf
 
 
@@ -288,11 +288,11 @@ def test_published_plant_certificate_means_what_it_says(published):
 
 
 def test_automatic_order_and_full_structure_do_as_well(published):
-    automatic = mu.synthesize(published_p5_problem(), iterations=2)
+    automatic = mu_synthesis(published_p5_problem(), iterations=2)
     assert automatic.gamma < 1.03 * published.gamma
     assert automatic.controller.n_states <= 24
     assert automatic.gamma <= 1.02 * min(row["gamma"] for row in automatic.history)
-    full = mu.synthesize(published_p5_problem(), iterations=2, order=1, structure="full")
+    full = mu_synthesis(published_p5_problem(), iterations=2, order=1, structure="full")
     assert full.gamma < 1.01 * published.gamma
     assert full.controller.n_states <= 24
     assert full.history[-1]["d_order"] == 1
@@ -300,7 +300,7 @@ def test_automatic_order_and_full_structure_do_as_well(published):
 
 def test_automatic_order_is_the_smallest_within_the_tolerance():
     plant = with_performance_block(toy(0.1, 1.0))
-    controller = hinf.synthesize(plant, backoff=1.05).controller
+    controller = hinf_synthesis(plant, backoff=1.05).controller
     step = d_step(lft(plant, controller), d_blocks(plant.blocks, "scalar"), design_grid(plant))
     chosen = fit_scaling(step, "auto", 0.02)
     n = max(chosen.scaling.orders)
@@ -335,7 +335,7 @@ def test_eight_reals_all_corners_stable():
     machine = load_machine("turboexpander")
     plant = machine_problem(machine, operating_point(machine, "140 Hz (P3)"))
     assert len(plant.blocks) == 8
-    result = mu.synthesize(plant, iterations=2, order=1)
+    result = mu_synthesis(plant, iterations=2, order=1)
     assert result.gamma < 1.2
     assert result.gamma < 0.75 * result.history[0]["gamma"]
     names = [block.name for block in plant.blocks]
@@ -359,7 +359,7 @@ def test_interruption_returns_the_best_verified_controller():
         if text.startswith("iteration 2"):
             raise KeyboardInterrupt
 
-    result = mu.synthesize(published_p5_problem(), order=1, progress=interrupt)
+    result = mu_synthesis(published_p5_problem(), order=1, progress=interrupt)
     assert (result.status, result.stopped_early) == ("verified", "after iteration 1, interrupted")
     assert len(result.history) == 2
     assert result.gamma == result.history[1]["gamma"]
@@ -369,12 +369,12 @@ def test_interruption_returns_the_best_verified_controller():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        mu.synthesize(published_p5_problem(), progress=at_once)
+        mu_synthesis(published_p5_problem(), progress=at_once)
 
 
 def test_failing_step_and_time_limit_return_what_there_is(monkeypatch):
     calls = []
-    original = hinf.synthesize
+    original = hinf_synthesis
 
     def failing(*args, **kwargs):
         calls.append(1)
@@ -382,30 +382,30 @@ def test_failing_step_and_time_limit_return_what_there_is(monkeypatch):
             raise NumericalFailure("no luck")
         return original(*args, **kwargs)
 
-    monkeypatch.setattr(hinf, "synthesize", failing)
-    result = mu.synthesize(toy(1.0, 1.0))
+    monkeypatch.setattr("ambrose.synthesis.mu.synthesis.hinf_synthesis", failing)
+    result = mu_synthesis(toy(1.0, 1.0))
     assert result.stopped_early == "after iteration 0, no luck"
     assert result.certificate.stable
     monkeypatch.undo()
-    short = mu.synthesize(published_p5_problem(), time_limit=0.3)
+    short = mu_synthesis(published_p5_problem(), time_limit=0.3)
     assert "time limit" in short.stopped_early
     assert short.certificate.stable
     with pytest.raises(NumericalFailure, match="time limit"):
-        mu.synthesize(published_p5_problem(), time_limit=1e-4)
+        mu_synthesis(published_p5_problem(), time_limit=1e-4)
 
 
 def test_bad_input():
     plant = published_p5_problem()
     with pytest.raises(InvalidInput, match="no blocks"):
-        mu.synthesize(published_p5_problem(uncertain=False))
+        mu_synthesis(published_p5_problem(uncertain=False))
     with pytest.raises(InvalidInput, match="order"):
-        mu.synthesize(plant, order=-1)
+        mu_synthesis(plant, order=-1)
     with pytest.raises(InvalidInput, match="structure"):
-        mu.synthesize(plant, structure="diagonal")
+        mu_synthesis(plant, structure="diagonal")
     with pytest.raises(InvalidInput, match="iterations"):
-        mu.synthesize(plant, iterations=-1)
+        mu_synthesis(plant, iterations=-1)
     with pytest.raises(InvalidInput, match="omega"):
-        mu.synthesize(plant, omega=[0.0, 1.0, 2.0])
+        mu_synthesis(plant, omega=[0.0, 1.0, 2.0])
     only = GeneralizedPlant(plant.system, plant.w[:2], plant.u, plant.z[:2], plant.y, [RealBlock("k", 2)])
     with pytest.raises(InvalidInput, match="one block only"):
-        mu.synthesize(only)
+        mu_synthesis(only)

@@ -37,7 +37,7 @@ _PROOF = (1.01, 1.05, 1.1, 1.25)  # levels, in worst norms, at which a proof is 
 Delta = tuple[float, ...]
 
 
-def synthesize(
+def polish_synthesis(
     plant: GeneralizedPlant,
     start: StateSpace,
     *,
@@ -52,7 +52,7 @@ def synthesize(
     """The controller of lowest worst-case norm that descent finds from ``start``, verified on ``plant`` over its box.
 
     plant: with real blocks (a performance block may follow); remaining w and z are the performance. start: a controller u = K y
-    of the nominal plant, such as that of mu.synthesize. order: reduce it to so many states first (closed-loop balanced,
+    of the nominal plant, such as that of mu_synthesis. order: reduce it to so many states first (closed-loop balanced,
     residualised; a pair of near-equal values is not cut), None keeps its order. deltas [-]: values of a single real parameter,
     within -1 and 1; with several parameters the centre and bad corners are models. iterations: of L-BFGS, all rounds together;
     rounds: of descent, each followed by the true norms and a search for the worst parameters; time_limit [s] of computing, and
@@ -129,7 +129,7 @@ class _Job:
         blocks = [b for b in plant.blocks if not (isinstance(b, FullBlock) and b.name == PERFORMANCE)]
         if not blocks or not all(isinstance(b, RealBlock) for b in blocks):
             found = ", ".join(type(b).__name__ for b in blocks) or "none"
-            raise invalid("the plant's blocks", found, "real parameters, one at least", "complex blocks need mu.synthesize")
+            raise invalid("the plant's blocks", found, "real parameters, one at least", "complex blocks need mu_synthesis")
         plant = GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, blocks)
         if len(plant.w) == plant.n_w_blocks or len(plant.z) == plant.n_z_blocks:
             raise InvalidInput("the plant has no performance signals beyond its blocks; add w and z to be kept small")

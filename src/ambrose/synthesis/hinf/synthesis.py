@@ -23,7 +23,7 @@ _WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
 _EPSILONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the regularisation, in the scaled plant's units
 
 
-def synthesize(
+def hinf_synthesis(
     plant: GeneralizedPlant,
     *,
     backoff: float = 1.03,
@@ -45,7 +45,7 @@ def synthesize(
     "gamma_designed" and "epsilon" (0 without regularisation); history has one row for each gamma tried.
 
     Raises InvalidInput (no controller can stabilise the plant, with the mode; sampled plants; bad arguments) and
-    NumericalFailure (no verified controller, with the reason). Sources: see hinf_riccati, hinf_lmi.
+    NumericalFailure (no verified controller, with the reason). Sources: see hinf/riccati.py, hinf/lmi.py.
     """
     if not 1 <= check_positive(backoff, "backoff", "1.02 to 1.05 suits most uses") < 1 + _WIDEST:
         raise invalid("backoff", backoff, f"at least 1 and below {1 + _WIDEST:g}", "1.02 to 1.05 suits most uses")

@@ -15,7 +15,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.lpv import synthesis as lpv
+from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Status, Synthesis
 from ambrose.synthesis.weights import Weights, machine_weights
@@ -65,10 +65,10 @@ def design_over_speed(
     """A controller scheduled over speed for a full plant, verified on the full plant at every speed of its schedule.
 
     speeds (k,) [rad/s]: the grid (None: ``speed_grid``), which holds the plant's own speed in its range; rate [rad/s^2]: the
-    fastest run-up (None: any); bending_modes: per plane in the design model; degree, backoff: see ``lpv.synthesize``. The
+    fastest run-up (None: any); bending_modes: per plane in the design model; degree, backoff: see ``lpv_synthesis``. The
     controller's frozen form at the plant's speed is ``controller``. margins gain full_spectral_abscissa and
     full_sensitivity_peak, the worst over these speeds, and worst_speed [rad/s] of the peak; a controller that does not hold the
-    full plant at every one has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv.synthesize``.
+    full plant at every one has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
     """
     machine, point = plant.machine, plant.point
     weights = machine_weights(machine) if weights is None else weights
@@ -76,7 +76,7 @@ def design_over_speed(
     if not grid[0] <= point.speed <= grid[-1]:
         what = f"between {grid[0]:g} and {grid[-1]:g} rad/s"
         raise invalid("the plant's speed", f"{point.speed:g} rad/s", what, "widen the speeds or assemble it within them")
-    result = lpv.synthesize(
+    result = lpv_synthesis(
         plants_over_speed(plant, bending_modes, weights), grid, rate=rate, degree=degree, backoff=backoff,
         nominal=point.speed, progress=progress,
     )  # fmt: skip

@@ -35,7 +35,7 @@ _KEPT = 1e-9  # relative change of B2, C2, D12, D21 over the grid that counts as
 PlantAt = Callable[[float], GeneralizedPlant]
 
 
-def synthesize(
+def lpv_synthesis(
     plants: Sequence[GeneralizedPlant] | PlantAt,
     grid: ArrayLike,
     *,

@@ -22,7 +22,7 @@ from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.synthesis.certificate import generalized_certificate
-from ambrose.synthesis.hinf import synthesis as hinf
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import RealRational
 from ambrose.synthesis.mu.d_step import (
     HIGHEST_ORDER,
@@ -48,7 +48,7 @@ _FURTHEST = 40  # steps
 _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof is tried
 
 
-def synthesize(
+def mu_synthesis(
     plant: GeneralizedPlant,
     *,
     iterations: int = 4,
@@ -67,7 +67,7 @@ def synthesize(
     with which sigma_max(D M D^-1) peaks at most ``fit_tolerance`` [-] above the upper bound of mu; of the iterates within that
     tolerance of the best, the one with the fewest states is then returned. structure: d(s) I
     ("scalar") or a matrix D(s) ("full") for repeated blocks; a D of order n costs 2 r n states of the controller for a block of
-    size r either way. backoff [-]: see hinf.synthesize. omega (w,) [rad/s]: grid of the D-step, default: the plant's poles and
+    size r either way. backoff [-]: see hinf_synthesis. omega (w,) [rad/s]: grid of the D-step, default: the plant's poles and
     a decade around them; resonances and peaks are added. time_limit [s] of computing, and five times
     that on the wall (``synthesis.time_limit``); progress: called with one line of text per step.
 
@@ -135,12 +135,12 @@ class _Job:
         check_positive(fit_tolerance, "fit_tolerance", "0.02 suits most problems")
         clock = TimeLimit(time_limit)
         if not plant.blocks:
-            raise InvalidInput("the plant has no blocks; without uncertainty hinf.synthesize is the method")
+            raise InvalidInput("the plant has no blocks; without uncertainty hinf_synthesis is the method")
         complete = plant
         if len(plant.w) > plant.n_w_blocks or len(plant.z) > plant.n_z_blocks:
             complete = with_performance_block(plant)
         if len(complete.blocks) < 2:
-            raise InvalidInput("the plant has one block only, so there is nothing to scale; use hinf.synthesize")
+            raise InvalidInput("the plant has one block only, so there is nothing to scale; use hinf_synthesis")
         grid = design_grid(plant) if omega is None else np.unique(check_shape(omega, "omega", "(w)").astype(float))
         if len(grid) < 3 or grid[0] <= 0:
             raise invalid("omega", f"{len(grid)} frequencies from {grid.min(initial=0):g}", "3 or more, positive", "in rad/s")
@@ -180,10 +180,10 @@ def _start(job: _Job) -> StateSpace:
     """H-infinity for the nominal plant; where that fails, for the whole one without scaling."""
     if isinstance(job.plant.blocks[-1], FullBlock):
         try:
-            return hinf.synthesize(_performance_only(job.plant), backoff=job.backoff, time_limit=job.left).controller
+            return hinf_synthesis(_performance_only(job.plant), backoff=job.backoff, time_limit=job.left).controller
         except NumericalFailure as failure:
             job.say(f"no start from the nominal plant ({failure}); starting from the whole plant without scaling")
-    return hinf.synthesize(job.plant, backoff=job.backoff, time_limit=job.left).controller
+    return hinf_synthesis(job.plant, backoff=job.backoff, time_limit=job.left).controller
 
 
 def _performance_only(plant: GeneralizedPlant) -> GeneralizedPlant:
@@ -200,7 +200,7 @@ def _step(job: _Job, iterates: Sequence[_Iterate], lowest: int) -> _Iterate:
     else:
         fitted = fit_scaling(last.step, job.order, job.fit_tolerance, lowest) if lowest else last.fitted
         used = _further(job, last, fitted)
-    made = hinf.synthesize(scaled_plant(job.plant, used.scaling), backoff=job.backoff, time_limit=job.left)
+    made = hinf_synthesis(scaled_plant(job.plant, used.scaling), backoff=job.backoff, time_limit=job.left)
     for note in made.notes:
         job.say(f"K-step: {note}")
     return _evaluate(job, made.controller, used, len(iterates))
@@ -210,7 +210,7 @@ def _gamma(job: _Job, scaling: Scaling, tolerance: float = 1e-2) -> float:
     """The smallest gamma of a K-step; inf where there is none."""
     job.check_time()
     try:
-        made = hinf.synthesize(
+        made = hinf_synthesis(
             scaled_plant(job.plant, scaling), backoff=1.1, tolerance=tolerance, time_limit=job.left
         )  # fmt: skip
     except NumericalFailure:
@@ -269,7 +269,7 @@ def _first_scaling(job: _Job, start: _Iterate) -> FittedScaling:
     def ahead(k: int) -> float:
         job.check_time()
         try:
-            made = hinf.synthesize(scaled_plant(job.plant, at(k).scaling), backoff=1.05, tolerance=1e-2, time_limit=job.left)
+            made = hinf_synthesis(scaled_plant(job.plant, at(k).scaling), backoff=1.05, tolerance=1e-2, time_limit=job.left)
         except NumericalFailure:
             return float("inf")
         step = d_step(lft(job.plant, made.controller), job.blocks, job.grid[::2], rounds=0)
