@@ -23,6 +23,7 @@ from ambrose.core.statespace import (
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import closed_loop, named_controller
 from ambrose.plant.reduce import reduce
+from ambrose.verification import nominal
 from ambrose.verification.loop_response import frequency_grid, loop_evaluator
 from ambrose.verification.margins import loop_margins, margin_checks, opened_loops
 from eigenvalue_margins import loop_margins as eigenvalue_margins
@@ -132,6 +133,14 @@ def test_the_disk_margin_of_one_loop_is_its_closed_form(single_masses, pd_contro
     alpha = 1 / np.abs(1 / (1 + scalar_loop(w)) - 0.5).max()
     check = {c.name: c for c in margin_checks(response, evaluator, Requirements())[0]}["margin.disk.output"]
     assert check.value == pytest.approx((1 + alpha / 2) / (1 - alpha / 2), rel=1e-6)
+
+
+def test_information_says_whether_large_is_good(rig_plants, rig_controller):
+    plant = rig_plants["zero"]
+    names = {check.name for check in nominal.check(plant, rig_controller).checks if check.relation == ">="}
+    delays = {f"margin.delay.{where}.{axis}" for where in ("output", "input") for axis in plant.axes}
+    assert delays | {"margin.disk.output", "poles.damping.least", "poles.log_decrement.least"} <= names
+    assert not {name for name in names if name.startswith(("sensitivity", "unbalance", "stability", "impulse"))}
 
 
 def test_checks_are_judged_and_name_their_frequency(disk):

@@ -109,7 +109,7 @@ def pattern(name):
 def documented():
     found = set()
     for module in TABLES:
-        text = importlib.import_module(f"ambrose.verify.{module}").__doc__
+        text = importlib.import_module(f"ambrose.verification.{module}").__doc__
         for row in re.findall(r"^\| ([a-z][^|]*)\|", text, re.MULTILINE):
             names = [part.strip() for part in row.split(",")]
             found.add(names[0])

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
+from ambrose.core.checks import InvalidInput
+
 _LONGEST = 190  # characters of a repr
 
 
@@ -48,6 +50,19 @@ def html_table(rows: Iterable[Iterable[str]], caption: str = "", heading: Iterab
     body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows)
     title = f"<caption><b>{escape(caption)}</b></caption>" if caption else ""
     return f"<table>{title}{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+
+
+def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
+    """A pandas.DataFrame of columns of equal length; index: the column that names the rows.
+
+    Raises InvalidInput where pandas is not installed.
+    """
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise InvalidInput("to_frame() needs pandas, which is not installed; pip install pandas, or use to_dict()") from error
+    frame = pd.DataFrame(dict(columns))
+    return frame if index is None else frame.set_index(index)
 
 
 def to_plain(value: Any) -> Any:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from ambrose.core.presentation import to_plain
+from ambrose.core.presentation import Presented, data_frame, html_table, in_words, to_plain
+
+_COLUMNS = ("value", "unit", "relation", "limit", "passed", "zone", "detail")
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+@dataclass(frozen=True, slots=True, repr=False)
+class Check(Presented):
     """One criterion, evaluated.
 
     name: a stable identifier ("sensitivity.output.max"); title: for people; value in ``unit`` (SI); limit: None for
@@ -30,9 +33,21 @@ class Check:
     source: str = ""
     detail: str = ""
 
+    def facts(self) -> Mapping[str, Any]:
+        """Value against limit, the verdict and where it was found."""
+        limit = {} if self.limit is None else {"limit": f"{self.relation} {self.limit:.4g}", "passed": self.passed}
+        zone = {} if self.zone is None else {"zone": self.zone}
+        where = {} if not self.detail else {"detail": self.detail}
+        return {"name": self.name, "value": f"{self.value:.4g} {self.unit}", **limit, **zone, **where}
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Curve:
+    def to_dict(self) -> dict[str, Any]:
+        """All fields; numbers that are not finite become strings ("inf")."""
+        fields: dict[str, Any] = to_plain(asdict(self))
+        return fields
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Curve(Presented):
     """One picture's worth of data: x (n,), y (k, n) with k labels; SI units; ``limits`` are labelled horizontal lines.
 
     kind: "frequency" (x in rad/s), "speed" (x in rad/s), "time" (x in s) or "poles" (x and y are real and imaginary parts).
@@ -48,9 +63,24 @@ class Curve:
     y_unit: str
     limits: tuple[tuple[str, float], ...] = ()
 
+    def facts(self) -> Mapping[str, Any]:
+        """What is drawn over which range."""
+        span = f"{self.x.min():.4g} to {self.x.max():.4g} {self.x_unit}" if self.x.size else "empty"
+        return {"name": self.name, "title": self.title, self.kind: span, "lines": self.labels, "unit": self.y_unit}
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Checks:
+    def to_dict(self) -> dict[str, Any]:
+        """All fields as JSON-ready data; numbers that are not finite become strings ("inf")."""
+        fields: dict[str, Any] = to_plain({name: getattr(self, name) for name in self.__dataclass_fields__})
+        return fields
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame: the values of x in SI units as its index, one column per line."""
+        x = f"{self.kind} [{self.x_unit}]"
+        return data_frame({x: self.x, **{f"{n} [{self.y_unit}]": y for n, y in zip(self.labels, self.y, strict=True)}}, x)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Checks(Presented):
     """The verdict on one closed loop at one operating point; ``stable`` False means that nothing else was evaluated.
 
     notes: what was left out or approximated, and why, one sentence each.
@@ -67,6 +97,11 @@ class Checks:
         """Whether the loop is stable and every check that has a limit is met."""
         return self.stable and all(check.passed is not False for check in self.checks)
 
+    @property
+    def failed(self) -> tuple[Check, ...]:
+        """The checks whose limit is not met."""
+        return tuple(check for check in self.checks if check.passed is False)
+
     def __getitem__(self, name: str) -> Check:
         """The check of that name; raises KeyError."""
         for check in self.checks:
@@ -74,14 +109,31 @@ class Checks:
                 return check
         raise KeyError(name)
 
+    def facts(self) -> Mapping[str, Any]:
+        """The verdict, how many checks were made, and which failed."""
+        return {
+            "label": self.label,
+            "stable": self.stable,
+            "passed": self.passed,
+            "checks": len(self.checks),
+            "failed": [check.name for check in self.failed],
+        }
+
+    def _repr_html_(self) -> str:
+        return checks_table(self.checks, f"{self.label}: {'passed' if self.passed else 'not passed'}")
+
     def to_dict(self) -> dict[str, Any]:
         """The verdict without its curves as JSON-ready data; numbers that are not finite become strings ("inf")."""
         return {
             "label": self.label,
             "stable": self.stable,
             "passed": self.passed,
-            "checks": [to_plain(asdict(check)) for check in self.checks],
+            "checks": [check.to_dict() for check in self.checks],
         }
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with a row for each check, by name."""
+        return data_frame(check_columns(self.checks), "check")
 
     def curve(self, name: str) -> Curve:
         """The curve of that name; raises KeyError."""
@@ -89,3 +141,25 @@ class Checks:
             if curve.name == name:
                 return curve
         raise KeyError(name)
+
+
+def check_columns(checks: Sequence[Check]) -> dict[str, list[Any]]:
+    """The checks as columns of a table: name, value, unit, relation, limit, passed, zone, detail."""
+    return {"check": [c.name for c in checks], **{name: [getattr(c, name) for c in checks] for name in _COLUMNS}}
+
+
+def checks_table(checks: Sequence[Check], caption: str) -> str:
+    """The checks as an HTML table, those that failed first."""
+    heading = ("check", "value", "limit", "passed", "zone", "where")
+    rows = [
+        (
+            check.title,
+            f"{check.value:.4g} {check.unit}",
+            "" if check.limit is None else f"{check.relation} {check.limit:.4g}",
+            "" if check.passed is None else in_words(check.passed),
+            check.zone or "",
+            check.detail,
+        )
+        for check in sorted(checks, key=lambda check: check.passed is not False)
+    ]
+    return html_table(rows, caption, heading)

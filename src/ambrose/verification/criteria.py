@@ -208,9 +208,9 @@ def judge(name: str, title: str, value: float, unit: str, wanted: Demand, detail
     return check
 
 
-def information(name: str, title: str, value: float, unit: str, detail: str = "") -> Check:
-    """A Check without a limit."""
-    return Check(name, title, float(value), unit, detail=detail)
+def information(name: str, title: str, value: float, unit: str, detail: str = "", relation: str = "<=") -> Check:
+    """A Check without a limit; relation "<=" where small is good, ">=" where large is."""
+    return Check(name, title, float(value), unit, relation=relation, detail=detail)
 
 
 def zone_lines(criterion: Criterion, requirement: float | None = None) -> tuple[tuple[str, float], ...]:

@@ -195,13 +195,13 @@ def margin_checks(
                 ),
                 information(
                     f"margin.delay.{suffix}", f"Delay margin at {where} {axis}", m.delay, "s",
-                    _at(m.delay_at, "no crossing of unit gain in the range"),
+                    _at(m.delay_at, "no crossing of unit gain in the range"), ">=",
                 ),
             ]  # fmt: skip
         alpha = 1 / disk.value
         factor = (1 + alpha / 2) / (1 - alpha / 2) if alpha < 2 else np.inf
         detail = f"phase {2 * np.degrees(np.arctan(alpha / 2)):.3g} degrees, alpha {alpha:.3g}, {_at(disk.frequency)}"
-        checks.append(information(f"margin.disk.{where}", f"Disk margin, all {where}s together", factor, "-", detail))
+        checks.append(information(f"margin.disk.{where}", f"Disk margin, all {where}s together", factor, "-", detail, ">="))
         L = np.abs(opened_loops(response, where)).T
         title = f"Loop gain, opened at each {where}"
         curves.append(

@@ -182,7 +182,9 @@ def _stability(loop: BoxLoop, tell: Progress) -> tuple[list[Check], list[str]]:
     proved = proved_margin(loop, margin.factor)
     verdict = "every point within the tolerances is proved stable" if proved >= 1 else "not proved for the whole tolerances"
     checks.append(
-        information("robust.stability.proved", "Tolerances times this are proved stable", proved, "-", f"{verdict}; mixed mu")
+        information(
+            "robust.stability.proved", "Tolerances times this are proved stable", proved, "-", f"{verdict}; mixed mu", ">="
+        )
     )
     return checks, []
 

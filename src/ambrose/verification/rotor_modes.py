@@ -156,8 +156,10 @@ def pole_checks(
     detail = f"{where}; least up to {listed_to / TWO_PI:.4g} Hz: {listed}"
     return [
         *checks,
-        information("poles.log_decrement.least", "Least log decrement of all poles", found.log_decrement[least], "-", where),
-        information("poles.damping.least", "Least damping ratio of all poles", found.damping[least], "-", detail),
+        information(
+            "poles.log_decrement.least", "Least log decrement of all poles", found.log_decrement[least], "-", where, ">="
+        ),
+        information("poles.damping.least", "Least damping ratio of all poles", found.damping[least], "-", detail, ">="),
     ]
 
 
