@@ -1,0 +1,99 @@
+"""The structure stays: rooms that one can overlook, no import circle, packages are nouns. (The layers: `lint-imports`.)"""
+
+import inspect
+from pathlib import Path
+
+import grimp
+import pytest
+
+import ambrose
+
+SOURCE = Path(ambrose.__file__).parent
+PACKAGES = sorted(path.parent for path in SOURCE.rglob("__init__.py"))
+MODULES = sorted(SOURCE.rglob("*.py"))
+MOST_MODULES = 16
+MOST_LINES = 450
+CROWDED: dict[str, str] = {}  # folder: why it holds more than MOST_MODULES modules
+
+
+def name_of(path):
+    return path.relative_to(SOURCE).as_posix()
+
+
+def circles(imports):
+    """Strongly connected components of more than one module, by Tarjan's algorithm (1972).
+
+    imports: {module: modules that it imports}.
+    """
+    index, low, stack, components = {}, {}, [], []
+
+    def visit(module):
+        index[module] = low[module] = len(index)
+        stack.append(module)
+        for other in sorted(imports[module]):
+            if other not in index:
+                visit(other)
+                low[module] = min(low[module], low[other])
+            elif other in stack:
+                low[module] = min(low[module], index[other])
+        if low[module] == index[module]:
+            at = stack.index(module)
+            components.append(sorted(stack[at:]))
+            del stack[at:]
+
+    for module in sorted(imports):
+        if module not in index:
+            visit(module)
+    return [component for component in components if len(component) > 1]
+
+
+def test_circles_are_seen():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a", "c"}}) == [["b", "c"]]
+    assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_no_module_imports_itself_through_others():
+    """Imports inside functions and under TYPE_CHECKING count: a circle is a circle, even where Python bears it."""
+    graph = grimp.build_graph("ambrose", cache_dir=None)
+    assert len(graph.modules) == len(MODULES)
+    assert circles({module: graph.find_modules_directly_imported_by(module) for module in graph.modules}) == []
+
+
+@pytest.mark.parametrize("folder", PACKAGES, ids=name_of)
+def test_a_folder_can_be_overlooked(folder):
+    modules = [path.stem for path in folder.glob("*.py") if path.stem != "__init__"]
+    if name_of(folder) in CROWDED:
+        assert len(modules) > MOST_MODULES, f"{name_of(folder)} is small enough now; take it out of CROWDED"
+    else:
+        assert len(modules) <= MOST_MODULES, (
+            f"{name_of(folder)}: {len(modules)} modules; make a room, or give the reason in CROWDED"
+        )
+
+
+def test_a_module_can_be_read_in_one_go():
+    lengths = {name_of(path): len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES}
+    assert {name: lines for name, lines in lengths.items() if lines > MOST_LINES} == {}
+
+
+def test_a_package_is_a_noun():
+    """Functions are verbs. A package with the name of a public function would replace it on import (``ambrose.verify``)."""
+    verbs = {name for name in ambrose.__all__ if inspect.isfunction(getattr(ambrose, name))}
+    verbs |= {
+        "assemble",
+        "deploy",
+        "design",
+        "export",
+        "identify",
+        "plot",
+        "reduce",
+        "simulate",
+        "synthesize",
+        "validate",
+        "verify",
+    }
+    assert {name_of(folder) for folder in PACKAGES if folder.name in verbs} == set()
+    assert {path.stem for path in SOURCE.glob("*.py")} & verbs == set()  # modules at the root would, too
+
+
+def test_every_folder_of_modules_is_a_package():
+    assert {name_of(path.parent) for path in MODULES} == {name_of(folder) for folder in PACKAGES}
