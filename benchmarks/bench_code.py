@@ -32,7 +32,7 @@ from ambrose.deployment.fmu.archive import fmu_files
 from ambrose.deployment.mat import mat_files
 from ambrose.deployment.pipeline import limits
 from ambrose.deployment.structured_text import structured_text
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Scenario, load_scenario

@@ -26,7 +26,7 @@ from ambrose.identification.output_error.loop_model import over_weights
 from ambrose.identification.output_error.normal_equations import normal_equations
 from ambrose.identification.output_error.problem import experiment
 from ambrose.identification.parameters import expand, nominal_values
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop

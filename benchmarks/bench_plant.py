@@ -15,7 +15,7 @@ import numpy as np
 from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import select
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import modal_reduction

@@ -26,7 +26,8 @@ from ambrose.identification.output_error.closed_loop import Identification
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats, ScatterStudy, of_estimates, repeats, scatter_study
-from ambrose.machine.description import Amplifier, Machine, Notch, OperatingPoint, PidSettings
+from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble

@@ -21,7 +21,7 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.core.worst_case.loop import corners, default_grid, gains, unstable_poles
 from ambrose.core.worst_case.search import gain_bound, worst_gain
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop

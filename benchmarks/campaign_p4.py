@@ -32,7 +32,8 @@ from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import Identification
 from ambrose.identification.seal import fit as seal_fit
 from ambrose.identification.seal.fit import SealFit
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import seal
 from ambrose.plant.assemble import assemble

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ambrose.identification.frf.spectral import Frf
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.report.figures import seals as seal_figures
 from ambrose.report.page import Figure, Report, Section
 from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Impulses, Stepped, Swept, truth

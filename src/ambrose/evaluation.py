@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.result import Synthesis
 from ambrose.verification.checks import Check, Checks

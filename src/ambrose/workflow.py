@@ -17,7 +17,7 @@ from ambrose.core.presentation import to_plain
 from ambrose.evaluation import Candidate, points_of
 from ambrose.identification.pipeline import as_dict
 from ambrose.machine.atomic_write import write_json
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce

@@ -15,7 +15,8 @@ import scipy.linalg as sla
 
 from ambrose.core.mechanical import SecondOrder, to_statespace
 from ambrose.core.statespace import poles
-from ambrose.machine.description import Amplifier, Disc, Machine, Material, ShaftSection
+from ambrose.machine.description import Amplifier, Disc, Material, ShaftSection
+from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import displacement_row, finite_element_rotor, mass_properties, plane_rows
 
 pytestmark = pytest.mark.literature

@@ -30,6 +30,7 @@ from ambrose.machine.file.toml import (
     machine_schema,
     save_machine,
 )
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
 
 HERE = Path(__file__).parent
@@ -54,7 +55,7 @@ def test_every_value_of_the_small_machine():
         exit_recovery=0.1, preswirl=0.3, speed=9000 * rpm, max_frequency=1000 * hz, gas_constant=296.8, viscosity=17.6e-6,
         compressibility=0.99,
     )  # fmt: skip
-    expected = d.Machine(
+    expected = Machine(
         name="small",
         description="Two bearings, a disc, a seal and a coupling",
         source="made up",
@@ -352,7 +353,7 @@ def machines(draw):
         draw(positive), draw(positive), draw(positive), draw(ratio), draw(st.floats(1.1, 9)), draw(ratio),
         crossover, draw(st.integers(1, 8)), limit, draw(positive), draw(positive),
     )  # fmt: skip
-    return d.Machine(
+    return Machine(
         name="m" + draw(text),
         shaft=shaft,
         bearings=(draw(bearings("A", place)), draw(bearings("B-2_", place))),
@@ -483,7 +484,7 @@ class TestSchema:
                 assert entry.get("description"), f"{name}.{key} has no description"
         assert (
             schema["$defs"]["MachineTable"]["properties"]["modal_damping"]["default"]
-            == d.Machine.__dataclass_fields__["modal_damping"].default
+            == Machine.__dataclass_fields__["modal_damping"].default
         )
         assert schema["$defs"]["ShaftTable"]["properties"]["elements"]["default"] == 1
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from ambrose.machine import description as d
 from ambrose.machine.file.table import Table
 from ambrose.machine.file.tables import MachineFile, MachineTable, table_below
 from ambrose.machine.file.toml import dumps_machine, loads_machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import QUANTITIES
 from ambrose.machine.units import DIMENSIONS
 
@@ -56,7 +56,7 @@ def row(model: type[Table], name: str) -> str:
 def default(model: type[Table], name: str) -> str:
     if model.model_fields[name].is_required():
         return "required"
-    noun = d.Machine if model is MachineTable else model.noun
+    noun = Machine if model is MachineTable else model.noun
     value = next((f.default for f in fields(noun) if f.name == name), None) if noun else None
     if value in (None, MISSING, "", ()):
         return ""

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Amplifier, Machine, MagnetIron, Runout, SealTable, ShaftSection, Tolerance, Touchdown
+from ambrose.machine.description import Amplifier, MagnetIron, Runout, SealTable, ShaftSection, Tolerance, Touchdown
 from ambrose.machine.file.toml import load_machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.validation.machine import InvalidMachine, check_machine, problems
 
 SMALL = load_machine(Path(__file__).with_name("small.toml"))

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import BEAM_THEORIES, Amplifier, Disc, Machine, Material, ShaftSection
+from ambrose.machine.description import BEAM_THEORIES, Amplifier, Disc, Material, ShaftSection
+from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import (
     displacement_row,
     finite_element_rotor,

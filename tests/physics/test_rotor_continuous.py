@@ -11,7 +11,8 @@ import pytest
 import scipy.linalg as sla
 from scipy.optimize import brentq
 
-from ambrose.machine.description import BEAM_THEORIES, Amplifier, Disc, Machine, Material, ShaftSection
+from ambrose.machine.description import BEAM_THEORIES, Amplifier, Disc, Material, ShaftSection
+from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, plane_rows
 
 RHO, E, NU = 7850.0, 2.1e11, 0.3

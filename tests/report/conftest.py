@@ -9,7 +9,6 @@ from ambrose.machine.description import (
     Amplifier,
     Coupling,
     Disc,
-    Machine,
     MagneticBearing,
     OperatingPoint,
     Operation,
@@ -17,6 +16,7 @@ from ambrose.machine.description import (
     Sensor,
     ShaftSection,
 )
+from ambrose.machine.machine import Machine
 from ambrose.verification.checks import Check, Checks, Curve
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.report import page as document
 from ambrose.report import tables
 from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict

@@ -19,7 +19,8 @@ from scipy.interpolate import CubicSpline
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import to_statespace
-from ambrose.machine.description import Machine, ShaftSection
+from ambrose.machine.description import ShaftSection
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.machine.seals import SealTable
 from ambrose.physics import amplifier, magnet, sensor

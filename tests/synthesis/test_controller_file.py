@@ -17,8 +17,9 @@ from ambrose import __version__
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select, static_gain
-from ambrose.machine.description import Machine, MagneticBearing, OperatingPoint, Sensor, ShaftSection
+from ambrose.machine.description import MagneticBearing, OperatingPoint, Sensor, ShaftSection
 from ambrose.machine.file.toml import machine_hash
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.certificate import match_controller
 from ambrose.synthesis.controller_file import controller_schema, read_controller, write_controller

@@ -10,15 +10,8 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
-from ambrose.machine.description import (
-    Amplifier,
-    Machine,
-    MagneticBearing,
-    Notch,
-    PidSettings,
-    Sensor,
-    ShaftSection,
-)
+from ambrose.machine.description import Amplifier, MagneticBearing, Notch, PidSettings, Sensor, ShaftSection
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant

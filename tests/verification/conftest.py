@@ -11,7 +11,6 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.description import (
     Amplifier,
     Coupling,
-    Machine,
     MagneticBearing,
     OperatingPoint,
     Operation,
@@ -21,6 +20,7 @@ from ambrose.machine.description import (
     Sensor,
     ShaftSection,
 )
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.synthesis.pid import pid_controller

@@ -26,8 +26,8 @@ from ambrose.deployment.mat import mat_files
 from ambrose.deployment.scheduled_pipeline import check_deliverable, scheduled_provenance
 from ambrose.deployment.structured_text import Precision, structured_text
 from ambrose.machine.atomic_write import check_place, write_files
-from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.result import Synthesis
 

@@ -9,7 +9,7 @@ from ambrose.core.checks import invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.c.scheduled import check_precision
 from ambrose.deployment.discretisation.scheduled import ScheduledDeployment, sensitivity_peak, unmet_over_range
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.synthesis.result import Synthesis
 from ambrose.verification.checks import Checks
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.response import simulate
 from ambrose.core.statespace import StateSpace, select
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 
 PATTERNS = ("parallel", "tilt", "single")
 ORDERS = (3, 20)  # of a binary sequence

@@ -10,7 +10,8 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.output_error.delays import COMMAND, TIMING
-from ambrose.machine.description import BiasPoint, Machine, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
+from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import Parameter, find_uncertain, parse_parameter
 from ambrose.physics import magnet
 from ambrose.physics.seal import coefficients

@@ -8,7 +8,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identification.output_error.delays import COMMAND, TIMING
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import QUANTITIES, find_uncertain
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import channels

@@ -20,7 +20,7 @@ from ambrose.identification.validation.plausibility import delay_findings, diagn
 from ambrose.identification.validation.repeatability import Repeats, of_estimates
 from ambrose.identification.validation.simulated_output import Explained, explained
 from ambrose.identification.youla import identify as youla
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
 from ambrose.machine.record.record import Record
 from ambrose.machine.units import DIMENSIONS

@@ -1,14 +1,14 @@
 """What the user writes down about a machine. Data only: no matrices, no units but SI, no files.
 
 Positions are axial coordinates from the rotor's left end [m]. ``zeta``/``eta`` pairs are in the actuator axes, tilted by
-``angle`` from the global x, y. A Machine is checked as a whole when it is made, from a file, in code or with ``replace``
-(``machine/validation/machine.py``); its parts are checked with it.
+``angle`` from the global x, y. Parts are not checked on their own: the Machine made of them is (``machine/machine.py``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ambrose.machine.part import Part
 from ambrose.machine.seals import FREQUENCY_DEPENDENCE as FREQUENCY_DEPENDENCE  # noqa: PLC0414
 from ambrose.machine.seals import SEAL_AXES as SEAL_AXES  # noqa: PLC0414
 from ambrose.machine.seals import SEAL_COEFFICIENTS as SEAL_COEFFICIENTS  # noqa: PLC0414
@@ -23,8 +23,8 @@ BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
 CONTROLLER_COORDINATES = ("axes", "tilt-translate")
 
 
-@dataclass(frozen=True, slots=True)
-class Material:
+@dataclass(frozen=True, slots=True, repr=False)
+class Material(Part):
     """density [kg/m3], youngs_modulus [Pa], poisson_ratio [-]; ``name`` is that of its table in a file, and not compared."""
 
     density: float = 7850.0
@@ -33,8 +33,8 @@ class Material:
     name: str = field(default="", compare=False)
 
 
-@dataclass(frozen=True, slots=True)
-class ShaftSection:
+@dataclass(frozen=True, slots=True, repr=False)
+class ShaftSection(Part):
     """One cylindrical piece of shaft; sections follow each other from left to right without gap or overlap.
 
     start, length [m]; outer_diameter and inner_diameter [m] carry the stiffness; mass_diameter [m] (default: the outer
@@ -51,8 +51,8 @@ class ShaftSection:
     label: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Disc:
+@dataclass(frozen=True, slots=True, repr=False)
+class Disc(Part):
     """A rigid disc: position [m], mass [kg], polar_inertia and diametral_inertia [kg m2] about its centre."""
 
     name: str
@@ -62,8 +62,8 @@ class Disc:
     diametral_inertia: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class MagnetGeometry:
+@dataclass(frozen=True, slots=True, repr=False)
+class MagnetGeometry(Part):
     """Heteropolar magnet: one opposing pair of horseshoes per axis, differential driving.
 
     turns [-] per horseshoe pole; pole_area [m2]; gap [m] nominal radial; pole_half_angle [rad] between an axis and its poles
@@ -76,8 +76,8 @@ class MagnetGeometry:
     pole_half_angle: float = 0.39269908169872414
 
 
-@dataclass(frozen=True, slots=True)
-class MagnetIron:
+@dataclass(frozen=True, slots=True, repr=False)
+class MagnetIron(Part):
     """Iron in series with the air gaps; the flux density levels off smoothly (used by the virtual rig, and with geometry).
 
     turns [-] of one horseshoe, both poles together; flux_density [T] in the air gap that is never passed; equivalent_gap [m]
@@ -89,8 +89,8 @@ class MagnetIron:
     equivalent_gap: float
 
 
-@dataclass(frozen=True, slots=True)
-class Touchdown:
+@dataclass(frozen=True, slots=True, repr=False)
+class Touchdown(Part):
     """Contact in the touchdown bearing, for the virtual rig; the defaults are assumed, not measured.
 
     stiffness [N/m], damping [N s/m], Coulomb friction [-]; radius [m] of the contact (None: the shaft's there);
@@ -104,8 +104,8 @@ class Touchdown:
     sliding_speed: float = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class BiasPoint:
+@dataclass(frozen=True, slots=True, repr=False)
+class BiasPoint(Part):
     """Coefficients measured at one bias current [A]: force_per_current k_i [N/A], negative_stiffness k_s [N/m] > 0."""
 
     bias_current: float
@@ -113,8 +113,8 @@ class BiasPoint:
     negative_stiffness: Pair
 
 
-@dataclass(frozen=True, slots=True)
-class MagneticBearing:
+@dataclass(frozen=True, slots=True, repr=False)
+class MagneticBearing(Part):
     """A radial AMB; f = k_i i + k_s x per axis, k_s > 0 destabilising.
 
     position [m], angle [rad] of zeta from x, bias_current [A]. Either force_per_current [N/A] and negative_stiffness [N/m]
@@ -142,8 +142,8 @@ class MagneticBearing:
     magnetic_offset: Pair = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Runout:
+@dataclass(frozen=True, slots=True, repr=False)
+class Runout(Part):
     """One harmonic of a sensor track's profile: amplitude cos(order (angle - axis) + phase), amplitude [m], phase [rad]."""
 
     order: int
@@ -151,8 +151,8 @@ class Runout:
     phase: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Sensor:
+@dataclass(frozen=True, slots=True, repr=False)
+class Sensor(Part):
     """A radial displacement sensor pair that serves a bearing, in that bearing's axes.
 
     position [m], gain [-] (1 = calibrated), bandwidth [rad/s] of a first-order lag (None: none). For the virtual rig alone:
@@ -169,8 +169,8 @@ class Sensor:
     runout: tuple[Runout, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Amplifier:
+@dataclass(frozen=True, slots=True, repr=False)
+class Amplifier(Part):
     """Current amplifier and coil of every axis, unit gain at DC.
 
     order "first": bandwidth/(s + bandwidth); "twice-first": that times eddy_bandwidth/(s + eddy_bandwidth);
@@ -187,8 +187,8 @@ class Amplifier:
     inductance: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Coupling:
+@dataclass(frozen=True, slots=True, repr=False)
+class Coupling(Part):
     """A flexible coupling to ground: position [m], stiffness [N/m] and damping [N s/m] (zeta, eta), angle [rad]."""
 
     name: str
@@ -198,8 +198,8 @@ class Coupling:
     angle: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Notch:
+@dataclass(frozen=True, slots=True, repr=False)
+class Notch(Part):
     """A notch filter: frequency [rad/s], damping of its poles and of its zeros [-]."""
 
     frequency: float
@@ -207,8 +207,8 @@ class Notch:
     zero_damping: float
 
 
-@dataclass(frozen=True, slots=True)
-class PidSettings:
+@dataclass(frozen=True, slots=True, repr=False)
+class PidSettings(Part):
     """The reference controller: K_p (1 + 1/(T_i s) + T_d s/(eps T_d s + 1)) per axis, and the usual additions.
 
     gain K_p [A/m] per axis in the order of the machine's axes, or one for all; integral_time T_i and derivative_time T_d [s];
@@ -221,7 +221,7 @@ class PidSettings:
     integral_time: float | None = None
     derivative_time: float | None = None
     derivative_filter: float = 0.1
-    notches: tuple[Notch, ...] = ()
+    notches: tuple[Notch, ...] = field(default=(), metadata={"key": "notch"})
     lead: Pair | None = None
     low_pass: float | None = None
     low_pass_damping: float = 0.7071067811865476
@@ -231,8 +231,8 @@ class PidSettings:
     delay: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class OperatingPoint:
+@dataclass(frozen=True, slots=True, repr=False)
+class OperatingPoint(Part):
     """speed [rad/s]; seal_pressure [Pa], the differential pressure of every seal; bias_current [A] (None: the machine's);
     whirl_frequency [rad/s] at which frequency-dependent seals are read (None: the speed)."""
 
@@ -243,14 +243,14 @@ class OperatingPoint:
     label: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Operation:
+@dataclass(frozen=True, slots=True, repr=False)
+class Operation(Part):
     """The points at which the machine is verified, and its speed range [rad/s]; the first point is the nominal one.
 
     design_point: label of the point that controllers are designed for; empty: the nominal one.
     """
 
-    points: tuple[OperatingPoint, ...] = (OperatingPoint(label="standstill"),)
+    points: tuple[OperatingPoint, ...] = field(default=(OperatingPoint(label="standstill"),), metadata={"key": "point"})
     speed_range: Pair = (0.0, 0.0)
     design_point: str = ""
 
@@ -264,8 +264,8 @@ class Operation:
         return next((point for point in self.points if point.label == self.design_point and point.label), self.nominal)
 
 
-@dataclass(frozen=True, slots=True)
-class Tolerance:
+@dataclass(frozen=True, slots=True, repr=False)
+class Tolerance(Part):
     """One uncertain parameter, named by its path ("seal.center.k", "bearing.A.negative_stiffness.zeta").
 
     relative: half-width as a fraction of the nominal value; or absolute: half-width in SI units. One of the two.
@@ -276,8 +276,8 @@ class Tolerance:
     absolute: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Requirements:
+@dataclass(frozen=True, slots=True, repr=False)
+class Requirements(Part):
     """What verification demands; None leaves a criterion to its standard's default, or unchecked where there is none.
 
     sensitivity_peak [-]; compliance_peak [m/N]; balance_grade [m/s] (G2.5 = 2.5e-3); balance_speed [rad/s] at which the
@@ -298,8 +298,8 @@ class Requirements:
     max_current: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class DesignWeights:
+@dataclass(frozen=True, slots=True, repr=False)
+class DesignWeights(Part):
     """What a robust design aims at, in words (``synthesis/weights.py`` makes transfer functions of it).
 
     error_scale D_e [m]: the largest acceptable error; current_scale D_u [A]: the largest control current. bandwidth w_B
@@ -321,15 +321,14 @@ class DesignWeights:
     output_disturbance: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Machine:
-    """A rotor on magnetic bearings, as written down.
+@dataclass(frozen=True, slots=True, repr=False)
+class MachineDescription(Part):
+    """A rotor on magnetic bearings as written down, not yet checked; a Machine is one that was.
 
     modal_damping [-] is the damping ratio given to every bending mode; beam_theory "bernoulli-euler", "rayleigh" or
     "timoshenko"; gravity_direction [rad] from x towards y (-pi/2: down along y; None: no weight), for the virtual rig;
-    ``assumed`` lists the parameters that were chosen, not measured or published, each with its reason.
-    Making one raises InvalidInput with a line for each problem: what belongs together (a seal and its tolerance, a bearing
-    and its sensor) is replaced together.
+    ``assumed`` lists the parameters that were chosen, not measured or published, each with its reason. file_text is the file
+    that the machine was read from (empty: none), for its comments, order and units; it is not compared.
     """
 
     name: str
@@ -351,11 +350,7 @@ class Machine:
     beam_theory: str = "bernoulli-euler"
     gravity_direction: float | None = None
     assumed: tuple[tuple[str, str], ...] = ()
-
-    def __post_init__(self) -> None:
-        from ambrose.machine.validation.machine import check_machine  # which imports the nouns from here
-
-        check_machine(self)
+    file_text: str = field(default="", compare=False)
 
     @property
     def length(self) -> float:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import MachineDescription, OperatingPoint
 from ambrose.machine.messages import suggestion
 
 _TILTED = ("zeta", "eta")
@@ -85,7 +85,7 @@ def parse_parameter(path: str) -> Parameter:
     return Parameter(path, table, name, quantity, component, dimension)
 
 
-def find_parameter(machine: Machine, path: str) -> Parameter:
+def find_parameter(machine: MachineDescription, path: str) -> Parameter:
     """The parameter that ``path`` names, after checking that this machine has it. Raises InvalidInput."""
     parameter = parse_parameter(path)
     if parameter.table == "amplifier":
@@ -107,7 +107,7 @@ def find_parameter(machine: Machine, path: str) -> Parameter:
     return parameter
 
 
-def find_uncertain(machine: Machine, path: str) -> Parameter:
+def find_uncertain(machine: MachineDescription, path: str) -> Parameter:
     """``find_parameter`` for a tolerance. Raises InvalidInput for a parameter of the machine that cannot be uncertain, too."""
     parameter = find_parameter(machine, path)
     if (parameter.table, parameter.quantity) == ("seal", "M"):
@@ -116,7 +116,7 @@ def find_uncertain(machine: Machine, path: str) -> Parameter:
     return parameter
 
 
-def operating_point(machine: Machine, label: str) -> OperatingPoint:
+def operating_point(machine: MachineDescription, label: str) -> OperatingPoint:
     """The operating point whose label is, or else the only one that starts with, ``label``; raises InvalidInput."""
     points = machine.operation.points
     found = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]

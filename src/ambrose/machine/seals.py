@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+from ambrose.machine.part import Part, to_plain_values
 
 SEAL_COEFFICIENTS = ("K", "k", "C", "c", "M")
 SEAL_AXES = ("pressure", "speed", "frequency")
 FREQUENCY_DEPENDENCE = ("synchronous", "states")
 
 
-@dataclass(frozen=True, slots=True)
-class SealTable:
+@dataclass(frozen=True, slots=True, repr=False)
+class SealTable(Part):
     """Seal coefficients on a grid: any of the axes pressure [Pa], speed [rad/s], frequency [rad/s], each ascending.
 
     values: coefficient name -> array nested in the order of ``axes``.
@@ -19,9 +23,20 @@ class SealTable:
     axes: tuple[tuple[str, tuple[float, ...]], ...]
     values: tuple[tuple[str, object], ...]
 
+    def facts(self) -> Mapping[str, Any]:
+        axes = {name: len(grid) for name, grid in self.axes}
+        return {
+            "axes": " x ".join(f"{size} {name}" for name, size in axes.items()),
+            "values": [name for name, _ in self.values],
+        }
 
-@dataclass(frozen=True, slots=True)
-class GasSealGeometry:
+    def to_dict(self, *, defaults: bool = False) -> dict[str, Any]:
+        """The axes' names in the order of nesting, then axes and coefficients as lists, SI."""
+        return {"axes": [name for name, _ in self.axes], **{key: to_plain_values(x) for key, x in (*self.axes, *self.values)}}
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class GasSealGeometry(Part):
     """An annular gas seal, smooth or with holes in its stator, from which a bulk-flow model computes K, k, C and c.
 
     length, diameter (of the rotor), radial clearances at inlet and exit, hole_depth [m]; hole_area_ratio [-] of holes to stator
@@ -54,8 +69,8 @@ class GasSealGeometry:
     compressibility: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Seal:
+@dataclass(frozen=True, slots=True, repr=False)
+class Seal(Part):
     """An annular seal: f = -([[K, k], [-k, K]] x + [[C, c], [-c, C]] x' + M x''), k > 0 drives forward whirl.
 
     position [m]; K, k [N/m], C, c [N s/m], M [kg] at ``reference_pressure`` [Pa]. ``scales_with_pressure`` names the

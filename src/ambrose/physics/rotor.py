@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_finite, invalid
 from ambrose.core.mechanical import undamped_modes
-from ambrose.machine.description import Disc, Machine
+from ambrose.machine.description import Disc
+from ambrose.machine.machine import Machine
 from ambrose.physics.beam import BeamElement, beam_element, shape
 
 STANDARD_GRAVITY = 9.80665  # [m/s2]

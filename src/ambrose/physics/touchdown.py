@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 
-from ambrose.machine.description import Machine, MagneticBearing, Touchdown
+from ambrose.machine.description import MagneticBearing, Touchdown
+from ambrose.machine.machine import Machine
 
 _ROUNDING = 1e-3  # d_0 over the clearance
 

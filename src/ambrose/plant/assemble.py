@@ -15,7 +15,8 @@ import numpy as np
 
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
-from ambrose.machine.description import Machine, OperatingPoint, Seal
+from ambrose.machine.description import OperatingPoint, Seal
+from ambrose.machine.machine import Machine
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes
 from ambrose.physics.seal_rational import has_states

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 
 QUARTER = np.pi / 2
 

@@ -24,7 +24,7 @@ from typing import Any
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_text
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 
 MARKS = {"": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": "", "heading": ""}
 

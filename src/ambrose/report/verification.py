@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.captions import caption
 from ambrose.report.figures.plots import figure, rotor_drawing

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.simulation.control_program import ControlProgram, ScheduledProgram
 from ambrose.simulation.rig.controller import ControllerAt, Law, closed_loop_poles, deployed, sample_time, taking_over
 from ambrose.simulation.rig.equilibrium import (

@@ -27,8 +27,8 @@ from ambrose.identification.parameters import expand
 from ambrose.identification.pipeline import CheckedIdentification, checked_identification, usual_unknowns
 from ambrose.identification.pipeline import provenance as origin_of
 from ambrose.machine.atomic_write import write_text
-from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import dumps_machine
+from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig

@@ -12,7 +12,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import poles, select
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 from ambrose.plant.assemble import assemble

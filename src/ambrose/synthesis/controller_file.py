@@ -26,8 +26,8 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
 from ambrose.machine.atomic_write import write_text
-from ambrose.machine.description import Machine
 from ambrose.machine.file.toml import machine_hash
+from ambrose.machine.machine import Machine
 from ambrose.synthesis.certificate import match_controller
 from ambrose.synthesis.hinf.scaling import Matrices
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis

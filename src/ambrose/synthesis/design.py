@@ -9,7 +9,8 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.description import Machine, Tolerance
+from ambrose.machine.description import Tolerance
+from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.certificate import certify

@@ -14,7 +14,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
-from ambrose.machine.description import Machine, MagneticBearing, PidSettings
+from ambrose.machine.description import MagneticBearing, PidSettings
+from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.filters import lead, low_pass, notch, pid_term

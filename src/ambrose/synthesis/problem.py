@@ -28,7 +28,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
-from ambrose.machine.description import DesignWeights, Machine, OperatingPoint, Tolerance
+from ambrose.machine.description import DesignWeights, OperatingPoint, Tolerance
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.published import published_p5, published_p5_data

@@ -17,7 +17,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, series, static_gain, transfer_function
-from ambrose.machine.description import DesignWeights, Machine
+from ambrose.machine.description import DesignWeights
+from ambrose.machine.machine import Machine
 
 _SYSTEMS = ("performance", "control")
 _SIZES = ("error_scale", "current_scale", "current_disturbance", "output_disturbance", "control_factor")

@@ -31,7 +31,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid
-from ambrose.machine.description import Machine, Requirements
+from ambrose.machine.description import Requirements
+from ambrose.machine.machine import Machine
 from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.model import Plant

@@ -13,7 +13,7 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.evaluation import points_of
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.report import page as document

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Disc, Machine
+from ambrose.machine.description import Disc
+from ambrose.machine.machine import Machine
 from ambrose.report import theme
 from ambrose.report.figures import plots
 from ambrose.report.figures.poles import pole_figure

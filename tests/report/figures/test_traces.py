@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report.figures.traces import trace_curves
 from ambrose.simulation.trace import Trace

@@ -27,7 +27,8 @@ from ambrose.deployment.discretisation.fixed import (
     status_problems,
     whole_samples,
 )
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant

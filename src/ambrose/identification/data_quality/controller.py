@@ -13,7 +13,7 @@ import scipy.linalg as sla
 
 from ambrose.core.response import impulse_response, simulate
 from ambrose.core.statespace import StateSpace, poles
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
 LAGS = 6  # samples, the longest delay that is tried

@@ -31,7 +31,7 @@ from ambrose.identification.data_quality.signals import signal_findings
 from ambrose.identification.moved_plant import plant_at
 from ambrose.identification.output_error.problem import deployed_controller
 from ambrose.identification.parameters import ratios
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant

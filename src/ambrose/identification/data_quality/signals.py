@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFinding
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
 _LONG, _FEW = 3, 2  # samples of a flat top, and how many flat tops make it clipping

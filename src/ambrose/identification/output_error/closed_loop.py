@@ -45,7 +45,8 @@ from ambrose.identification.output_error.problem import (
 )
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.summary import verdict_of, warnings_of
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
 __all__ = [

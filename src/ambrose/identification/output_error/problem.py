@@ -16,7 +16,8 @@ from ambrose.identification.output_error.delays import COMMAND, EXCITATION, Time
 from ambrose.identification.output_error.loop_model import ParametricModel, loop_model
 from ambrose.identification.output_error.normal_equations import Task, distinct
 from ambrose.identification.parameters import nominal_values, ratios, split_timing
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller

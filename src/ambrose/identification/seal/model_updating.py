@@ -8,7 +8,8 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
-from ambrose.machine.description import Machine, Seal, SealTable, Tolerance
+from ambrose.machine.description import Seal, SealTable, Tolerance
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import parse_parameter
 from ambrose.plant.assemble import seal_coefficients
 

@@ -21,7 +21,7 @@ from ambrose.identification.seal.result import COEFFICIENTS, SealFit, line
 from ambrose.identification.seal.stepped_sine import seal_name
 from ambrose.identification.validation.plausibility import diagnose_pieces
 from ambrose.identification.validation.simulated_output import explained
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.record.record import Record
 

@@ -20,7 +20,8 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.frf.phasors import Phasors, Step, find_steps, phasors
 from ambrose.identification.seal.result import SealFit
-from ambrose.machine.description import Machine, OperatingPoint, Seal
+from ambrose.machine.description import OperatingPoint, Seal
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import amplifier, magnet, sensor
 from ambrose.plant.assemble import assemble, seal_coefficients

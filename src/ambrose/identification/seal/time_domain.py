@@ -13,7 +13,7 @@ from ambrose.identification.output_error.closed_loop import Identification
 from ambrose.identification.output_error.summary import HARDLY_VISIBLE
 from ambrose.identification.seal.result import COEFFICIENTS, ENTRIES, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import seal_coefficients
 

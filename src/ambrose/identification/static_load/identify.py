@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.identification.static_load.levels import Levels, steady_levels
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor

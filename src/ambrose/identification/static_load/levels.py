@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
 _BLOCK = 0.01  # [s] over which a load is averaged before its steps are looked for

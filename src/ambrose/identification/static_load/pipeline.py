@@ -14,7 +14,7 @@ from ambrose.core.checks import invalid
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats, of_estimates
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 

@@ -11,7 +11,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identification.model_updating import Found
 from ambrose.identification.output_error.delays import TIMING
 from ambrose.identification.parameters import nominal_values
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import parse_parameter
 from ambrose.plant.assemble import assemble
 

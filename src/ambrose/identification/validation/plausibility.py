@@ -12,7 +12,7 @@ from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFi
 from ambrose.identification.output_error.closed_loop import Identification
 from ambrose.identification.output_error.delays import COMMAND, TIMING
 from ambrose.identification.validation.simulated_output import Explained
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import parse_parameter
 
 _MISSED, _FAR, _ALIKE, _MOVED = 0.3, 2.0, 0.02, 0.05

@@ -13,7 +13,7 @@ from ambrose.identification.output_error.closed_loop import Identification
 from ambrose.identification.output_error.delays import AHEAD, TimedLoop
 from ambrose.identification.output_error.normal_equations import fit
 from ambrose.identification.output_error.problem import experiment
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
 

@@ -32,7 +32,7 @@ from ambrose.identification.output_error.problem import (
 )
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.identification.youla.residual_model import HeldResidual, SampledResidual, held_residual, sampled_residual
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant

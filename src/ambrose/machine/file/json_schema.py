@@ -8,10 +8,11 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
-from ambrose.machine.description import SCHEMA_VERSION, Machine
+from ambrose.machine.description import SCHEMA_VERSION
 from ambrose.machine.file.fields import PLACEHOLDER, quantity_schemas
 from ambrose.machine.file.table import Table
 from ambrose.machine.file.tables import MachineFile
+from ambrose.machine.machine import Machine
 
 
 def editor_schema() -> dict[str, Any]:

@@ -8,9 +8,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Machine, Material, ShaftSection
+from ambrose.machine.description import Material, ShaftSection
 from ambrose.machine.file.table import Table
 from ambrose.machine.file.tables import MachineFile, ShaftTable, table_below
+from ambrose.machine.machine import Machine
 from ambrose.machine.messages import listed, shown, suggestion
 from ambrose.machine.validation.machine import InvalidMachine
 

@@ -7,16 +7,13 @@ import json
 import os
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_text
-from ambrose.machine.description import SCHEMA_VERSION, Machine, Material, SealTable, ShaftSection
+from ambrose.machine.machine import Machine
 from ambrose.machine.messages import meant
 
 _LARGEST_FILE = 10_000_000  # bytes; a machine file has a few thousand
@@ -66,7 +63,7 @@ def save_machine(machine: Machine, path: str | os.PathLike[str]) -> Path:
 
 def dumps_machine(machine: Machine) -> str:
     """A machine as TOML text in SI numbers; keys that have their default value are left out."""
-    return "\n".join(_lines(_document(machine), "")).lstrip("\n") + "\n"
+    return "\n".join(_lines(machine.to_dict(), "")).lstrip("\n") + "\n"
 
 
 def machine_hash(machine: Machine) -> str:
@@ -74,7 +71,7 @@ def machine_hash(machine: Machine) -> str:
 
     It does not depend on how a file is formatted, on units or on keys written out with their default value.
     """
-    document = _document(machine)
+    document = machine.to_dict()
     for key in ("description", "source", "assumed"):
         document["machine"].pop(key, None)
     return hashlib.sha256(json.dumps(document, sort_keys=True, allow_nan=False).encode()).hexdigest()
@@ -130,80 +127,3 @@ def _lines(table: Mapping[str, Any], path: str) -> Iterator[str]:
         for entry in value if isinstance(value, list) and below(value) else [value] if below(value) else []:
             yield f"\n[[{inner}]]" if isinstance(value, list) else f"\n[{inner}]"
             yield from _lines(entry, f"{inner}.")
-
-
-def _document(machine: Machine) -> dict[str, Any]:
-    """The machine as nested tables of a TOML file."""
-    materials = _material_names(machine)
-    whole = {"name", "description", "source", "beam_theory", "modal_damping", "gravity_direction"}
-    head = {"schema": SCHEMA_VERSION, **_changed(machine, whole)}
-    if machine.assumed:
-        head["assumed"] = dict(machine.assumed)
-    document: dict[str, Any] = {"machine": head}
-    if materials:
-        document["material"] = {
-            name: _changed(material, {"density", "youngs_modulus", "poisson_ratio"}) for material, name in materials.items()
-        }
-    document["shaft"] = [_section(section, materials) for section in machine.shaft]
-    for one in ("disc", "bearing", "sensor", "seal", "coupling", "tolerance"):
-        entries = getattr(machine, f"{one}s")
-        if entries or one in {"bearing", "sensor"}:
-            document[one] = [_changed(entry) for entry in entries]
-    document["amplifier"] = {"order": machine.amplifier.order, **_changed(machine.amplifier)}  # a file must name the order
-    if machine.controller is not None:
-        document["controller"] = _renamed(_changed(machine.controller), notches="notch")
-    if machine.weights is not None:
-        document["weights"] = _changed(machine.weights)
-    rest = {"operation": _renamed(_changed(machine.operation), points="point"), "requirements": _changed(machine.requirements)}
-    document.update({name: table for name, table in rest.items() if table})
-    return document
-
-
-def _renamed(table: dict[str, Any], **names: str) -> dict[str, Any]:
-    return {names.get(key, key): value for key, value in table.items()}
-
-
-def _section(section: ShaftSection, materials: Mapping[Material, str]) -> dict[str, Any]:
-    table = _changed(section, {field.name for field in fields(section)} - {"material"})
-    if section.material in materials:
-        table["material"] = materials[section.material]
-    return table
-
-
-def _material_names(machine: Machine) -> dict[Material, str]:
-    """A different name for every material that is not the default one: its own where it has one."""
-    names: dict[Material, str] = {}
-    for section in machine.shaft:
-        material = section.material
-        if material != Material() and material not in names:
-            name = wanted = material.name or "material"
-            number = 1
-            while name in names.values():
-                number += 1
-                name = f"{wanted}-{number}"
-            names[material] = name
-    return names
-
-
-def _changed(thing: Any, keys: set[str] | None = None) -> dict[str, Any]:
-    """The fields of a noun that have no default or another value than it, as plain TOML values."""
-    table = {}
-    for field in fields(thing):
-        value = getattr(thing, field.name)
-        default = field.default_factory() if field.default_factory is not MISSING else field.default
-        if (keys is None or field.name in keys) and value is not None and (default is MISSING or value != default):
-            table[field.name] = int(value) if field.type == "int" else _plain(value)
-    return table
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, SealTable):
-        axes = dict(value.axes)
-        return {"axes": list(axes), **{key: _plain(grid) for key, grid in (axes | dict(value.values)).items()}}
-    if is_dataclass(value):
-        return _changed(value)
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (tuple, list)):
-        return [_plain(element) for element in value]
-    return value if isinstance(value, str) else float(value) + 0.0  # no negative zero

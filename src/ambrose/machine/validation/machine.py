@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, Machine, PidSettings
+from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, MachineDescription, PidSettings
 from ambrose.machine.messages import complaint, listed, not_positive, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.validation import parts
@@ -34,14 +34,14 @@ class InvalidMachine(InvalidInput):
         return listed(self.args[0], self.problems)
 
 
-def check_machine(machine: Machine) -> None:
+def check_machine(machine: MachineDescription) -> None:
     """Raises InvalidMachine, an InvalidInput with one line per problem, if there is any."""
     found = problems(machine)
     if found:
         raise InvalidMachine(f'machine "{machine.name}"', found)
 
 
-def problems(machine: Machine) -> tuple[str, ...]:
+def problems(machine: MachineDescription) -> tuple[str, ...]:
     """Everything that is wrong with a machine, one line each; numbers that are not finite hide all else."""
     checks = (
         *(_whole, parts.shaft, _names, _places, parts.discs, parts.bearings, parts.sensors, parts.amplifier, parts.couplings),
@@ -64,7 +64,7 @@ def _not_finite(thing: object, place: str) -> Iterator[str]:
             yield from _not_finite(getattr(thing, field.name), f"{place}: {field.name}" if place else field.name)
 
 
-def _whole(machine: Machine) -> Iterator[str]:
+def _whole(machine: MachineDescription) -> Iterator[str]:
     if not machine.name.strip():
         yield complaint("[machine]", "name", "empty", "a name", 'write name = "..."')
     if not 0 <= machine.modal_damping < 1:
@@ -80,7 +80,7 @@ def _whole(machine: Machine) -> Iterator[str]:
         yield complaint("[machine]", "beam_theory", shown(machine.beam_theory), known, "choose one of them")
 
 
-def _attachments(machine: Machine) -> Iterator[tuple[str, str, float]]:
+def _attachments(machine: MachineDescription) -> Iterator[tuple[str, str, float]]:
     """(table, name, position) of everything with a name of its own; the plant's signals are named after it."""
     for table, entries in (
         ("disc", machine.discs),
@@ -92,7 +92,7 @@ def _attachments(machine: Machine) -> Iterator[tuple[str, str, float]]:
             yield table, entry.name, entry.position
 
 
-def _names(machine: Machine) -> Iterator[str]:
+def _names(machine: MachineDescription) -> Iterator[str]:
     seen: dict[str, str] = {}
     for table, name, _ in _attachments(machine):
         if not _NAME.fullmatch(name):
@@ -104,7 +104,7 @@ def _names(machine: Machine) -> Iterator[str]:
         seen.setdefault(name, table)
 
 
-def _places(machine: Machine) -> Iterator[str]:
+def _places(machine: MachineDescription) -> Iterator[str]:
     if not machine.shaft or any(section.length <= 0 for section in machine.shaft):
         return
     sensors = (("sensor", sensor.bearing, sensor.position) for sensor in machine.sensors)
@@ -117,7 +117,7 @@ def _places(machine: Machine) -> Iterator[str]:
             )
 
 
-def _controller(machine: Machine) -> Iterator[str]:
+def _controller(machine: MachineDescription) -> Iterator[str]:
     pid = machine.controller
     if pid is None:
         return
@@ -166,7 +166,7 @@ def _pid_times(where: str, pid: PidSettings) -> Iterator[str]:
     yield from not_positive(where, "a controller cannot see ahead", ("delay", pid.delay, "s"), zero=True)
 
 
-def _operation(machine: Machine) -> Iterator[str]:
+def _operation(machine: MachineDescription) -> Iterator[str]:
     operation = machine.operation
     low, high = operation.speed_range
     if not 0 <= low <= high:
@@ -192,7 +192,7 @@ def _operation(machine: Machine) -> Iterator[str]:
         yield f'[operation]: design_point is "{wanted}", which is no point\'s label; {known}'
 
 
-def _tolerances(machine: Machine) -> Iterator[str]:
+def _tolerances(machine: MachineDescription) -> Iterator[str]:
     found: list[Parameter] = []
     for i, tolerance in enumerate(machine.tolerances):
         where = f"[[tolerance]] {i + 1}"
@@ -214,7 +214,7 @@ def _tolerances(machine: Machine) -> Iterator[str]:
             )
 
 
-def _requirements(machine: Machine) -> Iterator[str]:
+def _requirements(machine: MachineDescription) -> Iterator[str]:
     where, demanded = "[requirements]", machine.requirements
     for field in fields(demanded):
         remedy = "leave it out where nothing is demanded"
@@ -226,7 +226,7 @@ def _requirements(machine: Machine) -> Iterator[str]:
         yield complaint(where, "phase_margin", f"{demanded.phase_margin:g} rad", "below pi", 'write degrees as "30 deg"')
 
 
-def _weights(machine: Machine) -> Iterator[str]:
+def _weights(machine: MachineDescription) -> Iterator[str]:
     where, weights = "[weights]", machine.weights
     if weights is None:
         return

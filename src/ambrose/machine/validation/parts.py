@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from ambrose.machine.description import (
-    Machine,
+    MachineDescription,
     MagneticBearing,
     ShaftSection,
 )
@@ -17,7 +17,7 @@ JOINT = 1e-9  # gap between shaft sections that counts as rounding, as a fractio
 _MOST_ELEMENTS = 1000  # per section; more is a slip of the pen
 
 
-def shaft(machine: Machine) -> Iterator[str]:
+def shaft(machine: MachineDescription) -> Iterator[str]:
     if not machine.shaft:
         yield "[[shaft]]: there is no section; describe the rotor by at least one, from its left end to its right end"
         return
@@ -76,7 +76,7 @@ def _section(where: str, section: ShaftSection) -> Iterator[str]:
         )
 
 
-def discs(machine: Machine) -> Iterator[str]:
+def discs(machine: MachineDescription) -> Iterator[str]:
     for disc in machine.discs:
         where = f"[[disc]] {disc.name}"
         polar, diametral = disc.polar_inertia, disc.diametral_inertia
@@ -93,7 +93,7 @@ def discs(machine: Machine) -> Iterator[str]:
             )
 
 
-def bearings(machine: Machine) -> Iterator[str]:
+def bearings(machine: MachineDescription) -> Iterator[str]:
     for bearing in machine.bearings:
         where = f"[[bearing]] {bearing.name}"
         yield from _bearing(where, bearing)
@@ -176,7 +176,7 @@ def _signs(where: str, k_i: tuple[float, float] | None, k_s: tuple[float, float]
     yield from not_positive(where, remedy, *pair_entries("negative_stiffness", k_s, "N/m"), zero=True)
 
 
-def sensors(machine: Machine) -> Iterator[str]:
+def sensors(machine: MachineDescription) -> Iterator[str]:
     names = [bearing.name for bearing in machine.bearings]
     served = [sensor.bearing for sensor in machine.sensors]
     for i, sensor in enumerate(machine.sensors):
@@ -203,7 +203,7 @@ def sensors(machine: Machine) -> Iterator[str]:
             yield f'[[bearing]] {name}: no [[sensor]] serves it; add one with bearing = "{name}" and its position'
 
 
-def amplifier(machine: Machine) -> Iterator[str]:
+def amplifier(machine: MachineDescription) -> Iterator[str]:
     amplifier = machine.amplifier
     if amplifier.order not in AMPLIFIER_PARAMETERS:
         known = f"one of {', '.join(AMPLIFIER_PARAMETERS)}"
@@ -230,7 +230,7 @@ def amplifier(machine: Machine) -> Iterator[str]:
         yield '[amplifier]: max_voltage limits the slope of the current, which order "none" does not have; choose "first"'
 
 
-def couplings(machine: Machine) -> Iterator[str]:
+def couplings(machine: MachineDescription) -> Iterator[str]:
     for coupling in machine.couplings:
         pairs = (*pair_entries("stiffness", coupling.stiffness, "N/m"), *pair_entries("damping", coupling.damping, "N s/m"))
         yield from not_positive(f"[[coupling]] {coupling.name}", "a passive coupling holds back", *pairs, zero=True)

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ambrose.machine.description import Machine
+from ambrose.machine.description import MachineDescription
 from ambrose.machine.messages import complaint, not_positive, number, shown, suggestion
 from ambrose.machine.seals import FREQUENCY_DEPENDENCE, SEAL_AXES, SEAL_COEFFICIENTS, GasSealGeometry, Seal, SealTable
 
@@ -17,7 +17,7 @@ _WIDEST = 0.05  # clearance over diameter
 _PRESWIRL = 2.0  # surface speeds; inlet swirl measured on test rigs stays below one
 
 
-def seals(machine: Machine) -> Iterator[str]:
+def seals(machine: MachineDescription) -> Iterator[str]:
     for seal in machine.seals:
         where = f"[[seal]] {seal.name}"
         yield from not_positive(where, "give a pressure difference", ("reference_pressure", seal.reference_pressure, "Pa"))

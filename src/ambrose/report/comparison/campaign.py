@@ -18,7 +18,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict
 

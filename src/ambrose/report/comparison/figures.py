@@ -10,7 +10,7 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.evaluation import Candidate, find
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.captions import caption
 from ambrose.report.figures.panels import Panel, panel_figure

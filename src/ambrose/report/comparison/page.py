@@ -15,7 +15,7 @@ from dataclasses import replace
 from numpy.typing import ArrayLike
 
 from ambrose.evaluation import Candidate, points_of
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.comparison import figures
 from ambrose.report.comparison import tables as comparison_tables

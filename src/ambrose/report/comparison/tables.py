@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ambrose.evaluation import Candidate, find
-from ambrose.machine.description import Machine, Tolerance
+from ambrose.machine.description import Tolerance
+from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Table, Verdict
 from ambrose.report.tables import RELATION, place, reason, verdict

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape
-from ambrose.machine.description import Disc, Machine
+from ambrose.machine.description import Disc
+from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 
 _PIXELS = 800  # width of the plot area that the height is computed for [px]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.ports import Port, ports, sensor_ports
 from ambrose.simulation.scenario import Scenario

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Curve
 

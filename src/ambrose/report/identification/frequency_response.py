@@ -13,7 +13,7 @@ from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.validity import compare, model_response
 from ambrose.identification.moved_plant import plant_at
 from ambrose.identification.pipeline import CheckedIdentification
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report import units
 from ambrose.report.figures.seals import response_figure

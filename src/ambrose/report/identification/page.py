@@ -14,7 +14,7 @@ from ambrose.identification.pipeline import CheckedIdentification
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.identification.validation.agreement import Beside
 from ambrose.identification.youla.identify import ResidualIdentification
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.figures import residual_response
 from ambrose.report.figures.seals import pressure_figure

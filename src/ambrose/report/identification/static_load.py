@@ -13,7 +13,7 @@ import numpy as np
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.static_load.pipeline import CheckedStaticLoad
 from ambrose.identification.validation.agreement import Beside
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.identification.tables import COVERAGE, compared_table, findings_table, fixed, repeats_table
 from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict

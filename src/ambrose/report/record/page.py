@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report import units
 from ambrose.report.figures.orbits import orbit_figure

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report import units
 from ambrose.report.figures.orbits import percent

@@ -10,7 +10,7 @@ import numpy as np
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, as_statespace, select
-from ambrose.machine.description import Machine
+from ambrose.machine.machine import Machine
 from ambrose.simulation.control_program import ControlProgram
 
 DEFAULT_SAMPLE_TIME = 1e-4  # [s]

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ambrose.core.checks import invalid
-from ambrose.machine.description import Machine, OperatingPoint
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes, gravity_load
 from ambrose.plant.assemble import bending_modes_of, gyroscopic_of, seal_model

@@ -1,0 +1,98 @@
+"""Machine: a description that was checked; the noun that everything else starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ambrose.core.presentation import html_table
+from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Material, OperatingPoint, Tolerance
+from ambrose.machine.part import Part
+from ambrose.machine.validation.machine import check_machine
+
+_HEAD = ("name", "description", "source", "beam_theory", "modal_damping", "gravity_direction")  # keys of [machine]
+_ENTRIES = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")  # the tables of which a file has several
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Machine(MachineDescription):
+    """A rotor on magnetic bearings; its fields are those of MachineDescription.
+
+    It is checked as a whole whenever one is made, from a file, in code or with ``replace``. Making one raises InvalidInput
+    with a line for each problem: what belongs together (a seal and its tolerance, a bearing and its sensor) is replaced
+    together.
+    """
+
+    def __post_init__(self) -> None:
+        check_machine(self)
+
+    def facts(self) -> Mapping[str, Any]:
+        counts = {"discs": len(self.discs), "seals": len(self.seals), "tolerances": len(self.tolerances)}
+        points = len(self.operation.points)
+        return {"name": self.name, "length": f"{self.length:.4g} m", "axes": list(self.axes), **counts, "points": points}
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("", self.description),
+            ("shaft", f"{len(self.shaft)} sections, {self.length:.4g} m, {self.beam_theory}"),
+            ("bearings", _places(self.bearings)),
+            ("sensors", ", ".join(f"of {sensor.bearing} at {sensor.position:.4g} m" for sensor in self.sensors)),
+            ("discs", ", ".join(f"{disc.name} at {disc.position:.4g} m, {disc.mass:.4g} kg" for disc in self.discs)),
+            ("seals", _places(self.seals)),
+            ("couplings", _places(self.couplings)),
+            ("operating points", "; ".join(_point_in_words(point) for point in self.operation.points)),
+            ("tolerances", "; ".join(_tolerance_in_words(item) for item in self.tolerances)),
+        ]
+        return html_table([row for row in rows if row[1]], f"Machine {self.name}")
+
+    def to_dict(self, *, defaults: bool = False) -> dict[str, Any]:
+        """The machine as the nested tables of its file, SI; keys at their default only with ``defaults``."""
+        given = Part.to_dict(self, defaults=defaults)
+        materials = _material_names(self)
+        head = {"schema": SCHEMA_VERSION, **{key: given[key] for key in _HEAD if key in given}}
+        if self.assumed:
+            head["assumed"] = dict(self.assumed)
+        document: dict[str, Any] = {"machine": head}
+        if materials:
+            document["material"] = {name: material.to_dict(defaults=defaults) for material, name in materials.items()}
+        document["shaft"] = given["shaft"]
+        for table, section in zip(document["shaft"], self.shaft, strict=True):
+            table.pop("material", None)
+            if section.material in materials:
+                table["material"] = materials[section.material]
+        for key in _ENTRIES:
+            if f"{key}s" in given:
+                document[key] = given[f"{key}s"]
+        document["amplifier"] = {"order": self.amplifier.order, **given.get("amplifier", {})}  # a file must name the order
+        document.update({key: given[key] for key in ("controller", "weights", "operation", "requirements") if key in given})
+        return document
+
+
+def _material_names(machine: Machine) -> dict[Material, str]:
+    """A different name for every material that is not the default one: its own where it has one."""
+    names: dict[Material, str] = {}
+    for section in machine.shaft:
+        material = section.material
+        if material != Material() and material not in names:
+            name = wanted = material.name or "material"
+            number = 1
+            while name in names.values():
+                number += 1
+                name = f"{wanted}-{number}"
+            names[material] = name
+    return names
+
+
+def _places(entries: Any) -> str:
+    return ", ".join(f"{entry.name} at {entry.position:.4g} m" for entry in entries)
+
+
+def _point_in_words(point: OperatingPoint) -> str:
+    return f"{point.label or 'without label'} ({point.speed:.4g} rad/s, {point.seal_pressure:.4g} Pa)"
+
+
+def _tolerance_in_words(tolerance: Tolerance) -> str:
+    if tolerance.relative is not None:
+        return f"{tolerance.parameter} ± {100 * tolerance.relative:.4g} %"
+    return f"{tolerance.parameter} ± {tolerance.absolute:.4g}"
