@@ -16,7 +16,8 @@ from ambrose.core.response import SystemDerivative, impulse_response, simulate, 
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record, read_record, write_record
+from ambrose.machine.record.files import read_record, write_record
+from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction

@@ -75,7 +75,7 @@ def test_verify_fails_a_check_with_status_1(controller):
 
 
 def test_simulate_writes_a_record(controller, tmp_path):
-    from ambrose.machine.record.record import read_record
+    from ambrose.machine.record.files import read_record
 
     path = tmp_path / "record.h5"
     done = call("simulate", RIG, "--controller", controller, "--scenario", "impulse-parallel", "--linear", "-o", path, "--json")
@@ -92,7 +92,7 @@ def test_simulate_reports_divergence_with_status_1(controller, tmp_path):
 
 
 def test_simulate_runs_the_virtual_rig(controller, tmp_path):
-    from ambrose.machine.record.record import read_record
+    from ambrose.machine.record.files import read_record
 
     path = tmp_path / "record.h5"
     done = call("simulate", RIG, "--controller", controller, "--scenario", "impulse-parallel", "-o", path, "--json")

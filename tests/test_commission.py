@@ -19,7 +19,7 @@ from ambrose.deployment.c.compiled import has_compiler
 from ambrose.evaluation import Candidate
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
-from ambrose.machine.record.record import read_record
+from ambrose.machine.record.files import read_record
 from ambrose.plant.reduce import reduce
 from ambrose.report import page as document
 from ambrose.report.commissioning import commissioning_section

@@ -15,7 +15,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import read_record, write_record
+from ambrose.machine.record.files import read_record, write_record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction

@@ -8,7 +8,7 @@ import pytest
 from ambrose import StateSpace, load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.description import OperatingPoint, Runout
-from ambrose.machine.record.record import read_record
+from ambrose.machine.record.files import read_record
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Failure, PressureChange, Pulse, Scenario, load_scenario
 from ambrose.synthesis.pid import pid_controller

@@ -17,8 +17,8 @@ from ambrose.cli.terminal import AS_JSON
 @AS_JSON
 def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> None:
     """Write a record (*.h5, *.csv), or a file of MATLAB (*.mat) or LabVIEW (*.tdms), as a record (*.h5 or *.csv)."""
+    from ambrose.machine.record.files import read_record, write_record
     from ambrose.machine.record.foreign import read_foreign
-    from ambrose.machine.record.record import read_record, write_record
 
     result = read_record(record) if columns is None else read_foreign(record, columns)
     write_record(result, output)

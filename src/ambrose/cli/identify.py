@@ -98,7 +98,7 @@ def identify(
     is checked too. --method youla needs every u_<axis>; --method static takes loads f_<port> and currents, and finds K_i.
     Exit status 1: done, but a warning or a residual test says that the result is doubtful; 2: refused.
     """
-    from ambrose.machine.record.record import read_record
+    from ambrose.machine.record.files import read_record
 
     _check_options(context, method)
     description = load(machine)

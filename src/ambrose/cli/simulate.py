@@ -41,7 +41,7 @@ def simulate(
     An *.h5 record of the rig grows while it runs, as *.partial.h5, which stays readable when the run is interrupted.
     """
     from ambrose.machine.parameters import operating_point
-    from ambrose.machine.record.record import write_record
+    from ambrose.machine.record.files import write_record
     from ambrose.plant.assemble import assemble
     from ambrose.simulation import virtual_rig
     from ambrose.simulation.scenario import load_scenario

@@ -1,15 +1,22 @@
 """Records: what is written comes back, in SI, and nothing doubtful is let in."""
 
+import json
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
+import jsonschema
 import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record, read_record, si_values, signal_dimension, write_record
+from ambrose.machine.record.attributes import RecordAttributes, read_attributes, record_schema
+from ambrose.machine.record.files import read_record, write_record
+from ambrose.machine.record.record import RESERVED, Record, si_values, signal_dimension
 
+ROOT = Path(__file__).parents[3]
 POINT = OperatingPoint(speed=3298.6722862692827, seal_pressure=2.04e5, bias_current=6.0, label="nominal, 2.04 bar")
 
 
@@ -305,3 +312,54 @@ def test_a_failed_write_leaves_the_old_file(record, tmp_path, monkeypatch, suffi
     with pytest.raises(InvalidInput, match=r"record .*disk full; give a file in an existing, writable folder"):
         write_record(replace(record, machine="other"), path)
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+class TestSchema:
+    def test_committed_schema_is_current(self):
+        committed = json.loads((ROOT / "docs" / "record.schema.json").read_text(encoding="utf-8"))
+        assert committed == record_schema(), (
+            "write it anew: python -m ambrose.machine.record.attributes docs/record.schema.json"
+        )
+
+    def test_it_knows_the_keys_that_the_format_reserves(self):
+        schema = record_schema()
+        jsonschema.Draft202012Validator.check_schema(schema)
+        assert set(RecordAttributes.model_fields) == set(schema["properties"]) == RESERVED
+        assert all(entry["description"] for entry in schema["properties"].values())
+
+    def test_it_accepts_what_is_written(self, record):
+        jsonschema.validate(record.attributes, record_schema())
+
+    @pytest.mark.parametrize(
+        "change", [{"format": "other"}, {"version": 2}, {"speed_rad_s": "fast"}, {"machine": None}, {"who": 3}]
+    )
+    def test_it_refuses_what_is_no_record(self, record, change):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({**record.attributes, **change}, record_schema())
+        if "who" not in change and "machine" not in change:
+            with pytest.raises(InvalidInput):
+                read_attributes({**record.attributes, **change})
+
+
+def test_a_record_shows_itself_in_a_line(record):
+    long = replace(record, signals=tuple(f"y_{i}" for i in range(60)), units=("m",) * 60, values=np.zeros((60, 4)))
+    assert len(repr(long)) < 200 and "machine=seal-rig" in repr(record)
+    page = record._repr_html_()
+    assert all(f"<td>{name}</td><td>{unit}</td>" in page for name, unit in zip(record.signals, record.units, strict=True))
+    plain = json.loads(json.dumps(record.to_dict()))
+    assert plain["signals"]["y_A_zeta"] == {"unit": "m", "values": record["y_A_zeta"].tolist()}
+    assert plain["speed_rad_s"] == record.point.speed
+
+
+def test_a_frame_has_a_column_for_each_signal_over_time(record):
+    pandas = pytest.importorskip("pandas")
+    frame = record.to_frame()
+    assert isinstance(frame, pandas.DataFrame) and frame.index.name == "time [s]"
+    assert list(frame.columns) == ["y_A_zeta [m]", "e_B_eta [A]", "f_center_x [N]"]
+    assert np.array_equal(frame["e_B_eta [A]"], record["e_B_eta"]) and np.array_equal(frame.index, record.time)
+
+
+def test_a_frame_needs_pandas(record, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InvalidInput, match="needs the package pandas; install it with"):
+        record.to_frame()

@@ -13,7 +13,8 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record, read_record, write_record
+from ambrose.machine.record.files import read_record, write_record
+from ambrose.machine.record.record import Record
 from ambrose.machine.record.recovery import lookup3
 from ambrose.machine.record.writer import RecordWriter, partial_path
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -14,26 +15,28 @@ from ambrose.machine.file.table import Table
 from ambrose.machine.file.tables import MachineFile
 from ambrose.machine.machine import Machine
 
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
 
 def editor_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a machine file: every table and key with its meaning, form and default."""
-    made: dict[str, Any] = _tidy(MachineFile.model_json_schema(by_alias=True))
+    made: dict[str, Any] = tidy_schema(MachineFile.model_json_schema(by_alias=True))
     tables: dict[str, Any] = made.pop("$defs")
     for model in Table.__subclasses__():
         if model.__name__ in tables:
             _add_defaults(tables[model.__name__], model)
     head = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$schema": DIALECT,
         "title": f"ambrose machine file, schema {SCHEMA_VERSION}",
         "description": made.pop("description"),
     }
     return {**head, **made, "$defs": {**dict(sorted(tables.items())), **quantity_schemas()}}
 
 
-def _tidy(node: Any) -> Any:
+def tidy_schema(node: Any) -> Any:
     """Without pydantic's titles and null defaults, and with references to quantities in place of their placeholders."""
     if isinstance(node, list):
-        return [_tidy(element) for element in node]
+        return [tidy_schema(element) for element in node]
     if not isinstance(node, dict):
         return node
     kept: dict[str, Any] = {}
@@ -41,9 +44,9 @@ def _tidy(node: Any) -> Any:
         if key == PLACEHOLDER:
             kept["$ref"] = f"#/$defs/{value}"
         elif key == "properties":
-            kept[key] = {name: _tidy(entry) for name, entry in value.items()}
+            kept[key] = {name: tidy_schema(entry) for name, entry in value.items()}
         elif not (key == "title" or (key == "default" and value is None)):
-            kept[key] = _tidy(value)
+            kept[key] = tidy_schema(value)
     return kept
 
 
@@ -61,5 +64,10 @@ def _add_defaults(table: dict[str, Any], model: type[Table]) -> None:
             )
 
 
+def write_schema(schema: dict[str, Any], path: str | os.PathLike[str]) -> None:
+    """Write a schema as it is committed in docs."""
+    Path(path).write_text(json.dumps(schema, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
 if __name__ == "__main__":  # python -m ambrose.machine.file.json_schema docs/machine.schema.json
-    Path(sys.argv[1]).write_text(json.dumps(editor_schema(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_schema(editor_schema(), sys.argv[1])

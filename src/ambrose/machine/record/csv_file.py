@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.record.attributes import attributes_of, check_format, record_of
+from ambrose.machine.record.attributes import RecordAttributes, read_attributes, record_of
 from ambrose.machine.record.record import Record, si_values
 from ambrose.machine.record.timing import uniform_rate
 
@@ -19,7 +18,7 @@ _HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\]\s*)?")
 
 def write_csv(record: Record, path: Path) -> None:
     """Numbers with seventeen digits, so that reading gives back the same; the number of samples shows a truncated file."""
-    attributes = {**attributes_of(record), "samples": record.values.shape[1]}
+    attributes = {**record.attributes, "samples": record.values.shape[1]}
     header = ["time [s]", *(f"{name} [{unit}]" for name, unit in zip(record.signals, record.units, strict=True))]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"# {key}: {value}\n" for key, value in attributes.items())
@@ -33,14 +32,14 @@ def read_csv(path: Path) -> Record:
 
     try:
         with path.open(encoding="utf-8-sig") as file:
-            attributes: dict[str, str] = {}
+            lines: dict[str, str] = {}
             line = file.readline()
             while line.startswith("#"):
                 key, colon, value = line[1:].partition(":")
                 if colon:
-                    attributes[key.strip()] = value.strip()
+                    lines[key.strip()] = value.strip()
                 line = file.readline()
-            check_format(attributes)
+            attributes = read_attributes(lines)
             columns = _csv_columns(line)
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
@@ -53,7 +52,7 @@ def read_csv(path: Path) -> Record:
         raise invalid("the number of columns", table.shape[1], f"{len(columns)} as in the header", "export it again")
     _check_complete(path, attributes, len(table))
     time = si_values("time", columns[0][1], table[:, 0])[0]
-    rate = uniform_rate(time, attributes.get("sample_rate_hz"))
+    rate = uniform_rate(time, attributes.sample_rate_hz)
     return record_of(attributes, columns[1:], table[:, 1:].T.copy(), rate, float(time[0]))
 
 
@@ -71,14 +70,14 @@ def _csv_columns(line: str) -> list[tuple[str, str]]:
     return columns
 
 
-def _check_complete(path: Path, attributes: Mapping[str, str], rows: int) -> None:
+def _check_complete(path: Path, attributes: RecordAttributes, rows: int) -> None:
     """Refuse a file that states its number of samples and does not hold them all, to the end of the last line."""
-    if "samples" not in attributes:
+    if attributes.samples is None:
         return
     with path.open("rb") as file:
         file.seek(-1, os.SEEK_END)
         ended = file.read(1) == b"\n"
-    if str(rows) != attributes["samples"] or not ended:
+    if rows != attributes.samples or not ended:
         raise invalid(
-            "the number of whole rows", rows - (not ended), attributes["samples"], "the file is truncated: copy it again"
+            "the number of whole rows", rows - (not ended), f"{attributes.samples:.0f}", "the file is truncated: copy it again"
         )

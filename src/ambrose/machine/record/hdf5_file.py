@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.record.attributes import attributes_of, check_format, number_of, record_of
+from ambrose.machine.record.attributes import read_attributes, record_of
 from ambrose.machine.record.record import LARGEST, Record
 from ambrose.machine.record.recovery import Settled, left_open
 
@@ -28,7 +28,7 @@ def write_hdf5(record: Record, path: Path) -> None:
     import h5py
 
     with h5py.File(path, "w", libver=LIBVER) as file:
-        file.attrs.update({key: fixed(value) for key, value in attributes_of(record).items()})
+        file.attrs.update({key: fixed(value) for key, value in record.attributes.items()})
         group = file.create_group("signals", track_order=True)
         for name, unit, values in zip(record.signals, record.units, record.values, strict=True):
             group.create_dataset(name, data=values, dtype="f8", chunks=True, fletcher32=True).attrs["unit"] = fixed(unit)
@@ -48,22 +48,20 @@ def read_hdf5(path: Path) -> Record:
 
     try:
         with _opened(path) as file:
-            attributes = {key: _plain(value, key) for key, value in file.attrs.items()}
-            check_format(attributes)
+            attributes = read_attributes({key: _plain(value, key) for key, value in file.attrs.items()})
             group = file.get("signals")
             if not isinstance(group, h5py.Group) or not len(group):
                 raise InvalidInput("the group /signals is missing or empty; a record keeps one dataset per signal there")
-            found = {name: _dataset(group, name, h5py) for name in group}
-            units = [(name, str(_plain(data.attrs.get("unit", ""), "unit"))) for name, data in found.items()]
-            values = _values(found, complete=attributes.get(COMPLETE) != UNFINISHED)
+            datasets = {name: _dataset(group, name, h5py) for name in group}
+            units = [(name, str(_plain(data.attrs.get("unit", ""), "unit"))) for name, data in datasets.items()]
+            values = _values(datasets, complete=(COMPLETE, UNFINISHED) not in attributes.notes)
     except InvalidInput:
         raise
     except _DAMAGE as error:
         raise InvalidInput(f"it cannot be read as HDF5 ({error}); it is damaged, truncated or of another kind") from error
-    if "sample_rate_hz" not in attributes:
+    if attributes.sample_rate_hz is None:
         raise InvalidInput("the attribute sample_rate_hz is missing; add the sampling frequency in Hz")
-    start = number_of(attributes.get("start_time_s", 0.0), "start_time_s")
-    return record_of(attributes, units, values, number_of(attributes["sample_rate_hz"], "sample_rate_hz"), start)
+    return record_of(attributes, units, values, attributes.sample_rate_hz, attributes.start_time_s)
 
 
 @contextmanager
@@ -92,28 +90,28 @@ def _dataset(group: Any, name: str, h5py: Any) -> Any:
     return data
 
 
-def _values(found: dict[str, Any], *, complete: bool) -> np.ndarray:
+def _values(datasets: dict[str, Any], *, complete: bool) -> np.ndarray:
     """All signals (p, k) in the units of the file; of an unfinished record the samples that all signals have."""
-    lengths = {name: data.shape[0] for name, data in found.items()}
+    lengths = {name: data.shape[0] for name, data in datasets.items()}
     if complete and len(set(lengths.values())) > 1:
         raise invalid("the numbers of samples", lengths, "the same for all signals", "export the record again")
     k = min(lengths.values())
     if complete:
-        return _read(found, k)
-    chunk = max((data.chunks or (1,))[0] for data in found.values())
+        return _read(datasets, k)
+    chunk = max((data.chunks or (1,))[0] for data in datasets.values())
     try:
-        values = _read(found, k)
+        values = _read(datasets, k)
     except OSError:  # the last chunk of a signal was being written when the writer was killed
         k = (k - 1) // chunk * chunk
-        values = _read(found, k)
+        values = _read(datasets, k)
     k = int(np.append(np.isnan(values).any(axis=0), True).argmax())  # NaN fills what was never written
     if k == 0:
         raise InvalidInput("the run was interrupted before its first block was written; there is nothing to read, repeat it")
     return values if k == values.shape[1] else values[:, :k].copy()
 
 
-def _read(found: dict[str, Any], k: int) -> np.ndarray:
-    values = np.empty((len(found), k))
-    for row, data in zip(values, found.values(), strict=True):
+def _read(datasets: dict[str, Any], k: int) -> np.ndarray:
+    values = np.empty((len(datasets), k))
+    for row, data in zip(values, datasets.values(), strict=True):
         row[:] = data[:k]
     return values

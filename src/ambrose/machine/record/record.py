@@ -1,24 +1,17 @@
-"""Record: measured or simulated signals with names, units, sample rate and operating point; reading and writing its files.
-
-SI inside and in every file written; any unit of the right kind is understood when reading. Files are written under a temporary
-name and renamed, so that a reader never meets half a file. A reader refuses what it does not know and never alters its source.
-The formats: record/hdf5_file.py and record/csv_file.py. Long runs: record/writer.py. Files of other programs:
-record/foreign.py.
-"""
+"""Record: measured or simulated signals with names, units, sample rate and operating point, SI inside. Its files: files.py."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, check_positive, invalid
+from ambrose.core.presentation import Presented, html_table
 from ambrose.core.statespace import index_of
-from ambrose.machine.atomic_write import draft_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
 
@@ -39,8 +32,8 @@ _SIGNAL, _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_]*"), re.compile(r"[a-z][a-z0-9_
 LARGEST = 500_000_000  # numbers in one file: 4 GB
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Record:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Record(Presented):
     """Signals sampled together at one operating point.
 
     machine: the machine's name. sample_rate_hz [Hz]. signals: p names such as "y_A_zeta"; units: their SI units; values
@@ -84,6 +77,46 @@ class Record:
     def time(self) -> np.ndarray:
         """Times of the samples (k,) [s]."""
         return self.start_time + np.arange(self.values.shape[1]) / self.sample_rate_hz
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What a file says beside the signals, by the keys of record/attributes.py."""
+        point = {key: getattr(self.point, name) for key, name in POINT_KEYS.items()}
+        return {
+            "format": FORMAT, "version": VERSION, "machine": self.machine, "sample_rate_hz": self.sample_rate_hz,
+            "start_time_s": self.start_time, **{key: value for key, value in point.items() if value not in {None, ""}},
+            **dict(self.notes),
+        }  # fmt: skip
+
+    def facts(self) -> Mapping[str, Any]:
+        samples = self.values.shape[1]
+        duration, rate = f"{samples * self.dt:.6g} s", f"{self.sample_rate_hz:.6g} Hz"
+        return {"machine": self.machine, "duration": duration, "rate": rate, "point": self.point, "signals": list(self.signals)}
+
+    def _repr_html_(self) -> str:
+        facts = [(name, str(value)) for name, value in self.facts().items() if name != "signals"]
+        rows = [
+            (name, unit, f"{row.min():.4g}", f"{row.mean():.4g}", f"{row.max():.4g}")
+            for name, unit, row in zip(self.signals, self.units, self.values, strict=True)
+        ]
+        return html_table(facts, "Record") + html_table(rows, "Signals", ("signal", "unit", "lowest", "mean", "highest"))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The attributes and, under "signals", each signal's unit and values, as plain data."""
+        signals = {
+            name: {"unit": unit, "values": row.tolist()}
+            for name, unit, row in zip(self.signals, self.units, self.values, strict=True)
+        }
+        return {**self.attributes, "signals": signals}
+
+    def to_frame(self) -> Any:
+        """A pandas DataFrame over "time [s]", one column per signal, "y_A_zeta [m]". Raises InvalidInput without pandas."""
+        try:
+            import pandas
+        except ImportError as error:
+            raise InvalidInput("to_frame() needs the package pandas; install it with: pip install pandas") from error
+        columns = [f"{name} [{unit}]" for name, unit in zip(self.signals, self.units, strict=True)]
+        return pandas.DataFrame(self.values.T, index=pandas.Index(self.time, name="time [s]"), columns=columns)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The samples (k,) of one signal; raises InvalidInput listing the known ones."""
@@ -166,41 +199,3 @@ def _dimension(name: str, unit: str) -> Dimension:
         what = candidates[0]
         raise invalid(f"the unit of {name}", repr(unit), f"a unit of {what.name} such as {what.unit}", "correct the unit")
     raise invalid(f"the unit of {name}", repr(unit), "a known unit", "convert the signal to an SI unit and write that")
-
-
-def read_record(path: str | Path) -> Record:
-    """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file; what an interrupted run left has the note complete = "false".
-
-    Raises InvalidInput with the file's name and what is wrong.
-    """
-    from ambrose.machine.record.csv_file import read_csv
-    from ambrose.machine.record.hdf5_file import read_hdf5
-
-    path = Path(path)
-    reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv})
-    if not path.is_file():
-        raise InvalidInput(f"{path} is not a file; check the name")
-    try:
-        return reader(path)
-    except (InvalidInput, OSError) as error:
-        raise InvalidInput(f"{path}: {error}") from error
-
-
-def write_record(record: Record, path: str | Path) -> Path:
-    """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises InvalidInput."""
-    from ambrose.machine.record.csv_file import write_csv
-    from ambrose.machine.record.hdf5_file import write_hdf5
-
-    path = Path(path)
-    writer = _by_suffix(path, {".h5": write_hdf5, ".hdf5": write_hdf5, ".csv": write_csv})
-    with draft_of(path, "record") as draft:
-        writer(record, draft)
-    return path
-
-
-def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
-    if path.suffix.lower() not in choices:
-        foreign = path.suffix.lower() in {".mat", ".tdms"}
-        remedy = "read it with a column map (ambrose convert --columns)" if foreign else "rename the file"
-        raise invalid(f"the suffix of {path.name}", repr(path.suffix), f"one of {', '.join(choices)}", remedy)
-    return choices[path.suffix.lower()]

@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.atomic_write import draft_of
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.attributes import attributes_of
 from ambrose.machine.record.hdf5_file import COMPLETE, LIBVER, UNFINISHED, fixed
 from ambrose.machine.record.record import Record
 
@@ -88,7 +87,7 @@ class RecordWriter:
         if self.path.is_dir():
             raise invalid("the path of the record", repr(str(self.path)), "that of a file", "add a file name")
         with draft_of(self.partial, "record") as draft, h5py.File(draft, "w", libver=LIBVER) as file:
-            attributes = {**attributes_of(self._header), COMPLETE: UNFINISHED}
+            attributes = {**self._header.attributes, COMPLETE: UNFINISHED}
             file.attrs.update({key: fixed(value) for key, value in attributes.items()})
             group = file.create_group("signals", track_order=True)
             layout = {"shape": (0,), "maxshape": (None,), "chunks": (self._buffer.shape[1],), "fillvalue": np.nan}
@@ -162,7 +161,7 @@ class RecordWriter:
         try:
             file.close()
         except (OSError, RuntimeError):
-            if not self._full:  # else said already
+            if not self._full:  # else reported already
                 raise
 
     def _finish(self, *, complete: bool) -> None:

@@ -1,0 +1,55 @@
+"""Reading and writing the files of records, by their suffix.
+
+SI in every file written; any unit of the right kind is understood when reading. Files are written under a temporary name and
+renamed, so that a reader never meets half a file. A reader refuses what it does not know and never alters its source.
+The formats: record/hdf5_file.py and record/csv_file.py. Long runs: record/writer.py. Files of other programs:
+record/foreign.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.atomic_write import draft_of
+from ambrose.machine.record.record import Record
+
+
+def read_record(path: str | Path) -> Record:
+    """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file; what an interrupted run left has the note complete = "false".
+
+    Raises InvalidInput with the file's name and what is wrong.
+    """
+    from ambrose.machine.record.csv_file import read_csv
+    from ambrose.machine.record.hdf5_file import read_hdf5
+
+    path = Path(path)
+    reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv})
+    if not path.is_file():
+        raise InvalidInput(f"{path} is not a file; check the name")
+    try:
+        return reader(path)
+    except (InvalidInput, OSError) as error:
+        raise InvalidInput(f"{path}: {error}") from error
+
+
+def write_record(record: Record, path: str | Path) -> Path:
+    """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises InvalidInput."""
+    from ambrose.machine.record.csv_file import write_csv
+    from ambrose.machine.record.hdf5_file import write_hdf5
+
+    path = Path(path)
+    writer = _by_suffix(path, {".h5": write_hdf5, ".hdf5": write_hdf5, ".csv": write_csv})
+    with draft_of(path, "record") as draft:
+        writer(record, draft)
+    return path
+
+
+def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+    if path.suffix.lower() not in choices:
+        foreign = path.suffix.lower() in {".mat", ".tdms"}
+        remedy = "read it with a column map (ambrose convert --columns)" if foreign else "rename the file"
+        raise invalid(f"the suffix of {path.name}", repr(path.suffix), f"one of {', '.join(choices)}", remedy)
+    return choices[path.suffix.lower()]
