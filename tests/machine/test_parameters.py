@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.parameters import QUANTITIES, Parameter, find_parameter, find_uncertain, operating_point, parse_parameter
 from ambrose.machine.units import DIMENSIONS
@@ -132,3 +133,31 @@ def test_operating_point_by_label():
         operating_point(rig, "half")
     with pytest.raises(InvalidInput, match="not one point"):
         operating_point(rig, "")
+
+
+def test_operating_point_by_values():
+    rig = load_machine("seal-rig")
+    assert operating_point(rig) == rig.operation.design
+    assert operating_point(rig, rig.operation.points[1]) is rig.operation.points[1]
+    assert operating_point(rig, "zero", speed=100.0) == OperatingPoint(speed=100.0)  # another point has another name
+    assert operating_point(rig, "twice", seal_pressure=4.08e5).label == "twice nominal pressure"
+    assert operating_point(rig, speed=100, bias_current=6.0) == OperatingPoint(100.0, 2.04e5, 6.0)
+    assert operating_point(rig, OperatingPoint(bias_current=6.0), bias_current=None) == OperatingPoint()
+
+
+@pytest.mark.parametrize(
+    ("point", "values", "message"),
+    [
+        (3, {}, r"the operating point is 3, but must be a label or an OperatingPoint; choose 'nominal pressure', 'zero"),
+        ("half", {"speed": 1.0}, "'half' is not one point of machine 'seal-rig'"),
+        (None, {"pressure": 1e5}, r'unknown keyword "pressure"; did you mean "seal_pressure"'),
+        (None, {"speed": -1.0}, r"speed is -1\.0, but must be zero or positive; give it in rad/s"),
+        (None, {"speed": "fast"}, "speed is not numeric"),
+        (None, {"speed": None}, "speed is nan, but must be finite"),
+        (None, {"seal_pressure": float("nan")}, "seal_pressure is nan, but must be finite"),
+        (None, {"bias_current": 0.0}, r"bias_current is 0\.0, but must be positive; give it in A"),
+    ],
+)
+def test_operating_point_refuses(point, values, message):
+    with pytest.raises(InvalidInput, match=message):
+        operating_point(load_machine("seal-rig"), point, **values)

@@ -9,10 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.identification.output_error.delays import COMMAND, TIMING
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import Parameter, find_uncertain, parse_parameter
+from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, Parameter, find_uncertain, parse_parameter
 from ambrose.physics import magnet
 from ambrose.physics.seal import coefficients
 
@@ -67,7 +66,7 @@ def identified_machine(
     pid, delays = machine.controller, dict(zip(result.paths, result.values.tolist(), strict=True))
     return replace(
         machine,
-        controller=replace(pid, delay=delays[COMMAND]) if pid is not None and COMMAND in delays else pid,
+        controller=replace(pid, delay=delays[CONTROLLER_DELAY]) if pid is not None and CONTROLLER_DELAY in delays else pid,
         bearings=tuple(_bearing(item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
         couplings=tuple(couplings),
         amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ambrose.identification.output_error.delays import TIMING
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import TIMING
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction

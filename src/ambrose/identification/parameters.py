@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.identification.output_error.delays import COMMAND, TIMING
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import QUANTITIES, find_uncertain
+from ambrose.machine.parameters import CONTROLLER_DELAY, QUANTITIES, TIMING, find_uncertain
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import channels
 
@@ -55,7 +54,7 @@ def split_timing(machine: Machine, paths: Sequence[str]) -> tuple[tuple[str, ...
     """The machine's parameters among ``paths``, with "*" spelled out, and those of timing: "controller.delay" (or "delay")
     and "excitation.delay". Raises InvalidInput as ``expand`` does."""
     paths = [paths] if isinstance(paths, str) else paths
-    named = [COMMAND if path == "delay" else path for path in paths]
+    named = [CONTROLLER_DELAY if path == "delay" else path for path in paths]
     timing = [path for path in named if path in TIMING]
     for path in set(timing):
         if timing.count(path) > 1:

@@ -14,14 +14,13 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identification.data_quality.diagnosis import FAR_FROM_START, OTHER_DELAY, diagnose_records
 from ambrose.identification.data_quality.finding import RecordFinding, refuse
 from ambrose.identification.output_error.closed_loop import Identification, identify
-from ambrose.identification.output_error.delays import COMMAND, TIMING
 from ambrose.identification.parameters import split_timing
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.identification.validation.repeatability import Repeats, of_estimates
 from ambrose.identification.validation.simulated_output import Explained, explained
 from ambrose.identification.youla import identify as youla
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, parse_parameter
+from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.machine.record.record import Record
 from ambrose.machine.units import DIMENSIONS
 
@@ -90,7 +89,7 @@ def checked_identification(
     progress("checking the records")
     known = {path: value for path, value in (start or {}).items() if path not in TIMING}
     findings = diagnose_records(machine, (*records, *others), controller, start=known, **setup)
-    if COMMAND in paths:  # then the delay is found, not given
+    if CONTROLLER_DELAY in paths:  # then the delay is found, not given
         findings = tuple(finding for finding in findings if OTHER_DELAY not in finding.what)
     refuse(findings)
 
@@ -148,7 +147,7 @@ def _other_delay(
         given = again(delay)
     except InvalidInput:  # the first second says too little
         return ()
-    return delay_findings(given, delay, records[0].dt, lambda: again(delay, COMMAND), again)
+    return delay_findings(given, delay, records[0].dt, lambda: again(delay, CONTROLLER_DELAY), again)
 
 
 def _repeated(

@@ -6,16 +6,18 @@ seal.<name>.K_xx | K_yy | k_xy | k_yx | C_xx | C_yy | c_xy | c_yx     one entry 
 bearing.<name>.force_per_current | negative_stiffness [.zeta | .eta]
 coupling.<name>.stiffness | damping [.zeta | .eta]
 amplifier.bandwidth | eddy_bandwidth | natural_frequency | damping    of all axes together
+
+controller.delay and excitation.delay name the timing of a measured loop: not the machine's, but identified with its parameters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import MachineDescription, OperatingPoint
-from ambrose.machine.messages import suggestion
+from ambrose.machine.messages import shown, suggestion
 
 _TILTED = ("zeta", "eta")
 _DIRECT, _CROSS = ("xx", "yy"), ("xy", "yx")
@@ -40,6 +42,13 @@ AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "twice-first": ("bandwidth", "eddy_bandwidth"),
     "second": ("natural_frequency", "damping"),
 }
+
+
+CONTROLLER_DELAY, EXCITATION_DELAY = "controller.delay", "excitation.delay"
+TIMING = (CONTROLLER_DELAY, EXCITATION_DELAY)  # [s]; what an identification may find beside the machine's parameters
+
+_POINT_UNITS = {"speed": "rad/s", "seal_pressure": "Pa", "bias_current": "A", "whirl_frequency": "rad/s"}
+_MAY_BE_NONE = ("bias_current", "whirl_frequency")
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,14 +125,42 @@ def find_uncertain(machine: MachineDescription, path: str) -> Parameter:
     return parameter
 
 
-def operating_point(machine: MachineDescription, label: str) -> OperatingPoint:
-    """The operating point whose label is, or else the only one that starts with, ``label``; raises InvalidInput."""
+def operating_point(
+    machine: MachineDescription, point: OperatingPoint | str | None = None, **values: float | None
+) -> OperatingPoint:
+    """An operating point of a machine: by its label, or the beginning of it that only one has; None: its design point.
+
+    ``values`` change it: speed [rad/s], seal_pressure [Pa], bias_current [A], whirl_frequency [rad/s]. What was changed has no
+    label. Raises InvalidInput for an unknown label or keyword, and for a value that no point can have.
+    """
+    if isinstance(point, str):
+        point = _labelled(machine, point)
+    elif point is None:
+        point = machine.operation.design
+    elif not isinstance(point, OperatingPoint):
+        raise invalid("the operating point", shown(point), "a label or an OperatingPoint", f"choose {_labels(machine)}")
+    for name, value in values.items():
+        if name not in _POINT_UNITS:
+            raise InvalidInput(f'operating point: unknown keyword "{name}"; {suggestion(name, _POINT_UNITS)}')
+        if value is not None or name not in _MAY_BE_NONE:
+            remedy = f"give it in {_POINT_UNITS[name]}"
+            check_positive(value, name, remedy, zero_allowed=name != "bias_current")  # type: ignore[arg-type]
+    changed = {name: None if value is None else float(value) for name, value in values.items()}
+    if all(getattr(point, name) == value for name, value in changed.items()):
+        return point
+    return replace(point, label="", **changed)  # type: ignore[arg-type]
+
+
+def _labelled(machine: MachineDescription, label: str) -> OperatingPoint:
     points = machine.operation.points
-    found = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]
-    if len(found) != 1:
-        known = ", ".join(repr(p.label) for p in points)
-        raise InvalidInput(f"operating point {label!r} is not one point of machine {machine.name!r}; it has {known}")
-    return found[0]
+    matches = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]
+    if len(matches) != 1:
+        raise InvalidInput(f"operating point {label!r} is not one point of machine {machine.name!r}; it has {_labels(machine)}")
+    return matches[0]
+
+
+def _labels(machine: MachineDescription) -> str:
+    return ", ".join(repr(point.label) for point in machine.operation.points)
 
 
 def _wrong(path: str, problem: str) -> InvalidInput:

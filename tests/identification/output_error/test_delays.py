@@ -14,9 +14,10 @@ from ambrose.core.sampling import c2d
 from ambrose.identification import excitation
 from ambrose.identification.model_updating import identified_machine
 from ambrose.identification.output_error.closed_loop import identify
-from ambrose.identification.output_error.delays import AHEAD, COMMAND, EXCITATION, timed
+from ambrose.identification.output_error.delays import AHEAD, timed
 from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.parameters import expand, nominal_values
+from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
@@ -73,7 +74,7 @@ def finely(e, delay, late=0.0, parts=10):
 )
 def test_the_model_is_the_loop_stepped_finely(delay, late):
     e = sequences(200)
-    unknown = (COMMAND, EXCITATION) if late else (COMMAND,)
+    unknown = (CONTROLLER_DELAY, EXCITATION_DELAY) if late else (CONTROLLER_DELAY,)
     loop, _ = model((), delay, unknown).loop(np.array([delay * DT, late * DT])[: len(unknown)])
     ahead = AHEAD if late else 0
     x0 = np.zeros(loop.n_states)
@@ -86,7 +87,7 @@ def test_the_model_is_the_loop_stepped_finely(delay, late):
 
 @pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 1.6])
 def test_jacobian_against_complex_step(delay):
-    made = model(KNOWN, delay, (COMMAND, EXCITATION))
+    made = model(KNOWN, delay, (CONTROLLER_DELAY, EXCITATION_DELAY))
     inner, law = made.inner, made.inner.controller
     theta, e = np.append(inner.theta0, [delay * DT, 0.3 * DT]), sequences(150)
     loop, directions = made.loop(theta)
@@ -135,7 +136,7 @@ def test_a_delay_is_found_beside_the_machine(delay, begin):
         machine, record(sequences(2000), delay), controller, (*KNOWN, "delay"), bending_modes=0, computing_delay=begin
     )
     nominal = np.append(nominal_values(plant, KNOWN), delay * DT)
-    assert found.paths[-1] == COMMAND
+    assert found.paths[-1] == CONTROLLER_DELAY
     np.testing.assert_allclose(found.values, nominal, rtol=1e-6)
     assert found.converged and not found.warnings
     updated = identified_machine(machine, found)
@@ -147,7 +148,7 @@ def test_a_delay_is_found_beside_the_machine(delay, begin):
 def test_a_mistimed_excitation_is_found(late):
     machine, plant, controller, _ = rig()
     data = record(sequences(1500), 1.0, late)
-    found = identify(machine, data, controller, (*KNOWN, EXCITATION), bending_modes=0)
+    found = identify(machine, data, controller, (*KNOWN, EXCITATION_DELAY), bending_modes=0)
     np.testing.assert_allclose(found.values[-1], late * DT, rtol=1e-6)
     np.testing.assert_allclose(found.values[:-1], nominal_values(plant, KNOWN), rtol=1e-6)
 
@@ -159,7 +160,7 @@ def test_deviation_of_the_delay_against_monte_carlo():
     for seed in range(50):
         noise = 1e-7 * np.random.default_rng(seed).standard_normal((4, 1200))
         data = replace(clean, values=np.vstack([clean.values[:4] + noise, clean.values[4:]]))
-        found = identify(machine, data, controller, (KNOWN[0], COMMAND), bending_modes=0, computing_delay=1.3)
+        found = identify(machine, data, controller, (KNOWN[0], CONTROLLER_DELAY), bending_modes=0, computing_delay=1.3)
         values.append(found.values)
         predicted.append(found.standard_deviations)
     scatter = np.std(values, axis=0, ddof=1)

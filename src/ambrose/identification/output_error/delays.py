@@ -20,9 +20,8 @@ from ambrose.core.checks import invalid
 from ambrose.core.response import SystemDerivative, held_derivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.loop_model import LoopModel
+from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY, TIMING
 
-COMMAND, EXCITATION = "controller.delay", "excitation.delay"
-TIMING = (COMMAND, EXCITATION)
 AHEAD = 2  # samples by which an excitation may have been recorded late: its delay is then negative
 Parts = tuple[np.ndarray | None, np.ndarray | None]  # of Gamma, by which the older and the newer value act; None: not at all
 _STILL: Parts = (None, None)
@@ -83,7 +82,7 @@ class TimedLoop:
         """(whole samples, rest [s]) of both delays, the excitation's counted from the signals as given."""
         dt = self.inner.controller.dt or 0.0
         found = []
-        for tau, ahead in zip(self.delays(theta), (0, AHEAD if EXCITATION in self.unknown else 0), strict=True):
+        for tau, ahead in zip(self.delays(theta), (0, AHEAD if EXCITATION_DELAY in self.unknown else 0), strict=True):
             whole = int(np.floor(tau / dt + 1e-9))
             found.append((whole + ahead, max(tau - whole * dt, 0.0)))
         return found
@@ -139,7 +138,7 @@ class TimedLoop:
             for p, g, u, e in zip(dPhi, dGamma, dnew_u, dnew_e, strict=True)
         ]
         for name in self.unknown:
-            u_moves = name == COMMAND
+            u_moves = name == CONTROLLER_DELAY
             moved = step(zero, (edge_u, -edge_u) if u_moves else _STILL, _STILL if u_moves else (edge_e, -edge_e))
             changes.append((moved, nothing if u_moves or d_e > 0 else -edge_e))
         directions = []
@@ -170,6 +169,6 @@ def timed(inner: LoopModel, computing_delay: float, unknown: Sequence[str]) -> T
             f"the fitted signal {commands[0]}", "a controller output whose instant is not a whole sample", "y_ or i_<axis>",
             "leave it out of signals, or give a whole computing_delay and do not ask for the delay",
         )  # fmt: skip
-    room = int(np.floor(computing_delay)) + 1 + (_ROOM if COMMAND in unknown else 0)
-    late = AHEAD + 1 + _ROOM if EXCITATION in unknown else 0
+    room = int(np.floor(computing_delay)) + 1 + (_ROOM if CONTROLLER_DELAY in unknown else 0)
+    late = AHEAD + 1 + _ROOM if EXCITATION_DELAY in unknown else 0
     return TimedLoop(inner, np.array([computing_delay * dt, 0.0]), tuple(unknown), (room, late))

@@ -12,12 +12,13 @@ from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.identification.excitation import excitation_order
-from ambrose.identification.output_error.delays import COMMAND, EXCITATION, TimedLoop, timed
+from ambrose.identification.output_error.delays import TimedLoop, timed
 from ambrose.identification.output_error.loop_model import ParametricModel, loop_model
 from ambrose.identification.output_error.normal_equations import Task, distinct
 from ambrose.identification.parameters import nominal_values, ratios, split_timing
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
@@ -78,9 +79,9 @@ def experiment(
     models = loops if exact else [timed(loop, computing_delay, timing) for loop in loops]
     sizes = _sizes(records, shown, weights)
     places = [points.index(replace(record.point, label="")) for record in records]
-    if EXCITATION in timing and not initial_state:
+    if EXCITATION_DELAY in timing and not initial_state:
         text = "the loop has then begun before the first sample that is used"
-        raise invalid("initial_state", False, f"True where {EXCITATION} is unknown", text)
+        raise invalid("initial_state", False, f"True where {EXCITATION_DELAY} is unknown", text)
     tasks = []
     for record, place in zip(records, places, strict=True):
         waves, measured = _rows(record, excitations), _rows(record, shown)
@@ -91,7 +92,7 @@ def experiment(
             alike = model.old_commands
         tasks.append(Task(*distinct(waves), measured, initial_state, offset, sizes, place, tail, alike))
     reference = next(record.point for record in records if replace(record.point, label="") == reference)
-    begin = {COMMAND: computing_delay * dt, EXCITATION: 0.0}
+    begin = {CONTROLLER_DELAY: computing_delay * dt, EXCITATION_DELAY: 0.0}
     nominal = np.concatenate([found, [begin[name] for name in timing]])
     scale = np.where(nominal == 0, 1.0, np.abs(nominal))
     scale[len(paths) :] = dt

@@ -12,7 +12,6 @@ from ambrose.core.checks import invalid
 from ambrose.identification.data_quality.finding import RecordFinding, refuse
 from ambrose.identification.model_updating import identified_machine
 from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.output_error.delays import COMMAND, TIMING
 from ambrose.identification.parameters import split_timing
 from ambrose.identification.pipeline import CheckedIdentification, checked_identification, usual_unknowns
 from ambrose.identification.seal import time_domain as seal_records
@@ -22,7 +21,7 @@ from ambrose.identification.seal.stepped_sine import seal_name
 from ambrose.identification.validation.plausibility import diagnose_pieces
 from ambrose.identification.validation.simulated_output import explained
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.machine.record.record import Record
 
 FORMS = ("line", "table")
@@ -84,8 +83,8 @@ def seal_identification(
     setup: dict[str, Any] = {"signals": signals, "bending_modes": bending_modes, "computing_delay": computing_delay}
     begin = {path: value for path, value in (start or {}).items() if path in others or not _of_seal(path, name)}
     checked = checked_identification(machine, calm, controller, others, others=rest, start=begin, progress=progress, **setup)
-    if COMMAND in checked.result.paths:
-        setup["computing_delay"] = float(checked.result.values[checked.result.paths.index(COMMAND)]) / records[0].dt
+    if CONTROLLER_DELAY in checked.result.paths:
+        setup["computing_delay"] = float(checked.result.values[checked.result.paths.index(CONTROLLER_DELAY)]) / records[0].dt
     setup["start"] = {path: value for path, value in (start or {}).items() if _of_seal(path, name)} or None
     known = _but_the_seal(machine, checked.result, name)
     fit = seal_records.identify(known, records, controller, seal=name, progress=progress, **setup)

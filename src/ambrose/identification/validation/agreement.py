@@ -9,10 +9,9 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identification.model_updating import Found
-from ambrose.identification.output_error.delays import TIMING
 from ambrose.identification.parameters import nominal_values
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.plant.assemble import assemble
 
 COVERAGE = 1.96  # standard deviations of a 95 % interval

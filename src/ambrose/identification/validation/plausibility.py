@@ -10,10 +10,9 @@ import numpy as np
 from ambrose.identification.data_quality.channels import measured_responses
 from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFinding
 from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.output_error.delays import COMMAND, TIMING
 from ambrose.identification.validation.simulated_output import Explained
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 
 _MISSED, _FAR, _ALIKE, _MOVED = 0.3, 2.0, 0.02, 0.05
 _CLEARLY = 0.7  # of what is left unexplained, or of what still follows the excitation: another delay must leave less
@@ -161,7 +160,7 @@ def delay_findings(
     free: identifies with the delay as an unknown, too; whole: with another whole one, asked where the first is refused or leads
     nowhere. Only asked where the residuals still follow the excitation.
     """
-    if all(test.passed for test in given.tests) or COMMAND in given.paths:
+    if all(test.passed for test in given.tests) or CONTROLLER_DELAY in given.paths:
         return ()
     try:
         found = free()
@@ -169,7 +168,7 @@ def delay_findings(
         found = None
     if found is None or not found.converged:
         return _whole_delays(given, delay, whole)
-    place = found.paths.index(COMMAND)
+    place = found.paths.index(CONTROLLER_DELAY)
     count, deviation = float(found.values[place]) / dt, float(found.standard_deviations[place]) / dt
     left, follows = (_left(given), _left(found)), (_follows(given), _follows(found))
     sure = abs(count - delay) > max(_DELAYED, _SURE * deviation)

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.output_error.delays import TIMING
 from ambrose.identification.validation.simulated_output import Explained
-from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.report import theme, units
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.identification.tables import COVERAGE, fixed

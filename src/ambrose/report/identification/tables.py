@@ -7,11 +7,10 @@ from collections.abc import Sequence
 
 from ambrose.identification.data_quality.finding import ERROR, RecordFinding
 from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.output_error.delays import TIMING
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, line
 from ambrose.identification.validation.agreement import Beside
 from ambrose.identification.validation.repeatability import Repeats
-from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.machine.units import DIMENSIONS
 from ambrose.report import units
 from ambrose.report.page import Cell, Table
