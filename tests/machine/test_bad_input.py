@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.machine.file.toml import bundled_machines, load_machine, loads_machine, save_machine
+from ambrose.machine.file.toml import bundled_machines, load_machine, loads_machine
+from ambrose.machine.file.update import save_machine
 
 SMALL = Path(__file__).with_name("small.toml").read_text()
 
@@ -281,3 +282,12 @@ class TestFiles:
         machine = load_machine(bundled_machines()["seal-rig"])
         with pytest.raises(InvalidInput, match=r"machine file .*; (give|add) a file"):
             save_machine(machine, tmp_path / name)
+
+    @pytest.mark.parametrize("wrong", [None, 3, b"seal-rig", ["seal-rig"]])
+    def test_what_is_no_path_is_refused(self, wrong):
+        with pytest.raises(InvalidInput, match=r"the machine is .*must be a file or the name of a bundled machine; .*seal-rig"):
+            load_machine(wrong)
+
+    def test_a_machine_comes_back(self):
+        machine = load_machine("seal-rig")
+        assert load_machine(machine) is machine

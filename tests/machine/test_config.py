@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
+from ambrose.machine.file import update
 from ambrose.machine.file.table import Table
 from ambrose.machine.file.tables import MachineFile, table_below
 from ambrose.machine.file.toml import (
@@ -28,8 +29,8 @@ from ambrose.machine.file.toml import (
     loads_machine,
     machine_hash,
     machine_schema,
-    save_machine,
 )
+from ambrose.machine.file.update import save_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
 
@@ -382,6 +383,17 @@ def test_any_valid_machine_survives_writing_and_reading(machine):
     assert again == machine
     assert [s.start for s in again.shaft] == [s.start for s in machine.shaft]  # to the last bit
     assert machine_hash(again) == machine_hash(machine)
+
+
+@given(machines(), machines())
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_any_file_is_brought_up_to_any_machine(one, other):
+    def fail(machine):
+        raise AssertionError("written anew")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(update, "dumps_machine", fail)
+        assert loads_machine(update.update_machine_file(dumps_machine(one), other)) == other
 
 
 class TestWriting:

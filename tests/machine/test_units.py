@@ -1,15 +1,16 @@
 """Quantities: against pint and the decimal definition of the units."""
 
+import math
 import subprocess
 import sys
 from fractions import Fraction
 
 import pint
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from ambrose.machine.units import DIMENSIONS, canonical_unit, read_quantity
+from ambrose.machine.units import DIMENSIONS, canonical_unit, read_quantity, rewrite_quantity
 
 REGISTRY = pint.UnitRegistry()
 EVERYDAY = [(name, unit) for name, dimension in DIMENSIONS.items() for unit in dimension.units]
@@ -138,3 +139,28 @@ def test_pint_is_not_imported_for_everyday_units():
         "r('1 ft', DIMENSIONS['length']); assert 'pint' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("dimension", [d for d in DIMENSIONS.values() if d.units], ids=lambda d: d.name)
+@given(value=st.floats(1e-12, 1e12), sign=st.sampled_from([1.0, -1.0]))
+@settings(max_examples=40, deadline=None)
+def test_a_number_is_rewritten_in_every_unit_to_the_last_bit(dimension, value, sign):
+    for unit in dimension.units:
+        text = rewrite_quantity(f"1 {unit}", sign * value, dimension)
+        assert read_quantity(text, dimension) == sign * value and text.endswith(f" {unit}")
+
+
+@pytest.mark.parametrize(
+    ("old", "value", "name", "text"),
+    [
+        ("0.5 mm", 0.0006, "length", "0.6 mm"),
+        (" 1.5kHz ", 3000 * math.pi, "angular rate", "1.5kHz"),
+        ("17 degC", 293.15, "temperature", "20 degC"),
+        ("40 %", 0.3, "ratio", "30 %"),
+        ("1 thou", 2.54e-4, "length", "10 thou"),
+        ("2 bar", 0.0, "pressure", "0 bar"),
+        ("1 Pa", 1e-9, "pressure", "1E-9 Pa"),
+    ],
+)
+def test_a_number_is_rewritten_with_few_digits(old, value, name, text):
+    assert rewrite_quantity(old, value, DIMENSIONS[name]) == text

@@ -301,9 +301,9 @@ def _compared(done: _Done, other: Any) -> Any:
 
 def _write(done: _Done, output: Path) -> None:
     from ambrose.machine.atomic_write import write_text
-    from ambrose.machine.file.toml import dumps_machine
+    from ambrose.machine.file.update import machine_text
 
-    write_text(output, done.comment + dumps_machine(done.machine), "machine file")
+    write_text(output, done.comment + machine_text(done.machine), "machine file")
 
 
 def _print(done: _Done, compared: Any, output: Path, report: Path | None) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from decimal import Context, Decimal
 from fractions import Fraction
 from functools import lru_cache
 from tokenize import TokenError
@@ -18,6 +19,9 @@ from ambrose.machine.messages import meant, shown
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
 _UNIT = re.compile(r"[A-Za-z%°][A-Za-z%°_]*-?\d?(?:[ /][A-Za-z%°(][A-Za-z%°_()]*-?\d?\)?)*")
 _LONGEST_UNIT = 40
+_PI = Fraction("3.14159265358979323846264338327950288419716939937511")
+_FLOAT_DIGITS = 17  # tell any two floats apart
+_MOST_DIGITS = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +111,25 @@ def read_quantity(value: object, dimension: Dimension) -> float:
     return number
 
 
+def rewrite_quantity(old: str, value: float, dimension: Dimension) -> str:
+    """``value`` [SI] in the unit of ``old``, such as "0.5 mm", with the fewest digits that read back as the very same number.
+
+    Where no number in an uncommon unit does, it is written in the SI unit.
+    """
+    match = _NUMBER.fullmatch(old.strip())
+    assert match is not None, "a quantity that was read"
+    unit = old.strip()[match.end(1) :]
+    factor, pi, offset = _conversion(canonical_unit(match[2]), dimension)
+    exact = (Fraction(value) - offset) / factor / (_PI if pi else 1)
+    for digits in range(1, _MOST_DIGITS):
+        context = Context(prec=digits)
+        rounded = context.divide(Decimal(exact.numerator), Decimal(exact.denominator)).normalize(context)
+        text = f"{rounded:f}" if -6 < rounded.adjusted() < 16 else str(rounded)
+        if read_quantity(f"{text}{unit}", dimension) == value:
+            return f"{text}{unit}"
+    return f"{value!r} {dimension.unit}"
+
+
 def canonical_unit(text: str) -> str:
     """One spelling for "kg*m**2", "kg·m^2", "kg m²" and "kg m2": the last; micro is "u"."""
     for old, new in (("**", ""), ("^", ""), ("²", "2"), ("³", "3"), ("*", " "), ("·", " "), ("μ", "u"), ("µ", "u")):
@@ -121,17 +144,26 @@ def _read_text(text: str, dimension: Dimension) -> float:
     digits, unit = match[1], canonical_unit(match[2])
     if not unit:
         raise ValueError(f"is {shown(text)}, a string without a unit; {dimension.remedy}")
-    factor = dimension.units.get(unit)
-    if factor is not None:
-        rational, _, more = factor.partition(" ")
-        if more.startswith("+"):
-            return _as_float(Fraction(digits) * Fraction(rational) + Fraction(more[1:]))
-        return _as_float(Fraction(digits) * Fraction(rational)) * (math.pi if more else 1.0)
     try:
-        return float(digits) * _factor_by_pint(unit, dimension.name)
+        factor, pi, offset = _conversion(unit, dimension)
     except LookupError as error:
         requirement = error.args[0] or f"must be {dimension.phrase}"
         raise ValueError(f"is {shown(text)}, but {requirement}; {dimension.remedy}") from error
+    if unit not in dimension.units:
+        return float(digits) * float(factor)
+    if not pi:
+        return _as_float(Fraction(digits) * factor + offset)
+    if len(re.sub(r"[eE].*|[^0-9]", "", digits)) > _FLOAT_DIGITS:  # written by rewrite_quantity: round once, to the very number
+        return _as_float(Fraction(digits) * factor * _PI)
+    return _as_float(Fraction(digits) * factor) * math.pi
+
+
+def _conversion(unit: str, dimension: Dimension) -> tuple[Fraction, bool, Fraction]:
+    """The factor from a unit to SI, whether it is a multiple of pi, and what is added. Raises LookupError."""
+    if unit not in dimension.units:
+        return Fraction(_factor_by_pint(unit, dimension.name)), False, Fraction(0)
+    rational, _, rest = dimension.units[unit].partition(" ")
+    return Fraction(rational), rest == "pi", Fraction(rest[1:]) if rest.startswith("+") else Fraction(0)
 
 
 def _as_float(number: float | Fraction) -> float:

@@ -27,7 +27,7 @@ from ambrose.identification.parameters import expand
 from ambrose.identification.pipeline import CheckedIdentification, checked_identification, usual_unknowns
 from ambrose.identification.pipeline import provenance as origin_of
 from ambrose.machine.atomic_write import write_text
-from ambrose.machine.file.toml import dumps_machine
+from ambrose.machine.file.update import machine_text
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
@@ -138,7 +138,7 @@ def identified(
     checked = checked_identification(machine, [record], controller, paths, progress=progress)
     origin, comment = origin_of(checked, ["record.h5"], "the reference controller")
     found = identified_machine(machine, checked.result, origin=origin, keep_wider=True)
-    write_text(directory / "identified.toml", comment + dumps_machine(found), "machine file")
+    write_text(directory / "identified.toml", comment + machine_text(found), "machine file")
     page = identification_report(machine, checked, sources=["record.h5"], controller="the reference controller")
     write(page, directory / "identified.html")
     if not checked.result.converged:

@@ -19,8 +19,8 @@ _ENTRIES = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")  # the
 _LABELS = ("name", "label", "bearing", "parameter")
 
 
-def machine_from_document(document: Mapping[str, Any], name: str) -> Machine:
-    """The machine in a parsed TOML document; ``name`` is the file's, for messages.
+def machine_from_document(document: Mapping[str, Any], name: str, text: str = "") -> Machine:
+    """The machine in a parsed TOML document; ``name`` is the file's, for messages, and ``text`` what stands in it.
 
     Raises InvalidInput with one line for each problem found: of its form, or of its physics where the form is right.
     """
@@ -31,19 +31,24 @@ def machine_from_document(document: Mapping[str, Any], name: str) -> Machine:
     whole = file.machine.given()
     whole.pop("version")
     assumed, unclear = _reasons(whole.pop("assumed", {}))
-    materials = {key: _named(key, material) for key, material in (file.material or {}).items()}
+    materials = _materials(file)
     shaft, unknown = _shaft(file.shaft, materials)
     if unclear or unknown:
         raise InvalidInput(listed(name, [*unclear, *unknown]))
     parts = {f"{key}s" if key in _ENTRIES else key: value for key, value in file.given().items()}
     try:
-        return Machine(shaft=shaft, assumed=assumed, **whole, **parts)
+        return Machine(shaft=shaft, assumed=assumed, file_text=text, **whole, **parts)
     except InvalidMachine as error:
         raise InvalidMachine(name, error.problems) from None  # named by its file
 
 
-def _named(name: str, table: Table) -> Material:
-    return Material(name=name, **table.given())
+def named_materials(document: Mapping[str, Any]) -> dict[str, Material]:
+    """The materials of a document that ``machine_from_document`` accepts, by name."""
+    return _materials(MachineFile.model_validate(document))
+
+
+def _materials(file: MachineFile) -> dict[str, Material]:
+    return {name: Material(name=name, **table.given()) for name, table in (file.material or {}).items()}
 
 
 def _shaft(tables: Sequence[ShaftTable], materials: Mapping[str, Material]) -> tuple[tuple[ShaftSection, ...], list[str]]:

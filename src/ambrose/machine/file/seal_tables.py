@@ -77,6 +77,7 @@ class SealEntry(Table):
     """An annular seal; f = -([[K, k], [-k, K]] x + [[C, c], [-c, C]] x' + M x'')."""
 
     noun = nouns.Seal
+    identity = "name"
     name: Name = required("name, different from all other attachments")
     position: Length = required("axial position, from the left end")
     K: Stiffness = optional("direct stiffness")

@@ -41,6 +41,7 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     noun: ClassVar[type | None] = None
     apart: ClassVar[frozenset[str]] = frozenset()  # keys that ``given`` leaves to the reader
+    identity: ClassVar[str] = ""  # the key whose value tells the entries of a list apart; empty: their order does
 
     def given(self) -> dict[str, Any]:
         """The keys that the file has, nested tables turned into nouns and lists into tuples."""

@@ -84,6 +84,7 @@ class DiscTable(Table):
     """A rigid disc on the shaft: an impeller, a wheel, a thrust collar."""
 
     noun = nouns.Disc
+    identity = "name"
     name: Name = required("name, different from all other attachments")
     position: Length = required("axial position of its centre of mass, from the left end")
     mass: Mass = required("mass")
@@ -127,6 +128,7 @@ class MeasuredTable(Table):
     """Coefficients measured at another bias current."""
 
     noun = nouns.BiasPoint
+    identity = "bias_current"
     bias_current: Current = required("bias current of the measurement")
     force_per_current: ForcePerCurrentPair = required("force per control current, k_i")
     negative_stiffness: StiffnessPair = required("negative stiffness k_s, positive where it destabilises")
@@ -136,6 +138,7 @@ class BearingTable(Table):
     """A radial magnetic bearing with two axes; f = k_i i + k_s x on each."""
 
     noun = nouns.MagneticBearing
+    identity = "name"
     name: Name = required("name, first part of its axes' names: A gives A_zeta and A_eta")
     position: Length = required("axial position of the magnets' middle, from the left end")
     bias_current: Current = required("bias (premagnetisation) current")
@@ -171,6 +174,7 @@ class SensorTable(Table):
     """The pair of displacement sensors that serves a bearing, in that bearing's axes."""
 
     noun = nouns.Sensor
+    identity = "bearing"
     bearing: Annotated[str, Text("the name of a [[bearing]]")] = required("name of the bearing")
     position: Length = required("axial position, from the left end")
     gain: Annotated[tuple[float, float], PairOf("ratio")] = optional("indicated per true displacement")
@@ -200,6 +204,7 @@ class CouplingTable(Table):
     """A flexible coupling to ground."""
 
     noun = nouns.Coupling
+    identity = "name"
     name: Name = required("name, different from all other attachments")
     position: Length = required("axial position, from the left end")
     stiffness: StiffnessPair = required("stiffness")
@@ -246,6 +251,7 @@ class PointTable(Table):
     """An operating point; the first one is the nominal point."""
 
     noun = nouns.OperatingPoint
+    identity = "label"
     label: Words = optional("its name in reports")
     speed: Rate = optional("spin speed")
     seal_pressure: Pressure = optional("differential pressure of every seal")
@@ -272,6 +278,7 @@ class ToleranceTable(Table):
     """One uncertain parameter, with a relative or an absolute half-width."""
 
     noun = nouns.Tolerance
+    identity = "parameter"
     parameter: Annotated[str, Text("the path of a parameter, such as seal.center.k,")] = required("path of the parameter")
     relative: Ratio = optional("half-width as a fraction of the nominal value")
     absolute: float = optional("half-width in the parameter's own unit")

@@ -11,10 +11,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ambrose.core.checks import InvalidInput
-from ambrose.machine.atomic_write import write_text
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.machine import Machine
-from ambrose.machine.messages import meant
+from ambrose.machine.messages import meant, shown
 
 _LARGEST_FILE = 10_000_000  # bytes; a machine file has a few thousand
 
@@ -25,14 +24,12 @@ def bundled_machines() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def load_machine(path: str | os.PathLike[str]) -> Machine:
-    """The machine in a TOML file, or the bundled machine of that name.
+def load_machine(path: str | os.PathLike[str] | Machine) -> Machine:
+    """The machine in a TOML file, or the bundled machine of that name; a Machine is returned as it is.
 
     Raises InvalidInput, one message with a line for each problem, for a file that is missing, unreadable or wrong.
     """
-    bundled = bundled_machines()
-    file = bundled.get(os.fspath(path), Path(path))
-    return loads_machine(_read(file, bundled), name=str(path))
+    return path if isinstance(path, Machine) else loads_machine(read_machine_text(path), name=str(path))
 
 
 def loads_machine(text: str, name: str = "machine file") -> Machine:
@@ -50,15 +47,7 @@ def loads_machine(text: str, name: str = "machine file") -> Machine:
     except ValueError as error:
         remedy = "check quotes, brackets and commas there; a cut-off file ends like this too"
         raise InvalidInput(f"{name}: not valid TOML: {error}; {remedy}") from None
-    return machine_from_document(document, name)
-
-
-def save_machine(machine: Machine, path: str | os.PathLike[str]) -> Path:
-    """Write a machine as TOML in SI numbers, complete or not at all; reading it gives an equal machine. Returns the path.
-
-    Raises InvalidInput for a path that cannot be written.
-    """
-    return write_text(path, dumps_machine(machine), "machine file")
+    return machine_from_document(document, name, text)
 
 
 def dumps_machine(machine: Machine) -> str:
@@ -84,7 +73,13 @@ def machine_schema() -> dict[str, Any]:
     return editor_schema()
 
 
-def _read(path: Path, bundled: Mapping[str, Path]) -> str:
+def read_machine_text(file: Any) -> str:
+    """The text of a machine file (its path), or of the bundled machine of that name. Raises InvalidInput."""
+    if not isinstance(file, (str, os.PathLike)):
+        remedy = f"give the path of a TOML file or one of {', '.join(bundled_machines())}"
+        raise invalid("the machine", shown(file), "a file or the name of a bundled machine", remedy)
+    bundled = bundled_machines()
+    path = bundled.get(os.fspath(file), Path(file))
     try:
         if path.is_dir():
             raise InvalidInput(f"{path} is a directory; give the machine file in it")
@@ -107,19 +102,19 @@ def _read(path: Path, bundled: Mapping[str, Path]) -> str:
 
 def _lines(table: Mapping[str, Any], path: str) -> Iterator[str]:
     """A table as lines of TOML: its values, then the tables in it."""
-    import tomli_w
+    import tomlkit
 
     def below(value: Any) -> bool:
         return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
 
     def quoted(key: str) -> str:
-        return tomli_w.dumps({key: 0}).removesuffix(" = 0\n")
+        return tomlkit.key(key).as_string()
 
     def written(value: Any) -> str:
         if isinstance(value, list):
             comma = ",\n  " if value and isinstance(value[0], list) else ", "
             return f"[{comma.join(map(written, value))}]"
-        return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
+        return tomlkit.item(value).as_string()
 
     yield from (f"{quoted(key)} = {written(value)}" for key, value in table.items() if not below(value))
     for key, value in table.items():

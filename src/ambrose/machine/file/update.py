@@ -1,0 +1,285 @@
+"""A machine file brought up to date: what changed is written in the user's unit and place, all else stays as it stands."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.container import Container
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT, Array, InlineTable, Item, String, Table
+
+from ambrose.core.checks import invalid
+from ambrose.machine.atomic_write import write_text
+from ambrose.machine.file.fields import Quantity
+from ambrose.machine.file.parse import named_materials
+from ambrose.machine.file.table import Table as Model
+from ambrose.machine.file.tables import MachineFile, ToleranceTable, table_below
+from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
+from ambrose.machine.machine import Machine
+from ambrose.machine.messages import shown
+from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.seals import SEAL_AXES
+from ambrose.machine.units import DIMENSIONS, rewrite_quantity
+
+_Plain = Mapping[str, Any]
+
+
+def update_machine_file(text_or_path: str | os.PathLike[str], machine: Machine) -> str:
+    """The text of a machine file with the values of ``machine``; reading it gives an equal machine.
+
+    text_or_path: the file's text, or its path (or the name of a bundled machine). Only entries whose value differs change, and
+    are written in the unit that stands there; comments, order and all other text stay, and what stands above a table goes
+    with it. New keys and tables follow those of their kind, in SI numbers. Raises InvalidInput where the file is no machine.
+    """
+    is_text = isinstance(text_or_path, str) and "\n" in text_or_path
+    text = str(text_or_path if is_text else read_machine_text(text_or_path)).replace("\r\n", "\n")
+    loads_machine(text)
+    try:
+        document = tomlkit.parse(text)
+        tail = _attach_comments(document)
+        _update_document(document, machine)
+        updated = tomlkit.dumps(document) + tail
+        if loads_machine(updated) == machine:
+            return updated
+    except (TOMLKitError, ValueError):  # a form of TOML that tomlkit does not take, or cannot edit
+        pass
+    return dumps_machine(machine)
+
+
+def machine_text(machine: Machine) -> str:
+    """A machine as TOML text: the file that it was read from brought up to date, or else anew in SI numbers."""
+    return update_machine_file(machine.file_text, machine) if machine.file_text else dumps_machine(machine)
+
+
+def save_machine(machine: Machine, path: str | os.PathLike[str]) -> Path:
+    """Write a machine as TOML (``machine_text``), complete or not at all; reading it gives an equal machine. Returns the path.
+
+    Raises InvalidInput for a path that cannot be written.
+    """
+    if not isinstance(machine, Machine):
+        raise invalid("the machine to save", shown(machine), "a Machine", "give what load_machine or identify returned")
+    return write_text(path, machine_text(machine), "machine file")
+
+
+def _update_document(document: tomlkit.TOMLDocument, machine: Machine) -> None:
+    whole, given = machine.to_dict(defaults=True), machine.to_dict()
+    whole.setdefault("material", {})  # those that no section names stay
+    _update_assumed(document["machine"], machine.assumed)
+    used = zip(machine.shaft, given["shaft"], strict=True)
+    named = {table["material"]: section.material for section, table in used if "material" in table}
+    materials = named_materials(document.unwrap()) | named
+    end, entries = 0.0, document["shaft"]
+    for i, section in enumerate(machine.shaft):
+        if section.start == end:
+            del given["shaft"][i]["start"]  # which is what a file means that leaves it out
+        end = section.start + section.length
+        name = entries[i].get("material") if i < len(entries) else None
+        if name is not None and materials.get(str(name)) == section.material:
+            whole["shaft"][i]["material"] = given["shaft"][i]["material"] = str(name)
+    for seal, every in zip(given.get("seal", ()), whole["seal"], strict=False):
+        table = seal.get("table", {})
+        for key in ("scales_with_pressure", *table):
+            if key not in seal:
+                every.pop(key, None)  # what the table replaces leaves no zero behind
+        if table.get("axes") == [axis for axis in SEAL_AXES if axis in table]:
+            del table["axes"]
+    _update_table(document, MachineFile, whole, given)
+
+
+def _update_table(table: Any, model: type[Model], whole: _Plain, given: _Plain) -> None:
+    """Bring a table to the values of ``whole``; keys that it lacks are added where they stand in ``given``."""
+    for name, field in model.model_fields.items():
+        key, below = field.alias or name, table_below(model, name)
+        if key == "assumed":
+            continue
+        if key not in whole:
+            if key in table:
+                table.remove(key)
+        elif below is None:
+            _update_value(table, key, _dimension(model, name, whole), whole[key], key in given)
+        elif str(field.annotation).startswith("dict"):
+            dotted = any(item is not None and item.is_dotted() for item, _ in table.body if item == key)
+            for entry, values in given.get(key, {}).items():
+                if entry in table.get(key, {}):
+                    _update_table(table[key][entry], below, whole[key][entry], values)
+                else:
+                    _add(table.setdefault(key, tomlkit.table(is_super_table=True)), entry, values, inline=dotted)
+        elif str(field.annotation).startswith("list"):
+            _update_entries(table, key, below, whole[key], given.get(key, ()))
+        elif key in table:
+            _update_table(table[key], below, whole[key], given.get(key, {}))
+        elif key in given:
+            _add(table, key, given[key])
+
+
+def _dimension(model: type[Model], name: str, values: _Plain) -> str:
+    """The dimension of the numbers under a key; "" for texts and counts."""
+    if model is ToleranceTable and name == "absolute":
+        return parse_parameter(values["parameter"]).dimension
+    return getattr(next(iter(model.model_fields[name].metadata), None), "dimension", "")
+
+
+def _update_value(table: Any, key: str, dimension: str, value: Any, wanted: bool) -> None:
+    if key not in table:
+        if wanted:
+            table[key] = value
+        return
+    updated = _rewritten(table[key], value, dimension)
+    if updated is not table[key]:
+        table[key] = updated
+
+
+def _rewritten(old: Any, value: Any, dimension: str) -> Any:
+    """``value`` in the form and unit of the item ``old``; ``old`` itself where it says the same."""
+    if isinstance(value, list):
+        if not isinstance(old, Array):
+            same = all(element == value[0] for element in value)  # one number stands for all
+            return _rewritten(old, value[0], dimension) if same else [_rewritten(old, x, dimension) for x in value]
+        if len(old) != len(value):
+            return [_rewritten(_first(old), x, dimension) if not isinstance(x, list) else x for x in value]
+        for i, element in enumerate(value):
+            updated = _rewritten(old[i], element, dimension)
+            if updated is not old[i]:
+                old[i] = updated
+        return old
+    if not dimension:
+        return old if old == value else value
+    if isinstance(old, Array) or Quantity(dimension).read(_plain(old)) == value:
+        return value if isinstance(old, Array) else old
+    if isinstance(old, str):
+        return rewrite_quantity(str(old), value, DIMENSIONS[dimension])
+    return int(value) if isinstance(old, int) and value.is_integer() else value
+
+
+def _plain(value: Any) -> Any:
+    return value.unwrap() if isinstance(value, Item) else value
+
+
+def _first(array: Any) -> Any:
+    """The first element at the bottom of nested arrays."""
+    return _first(array[0]) if isinstance(array, Array) and len(array) else array
+
+
+def _update_entries(table: Any, key: str, model: type[Model], whole: Sequence[_Plain], given: Sequence[_Plain]) -> None:
+    """Bring the entries of a list of tables to those of ``whole``, each with the entry of its identity."""
+    entries = list(table.get(key, ()))
+    known = dict(zip(_identities(entries, model), range(len(entries)), strict=True))
+    wanted = [known.get(identity) for identity in _identities(whole, model)]
+    for place, values, some in zip(wanted, whole, given or [{}] * len(whole), strict=True):
+        if place is not None:
+            _update_table(entries[place], model, values, some)
+    if wanted == list(range(len(entries))):
+        return
+    if not whole:
+        table.remove(key)
+    elif not entries:
+        _add(table, key, list(given))
+    else:
+        _reorder(table[key], entries, wanted, given)
+
+
+def _identities(entries: Sequence[Any], model: type[Model]) -> Iterator[tuple[Any, int]]:
+    """What tells entries apart: the value of the model's key for it, and how often it occurred before."""
+    seen: dict[Any, int] = {}
+    for entry in entries:
+        value = _plain(entry.get(model.identity))
+        if model.identity and (dimension := _dimension(model, model.identity, {})):
+            value = Quantity(dimension).read(value)
+        seen[value] = seen.get(value, -1) + 1
+        yield value, seen[value]
+
+
+def _reorder(listed: Any, entries: Sequence[Any], wanted: Sequence[int | None], given: Sequence[_Plain]) -> None:
+    """Put the entries in the order ``wanted``; None stands for a new one."""
+    made = [
+        tomlkit.item(values, _parent=listed) if place is None else entries[place]
+        for place, values in zip(wanted, given, strict=True)
+    ]
+    if isinstance(listed, Array):  # comments in it stay where they are
+        for i, (place, entry) in enumerate(zip(wanted, made, strict=True)):
+            if i >= len(listed):
+                listed.append(entry)
+            elif place != i:
+                listed[i] = entry
+        while len(listed) > len(made):
+            del listed[-1]
+        return
+    leads = [entry.trivia.indent for entry in entries]
+    spaced = "\n" if any(lead.startswith("\n") for lead in leads[1:]) else ""
+    listed.clear()
+    for place, entry in zip(wanted, made, strict=True):
+        listed.append(entry)
+        listed[-1].trivia.indent = spaced if place is None else leads[place]
+
+
+def _add(table: Any, key: str, value: Any, *, inline: bool = False) -> None:
+    """A new table, or list of tables, at the end of ``table``."""
+    parent = tomlkit.inline_table() if inline else table
+    table.append(key, tomlkit.item(value, _parent=parent))
+    added = table[key]
+    first = added[0] if isinstance(added, AoT) else added
+    if not isinstance(parent, InlineTable):
+        first.trivia.indent = "\n" if isinstance(table, Container) else ""
+
+
+def _update_assumed(head: Any, reasons: Sequence[tuple[str, str]]) -> None:
+    """Bring [machine.assumed] to these reasons; dotted keys without quotes stand in it as tables within tables."""
+    wanted = dict(reasons)
+    if not wanted:
+        head.pop("assumed", None)
+        return
+    if "assumed" not in head:
+        _add(head, "assumed", wanted)
+        return
+    for table, key, path in list(_leaves(head["assumed"], "")):
+        if path not in wanted:
+            table.remove(key)
+        elif table[key] != wanted[path]:
+            table[key] = wanted[path]
+    kept = [path for _, _, path in _leaves(head["assumed"], "")]
+    for path, reason in wanted.items():
+        if path not in kept:
+            head["assumed"][path] = reason
+    if [path for _, _, path in _leaves(head["assumed"], "")] != list(wanted):
+        head["assumed"] = wanted
+
+
+def _leaves(table: Any, above: str) -> Iterator[tuple[Any, str, str]]:
+    for key, value in table.items():
+        if isinstance(value, String):
+            yield table, key, f"{above}{key}"
+        else:
+            yield from _leaves(value, f"{above}{key}.")
+
+
+def _attach_comments(document: Container) -> str:
+    """Blank lines and comments above a table's header belong to the table above when parsed: give each to its header.
+
+    Returns the text at the end of the file.
+    """
+    last = document
+    for table in _headers(document):
+        table.trivia.indent = _take_end(last) + table.trivia.indent
+        last = table.value
+    return _take_end(last)
+
+
+def _headers(container: Container) -> Iterator[Table]:
+    """Tables with a line of their own, in the order of the text."""
+    for key, item in container.body:
+        for table in item.body if isinstance(item, AoT) else [item] if isinstance(item, Table) else ():
+            if not (table.is_super_table() or (key is not None and key.is_dotted())):
+                yield table
+            yield from _headers(table.value)
+
+
+def _take_end(container: Container) -> str:
+    """The blank lines and comments at the end of a table, taken out."""
+    taken: list[str] = []
+    while container.body and container.body[-1][0] is None:
+        taken.insert(0, container.body.pop()[1].as_string())
+    return "".join(taken)

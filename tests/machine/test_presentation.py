@@ -1,0 +1,59 @@
+"""Machines and their parts show themselves in a line, in a table, and as plain data."""
+
+import json
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import pytest
+
+from ambrose.machine import description as d
+from ambrose.machine.file.toml import dumps_machine, load_machine, loads_machine
+
+SMALL = str(Path(__file__).with_name("small.toml"))
+
+
+def parts(thing):
+    """The machine and everything in it."""
+    if is_dataclass(thing):
+        yield thing
+        for field in fields(thing):
+            yield from parts(getattr(thing, field.name))
+    elif isinstance(thing, tuple):
+        for element in thing:
+            yield from parts(element)
+
+
+@pytest.mark.parametrize("file", ["seal-rig", "turboexpander", SMALL])
+def test_every_part_shows_itself_in_a_line(file):
+    for part in parts(load_machine(file)):
+        assert repr(part).startswith(type(part).__name__) and len(repr(part)) < 200
+        json.dumps(part.to_dict())
+
+
+def test_a_part_shows_what_is_not_its_default():
+    assert repr(d.Disc("wheel", 0.1, 3.0)) == "Disc(name=wheel, position=0.1, mass=3)"
+    assert d.OperatingPoint(seal_pressure=2e5).to_dict() == {"seal_pressure": 2e5}
+    assert d.OperatingPoint().to_dict(defaults=True) == {"speed": 0.0, "seal_pressure": 0.0, "label": ""}
+
+
+def test_the_table_of_a_machine_names_its_parts():
+    page = load_machine("turboexpander")._repr_html_()
+    for words in (
+        "A at 0.108 m",
+        "of B at 0.3877 m",
+        "expander at 0.5157 m, 3.2 kg",
+        "piston at 0.2688 m",
+        "seal.piston.K_xx ± 40 %",
+    ):
+        assert words in page
+    assert "140 Hz (P3) (879.6 rad/s, 3.85e+06 Pa)" in page and "couplings" not in page
+
+
+def test_the_plain_data_are_those_of_the_file():
+    import tomllib
+
+    machine = load_machine(SMALL)
+    assert tomllib.loads(dumps_machine(machine)) == machine.to_dict()
+    whole = machine.to_dict(defaults=True)
+    assert whole["bearing"][1]["angle"] == 0.0 and "angle" not in machine.to_dict()["bearing"][1]
+    assert loads_machine(dumps_machine(machine)) == machine
