@@ -17,7 +17,6 @@ from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.design import design
-from ambrose.synthesis.loop_delay import loop_delay
 from ambrose.verification import nominal
 
 SAMPLE = 1e-4  # s
@@ -25,7 +24,7 @@ machine = load_machine("seal-rig")
 plants = [assemble(machine, point) for point in machine.operation.points]  # nominal, zero, twice nominal seal pressure
 
 # Designed for the delay of the loop that it will run in: one sample of computing and half a sample of holding.
-synthesis = design(plants[0], "hinf", delay=loop_delay(SAMPLE))
+synthesis = design(plants[0], "hinf", rate=1 / SAMPLE)
 
 # Sampled, and verified as it will run: late by one sample, on the full model, at every pressure and over k +-100 %.
 deployment = deploy(synthesis, SAMPLE, SAMPLE, plants=plants)

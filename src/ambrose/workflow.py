@@ -22,7 +22,7 @@ from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.stages.commissioning import NAME, Commissioning, commission
-from ambrose.stages.control import kept_or_designed
+from ambrose.stages.control import resume_or_design
 from ambrose.stages.plants import covers, full_plants, model_comparison, schedulable
 from ambrose.stages.proof import campbell_map, over_tolerances, verification
 from ambrose.stages.run_up import RunUp, run_ups
@@ -86,7 +86,7 @@ def run(machine: Machine, directory: Path, progress: Progress = lambda stage: No
     for method in [*methods_for(plants[0]), *(["lpv"] if schedulable(plants[0]) else [])]:
         progress(f"{TITLES[method]}: controller")
         try:
-            synthesis = kept_or_designed(plants[0], method, directory / f"controller-{method}.json", progress)
+            synthesis = resume_or_design(plants[0], method, directory / f"controller-{method}.json", progress)
         except AmbroseError as error:  # one infeasible design leaves the others their verdict
             progress(f"{TITLES[method]}: no controller; {error}")
             failed.append((TITLES[method], str(error)))

@@ -18,7 +18,6 @@ from ambrose.plant.reduce import reduce
 from ambrose.simulation.control_program import ControlProgram
 from ambrose.synthesis.controller_file import write_controller
 from ambrose.synthesis.design import design
-from ambrose.synthesis.loop_delay import loop_delay
 from ambrose.synthesis.pid import pid_synthesis
 
 PAGE = (Path(__file__).parents[2] / "docs" / "integrator.md").read_text()
@@ -44,7 +43,7 @@ def test_the_interrupt_compiles_as_printed(tmp_path):
 def test_software_in_the_loop_runs_as_printed(tmp_path, monkeypatch, capsys):
     """With an H-infinity controller; plants with one bending mode, where the page takes the full ones, are quicker."""
     machine = load_machine("seal-rig")
-    write_controller(tmp_path / "controller.json", design(assemble(machine), "hinf", delay=loop_delay(1e-4)), machine)
+    write_controller(tmp_path / "controller.json", design(assemble(machine), "hinf", rate=1e4), machine)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("ambrose.plant.assemble.assemble", lambda *arguments: reduce(assemble(*arguments), 1))
     names = {}

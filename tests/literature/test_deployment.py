@@ -19,12 +19,12 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
-from ambrose.synthesis.design import design, design_tolerances
+from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
-from ambrose.synthesis.loop_delay import late, loop_delay
-from ambrose.synthesis.order_selection import lower, sampled_sensitivity
+from ambrose.synthesis.loop_delay import apply_delay, loop_delay
+from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.synthesis.problem import design_plant, open_model
+from ambrose.synthesis.problem import design_plant, design_tolerances, open_model
 from ambrose.verification import nominal
 
 pytestmark = [pytest.mark.literature, pytest.mark.skipif(not has_compiler(), reason="no C compiler here")]
@@ -41,7 +41,7 @@ def plants():
 
 @pytest.fixture(scope="module")
 def synthesis(plants):
-    return design(plants["nominal pressure"], "mu", delay=loop_delay(SAMPLE))
+    return design(plants["nominal pressure"], "mu", rate=1 / SAMPLE)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def reference(plants):
 def problem(plants, synthesis):
     weights = synthesis.weights
     model = open_model(reduce(plants["nominal pressure"]), design_tolerances(RIG), True)
-    return design_plant(late(model, loop_delay(SAMPLE)), weights)
+    return design_plant(apply_delay(model, loop_delay(SAMPLE)), weights)
 
 
 def on_the_rig(program, label):
@@ -115,7 +115,7 @@ def test_the_running_code_has_the_verification_of_the_design(mu, deployment, pla
 def test_half_the_states_suffice_at_a_loss_of_five_per_cent(plants, synthesis, problem):
     """By reduction in the closed loop alone; judged in the sampled loop on a plant that bends."""
     measure = sampled_sensitivity(reduce(plants["nominal pressure"], 1), SAMPLE)
-    found = lower(problem, synthesis.controller, measure, 0.05, polishing=False)
+    found = find_lowest_order(problem, synthesis.controller, measure, 0.05, polishing=False)
     assert (synthesis.controller.n_states, found.controller.n_states) == (28, 14)
     assert found.measure <= 1.05 * found.reference
     full = box_check(plants["nominal pressure"], delayed(c2d(found.controller, SAMPLE, "tustin"), 1))

@@ -10,8 +10,8 @@ from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.loop_delay import late, loop_delay
-from ambrose.synthesis.order_selection import lower, sampled_sensitivity
+from ambrose.synthesis.loop_delay import apply_delay, loop_delay
+from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.weights import machine_weights
 
@@ -24,7 +24,7 @@ def task():
     plant = assemble(load_machine("seal-rig"))
     weights = machine_weights(plant.machine)
     problem, nominal = (
-        design_plant(late(open_model(reduce(plant), None, flag), loop_delay(SAMPLE)), weights, uncertain=flag)
+        design_plant(apply_delay(open_model(reduce(plant), None, flag), loop_delay(SAMPLE)), weights, uncertain=flag)
         for flag in (True, False)
     )
     return problem, hinf_synthesis(nominal).controller, sampled_sensitivity(reduce(plant, 1), SAMPLE)
@@ -34,7 +34,7 @@ def test_reduction_stays_within_the_stated_loss(task):
     problem, controller, measure = task
     orders = []
     for loss in (0.01, 0.2):
-        found = lower(problem, controller, measure, loss, polishing=False)
+        found = find_lowest_order(problem, controller, measure, loss, polishing=False)
         assert found.reference == measure(controller)
         assert found.measure == measure(found.controller) <= (1 + loss) * found.reference
         orders.append(found.controller.n_states)
@@ -46,8 +46,8 @@ def test_reduction_stays_within_the_stated_loss(task):
 
 def test_polishing_reaches_orders_that_reduction_does_not(task):
     problem, controller, measure = task
-    reduced = lower(problem, controller, measure, 0.0, polishing=False)
-    polished = lower(problem, controller, measure, 0.0, rounds=1)
+    reduced = find_lowest_order(problem, controller, measure, 0.0, polishing=False)
+    polished = find_lowest_order(problem, controller, measure, 0.0, rounds=1)
     assert polished.controller.n_states < reduced.controller.n_states
     assert polished.measure <= polished.reference
 
@@ -55,10 +55,10 @@ def test_polishing_reaches_orders_that_reduction_does_not(task):
 def test_refusals(task):
     problem, controller, measure = task
     with pytest.raises(InvalidInput, match="loss"):
-        lower(problem, controller, measure, -0.1)
+        find_lowest_order(problem, controller, measure, -0.1)
     wrong = replace(controller, B=-controller.B)
     with pytest.raises(UnstableSystem, match="unstable in its loop"):
-        lower(problem, wrong, measure, 0.1)
+        find_lowest_order(problem, wrong, measure, 0.1)
     machine = replace(load_machine("seal-rig"), tolerances=())
     with pytest.raises(InvalidInput, match="tolerances"):
         sampled_sensitivity(reduce(assemble(machine)), SAMPLE)

@@ -56,12 +56,10 @@ def synthesize(
 ) -> None:
     """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.plant.reduce import reduce
     from ambrose.stages.plants import plant_at
     from ambrose.synthesis.controller_file import write_controller
     from ambrose.synthesis.design import design
-    from ambrose.synthesis.loop_delay import loop_delay
-    from ambrose.synthesis.order_selection import lowered, sampled_sensitivity
+    from ambrose.synthesis.options import DesignOptions
     from ambrose.synthesis.result import Status
 
     description = load(machine)
@@ -72,38 +70,23 @@ def synthesize(
         check_positive(loss, "--loss", "5 allows 5 %", zero_allowed=True)
     if speeds_hz is not None and not 0 < speeds_hz[0] < speeds_hz[1]:
         raise invalid("--speeds-hz", f"{speeds_hz[0]:g} {speeds_hz[1]:g}", "the lower speed, then the higher", "swap the two")
-    sample = None if rate_hz is None else 1 / check_positive(rate_hz, "--rate-hz", "10000 is usual")
-    delay = 0.0 if sample is None else loop_delay(sample, delay_samples)
+    if rate_hz is not None:
+        check_positive(rate_hz, "--rate-hz", "10000 is usual")
+    options = DesignOptions(
+        rate=rate_hz,
+        delay_samples=delay_samples,
+        loss=None if loss is None else loss / 100,
+        order=order,
+        bending_modes=bending_modes,
+        match_reference=match_reference,
+        speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
+    )
     with progress_shown(as_json) as progress:
         progress("assembling the plant")
         plant = plant_at(description, point)
         progress(f"designing ({method})")
-        judge = None
-        if sample is not None and method == "polish":
-            judge = sampled_sensitivity(reduce(plant, bending_modes + 1), sample, delay_samples)
-        result = design(
-            plant,
-            method,
-            bending_modes=bending_modes,
-            match_reference=match_reference,
-            order=order,
-            delay=delay,
-            judge=judge,
-            speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
-            progress=progress,
-        )
-        if loss is not None and sample is not None:
-            progress("lowering the order")
-            result = lowered(
-                plant,
-                result,
-                loss / 100,
-                sample,
-                computing_samples=delay_samples,
-                bending_modes=bending_modes,
-                progress=progress,
-            )
-    write_controller(output, result, description)
+        result = design(plant, method, options, progress=progress)
+    write_controller(output, result)
     certificate = result.certificate.to_dict()
     if as_json:
         summary: dict[str, Any] = {"controller": str(output), "method": method, "status": result.status}

@@ -30,18 +30,16 @@ from ambrose.machine.atomic_write import write_text
 from ambrose.machine.file.update import machine_text
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
 from ambrose.simulation.trace import Trace
-from ambrose.stages.control import kept_or_designed
+from ambrose.stages.control import resume_or_design
 from ambrose.stages.plants import full_plants
 from ambrose.stages.proof import over_tolerances, verification
 from ambrose.stages.trials import SCENARIOS, experiment, simulation
 from ambrose.synthesis.controller_file import read_controller
-from ambrose.synthesis.design import design_tolerances
-from ambrose.synthesis.loop_delay import loop_delay
-from ambrose.synthesis.order_selection import sampled_sensitivity
+from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.problem import design_tolerances
 from ambrose.synthesis.result import Status, Synthesis
 
 NAME = "commissioned"
@@ -104,10 +102,9 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     record = recorded(plants[0], reference.controller, directory / "record.h5", progress)
     checked, machine = identified(plants[0].machine, record, reference.controller, directory, progress)
     known = full_plants(machine)
-    delay = loop_delay(_sample_time(machine), _COMPUTING)
     progress("controller for the identified machine and its sampled loop")
-    judge = sampled_sensitivity(reduce(known[0], 1), _sample_time(machine), _COMPUTING)
-    synthesis = kept_or_designed(known[0], METHOD, directory / "controller.json", progress, delay=delay, judge=judge)
+    options = DesignOptions(rate=1 / _sample_time(machine), delay_samples=_COMPUTING)
+    synthesis = resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
     deployment, program, files = coded(known, directory, progress)
     law, apart = running_law(program, deployment)
     candidate = examined(plants, known, synthesis, delayed(law, deployment.delay), program, progress)

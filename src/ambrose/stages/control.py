@@ -6,29 +6,34 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ambrose.core.checks import AmbroseError
-from ambrose.machine.file.toml import machine_hash
 from ambrose.plant.model import Plant
+from ambrose.synthesis.certificate import contradiction
 from ambrose.synthesis.controller_file import read_controller, write_controller
-from ambrose.synthesis.design import design, on_full_plant
-from ambrose.synthesis.order_selection import Measure
+from ambrose.synthesis.design import design, provenance
+from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.result import Synthesis
 
 Progress = Callable[[str], None]
 
 
-def kept_or_designed(
-    plant: Plant, method: str, path: Path, progress: Progress, *, delay: float = 0.0, judge: Measure | None = None
+def resume_or_design(
+    plant: Plant, method: str, path: Path, progress: Progress, options: DesignOptions | None = None
 ) -> Synthesis:
-    """The controller at ``path`` if it was made for exactly this machine (certified again), else a new one, written there.
+    """The very Synthesis at ``path`` if the same design made it, else a new one, written there.
 
-    delay [s]: of the sampled loop that a new one is designed for; judge: as for ``design``.
+    The same: package version, machine, operating point, method and options. What is taken up is certified again on the full
+    plant, a scheduled controller at every speed of its grid; where the margins are not those of the file it is designed anew.
     """
+    options = options or DesignOptions()
     try:
         kept = read_controller(path)
-        if kept.certificate and (kept.provenance.machine_hash, kept.method) == (machine_hash(plant.machine), method):
-            return kept if kept.scheduled is not None else on_full_plant(plant, kept, {})
     except AmbroseError:
-        pass  # absent, or not readable any more: designed anew
-    synthesis = design(plant, method, delay=delay, judge=judge, progress=progress)
-    write_controller(path, synthesis, plant.machine)
+        kept = None  # absent, or not readable any more
+    if kept is not None and kept.provenance.key == provenance(plant, method, options).key:
+        wrong = contradiction(plant, kept)
+        if not wrong:
+            return kept
+        progress(f"{path.name} is not taken up: {wrong}; designing it anew")
+    synthesis = design(plant, method, options, progress=progress)
+    write_controller(path, synthesis)
     return synthesis

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,9 +24,12 @@ from ambrose.core.statespace import (
     spectral_abscissa,
     static_gain,
 )
+from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import named_controller
 from ambrose.plant.model import Plant
-from ambrose.synthesis.result import Certificate
+from ambrose.synthesis.result import Certificate, Status, Synthesis
+
+_SAME = 1e-5  # relative; margins recomputed elsewhere differ by rounding
 
 
 def certify(plant: Plant | StateSpace, controller: Any, label: str = "") -> Certificate:
@@ -72,6 +77,49 @@ def generalized_certificate(plant: GeneralizedPlant, controller: Any, label: str
         with contextlib.suppress(UnstableSystem):
             norm = hinf_norm(loop).value
     return Certificate(norm < np.inf, abscissa, norm, fastest_pole(controller), {}, label)
+
+
+def full_plant_margins(plant: Plant, law: StateSpace | ScheduledSystem) -> tuple[bool, dict[str, float], str]:
+    """Whether a law holds a full plant, a schedule at every speed of its grid; the margins that say so; on what.
+
+    "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the speeds, and "worst_speed" [rad/s].
+    """
+    if not isinstance(law, ScheduledSystem):
+        found = certify(plant, law)
+        margins = {"full_spectral_abscissa": found.spectral_abscissa, "full_sensitivity_peak": found.closed_loop_norm}
+        return found.stable, margins, found.plant
+    machine, speeds = plant.machine, [float(speed) for speed in law.grid]
+    results = [certify(assemble(machine, replace(plant.point, speed=speed)), law.at(speed)) for speed in speeds]
+    worst = int(np.argmax([item.closed_loop_norm for item in results]))
+    margins = {
+        "full_spectral_abscissa": max(item.spectral_abscissa for item in results),
+        "full_sensitivity_peak": results[worst].closed_loop_norm,
+        "worst_speed": speeds[worst],
+    }
+    label = f"{machine.name}, full plant at {len(speeds)} of these speeds"
+    return all(item.stable for item in results), margins, label
+
+
+def certify_on_full_plant(plant: Plant, result: Synthesis, margins: Mapping[str, float] | None = None) -> Synthesis:
+    """The synthesis with ``margins`` and those of ``full_plant_margins`` added; "unstable" where it does not hold ``plant``."""
+    before = result.certificate
+    holds, full, label = full_plant_margins(plant, result.law)
+    stable = before.stable and holds
+    margins = {**before.margins, **(margins or {}), **full}
+    certificate = replace(before, stable=stable, margins=margins, plant=f"{before.plant}; {label}")
+    return replace(result, certificate=certificate, status=result.status if stable else Status.UNSTABLE)
+
+
+def contradiction(plant: Plant, result: Synthesis) -> str:
+    """Which margin, recomputed on the full plant, is not what the certificate says; "" where all are."""
+    said = result.certificate
+    margins = {
+        "full_spectral_abscissa": said.spectral_abscissa, "full_sensitivity_peak": said.closed_loop_norm, **said.margins
+    }  # fmt: skip
+    for name, value in full_plant_margins(plant, result.law)[1].items():
+        if not (value == margins[name] or abs(value - margins[name]) <= _SAME * abs(value)):
+            return f"{name} is {value:.6g}, but its certificate says {margins[name]:.6g}"
+    return ""
 
 
 def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace]:

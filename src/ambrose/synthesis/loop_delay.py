@@ -23,7 +23,7 @@ def loop_delay(sample_time: float, computing_samples: int = 1) -> float:
     return (computing_samples + 0.5) * sample_time
 
 
-def late(model: GeneralizedPlant, delay: float, order: int = 1) -> GeneralizedPlant:
+def apply_delay(model: GeneralizedPlant, delay: float, order: int = 1) -> GeneralizedPlant:
     """The model with every current u delayed by ``delay`` [s], as a Pade all-pass of ``order`` states per axis; 0: unchanged.
 
     order 1 is 0.004 degrees off at 100 Hz for 0.15 ms, 4 degrees at 1 kHz. Raises InvalidInput.

@@ -19,12 +19,12 @@ from ambrose.core.worst_case.loop import corners
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis.certificate import certify, generalized_certificate
-from ambrose.synthesis.design import JUDGED_ROUNDS, design_tolerances, on_full_plant
-from ambrose.synthesis.fixed_order.polish import polish_synthesis
+from ambrose.synthesis.certificate import certify, certify_on_full_plant, generalized_certificate
+from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
-from ambrose.synthesis.loop_delay import late, loop_delay
-from ambrose.synthesis.problem import design_plant, open_model
+from ambrose.synthesis.loop_delay import apply_delay
+from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.problem import design_plant, design_tolerances, open_model
 from ambrose.synthesis.result import Status, Synthesis
 from ambrose.synthesis.weights import machine_weights
 
@@ -34,7 +34,7 @@ Measure = Callable[[StateSpace], float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lowered:
+class LowestOrder:
     """The controller of lowest order whose measure is within the loss; of the start: ``reference``.
 
     tried: (order, "reduced" or "polished", measure) of all that were looked at, infinite where the loop is unstable.
@@ -46,7 +46,7 @@ class Lowered:
     tried: tuple[tuple[int, str, float], ...]
 
 
-def lower(
+def find_lowest_order(
     problem: GeneralizedPlant,
     controller: StateSpace,
     measure: Measure,
@@ -55,7 +55,7 @@ def lower(
     polishing: bool = True,
     rounds: int = JUDGED_ROUNDS,
     progress: Callable[[str], None] = lambda text: None,
-) -> Lowered:
+) -> LowestOrder:
     """Reduce ``controller`` as far as its measure rises by no more than ``loss`` [-] (0.05: 5 %).
 
     problem: the design problem with its real blocks. measure: StateSpace -> number, less is better, infinite where unstable.
@@ -98,46 +98,40 @@ def lower(
         if value > limit or candidate.n_states >= best.n_states:
             break
         best, found = candidate, value
-    return Lowered(best, found, reference, tuple(tried))
+    return LowestOrder(best, found, reference, tuple(tried))
 
 
-def lowered(
-    plant: Plant,
-    result: Synthesis,
-    loss: float,
-    sample_time: float,
-    *,
-    computing_samples: int = 1,
-    bending_modes: int = 0,
-    progress: Callable[[str], None] = lambda text: None,
-) -> Synthesis:
-    """A synthesis at the lowest order for which the sampled loop's worst sensitivity rises by at most ``loss`` [-].
+def reduce_order(plant: Plant, result: Synthesis, options: DesignOptions, progress: Callable[[str], None]) -> Synthesis:
+    """A synthesis at the lowest order for which the sampled loop's worst sensitivity rises by at most ``options.loss``.
 
-    plant: the full one it was made for; bending_modes: of the design model. The weights are the machine's, scaled as the
-    synthesis had them. The certificate is made anew on the full plant; margins gain "sampled_sensitivity" and, of the
-    controller before, "sampled_sensitivity_given". Raises InvalidInput for a machine without tolerances or weights.
+    plant: the full one it was made for; options: those of its design. The weights are the synthesis' (None: the machine's). The
+    certificate is made anew on the full plant; margins gain "sampled_sensitivity" and, of the controller before,
+    "sampled_sensitivity_given". Raises InvalidInput for a machine without tolerances or weights, or options without a loss.
     """
+    loss, sample_time = options.loss, options.sample_time
+    if loss is None or sample_time is None:
+        raise invalid("loss and rate", "not given", "given", "0.05 at 10000 Hz allows 5 %")
     weights = machine_weights(plant.machine) if result.weights is None else result.weights
-    delay = loop_delay(sample_time, computing_samples)
-    problem = design_plant(
-        late(open_model(reduce(plant, bending_modes), design_tolerances(plant.machine), True), delay), weights
-    )
-    measure = sampled_sensitivity(reduce(plant, bending_modes + 1), sample_time, computing_samples)
-    found = lower(problem, result.controller, measure, loss, progress=progress)
-    before, after = result.controller.n_states, found.controller.n_states
+    small = reduce(plant, options.bending_modes)
+    problem = design_plant(apply_delay(open_model(small, design_tolerances(plant.machine), True), options.delay), weights)
+    measure = sampled_sensitivity(reduce(plant, options.bending_modes + 1), sample_time, options.delay_samples)
+    lowest = find_lowest_order(problem, result.controller, measure, loss, progress=progress)
+    before, after = result.controller.n_states, lowest.controller.n_states
     note = (
-        f"lowered from {before} to {after} states: worst sampled sensitivity {found.reference:.3g} -> {found.measure:.3g} "
-        f"over the tolerances, at {1 / sample_time:g} Hz with {computing_samples} samples of delay"
+        f"lowered from {before} to {after} states: worst sampled sensitivity {lowest.reference:.3g} -> {lowest.measure:.3g} "
+        f"over the tolerances, at {1 / sample_time:g} Hz with {options.delay_samples} samples of delay"
     )
-    margins = {"sampled_sensitivity": found.measure, "sampled_sensitivity_given": found.reference}
-    certificate = generalized_certificate(
-        design_plant(reduce(plant, bending_modes), weights, uncertain=False), found.controller
-    )
-    status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
+    margins = {"sampled_sensitivity": lowest.measure, "sampled_sensitivity_given": lowest.reference}
+    certificate = generalized_certificate(design_plant(small, weights, uncertain=False), lowest.controller)
     fresh = replace(
-        result, controller=found.controller, certificate=certificate, status=status, notes=(*result.notes, note), gamma=np.nan
+        result,
+        controller=lowest.controller,
+        certificate=certificate,
+        status=Status.VERIFIED if certificate.stable else Status.UNSTABLE,
+        notes=(*result.notes, note),
+        gamma=np.nan,
     )
-    return on_full_plant(plant, fresh, margins)
+    return certify_on_full_plant(plant, fresh, margins)
 
 
 def sampled_sensitivity(plant: Plant, sample_time: float, computing_samples: int = 1) -> Measure:

@@ -38,6 +38,7 @@ from ambrose.plant.uncertainty import uncertain as uncertain_plant
 from ambrose.synthesis.weights import Weights, machine_weights
 
 PERFORMANCE = "performance"
+LEAST_TOLERANCE = 0.05  # relative; narrower tolerances are left to verification, which takes them all
 
 
 def design_plant(
@@ -116,6 +117,16 @@ def open_model(plant: Plant | GeneralizedPlant, tolerances: Sequence[Tolerance] 
             return GeneralizedPlant(model.system, [], u, [], y)
     w, z = model.w[: model.n_w_blocks], model.z[: model.n_z_blocks]
     return GeneralizedPlant(select(model.system, [*w, *u], [*z, *y]), w, u, z, y, model.blocks)
+
+
+def design_tolerances(machine: Machine) -> tuple[Tolerance, ...]:
+    """The tolerances that a design is made for: all of at least 5 %, or all where none is as wide.
+
+    Every real parameter costs D-K iteration states and time; what identification has narrowed to a percent is within the margin
+    that the wide ones force, and verification over all tolerances says whether that is so.
+    """
+    wide = tuple(item for item in machine.tolerances if item.relative is None or item.relative >= LEAST_TOLERANCE)
+    return wide or machine.tolerances
 
 
 def with_performance_block(plant: GeneralizedPlant) -> GeneralizedPlant:

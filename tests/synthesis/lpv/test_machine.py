@@ -58,8 +58,8 @@ def test_family_holds_the_same_plant_as_the_modal_reduction(plant):
 def test_lpv_is_a_method_that_is_asked_for_by_name(plant):
     assert "lpv" in METHODS
     assert "lpv" not in methods_for(plant)
-    with pytest.raises(InvalidInput, match=r"delay .* method 'lpv'"):
-        design(plant, "lpv", delay=1e-4)
+    with pytest.raises(InvalidInput, match=r"rate .* method 'lpv'"):
+        design(plant, "lpv", rate=1e4)
 
 
 def test_speed_of_the_plant_outside_the_grid_is_refused(plant):

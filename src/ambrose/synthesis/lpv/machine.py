@@ -12,13 +12,12 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.scheduled import check_grid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis.certificate import certify
+from ambrose.synthesis.certificate import certify_on_full_plant
 from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.result import Status, Synthesis
+from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.weights import Weights, machine_weights
 
 POINTS = 8  # of a grid that is not given
@@ -81,24 +80,4 @@ def design_over_speed(
         plants_over_speed(plant, bending_modes, weights), grid, rate=rate, degree=degree, backoff=backoff,
         nominal=point.speed, progress=progress,
     )  # fmt: skip
-    if result.scheduled is None:
-        raise InvalidInput("the synthesis returned no schedule")
-    checked = result.scheduled.grid
-    found = []
-    for speed in checked:
-        full = assemble(machine, replace(point, speed=float(speed)))
-        found.append(certify(full, result.scheduled.at(float(speed))))
-    worst = int(np.argmax([f.closed_loop_norm for f in found]))
-    stable = all(f.stable for f in found)
-    certificate = replace(
-        result.certificate,
-        stable=result.certificate.stable and stable,
-        margins={
-            **result.certificate.margins,
-            "full_spectral_abscissa": max(f.spectral_abscissa for f in found),
-            "full_sensitivity_peak": found[worst].closed_loop_norm,
-            "worst_speed": float(checked[worst]),
-        },
-        plant=f"{result.certificate.plant}; {machine.name}, full plant at {len(checked)} of these speeds",
-    )
-    return replace(result, certificate=certificate, status=result.status if stable else Status.UNSTABLE, weights=weights)
+    return certify_on_full_plant(plant, replace(result, weights=weights))

@@ -1,0 +1,67 @@
+"""What a design may be asked for beside its method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import check_positive, check_shape, invalid
+from ambrose.synthesis.loop_delay import loop_delay
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignOptions:
+    """rate [Hz]: the loop runs sampled, its controller ``delay_samples`` late; None: it is designed without delay.
+
+    loss [-]: with a rate, the order is reduced until the worst sampled sensitivity has risen by this share (0.05: 5 %). order:
+    states of the polished controller (None: half of what mu needs). bending_modes: how many the design model keeps per plane.
+    match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so that
+    controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds:
+    lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal pressure).
+    Raises InvalidInput.
+    """
+
+    rate: float | None = None
+    delay_samples: int = 1
+    loss: float | None = None
+    order: int | None = None
+    bending_modes: int = 0
+    match_reference: bool | None = None
+    speeds: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.rate is not None:
+            check_positive(self.rate, "rate", "10000 Hz is usual")
+        _check_count(self.delay_samples, "the computing delay (delay_samples)", "1 is usual")
+        _check_count(self.bending_modes, "bending_modes", "0 designs for the rigid rotor")
+        if self.order is not None:
+            _check_count(self.order, "order", "None takes half of what mu needs")
+        if self.loss is not None:
+            check_positive(self.loss, "loss", "0.05 allows 5 %", zero_allowed=True)
+            if self.rate is None:
+                raise invalid("rate", None, "given with a loss", "say at which rate [Hz] the controller will run")
+        if self.match_reference not in (None, True, False):
+            raise invalid(
+                "match_reference", repr(self.match_reference), "True, False or None", "None decides by the machine file"
+            )
+        if self.speeds is not None:
+            low, high = check_shape(self.speeds, "speeds", "(2)")
+            if not 0 <= low < high:
+                raise invalid("speeds", f"{low:g} and {high:g} rad/s", "the lower speed, then the higher", "swap the two")
+
+    @property
+    def sample_time(self) -> float | None:
+        """[s]; None without a rate."""
+        return None if self.rate is None else 1 / self.rate
+
+    @property
+    def delay(self) -> float:
+        """What the design model is delayed by [s]: computing, and half a sample of holding; 0 without a rate."""
+        return 0.0 if self.rate is None else loop_delay(1 / self.rate, self.delay_samples)
+
+
+def _check_count(value: Any, name: str, remedy: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise invalid(name, repr(value), "a whole number, zero or more", remedy)

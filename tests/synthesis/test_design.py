@@ -1,0 +1,81 @@
+"""One call wires a design: its options are checked before anything is computed, and are what the file is keyed by."""
+
+from __future__ import annotations
+
+import pytest
+
+from ambrose import load_machine
+from ambrose.core.checks import InvalidInput
+from ambrose.plant.assemble import assemble
+from ambrose.plant.reduce import reduce
+from ambrose.synthesis import design as module
+from ambrose.synthesis.design import design
+from ambrose.synthesis.loop_delay import loop_delay
+from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.pid import pid_synthesis
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return reduce(assemble(load_machine("seal-rig")))
+
+
+REFUSED = {
+    "an unknown method": ("magic", {}, r"method is 'magic', but must be one of pid, hinf"),
+    "a method that is no text": (None, {}, "method is None"),
+    "an unknown option": ("mu", {"rates": 1e4}, r"no option 'rates'; did you mean \"rate\""),
+    "a rate below zero": ("mu", {"rate": -1.0}, "rate is -1.0, but must be positive; 10000 Hz is usual"),
+    "a rate as text": ("mu", {"rate": "fast"}, "rate is not numeric"),
+    "a delay below zero": ("mu", {"rate": 1e4, "delay_samples": -1}, "computing delay .* is -1, but must be a whole number"),
+    "a loss without a rate": ("mu", {"loss": 0.05}, "rate is None, but must be given with a loss"),
+    "a loss below zero": ("mu", {"loss": -0.05, "rate": 1e4}, "loss is -0.05"),
+    "half a state": ("polish", {"order": 1.5}, "order is 1.5, but must be a whole number"),
+    "an order of mu": ("mu", {"order": 12}, "only method 'polish' can choose it"),
+    "half a bending mode": ("mu", {"bending_modes": 0.5}, "bending_modes is 0.5"),
+    "speeds of a fixed controller": ("mu", {"speeds": (1.0, 2.0)}, "only method 'lpv' is scheduled"),
+    "speeds exchanged": ("lpv", {"speeds": (2.0, 1.0)}, "speeds is 2 and 1 rad/s"),
+    "one speed": ("lpv", {"speeds": (2.0,)}, "speeds"),
+    "a sampled schedule": ("lpv", {"rate": 1e4}, "rate is 10000.0, but must be None for method 'lpv'"),
+    "gain matched perhaps": ("mu", {"match_reference": "perhaps"}, "match_reference is 'perhaps'"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_arguments_are_named_in_one_sentence(name, plant):
+    method, choices, message = REFUSED[name]
+    with pytest.raises(InvalidInput, match=message) as caught:
+        design(plant, method, **choices)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_machine_is_no_plant():
+    with pytest.raises(InvalidInput, match=r"plant is Machine, but must be a Plant; assemble\(machine, point\) gives one"):
+        design(load_machine("seal-rig"), "pid")
+
+
+def test_a_result_says_what_it_was_asked_for(plant):
+    made = design(plant, "pid", rate=5e3).provenance
+    assert (made.machine, made.settings["method"], made.settings["rate"]) == ("seal-rig", "pid", 5e3)
+    assert made.key == design(plant, "pid", DesignOptions(rate=5e3)).provenance.key != design(plant, "pid").provenance.key
+
+
+def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
+    """What the command line and commissioning each put together by hand."""
+    seen = {}
+
+    def polished(problem, start, **options):
+        seen.update(options, states=problem.system.n_states)
+        return pid_synthesis(plant)
+
+    monkeypatch.setattr(module, "mu_synthesis", lambda problem, **_: pid_synthesis(plant))
+    monkeypatch.setattr(module, "polish_synthesis", polished)
+    monkeypatch.setattr(
+        module, "reduce_order", lambda plant, result, options, progress: seen.update(loss=options.loss) or result
+    )
+    design(plant, "polish", match_reference=False)
+    states = seen["states"]
+    assert seen["judge"] is None and "loss" not in seen
+    design(plant, "polish", match_reference=False, rate=1e4, loss=0.05)
+    assert seen["states"] == states + 4 and callable(seen["judge"]) and seen["loss"] == 0.05  # a Pade state per axis
+    assert DesignOptions(rate=1e4, delay_samples=2).delay == loop_delay(1e-4, 2)
+    assert DesignOptions().delay == 0.0
