@@ -22,7 +22,6 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.pid import axes_controller, pid_controller
 from ambrose.synthesis.problem import (
     design_plant,
-    machine_problem,
     published_p5_problem,
     published_p5_weights,
     with_performance_block,
@@ -120,8 +119,8 @@ def test_orders_and_signals(rig, plant):
     assert problem.w == ("w_seal.k_1", "w_seal.k_2", *names("w1", "w2"))
     assert problem.z == ("z_seal.k_1", "z_seal.k_2", *names("z1", "z2"))
     assert (list(problem.u), list(problem.y)) == (names("u"), names("err"))
-    assert machine_problem(rig).system.n_states == 20
-    assert machine_problem(rig, bending_modes=1).system.n_states == 24
+    full = assemble(rig)
+    assert [design_plant(reduce(full, modes)).system.n_states for modes in (0, 1)] == [20, 24]
     assert design_plant(plant, UNEVEN).system.n_states == 20 + 4 * 2
     nominal = design_plant(plant, uncertain=False)
     assert nominal.blocks == () and len(nominal.w) == 8
@@ -129,7 +128,7 @@ def test_orders_and_signals(rig, plant):
 
 def test_turboexpander_problem_has_eight_independent_parameters():
     machine = load_machine("turboexpander")
-    problem = machine_problem(machine, operating_point(machine, "140 Hz"))
+    problem = design_plant(reduce(assemble(machine, operating_point(machine, "140 Hz")), 0))
     assert [(type(b), b.repeat) for b in problem.blocks] == [(RealBlock, 1)] * 8
     assert problem.system.n_states == 8 + 4 + 4 + 4  # rotor, amplifiers, W_p, W_u
 

@@ -28,12 +28,10 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
-from ambrose.machine.description import DesignWeights, OperatingPoint, Tolerance
+from ambrose.machine.description import DesignWeights, Tolerance
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.published import published_p5, published_p5_data
-from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import uncertain as uncertain_plant
 from ambrose.synthesis.weights import Weights, machine_weights
 
@@ -141,20 +139,6 @@ def with_performance_block(plant: GeneralizedPlant) -> GeneralizedPlant:
         raise invalid("the number of performance signals (w, z)", (n_w, n_z), "at least 1 each", "it has its block already")
     blocks = [*plant.blocks, FullBlock(PERFORMANCE, n_w, n_z)]
     return GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, blocks)
-
-
-def machine_problem(
-    machine: Machine,
-    point: OperatingPoint | None = None,
-    bending_modes: int = 0,
-    weights: Weights | None = None,
-    uncertain: bool = True,
-) -> GeneralizedPlant:
-    """The design problem of a machine: assembled at a point (default: its nominal one), reduced, with its own weights.
-
-    bending_modes: how many are kept per plane. Raises InvalidInput for a machine without tolerances or weights.
-    """
-    return design_plant(reduce(assemble(machine, point), bending_modes), weights, uncertain=uncertain)
 
 
 def published_p5_weights() -> Weights:

@@ -6,7 +6,8 @@
 4. P12 has no zeros on the imaginary axis: [A - jw, B2; C1, D12] keeps full column rank. Mended by z' = epsilon x in that mode.
 5. P21 has no zeros on the imaginary axis: [A - jw, B1; C2, D21] keeps full row rank. Mended by disturbing that mode.
 
-Source: Zhou, Doyle & Glover 1996, sec. 17.1.
+They are (A1) to (A4) of Zhou, Doyle & Glover 1996, sec. 17.1; 2 and 3 here are (A2) there, where D12 = [0; I] and D21 = [0, I]
+already. D22 is taken out by their loop shifting, sec. 17.2 (scaling.py).
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ Apkarian 1994, Int. J. Robust Nonlinear Control 4; Iwasaki & Skelton 1994, Autom
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -51,10 +51,12 @@ def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepar
 
     Raises NumericalFailure when the solver fails, InvalidInput without the solver.
     """
-    plant, rate = _unit_time(plant)
+    rate = float(np.linalg.norm(plant.A, 2)) if len(plant.A) else 1.0  # with which |A| = 1
+    rate = rate if rate > 0 else 1.0
+    plant = plant.in_time(rate)
     gamma = plant.gain if plant.gain > 0 else 1.0
     for _ in range(_ROUNDS):
-        solution = _solve(_unit_gamma(plant, gamma), None, 0.0, np.inf, time_left())
+        solution = _solve(plant.in_units(gamma), None, 0.0, np.inf, time_left())
         last, gamma = gamma, gamma * solution.value
         if not gamma > 0:
             raise NumericalFailure(f"the matrix inequalities give gamma = {gamma:.3g}; w has no effect on z that matters")
@@ -69,7 +71,7 @@ def lmi_controller(prepared: Prepared, gamma: float, time_left: Callable[[], flo
 
     Raises NumericalFailure when the solver finds none, InvalidInput without the solver.
     """
-    unit = _unit_gamma(prepared.plant, gamma)
+    unit = prepared.plant.in_units(gamma)
     reasons = []
     for strict, largest in _MARGINS:
         try:
@@ -83,25 +85,6 @@ def lmi_controller(prepared: Prepared, gamma: float, time_left: Callable[[], flo
     raise NumericalFailure(f"no controller from the matrix inequalities at gamma = {gamma:.6g}: {reasons[-1]}")
 
 
-def _unit_time(plant: ScaledPlant) -> tuple[ScaledPlant, float]:
-    """The plant with time measured so that |A| = 1, and the unit [rad/s]."""
-    rate = float(np.linalg.norm(plant.A, 2)) if len(plant.A) else 1.0
-    rate = rate if rate > 0 else 1.0
-    root = np.sqrt(rate)
-    scaled = replace(
-        plant, A=plant.A / rate, B1=plant.B1 / root, B2=plant.B2 / root, C1=plant.C1 / root, C2=plant.C2 / root
-    )  # fmt: skip
-    return scaled, rate
-
-
-def _unit_gamma(plant: ScaledPlant, gamma: float) -> ScaledPlant:
-    """The plant with w and z in units in which ``gamma`` is 1."""
-    root = np.sqrt(gamma)
-    return replace(
-        plant, B1=plant.B1 / root, C1=plant.C1 / root, D11=plant.D11 / gamma, D12=plant.D12 / root, D21=plant.D21 / root
-    )  # fmt: skip
-
-
 def _balanced(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> ScaledPlant:
     """States x = T x' in which R and S are equal and diagonal; unchanged when they are not definite."""
     try:
@@ -112,10 +95,7 @@ def _balanced(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> ScaledPlant:
     if not len(values) or values[0] <= 0 or np.linalg.cond(L) > 1e8:
         return plant
     T = L @ U / values**0.25
-    inverse = np.linalg.inv(T)
-    return replace(
-        plant, A=inverse @ plant.A @ T, B1=inverse @ plant.B1, B2=inverse @ plant.B2, C1=plant.C1 @ T, C2=plant.C2 @ T
-    )
+    return plant.in_states(T, np.linalg.inv(T))
 
 
 def _solve(plant: ScaledPlant, gamma: float | None, strict: float, largest: float, time_limit: float) -> _Solution:

@@ -6,8 +6,16 @@ The plant is brought to D12 = [0; I], D21 = [0, I] by unitary transformations of
           [D1121 D1122]   m rows
            q - p  p columns
 
-gamma can be reached when gamma > max(|N|, |[D1111; D1121]|), X >= 0 and Y >= 0 solve their Riccati equations and
-rho(X Y) < gamma^2. Source: Glover & Doyle 1988; Zhou, Doyle & Glover 1996, theorem 17.1.
+gamma can be reached exactly when (Zhou, Doyle & Glover 1996, theorem 17.1 (a); their X_inf, Y_inf, F, L and hats)
+
+    (i)   gamma > max(|[D1111 D1112]|, |[D1111; D1121]|),
+    (ii)  X >= 0 solves its Riccati equation, that of the Hamiltonian H_inf,
+    (iii) Y >= 0 solves its own, that of J_inf, which is H_inf of the transposed plant,
+    (iv)  rho(X Y) < gamma^2.
+
+Theorem 17.1 (b) gives the controllers, here the central one, Q = 0. First published by Glover & Doyle 1988, Systems & Control
+Letters 11; for D11 = 0 they are theorems 3 and 4 of Doyle, Glover, Khargonekar & Francis 1989, IEEE Trans. Automatic
+Control 34, and theorems 16.4 and 16.5 of the book.
 """
 
 from __future__ import annotations
@@ -86,7 +94,11 @@ def normal_form(plant: ScaledPlant) -> tuple[ScaledPlant, np.ndarray, np.ndarray
 
 
 def _riccati(plant: ScaledPlant, gamma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, G, Q (n, n) of the equation for X: the control u eliminated by hand, so that only gamma^2 I - N^T N is inverted."""
+    """A, G, Q (n, n) of A^T X + X A - X G X + Q = 0, (ii) of the theorem, H_inf = [A -G; -Q -A^T].
+
+    The theorem inverts R = D1^T D1 - diag(gamma^2 I, 0), D1 = [D11 D12]; here the control u is eliminated by hand, so that only
+    gamma^2 I - N^T N is inverted.
+    """
     k = len(plant.C1) - plant.B2.shape[1]
     N, E = plant.D11[:k], plant.D11[k:]
     B = plant.B1 - plant.B2 @ E
@@ -119,7 +131,7 @@ def _solve(plant: ScaledPlant, gamma: float, name: str) -> tuple[np.ndarray, str
 
 
 def _gains(plant: ScaledPlant, gamma: float, X: np.ndarray) -> np.ndarray:
-    """F (q + m, n): worst disturbance F1 and control F2."""
+    """F = -R^-1 (D1^T C1 + B^T X) (q + m, n): worst disturbance F1 and control F2."""
     k = len(plant.C1) - plant.B2.shape[1]
     N, E = plant.D11[:k], plant.D11[k:]
     S = gamma**2 * np.eye(N.shape[1]) - N.T @ N
@@ -143,7 +155,7 @@ def try_gamma(plant: ScaledPlant, gamma: float) -> Level:
 
 
 def direct_bound(plant: ScaledPlant) -> float:
-    """What no controller can change at infinite frequency: max(|[D1111 D1112]|, |[D1111; D1121]|), in normal form."""
+    """What no controller can change at infinite frequency, (i): max(|[D1111 D1112]|, |[D1111; D1121]|), in normal form."""
     rows, columns = len(plant.C1) - plant.B2.shape[1], plant.B1.shape[1] - len(plant.C2)
     sizes = [np.linalg.norm(part, 2) if part.size else 0.0 for part in (plant.D11[:rows], plant.D11[:, :columns])]
     return float(max(sizes))
@@ -205,7 +217,7 @@ def _next(low: Level, high: Level, tolerance: float) -> float:
 
 
 def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
-    """(A, B, C, D) of the central controller at ``gamma`` for a plant in normal form without D22.
+    """(A, B, C, D) of the central controller at ``gamma`` for a plant in normal form without D22: (A, B1, C1, D11) with hats.
 
     Raises NumericalFailure naming the condition that fails at this gamma.
     """
@@ -230,23 +242,17 @@ def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
     D1121, D1122 = plant.D11[r - m :, : q - p], plant.D11[r - m :, q - p :]
     right = gamma**2 * np.eye(q - p) - D1111.T @ D1111
     left = gamma**2 * np.eye(r - m) - D1111 @ D1111.T
+    # theorem 17.1 (b), every letter with a hat: D11; D12 D12^T, D21^T D21, any factors of which will do; Z = (I - Y X/g^2)^-1
     D = -D1121 @ D1111.T @ np.linalg.solve(left, D1112) - D1122
     D12 = np.linalg.cholesky(np.eye(m) - D1121 @ np.linalg.solve(right, D1121.T))
     D21 = np.linalg.cholesky(np.eye(p) - D1112.T @ np.linalg.solve(left, D1112)).T
     Z = np.eye(n) - Y @ X / gamma**2
-    B2 = np.linalg.solve(Z, plant.B2 + L12) @ D12
+    B2 = np.linalg.solve(Z, plant.B2 + L12) @ D12  # Z (B2 + L12) D12
     C2 = -D21 @ (plant.C2 + F12)
-    B1 = -np.linalg.solve(Z, L2) + B2 @ np.linalg.solve(D12, D)
-    C1 = F2 + D @ np.linalg.solve(D21, C2)
-    A = plant.A + plant.B1 @ F[:q] + plant.B2 @ F2 + B1 @ np.linalg.solve(D21, C2)
+    B1 = -np.linalg.solve(Z, L2) + B2 @ np.linalg.solve(D12, D)  # -Z L2 + B2 D12^-1 D11
+    C1 = F2 + D @ np.linalg.solve(D21, C2)  # F2 + D11 D21^-1 C2
+    A = plant.A + plant.B1 @ F[:q] + plant.B2 @ F2 + B1 @ np.linalg.solve(D21, C2)  # A + B F + B1 D21^-1 C2
     return A, B1, C1, D
-
-
-def balanced(plant: ScaledPlant, level: Level) -> ScaledPlant:
-    """The plant in states in which X and Y of a feasible ``level`` are equal and diagonal, as far as they are not singular."""
-    T, inverse = balancing_states(level)
-    B1, B2, C1, C2 = inverse @ plant.B1, inverse @ plant.B2, plant.C1 @ T, plant.C2 @ T
-    return replace(plant, A=inverse @ plant.A @ T, B1=B1, B2=B2, C1=C1, C2=C2)
 
 
 def balancing_states(level: Level) -> tuple[np.ndarray, np.ndarray]:

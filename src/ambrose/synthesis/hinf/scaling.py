@@ -50,6 +50,23 @@ class ScaledPlant:
             self.y_scale, self.u_scale, self.gain,
         )  # fmt: skip
 
+    def in_states(self, T: np.ndarray, inverse: np.ndarray) -> ScaledPlant:
+        """In the states x = T x', T (n, n) with its inverse."""
+        B1, B2, C1, C2 = inverse @ self.B1, inverse @ self.B2, self.C1 @ T, self.C2 @ T
+        return replace(self, A=inverse @ self.A @ T, B1=B1, B2=B2, C1=C1, C2=C2)
+
+    def in_time(self, rate: float) -> ScaledPlant:
+        """With time measured in 1/rate, rate in [rad/s]."""
+        root = np.sqrt(rate)
+        B1, B2, C1, C2 = self.B1 / root, self.B2 / root, self.C1 / root, self.C2 / root
+        return replace(self, A=self.A / rate, B1=B1, B2=B2, C1=C1, C2=C2)
+
+    def in_units(self, gamma: float) -> ScaledPlant:
+        """With w and z in units in which ``gamma`` is 1."""
+        root = np.sqrt(gamma)
+        B1, C1, D12, D21 = self.B1 / root, self.C1 / root, self.D12 / root, self.D21 / root
+        return replace(self, B1=B1, C1=C1, D11=self.D11 / gamma, D12=D12, D21=D21)
+
     def extended(self, rows: np.ndarray, columns: np.ndarray, epsilon: float) -> ScaledPlant:
         """With the outputs z' = epsilon rows [x; u] and the inputs [x'; y] += epsilon columns w' added; the rest unchanged.
 

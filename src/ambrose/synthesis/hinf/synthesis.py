@@ -14,7 +14,14 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.synthesis.certificate import generalized_certificate
 from ambrose.synthesis.hinf.assumptions import Assumptions, check_assumptions, full_regularisation
-from ambrose.synthesis.hinf.riccati import GammaSearch, Level, balanced, central_controller, normal_form, search_gamma
+from ambrose.synthesis.hinf.riccati import (
+    GammaSearch,
+    Level,
+    balancing_states,
+    central_controller,
+    normal_form,
+    search_gamma,
+)
 from ambrose.synthesis.hinf.scaling import ScaledPlant, original_controller, scale_plant
 from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
@@ -114,7 +121,7 @@ def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
 
     def in_balanced_states(why: str) -> tuple[ScaledPlant, GammaSearch]:
         job.say(f"{why}; searching again in states that balance X and Y")
-        plant = balanced(normal, search.best)
+        plant = normal.in_states(*balancing_states(search.best))
         return plant, search_gamma(plant, job.tolerance, report)
 
     search, fresh = search_gamma(normal, job.tolerance, report), True

@@ -63,7 +63,15 @@ def factors(lyapunov: Lyapunov, varying: Varying) -> Factors:
 
 
 def controller(plant: ScaledPlant, point: Factors, p: float) -> Matrices:
-    """(A, B, C, D) at gamma = 1 for a scaled plant at the relative parameter p. Raises NumericalFailure."""
+    """(A, B, C, D) at gamma = 1 for a scaled plant at the relative parameter p. Raises NumericalFailure.
+
+    With D first put into the plant (A + B2 D C2 for A, and so on) and hats for what the inequalities determine,
+
+        A_k = N^-1 (A_hat - S A R - B_hat C2 R - S B2 C_hat) M^-T,    B_k = N^-1 B_hat,    C_k = C_hat M^-T,
+
+    where B_hat and C_hat solve the two bordered systems of linear equations and A_hat makes the off-diagonal block vanish
+    (Apkarian & Adams 1998, whose X and Y are S and R here; Gahinet 1996).
+    """
     R, S = point.lyapunov.at(p)
     N, M = point.at(p)
     D = _direct(plant)

@@ -75,19 +75,12 @@ class Family:
 
     def in_states(self, T: np.ndarray, inverse: np.ndarray) -> Family:
         """In the states x_s = T x'."""
-        plants = tuple(
-            replace(p, A=inverse @ p.A @ T, B1=inverse @ p.B1, B2=inverse @ p.B2, C1=p.C1 @ T, C2=p.C2 @ T) for p in self.plants
-        )
+        plants = tuple(plant.in_states(T, inverse) for plant in self.plants)
         return replace(self, plants=plants, T=self.T @ T, inverse=inverse @ self.inverse)
 
     def in_units(self, gamma: float) -> Family:
         """With w and z in units in which ``gamma`` (1 so far) is 1."""
-        root = np.sqrt(gamma)
-        plants = tuple(
-            replace(p, B1=p.B1 / root, C1=p.C1 / root, D11=p.D11 / gamma, D12=p.D12 / root, D21=p.D21 / root)
-            for p in self.plants
-        )
-        return replace(self, plants=plants, unit=self.unit * gamma)
+        return replace(self, plants=tuple(plant.in_units(gamma) for plant in self.plants), unit=self.unit * gamma)
 
 
 def scaled_family(plants: Sequence[GeneralizedPlant], grid: np.ndarray) -> Family:
@@ -153,10 +146,7 @@ def _balanced(family: Family, middle: int) -> Family:
         raise NumericalFailure(
             f"the plant at {family.grid[middle]:g} alone has no H-infinity controller ({failure}); design that one first"
         ) from failure
-    root = np.sqrt(rate)
-    slow = tuple(
-        replace(p, A=p.A / rate, B1=p.B1 / root, B2=p.B2 / root, C1=p.C1 / root, C2=p.C2 / root) for p in family.plants
-    )
+    slow = tuple(plant.in_time(rate) for plant in family.plants)
     return replace(family, plants=slow, rate=rate).in_states(T, inverse).in_units(best.gamma)
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape, invalid
-from ambrose.core.frequency import frequency_response
 from ambrose.core.matrix_equations import solve_riccati
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.mu.d_fit import fit_magnitude
@@ -160,11 +159,3 @@ def _scalar(omega: np.ndarray, magnitude: np.ndarray, r: int, order: int, weight
 
     part = scalar_scaling(ComplexBlock("d", r), fit_magnitude(omega, magnitude, order, weight))
     return MatrixFit(part.left, part.right, order)
-
-
-def fit_error(fit: MatrixFit, omega: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """|X^-1/2 (D^H D - X) X^-1/2| (w,), the relative error of a fit."""
-    D = frequency_response(fit.system, omega).values
-    values, vectors = np.linalg.eigh(X)
-    root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().swapaxes(1, 2)
-    return np.linalg.norm(root @ (D.conj().swapaxes(1, 2) @ D - X) @ root, 2, axis=(1, 2))
