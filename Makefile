@@ -47,6 +47,7 @@ coverage: $(BIN)/.installed  ## all tests with the lines that none of them reach
 	$(PYTEST) --cov --cov-report=term --cov-report=html:$(OUT)/coverage --cov-report=xml:$(OUT)/coverage.xml
 
 snapshot: $(BIN)/.installed  ## every number of both machines through every command, to compare before and after a change
+	@mkdir -p $(OUT)
 	$(BIN)/python -m benchmarks.snapshot -o $(OUT)/snapshot.json
 
 wheel: $(BIN)/.installed  ## the wheel in OUT/dist, built and used outside the checkout
