@@ -84,7 +84,7 @@ def test_no_row_is_out_of_date():
 
 
 def test_the_example_is_a_machine_and_has_every_table():
-    (example,) = re.findall(r"```toml example\n(.*?)```", PAGE, re.DOTALL)
+    (example,) = re.findall(r"```toml title=\"example.toml\"\n(.*?)```", PAGE, re.DOTALL)
     machine = loads_machine(example)
     assert loads_machine(dumps_machine(machine)) == machine
     for heading in headings():

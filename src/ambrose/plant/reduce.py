@@ -115,7 +115,7 @@ def leading(system: SecondOrder, count: int) -> SecondOrder:
 def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Real block-diagonalisation of A (n, n) into its ``count`` slowest poles (by modulus) and the rest.
 
-    Returns T_L (count, n), T_R (n, count), L_res (n - count, n), R_res (n, n - count): [T_L; L_res] [T_R R_res] = I.
+    Returns T_L (count, n), T_R (n, count), L_res (n - count, n), R_res (n, n - count): ``[T_L; L_res] [T_R R_res] = I``.
     """
     n = A.shape[0]
     A, t = balance(A)

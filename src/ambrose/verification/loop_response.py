@@ -147,7 +147,7 @@ def frequency_grid(
     per_decade: int = 150,
     lightly_damped: float = 0.3,
 ) -> np.ndarray:
-    """A logarithmic grid over [lowest, highest] [rad/s] with points packed around lightly damped poles (n,).
+    """A logarithmic grid over ``[lowest, highest]`` [rad/s] with points packed around lightly damped poles (n,).
 
     The packing reaches from a quarter to ten half-bandwidths on either side of each pole's resonance, so that a peak lies
     within a few per cent of a grid point whatever its damping.

@@ -1,0 +1,62 @@
+"""The hooks of mkdocs.yml: generated pages join those of docs/, and every ``{{ figure }}`` becomes its number.
+
+docs_build/figures.py      stored results, and the numbers in the text that come from them
+docs_build/blocks.py       code blocks of the pages, run by tests/docs/test_blocks.py
+docs_build/gallery.py      examples/*.py -> gallery.md, with what they print and their pictures
+docs_build/notebooks.py    notebooks/*.ipynb -> a page each, executed
+docs_build/reference.py    the front door and the packages -> pages for mkdocstrings
+"""
+
+import re
+import sys
+from pathlib import Path
+
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from docs_build import DOCS, ROOT, gallery, notebooks, reference
+from docs_build.figures import UnknownFigure, render, stored
+
+
+def on_config(config):
+    """The list of packages in the navigation is that of the tree."""
+    for section in config.nav:
+        for pages in section.values():
+            if isinstance(pages, list) and {"Packages": "reference/packages"} in pages:
+                pages[pages.index({"Packages": "reference/packages"})] = {"Packages": reference.navigation()}
+    return config
+
+
+def on_files(files, config):
+    """Adds the generated pages and the plotting library that their pictures need."""
+    pages = {
+        "gallery.md": gallery.page(),
+        **notebooks.pages(),
+        **reference.pages(),
+        "contributing.md": from_root("CONTRIBUTING.md"),
+        "changelog.md": from_root("CHANGELOG.md"),
+    }
+    for name, text in pages.items():
+        files.append(File.generated(config, name, content=text))
+    files.append(File.generated(config, "assets/plotly.min.js", content=gallery.plotly_library()))
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    """Figures and comments for the tests; an unknown figure stops the build."""
+    try:
+        text = render(markdown, stored())
+    except UnknownFigure as error:
+        raise PluginError(f"{page.file.src_uri}: {error}") from error
+    return re.sub(r"<!-- (run|files|python):?.*?-->\n?", "", text, flags=re.DOTALL)
+
+
+def from_root(name):
+    """A page that stands at the root of the repository, its links turned to where docs/ has them."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    return re.sub(r"\]\(docs/", "](", text)
+
+
+__all__ = ["DOCS", "on_config", "on_files", "on_page_markdown"]

@@ -1,0 +1,43 @@
+"""Every code block of README.md and docs/ runs as printed, and what is stored of slow commands is what the pages show."""
+
+import pytest
+from docs_build.blocks import Differs, blocks, commands, compare, pages, run_block, run_page, stored_commands, stored_outputs
+
+
+@pytest.mark.parametrize("name", [name for name, path in pages().items() if blocks(path.read_text(encoding="utf-8"))])
+def test_page_runs_as_printed(name, cache):
+    run_page(name, cache)
+
+
+def test_every_stored_output_is_quoted_and_every_quoted_one_is_stored():
+    assert {command for _, command in stored_commands()} == set(stored_outputs())
+
+
+@pytest.mark.parametrize("name", pages())
+def test_blocks_that_are_not_run_say_why(name):
+    for line in pages()[name].read_text(encoding="utf-8").splitlines():
+        if line.startswith("<!-- run:"):
+            mark, _, reason = line.removeprefix("<!-- run:").removesuffix("-->").strip().partition(",")
+            assert mark == "stored" or (mark == "no" and reason), f"{name}: {line}"
+
+
+def test_blocks_and_marks():
+    text = (
+        "<!-- files: a.json -->\n```python\nx = 1\n```\n<!-- run: stored -->\n```console\n$ ambrose machines\nseal-rig\n```\n"
+    )
+    first, second, third = blocks(text)
+    assert (first.kind, first.text) == ("files", "a.json")
+    assert (second.kind, second.text, second.mark) == ("python", "x = 1\n", "")
+    assert (third.mark, commands(third.text)) == ("stored", [("ambrose machines", "seal-rig\n")])
+
+
+def test_a_block_that_fails_or_prints_something_else_is_noticed(cache):
+    (wrong,) = blocks("```console\n$ ambrose machines --json\nanother answer\n```\n")
+    with pytest.raises(Differs, match="another answer"):
+        run_block(wrong, {}, cache)
+    (refused,) = blocks("```console\n$ ambrose check no-such-machine\n```\n")
+    with pytest.raises(Differs, match="exit status 2"):
+        run_block(refused, {}, cache)
+    with pytest.raises(ZeroDivisionError):
+        run_block(blocks("```python\n1 / 0\n```\n")[0], {}, cache)
+    compare("x", "begins ... ends", 0, "begins with much and ends")

@@ -1,0 +1,55 @@
+"""Figures in the pages: the quick ones are computed anew, every quoted one is stored, a stale one is noticed."""
+
+import pytest
+from docs_build.blocks import pages
+from docs_build.figures import UnknownFigure, differences, lookup, quoted, render, stored
+from docs_build.recipes import QUICK, SLOW
+
+
+@pytest.mark.parametrize("group", QUICK)
+def test_quick_figures_are_those_stored(group):
+    changed = differences(stored()[group], QUICK[group]())
+    assert not changed, f"stale figures; run python -m docs_build.figures --write {group} and read the pages:\n" + "\n".join(
+        changed
+    )
+
+
+@pytest.mark.parametrize("name", pages())
+def test_every_figure_that_a_page_quotes_is_stored(name):
+    text = pages()[name].read_text(encoding="utf-8")
+    for key in quoted(text):
+        lookup(key, stored())
+    render(text, stored())
+
+
+README = [  # the README is read where no site builder fills figures in
+    "a finite-element rotor ({{ check.rotor_states }} states)",
+    "a reduced plant ({{ check.reduced_rotor_states }} rotor states)",
+    "mu ({{ study.mu.states }} states) holds everywhere with a largest sensitivity of {{ study.mu.worst:.1f }}",
+    "the mu controller polished to {{ study.polish.states }} states passes every check with {{ study.polish.worst:.2f }}",
+    "needs {{ study_turboexpander.run_up.mu.rig.first*1e3:.0f }} ms at 20 Hz",
+    "`seal-rig` ({{ check.mass:.0f }} kg rotor",
+]
+
+
+@pytest.mark.parametrize("phrase", README)
+def test_readme_quotes_what_is_stored(phrase):
+    text = " ".join(pages()["README.md"].read_text(encoding="utf-8").split())
+    assert render(phrase, stored()) in text
+
+
+def test_groups_stored_are_those_with_a_recipe():
+    assert list(stored()) == [name for name in QUICK | SLOW if name in stored()]
+
+
+def test_rendering():
+    figures = {"a": {"b.c": 0.01234, "d": "unstable"}}
+    assert render("x {{ a.b.c:.3f }}, {{ a.b.c*1e3:.1f }} ms, {{ a.d:.2f }}", figures) == "x 0.012, 12.3 ms, unstable"
+    with pytest.raises(UnknownFigure, match=r"a\.x is not in"):
+        render("{{ a.x }}", figures)
+
+
+def test_a_stale_figure_is_noticed():
+    assert differences({"a": 2.45}, {"a": 2.4743}) == ["a: stored 2.45, computed 2.4743"]
+    assert differences({"a": 2.4743}, {"a": 2.47431}) == []
+    assert differences({"a": 1.0}, {}) == ["a: stored 1.0, computed None"]
