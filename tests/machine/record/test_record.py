@@ -361,5 +361,5 @@ def test_a_frame_has_a_column_for_each_signal_over_time(record):
 
 def test_a_frame_needs_pandas(record, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InvalidInput, match="needs the package pandas; install it with"):
+    with pytest.raises(InvalidInput, match="needs pandas, which is not installed; pip install pandas"):
         record.to_frame()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, check_positive, invalid
-from ambrose.core.presentation import Presented, html_table
+from ambrose.core.presentation import Presented, data_frame, html_table
 from ambrose.core.statespace import index_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
@@ -111,12 +111,8 @@ class Record(Presented):
 
     def to_frame(self) -> Any:
         """A pandas DataFrame over "time [s]", one column per signal, "y_A_zeta [m]". Raises InvalidInput without pandas."""
-        try:
-            import pandas
-        except ImportError as error:
-            raise InvalidInput("to_frame() needs the package pandas; install it with: pip install pandas") from error
-        columns = [f"{name} [{unit}]" for name, unit in zip(self.signals, self.units, strict=True)]
-        return pandas.DataFrame(self.values.T, index=pandas.Index(self.time, name="time [s]"), columns=columns)
+        named = zip(self.signals, self.units, self.values, strict=True)
+        return data_frame({"time [s]": self.time, **{f"{name} [{unit}]": row for name, unit, row in named}}, "time [s]")
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The samples (k,) of one signal; raises InvalidInput listing the known ones."""
