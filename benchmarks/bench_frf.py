@@ -15,7 +15,8 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification import excitation
 from ambrose.identification.frf import spectral as frf
-from ambrose.identification.seal import fit as seal_fit
+from ambrose.identification.frf.phasors import steps_of
+from ambrose.identification.seal import stepped_sine
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
@@ -94,8 +95,8 @@ def _stepped() -> dict[str, Any]:
     for drive in (np.array([0.1, 0, 0.1, 0]), np.array([0, 0.1, 0, 0.1])):
         values = np.hstack([np.real((h @ drive)[:, None] * np.exp(1j * w * t)) for h, w in zip(H, frequencies, strict=True)])
         records.append(Record("seal-rig", 1 / DT, tuple(names), ("m",) * 4 + ("A",) * 4, values, plant.point))
-    steps = seal_fit.steps_of(frequencies.tolist(), 1.2)
-    ours, fit = _seconds(lambda: seal_fit.stepped_sine(machine, records, steps=steps, reference=False))
+    steps = steps_of(frequencies.tolist(), 1.2)
+    ours, fit = _seconds(lambda: stepped_sine.identify(machine, records, steps=steps, reference=False))
     k = 3.203e6 / 2.04
     return {
         "name": "seal, 10 frequencies, eight entries", "ours": ours, "peer": None, "peer_name": "",

@@ -21,10 +21,10 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification import excitation
-from ambrose.identification.output_error.closed_loop import Identification, identify, solve
+from ambrose.identification.output_error.closed_loop import LeastSquares, ParameterEstimate, identify
 from ambrose.identification.output_error.loop_model import over_weights
 from ambrose.identification.output_error.normal_equations import normal_equations
-from ambrose.identification.output_error.problem import experiment
+from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
@@ -72,7 +72,7 @@ class Case:
             self.machine.name, 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, np.vstack([y, e]), assemble(self.machine).point
         )
 
-    def identify(self, record: Record, start: dict[str, float], period: float | None = None) -> Identification:
+    def identify(self, record: Record, start: dict[str, float], period: float | None = None) -> ParameterEstimate:
         arguments = {"start": start, "bending_modes": self.bending, "computing_delay": self.delay, "period": period}
         return identify(self.machine, record, self.controller, NINE, **arguments)  # type: ignore[arg-type]
 
@@ -137,9 +137,10 @@ def timed(chosen: Case, record: Record, period: float | None) -> tuple[float, st
 
 def values_only(chosen: Case, record: Record) -> np.ndarray:
     _, start = begin(chosen)
-    given = experiment(chosen.machine, [record], chosen.controller, NINE, None, None, chosen.bending, chosen.delay, True, True)
+    options = FitOptions(bending_modes=chosen.bending, computing_delay=chosen.delay)
+    given = build_experiment(chosen.machine, record, chosen.controller, NINE, options)
     away = np.array([start[path] for path in given.paths])
-    return solve(given.paths, given.models, given.sizes, given.tasks, away, given.scale, 50).x
+    return LeastSquares(given, normal_equations).minimise(given.tasks, away).x
 
 
 def finite_differences(chosen: Case, record: Record) -> tuple[float, str]:
@@ -148,9 +149,8 @@ def finite_differences(chosen: Case, record: Record) -> tuple[float, str]:
     from scipy.optimize import least_squares
 
     k, calls = record.values.shape[1], 0
-    given = experiment(
-        chosen.machine, [record], chosen.controller, NINE, None, None, chosen.bending, chosen.delay, False, False
-    )
+    options = FitOptions(bending_modes=chosen.bending, computing_delay=chosen.delay, initial_state=False, offset=False)
+    given = build_experiment(chosen.machine, record, chosen.controller, NINE, options)
     truth, start = begin(chosen)
     time_axis, e = np.arange(k) * DT, record.values[4:, :k]
 
@@ -171,7 +171,8 @@ def finite_differences(chosen: Case, record: Record) -> tuple[float, str]:
 def against_parameters(chosen: Case) -> list[dict[str, Any]]:
     """One pass (cost, J'J, J'r, initial state and offsets) over 5 s; beyond the 24 that this machine has, some twice."""
     record = chosen.record(5.0)
-    given = experiment(chosen.machine, [record], chosen.controller, (*NINE, *REST), None, None, 0, 0, True, True)
+    options = FitOptions(bending_modes=0, computing_delay=0)
+    given = build_experiment(chosen.machine, record, chosen.controller, (*NINE, *REST), options)
     loop, directions = over_weights(given.models[0], given.nominal, given.sizes)
     rows = []
     for count in (4, 9, 16, 24, 30):

@@ -22,7 +22,7 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, poles, select
 from ambrose.identification.output_error import closed_loop
-from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats, ScatterStudy, of_estimates, repeats, scatter_study
@@ -68,7 +68,7 @@ class Bias:
     truth: np.ndarray
     file: np.ndarray
     fit: tuple[float, ...]
-    identified: tuple[Identification, ...]
+    identified: tuple[ParameterEstimate, ...]
     loaded: tuple[StaticLoad, ...]
 
 
@@ -146,7 +146,7 @@ def largest_lag(machine: Machine, bias: float) -> float:
     return low
 
 
-def in_seconds(result: Identification) -> tuple[np.ndarray, np.ndarray]:
+def in_seconds(result: ParameterEstimate) -> tuple[np.ndarray, np.ndarray]:
     """Values and standard deviations (9,) with tau_e [s] in place of its corner frequency."""
     lag = 1 / result.values[-1]
     deviation = result.standard_deviations[-1] * lag**2
@@ -233,7 +233,7 @@ def scatter(bias: float, runs: int, duration: float, *, linear: bool) -> Scatter
     loop = loop_of(free_mode_reduction(assemble(machine, point), 1), c2d(law, DT, "tustin", delay=DT))
     driven = select(loop, [*names[1], *names[2]], names[0])
 
-    def one(seed: int) -> Identification:
+    def one(seed: int) -> ParameterEstimate:
         if linear:
             y = simulate(driven, np.vstack([e, NOISE * np.random.default_rng(seed).standard_normal(e.shape)]))
             signals = (*names[0], *names[1])

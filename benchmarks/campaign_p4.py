@@ -24,14 +24,16 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.frf import spectral as frf
+from ambrose.identification.frf.phasors import Step, steps_of
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.frf.stepped_sine import stepped
 from ambrose.identification.frf.validity import Validity, compare
-from ambrose.identification.model_updating import identified_machine
+from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop
-from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.seal import fit as seal_fit
-from ambrose.identification.seal.fit import SealFit
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.seal import stepped_sine, time_domain
+from ambrose.identification.seal.regression import Line
+from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
@@ -90,10 +92,10 @@ def parallel_prbs(machine: Machine, bit_time: float = 1e-3, duration: float = 5.
     return measure(machine, Scenario("parallel PRBS", duration, sequences=sequences), seed=seed)
 
 
-def bearings(machine: Machine, record: Record, **options: object) -> tuple[Machine, Identification]:
+def bearings(machine: Machine, record: Record, **options: object) -> tuple[Machine, ParameterEstimate]:
     """The machine with K_i and K_s as found."""
     found = closed_loop.identify(machine, record, controller(machine), EIGHT, **options)
-    return identified_machine(machine, found), found
+    return update_machine(machine, found), found
 
 
 def loop(machine: Machine, pressure: float, bending_modes: int | None = None) -> StateSpace:
@@ -162,7 +164,7 @@ def replace_machine(record: Record, machine: Machine) -> Record:
     return replace(record, machine=machine.name)
 
 
-def cosines(bit_times: Sequence[float] = (1e-3, 10e-3, 20e-3)) -> dict[float, tuple[Identification, Identification]]:
+def cosines(bit_times: Sequence[float] = (1e-3, 10e-3, 20e-3)) -> dict[float, tuple[ParameterEstimate, ParameterEstimate]]:
     """P4.2 and P4.7: K_i and K_s without coupling, from displacements alone and with the measured currents as well."""
     machine = rig(coupling=False)
     signals = [f"{kind}_{axis}" for kind in "yi" for axis in machine.axes]
@@ -177,9 +179,9 @@ def cosines(bit_times: Sequence[float] = (1e-3, 10e-3, 20e-3)) -> dict[float, tu
 class Coupled:
     """P4.3: stiffness of the coupling (zeta, eta) with its deviation, in three experiments."""
 
-    separate: Identification
-    untrue_bearings: Identification
-    at_once: Identification
+    separate: ParameterEstimate
+    untrue_bearings: ParameterEstimate
+    at_once: ParameterEstimate
 
 
 def coupling() -> Coupled:
@@ -189,7 +191,7 @@ def coupling() -> Coupled:
     guess = (replace(whole.couplings[0], stiffness=(0.3e6, 0.3e6)),)  # begins 25 % off
     record, law = parallel_prbs(whole), controller(whole)
 
-    def found(machine: Machine, unknown: Sequence[str]) -> Identification:
+    def found(machine: Machine, unknown: Sequence[str]) -> ParameterEstimate:
         return closed_loop.identify(replace(machine, couplings=guess), record, law, unknown)
 
     return Coupled(found(known, [COUPLING]), found(whole, [COUPLING]), found(known, [*EIGHT, COUPLING]))
@@ -221,9 +223,9 @@ def stepped_sines(frequencies: Sequence[float] = FREQUENCIES, dwell: float = 1.2
             sines = tuple(SteppedSine(f"e_{b}_{axis}", 0.1, tuple(f * HZ for f in frequencies), dwell) for b in "AB")
             scenario = Scenario("stepped sine", dwell * len(frequencies), stepped_sines=sines)
             records.setdefault(pressure, []).append(with_middle(measure(machine, scenario, pressure, 2 * i + j)))
-    steps = seal_fit.steps_of([f * HZ for f in frequencies], dwell)
-    fit = seal_fit.stepped_sine(known, [r for group in records.values() for r in group], steps=steps, settle=settle)
-    constants = seal_fit.averaged(fit, 100 * HZ)
+    steps = steps_of([f * HZ for f in frequencies], dwell)
+    fit = stepped_sine.identify(known, [r for group in records.values() for r in group], steps=steps, settle=settle)
+    constants = averaged(fit, 100 * HZ)
     inputs, outputs = ["e_A_zeta", "e_A_eta"], ["y_middle_zeta", "y_middle_eta"]
     measured = {p: stepped(group, inputs, outputs, steps=steps, settle=settle) for p, group in records.items()}
     model = {}
@@ -262,13 +264,13 @@ def whirl(frequency: float, pressure: float, amplitudes: dict[str, float], turn:
 def opposed(frequency: float = 40.0, pressure: float = 1.2 * BAR) -> tuple[SealFit, SealFit]:
     """A way out of P4.5: the coefficients from zeta and eta in turn, and from forward whirl and stronger backward whirl."""
     known = known_but_for_the_seal()
-    steps = [seal_fit.Step(frequency * HZ, 0.4, 1.2)]
+    steps = [Step(frequency * HZ, 0.4, 1.2)]
     plane = [whirl(frequency, pressure, {axis: 0.1}, seed=i) for i, axis in enumerate(("zeta", "eta"))]
     both = {"zeta": 0.1, "eta": 0.1}
     forward = whirl(frequency, pressure, {axis: 0.3 * size for axis, size in both.items()}, -np.pi / 2, 2)
     backward = whirl(frequency, pressure, both, np.pi / 2, 3)
     options = {"steps": steps, "settle": 0.0, "reference": False}
-    return seal_fit.stepped_sine(known, plane, **options), seal_fit.stepped_sine(known, [forward, backward], **options)
+    return stepped_sine.identify(known, plane, **options), stepped_sine.identify(known, [forward, backward], **options)
 
 
 def misjudged_amplifier(pressure: float = 1.2 * BAR, damping: float = 0.9) -> dict[str, SealFit]:
@@ -284,9 +286,9 @@ def misjudged_amplifier(pressure: float = 1.2 * BAR, damping: float = 0.9) -> di
             sines = tuple(SteppedSine(f"e_{b}_{axis}", 0.1, tuple(f * HZ for f in frequencies), dwell) for b in "AB")
             scenario = Scenario("stepped sine", dwell * len(frequencies), stepped_sines=sines)
             records.append(measure(true, scenario, p, 40 + 2 * i + j))
-    steps = seal_fit.steps_of([f * HZ for f in frequencies], dwell)
+    steps = steps_of([f * HZ for f in frequencies], dwell)
     return {
-        currents: seal_fit.stepped_sine(known, records, steps=steps, currents=currents)
+        currents: stepped_sine.identify(known, records, steps=steps, currents=currents)
         for currents in ("commanded", "measured")
     }
 
@@ -297,7 +299,7 @@ class Impulses:
     means over the repeats."""
 
     fit: SealFit
-    lines: dict[str, seal_fit.Line]
+    lines: dict[str, Line]
     responses: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
@@ -308,8 +310,8 @@ def impulses(pressures: Sequence[float] = IMPULSE_PRESSURES, repeats: int = 10) 
     for i, pressure in enumerate(pressures):
         pulses = tuple(Pulse(f"e_{b}_zeta", 0.05, 0.05, 0.01, every=every) for b in "AB")
         records.append(measure(machine, Scenario("impulses", repeats * every, pulses=pulses), pressure, 20 + i))
-    fit = seal_fit.from_records(known, records, controller(machine))
-    lines = {letter: seal_fit.line(fit, letter) for letter in seal_fit.COEFFICIENTS}
+    fit = time_domain.identify(known, records, controller(machine))
+    lines = {letter: line(fit, letter) for letter in COEFFICIENTS}
     e, y = ([f"{kind}_{axis}" for axis in machine.axes] for kind in "ey")
     responses = {}
     for record, pressure, values in zip(records, pressures, fit.values, strict=True):

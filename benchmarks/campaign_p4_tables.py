@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.seal import fit as seal_fit
-from ambrose.identification.seal.fit import SealFit
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.seal.result import COEFFICIENTS, SealFit
 from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Coupled, Impulses, Stepped, Swept, truth
 
 
@@ -32,7 +31,7 @@ def chirps(found: Sequence[Swept]) -> str:
     return "\n".join(lines)
 
 
-def cosines(found: dict[float, tuple[Identification, Identification]]) -> str:
+def cosines(found: dict[float, tuple[ParameterEstimate, ParameterEstimate]]) -> str:
     lines = [
         "P4.2, P4.7 K_i and K_s from parallel PRBS: column cosine (what P4 prints) and parameter correlation from (J'J)^-1",
         "  bit [ms]  K_i-K_s of one axis (A_zeta .. B_eta)     K_iA-K_iB  across axes | correlation of parameters K_i-K_s",
@@ -96,7 +95,7 @@ def stepped(found: Stepped) -> str:
 
 def _four(values: np.ndarray, deviations: np.ndarray | None) -> str:
     parts = []
-    for i, letter in enumerate(seal_fit.COEFFICIENTS):
+    for i, letter in enumerate(COEFFICIENTS):
         scale, digits = (1e-3, 1) if i < 2 else (1.0, 0)
         spread = "" if deviations is None else f" +- {scale * deviations[i]:6.{digits}f}"
         parts.append(f"{letter} {scale * values[i]:9.{digits}f}{spread}")

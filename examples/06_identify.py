@@ -8,8 +8,7 @@ from dataclasses import replace
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.model_updating import identified_machine
-from ambrose.identification.pipeline import checked_identification
+from ambrose.identification.pipeline import identify
 from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Scenario
@@ -23,26 +22,23 @@ sequences = tuple(Prbs(f"e_{axis}", amplitude=0.1, bit_time=1e-3, order=9, seed=
 record = virtual_rig.run(machine, controller, Scenario("experiment", 2.0, sequences=sequences)).record
 
 # K_i and K_s of every axis, the amplifiers' lag and the seal's cross-coupled stiffness; the record is checked first.
-checked = checked_identification(machine, [record], controller)
-result = checked.result
+result = identify(machine, record, controller)
 
 # The machine with these values, their uncertainty as tolerances: what a robust controller is designed on next.
-identified = identified_machine(machine, result, keep_wider=True)
+identified = result.machine
 
 # A record with two cables exchanged is no number, but a message.
 values = record.values.copy()
 values[[0, 1]] = values[[1, 0]]
 try:
-    checked_identification(machine, [replace(record, values=values)], controller)
+    identify(machine, replace(record, values=values), controller)
     refusal = ""
 except InvalidInput as error:
     refusal = str(error)
 
 if __name__ == "__main__":
-    for path, start, value, deviation in zip(
-        result.paths, result.start, result.values, result.standard_deviations, strict=True
-    ):
-        print(f"{path:36s} {start:12.5g} -> {value:12.5g}  +- {1.96 * deviation:.2g}")
-    print(f"fit {min(percent for _, _, percent in result.fit):.1f} % or better; {result.verdict}")
+    for row in result.parameters:
+        print(f"{row.path:36s} {row.start:12.5g} -> {row.value:12.5g}  +- {row.interval[1] - row.value:.2g}")
+    print(result.verdict)
     print(f"{len(identified.tolerances)} tolerances in the identified machine")
     print(f"two channels exchanged: {refusal}")

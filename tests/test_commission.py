@@ -83,7 +83,7 @@ def test_every_file_is_left_and_can_be_read(commissioned, directory):
     assert "<html" in (directory / "identified.html").read_text()
 
 
-def test_the_identified_machine_is_the_rig(commissioned, machine):
+def test_the_update_machine_is_the_rig(commissioned, machine):
     """The seal as it is, with its stated range kept; the magnets stiffer than the unloaded ones of the file."""
     found = commissioned.machine
     assert found.seals[0].k == pytest.approx(machine.seals[0].k, rel=0.01)
@@ -165,7 +165,12 @@ def section(commissioned, plants, reference):
     traces = simulations(plants, controller, lambda text: None)
     candidate = Candidate("PID", reference, checks, None, traces)
     return commissioning_section(
-        commissioned.checked, candidate, commissioned.candidate, LABELS, commissioned.in_words, from_code=commissioned.from_code
+        commissioned.identification,
+        candidate,
+        commissioned.candidate,
+        LABELS,
+        commissioned.in_words,
+        from_code=commissioned.from_code,
     )
 
 

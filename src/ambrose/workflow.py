@@ -15,7 +15,6 @@ from typing import Any
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.presentation import to_plain
 from ambrose.evaluation import Candidate, points_of
-from ambrose.identification.pipeline import as_dict
 from ambrose.machine.atomic_write import write_json
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
@@ -157,7 +156,7 @@ def commissioned_results(commissioned: Commissioning) -> dict[str, Any]:
     """The commissioning as plain data: the identification, the sampled loop, what ran on the rig."""
     deployment = commissioned.deployment
     return {
-        "identification": as_dict(commissioned.checked),
+        "identification": commissioned.identification.to_dict(),
         "sampled": [checks.to_dict() for checks in (*deployment.checks, *([deployment.box] if deployment.box else []))],
         "files": [str(path) for path in commissioned.files],
         "compiled": commissioned.from_code,
@@ -179,7 +178,9 @@ def write_report(study: Study, path: Path) -> None:
     if (done := study.commissioned) is not None:
         points = points_of(study.machine, study.candidates)
         reference, words = study.candidates[0], done.in_words
-        more.append(commissioning_section(done.checked, reference, done.candidate, points, words, from_code=done.from_code))
+        more.append(
+            commissioning_section(done.identification, reference, done.candidate, points, words, from_code=done.from_code)
+        )
     full, reduced = study.plants[0], study.reduced
     report = comparison_report(
         study.machine,

@@ -214,7 +214,7 @@ def test_bending_modes_left_out_bias_the_residual_less_than_the_whole_loop():
     )  # fmt: skip
     stiffness, found = machine().bearings[1].negative_stiffness[1], {}
     for modes in (0, 2):
-        one = youla.identify(machine(), record, law, [B_Y], bending_modes=modes, computing_delay=0).found
+        one = youla.identify(machine(), record, law, [B_Y], bending_modes=modes, computing_delay=0).estimate
         other = whole_loop.identify(machine(), record, law, [B_Y], bending_modes=modes, computing_delay=0)
         found[modes] = 1 - one.values[0] / stiffness, 1 - other.values[0] / stiffness
     print("\n" + "; ".join(f"{modes} bending modes: Youla {a:.4f}, whole loop {b:.4f}" for modes, (a, b) in found.items()))

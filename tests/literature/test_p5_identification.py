@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ambrose.identification.seal import fit as seal_fit
+from ambrose.identification.seal.model_updating import update_seal
 from ambrose.plant.assemble import assemble
 
 pytestmark = pytest.mark.literature
@@ -66,7 +66,7 @@ def test_P5_2_cross_coupled_stiffness_rises_linearly(p4, pulses):
 def test_the_machine_that_results_predicts_the_nominal_pressure(p4, pulses):
     """The line goes into the machine; at 2.04 bar, where nothing was measured, its unstable poles are the true seal's."""
     known = p4.known_but_for_the_seal()
-    made = seal_fit.identified_seal(known, pulses.fit)
+    made = update_seal(known, pulses.fit)
     found, true = (np.linalg.eigvals(assemble(m).system.A) for m in (made, replace(known, seals=p4.rig().seals)))
     found, true = (np.sort_complex(p[(p.real > 0) & (p.imag > 0)]) for p in (found, true))
     assert len(found) == len(true) == 2

@@ -11,7 +11,6 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification import excitation
-from ambrose.identification import pipeline as checked
 from ambrose.identification.output_error import closed_loop
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
@@ -36,10 +35,12 @@ def test_a_fit_that_does_not_converge_ends_the_commissioning(tmp_path, monkeypat
     values = np.vstack([simulate(select(loop, names[2], names[0] + names[1]), e), e])
     record = Record(machine.name, 1 / DT, (*names[0], *names[1], *names[2]), ("m",) * 4 + ("A",) * 8, values, plant.point)
 
-    def lame(*arguments, **options):
-        return closed_loop.identify(*arguments, **{**options, "max_iterations": 1})
+    fit = closed_loop.fit
 
-    monkeypatch.setattr(checked, "identify", lame)
+    def lame(experiment, start=None):
+        return fit(replace(experiment, options=replace(experiment.options, max_iterations=1)), start)
+
+    monkeypatch.setattr(closed_loop, "fit", lame)
     with pytest.raises(NumericalFailure, match=r"NOT CONVERGED.*no controller is designed for them"):
         identified(machine, record, controller, tmp_path, lambda stage: None)
     assert "NOT converged" in (tmp_path / "identified.html").read_text()  # to see why

@@ -5,8 +5,6 @@ A waveform (k,) [-] has the peak 1; a pattern makes of it the excitation (axes, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -34,16 +32,6 @@ def prbs(order: int, clock: int, samples: int, shift: int = 0) -> np.ndarray:
     return bits[(np.arange(samples) // clock + shift) % len(bits)]
 
 
-def is_maximal_length(bits: ArrayLike) -> bool:
-    """Whether one period of bits (k,) of +-1 has maximum length: k = 2^n - 1, its circular autocorrelation k or -1."""
-    bits = check_shape(bits, "bits", "(k)")
-    k = len(bits)
-    if k < 3 or (k + 1) & k or not np.isin(bits, (-1.0, 1.0)).all():
-        return False
-    correlation = np.fft.irfft(np.abs(np.fft.rfft(bits)) ** 2, k)
-    return bool(np.abs(correlation[1:] + 1).max() < 1e-6 * k)
-
-
 def chirp(start: float, stop: float, samples: int, dt: float) -> np.ndarray:
     """A sine (samples,) whose frequency goes linearly from ``start`` to ``stop`` [rad/s]. Raises InvalidInput past Nyquist."""
     dt = check_positive(dt, "dt", "give the sample time in seconds")
@@ -69,15 +57,6 @@ def multisine(frequencies: ArrayLike, samples: int, dt: float) -> np.ndarray:
     for frequency, phase in zip(w, -np.pi * j * (j + 1) / len(w), strict=True):
         wave += np.cos(frequency * t + phase)
     return wave / np.abs(wave).max()
-
-
-def impulse(width: int, samples: int, start: int = 0) -> np.ndarray:
-    """A rectangular pulse (samples,) of height 1 and ``width`` samples from sample number ``start``. Raises InvalidInput."""
-    wave = np.zeros(_count(samples, "samples"))
-    if not 0 <= start < len(wave):
-        raise invalid("start", start, f"from 0 to {len(wave) - 1}", "move the pulse into the record")
-    wave[start : start + _count(width, "width")] = 1.0
-    return wave
 
 
 def pattern(machine: Machine, kind: str, wave: ArrayLike, amplitude: float, axis: str = "") -> dict[str, np.ndarray]:
@@ -166,14 +145,6 @@ def _rank_order(u: np.ndarray, order: int, threshold: float) -> int:
         middle = (low + high + 1) // 2
         low, high = (middle, high) if full(middle) else (low, middle - 1)
     return low
-
-
-def check_persistent(signals: ArrayLike, names: Sequence[str], order: int) -> None:
-    """Refuse an excitation (m, k) that cannot tell ``order`` parameters; raises InvalidInput naming the signals."""
-    found = excitation_order(signals, order)
-    if found < order:
-        what = f"the order of persistent excitation of {', '.join(names)}"
-        raise invalid(what, found, f"at least {order}", "excite with a PRBS, a chirp or more sines, and each axis on its own")
 
 
 def _count(value: int, name: str) -> int:

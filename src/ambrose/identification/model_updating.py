@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.identification.parameters import COVERAGE, Estimate
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, Parameter, find_uncertain, parse_parameter
@@ -16,23 +16,8 @@ from ambrose.physics import magnet
 from ambrose.physics.seal import coefficients
 
 
-class Found(Protocol):
-    """What an identification leaves, whatever its method: an Identification, or a StaticLoad."""
-
-    @property
-    def machine(self) -> str: ...
-    @property
-    def point(self) -> OperatingPoint: ...
-    @property
-    def paths(self) -> tuple[str, ...]: ...
-    @property
-    def values(self) -> np.ndarray: ...
-    @property
-    def standard_deviations(self) -> np.ndarray: ...
-
-
-def identified_machine(
-    machine: Machine, result: Found, coverage: float = 1.96, *, origin: str = "", keep_wider: bool = False
+def update_machine(
+    machine: Machine, result: Estimate, coverage: float = COVERAGE, *, origin: str = "", keep_wider: bool = False
 ) -> Machine:
     """The machine with the values found, and tolerances of ``coverage`` standard deviations (1.96: 95 %) relative to them.
 
@@ -47,14 +32,14 @@ def identified_machine(
     if result.machine != machine.name:
         raise invalid("the machine of the result", repr(result.machine), repr(machine.name), "take the machine it belongs to")
     check_positive(coverage, "coverage", "1.96 standard deviations cover 95 %")
-    found = _found(machine, result, coverage)
-    values = [(one.parameter, one.value) for one in found]
-    tolerances = [_tolerance(one) for one in found]
+    entries = _entries(machine, result, coverage)
+    values = [(one.parameter, one.value) for one in entries]
+    tolerances = [_tolerance(one) for one in entries]
     if keep_wider:
         stated = {item.parameter: item for item in machine.tolerances}
         tolerances = [
             _wider(stated.get(item.parameter), item, one.value) if one.parameter.table == "seal" else item
-            for item, one in zip(tolerances, found, strict=True)
+            for item, one in zip(tolerances, entries, strict=True)
         ]
     kept = [item for item in machine.tolerances if not any(parse_parameter(item.parameter).overlaps(p) for p, _ in values)]
     own = {parameter.quantity: value for parameter, value in values if parameter.table == "amplifier"}
@@ -78,7 +63,7 @@ def identified_machine(
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _Entry:
     """A parameter of the machine file, its value at the operating point and the half-width of its tolerance, SI."""
 
     parameter: Parameter
@@ -86,10 +71,10 @@ class _Found:
     width: float
 
 
-def _found(machine: Machine, result: Found, coverage: float) -> list[_Found]:
+def _entries(machine: Machine, result: Estimate, coverage: float) -> list[_Entry]:
     """The parameters as a machine file holds them: single entries of a seal's matrices made one coefficient."""
     single: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    found = []
+    entries = []
     for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
         if path in TIMING:
             continue  # no parameter of the machine; the controller's settings take its delay
@@ -97,37 +82,37 @@ def _found(machine: Machine, result: Found, coverage: float) -> list[_Found]:
         if parameter.table == "seal" and parameter.component:
             single.setdefault((parameter.name, parameter.quantity), []).append((value, width))
         else:
-            found.append(_Found(parameter, value, max(width, 1e-15 * abs(value), 1e-300)))
-    for (name, quantity), entries in single.items():
+            entries.append(_Entry(parameter, value, max(width, 1e-15 * abs(value), 1e-300)))
+    for (name, quantity), parts in single.items():
         seal = next(item for item in machine.seals if item.name == name)
         before = getattr(coefficients(seal, result.point.seal_pressure, result.point.speed), quantity)
-        both = [*entries, *[(before, 0.0)] * (2 - len(entries))]
+        both = [*parts, *[(before, 0.0)] * (2 - len(parts))]
         mean = float(np.mean([value for value, _ in both]))
         width = max(abs(value - mean) + width for value, width in both)
-        found.append(_Found(parse_parameter(f"seal.{name}.{quantity}"), mean, max(width, 1e-300)))
-    return found
+        entries.append(_Entry(parse_parameter(f"seal.{name}.{quantity}"), mean, max(width, 1e-300)))
+    return entries
 
 
-def _tolerance(one: _Found) -> Tolerance:
+def _tolerance(one: _Entry) -> Tolerance:
     if one.value == 0:
         return Tolerance(one.parameter.path, absolute=one.width)
     return Tolerance(one.parameter.path, relative=one.width / abs(one.value))
 
 
-def _wider(stated: Tolerance | None, found: Tolerance, value: float) -> Tolerance:
-    """The wider of the two, both taken at the value found."""
+def _wider(stated: Tolerance | None, identified: Tolerance, value: float) -> Tolerance:
+    """The wider of the two, both taken at the identified value."""
     if stated is None:
-        return found
-    widths = [(item.absolute or 0.0) + (item.relative or 0.0) * abs(value) for item in (stated, found)]
-    return stated if widths[0] > widths[1] else found
+        return identified
+    widths = [(item.absolute or 0.0) + (item.relative or 0.0) * abs(value) for item in (stated, identified)]
+    return stated if widths[0] > widths[1] else identified
 
 
-def _settled(machine: Machine, key: str, found: Sequence[Parameter]) -> bool:
-    """Whether an entry of ``assumed`` speaks of a quantity ("bearing.force_per_current") all values of which were found."""
+def _settled(machine: Machine, key: str, identified: Sequence[Parameter]) -> bool:
+    """Whether an entry of ``assumed`` speaks of a quantity ("bearing.force_per_current") all values of which are identified."""
     table, _, rest = key.partition(".")
     name, _, quantity = rest.rpartition(".")
     if table == "amplifier":
-        return any(p.table == table and p.quantity == quantity for p in found)
+        return any(p.table == table and p.quantity == quantity for p in identified)
     tables = {
         "bearing": [item.name for item in machine.bearings],
         "coupling": [item.name for item in machine.couplings],
@@ -138,7 +123,7 @@ def _settled(machine: Machine, key: str, found: Sequence[Parameter]) -> bool:
         return False
 
     def known(item: str) -> bool:
-        mine = [p.component for p in found if (p.table, p.name, p.quantity) == (table, item, quantity)]
+        mine = [p.component for p in identified if (p.table, p.name, p.quantity) == (table, item, quantity)]
         return "" in mine or {"zeta", "eta"} <= set(mine)
 
     return all(known(item) for item in names)

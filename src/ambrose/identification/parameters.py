@@ -1,16 +1,43 @@
-"""The unknown parameters of a machine: paths with "*" spelled out, their values, and the machine with those found."""
+"""The unknown parameters of a machine: paths with "*" spelled out, their values and units, the plant with others."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import CONTROLLER_DELAY, QUANTITIES, TIMING, find_uncertain
+from ambrose.machine.parameters import CONTROLLER_DELAY, QUANTITIES, TIMING, find_uncertain, parse_parameter
+from ambrose.machine.units import DIMENSIONS
+from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
-from ambrose.plant.uncertainty import channels
+from ambrose.plant.reduce import free_mode_reduction
+from ambrose.plant.uncertainty import channels, perturbed
+
+COVERAGE = 1.96  # standard deviations of a normal 95 % interval
+
+
+class Estimate(Protocol):
+    """What every method gives: values and standard_deviations (q,) of the parameters at ``paths``, SI, at ``point``."""
+
+    @property
+    def machine(self) -> str: ...
+    @property
+    def point(self) -> OperatingPoint: ...
+    @property
+    def paths(self) -> tuple[str, ...]: ...
+    @property
+    def values(self) -> np.ndarray: ...
+    @property
+    def standard_deviations(self) -> np.ndarray: ...
+
+
+def unit_of(path: str) -> str:
+    """The SI unit of a parameter."""
+    return "s" if path in TIMING else DIMENSIONS[parse_parameter(path).dimension].unit
 
 
 def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
@@ -26,7 +53,7 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
         "seal": [item.name for item in machine.seals],
         "coupling": [item.name for item in machine.couplings],
     }
-    found: list[str] = []
+    expanded: list[str] = []
     for path in paths:
         parts = path.split(".")
         spelled = [parts]
@@ -39,15 +66,15 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
             spelled = [[*item[:3], axis] for item in spelled for axis in ("zeta", "eta")]
         if not spelled:
             raise InvalidInput(f'parameter "{path}" names nothing: the machine has no [[{parts[0]}]]')
-        found += [".".join(item) for item in spelled]
-    if not found:
+        expanded += [".".join(item) for item in spelled]
+    if not expanded:
         raise InvalidInput("no unknown parameter was named; give paths such as bearing.*.negative_stiffness.*")
-    parameters = [find_uncertain(machine, path) for path in found]
+    parameters = [find_uncertain(machine, path) for path in expanded]
     for i, one in enumerate(parameters):
         for other in parameters[:i]:
             if one.overlaps(other):
                 raise InvalidInput(f'parameters "{other.path}" and "{one.path}" are the same number; name it once')
-    return tuple(found)
+    return tuple(expanded)
 
 
 def split_timing(machine: Machine, paths: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -76,6 +103,20 @@ def nominal_values(plant: Plant, paths: Sequence[str]) -> np.ndarray:
             raise invalid(f'parameter "{path}"', f"{text} on the two axes", "one number", f'write "{path}.*", each on its own')
         values.append(nominal.pop())
     return np.array(values)
+
+
+def plant_at(machine: Machine, point: OperatingPoint, values: Mapping[str, float], bending_modes: int = 1) -> Plant:
+    """The reduced plant at an operating point with these values, SI, at these paths but those of delays.
+
+    Raises InvalidInput.
+    """
+    plant = free_mode_reduction(assemble(machine, point), bending_modes)
+    moves = {path: value - channels(plant, path)[0].nominal for path, value in values.items() if path not in TIMING}
+    moves = {path: move for path, move in moves.items() if move}
+    if not moves:
+        return plant
+    tolerances = [Tolerance(path, absolute=abs(move)) for path, move in moves.items()]
+    return perturbed(plant, {path: 1.0 if move > 0 else -1.0 for path, move in moves.items()}, tolerances)
 
 
 def ratios(reference: Plant, plant: Plant, paths: Sequence[str]) -> np.ndarray:

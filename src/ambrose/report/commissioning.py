@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.evaluation import Candidate
-from ambrose.identification.pipeline import CheckedIdentification
+from ambrose.identification.result import LoopIdentification
 from ambrose.report import tables, units
 from ambrose.report.identification.figures import change_figure
 from ambrose.report.identification.tables import findings_table, parameters_table
@@ -27,7 +27,7 @@ _CHANGE = (
 
 
 def commissioning_section(
-    checked: CheckedIdentification,
+    checked: LoopIdentification,
     reference: Candidate,
     commissioned: Candidate,
     points: Sequence[str],
@@ -45,15 +45,13 @@ def commissioning_section(
         _verdict(checked),
     ]
     found.append(parameters_table(checked.result))
-    if checked.findings or len(checked.result.warnings) > 1:
-        found.append(
-            findings_table(checked.findings, [text for text in checked.result.warnings if text != checked.result.verdict])
-        )
+    if checked.doubts:
+        found.append(findings_table(checked.doubts))
     figures = (Figure("What the record changed", change_figure(checked.result), _CHANGE),)
     return Section("Commissioned on the rig", _WORDS, figures, tuple(found), True)
 
 
-def _verdict(checked: CheckedIdentification) -> Table:
+def _verdict(checked: LoopIdentification) -> Table:
     mark = "pass" if all(test.passed for test in checked.result.tests) else "fail"
     fits = [percent for _, _, percent in checked.result.fit]
     rows = ((Cell(checked.result.verdict, mark), Cell(f"{min(fits):.1f} to {max(fits):.1f} %", "number")),)

@@ -22,10 +22,8 @@ from ambrose.deployment.c.fixed import write_code
 from ambrose.deployment.discretisation.fixed import Deployment, deploy, unmet
 from ambrose.deployment.pipeline import SAMPLE_TIME, limits, provenance
 from ambrose.evaluation import Candidate
-from ambrose.identification.model_updating import identified_machine
-from ambrose.identification.parameters import expand
-from ambrose.identification.pipeline import CheckedIdentification, checked_identification, usual_unknowns
-from ambrose.identification.pipeline import provenance as origin_of
+from ambrose.identification.pipeline import identify
+from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.file.update import machine_text
 from ambrose.machine.machine import Machine
@@ -52,17 +50,21 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commissioning:
-    """checked: the identification; machine: as identified; candidate: the controller, verified on the identified machine as it
-    runs (sampled, late, its law read out of the code), its rig traces from the code; deployment: the sampled loop as designed;
+    """identification: its ``machine`` is the one designed for; candidate: the controller, verified on that machine as it runs
+    (sampled, late, its law read out of the code), its rig traces from the code; deployment: the sampled loop as designed;
     files: the code; apart: largest difference between the law of the running code and the design's, relative to the largest
     entry (None: there is no C compiler here, the law in Python ran)."""
 
-    checked: CheckedIdentification
-    machine: Machine
+    identification: LoopIdentification
     candidate: Candidate
     deployment: Deployment
     files: tuple[Path, ...]
     apart: float | None
+
+    @property
+    def machine(self) -> Machine:
+        """As identified."""
+        return self.identification.machine
 
     @property
     def from_code(self) -> bool:
@@ -100,7 +102,8 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
         raise InvalidInput("the reference controller does not hold the nominal plant, so there is nothing to record")
     directory.mkdir(parents=True, exist_ok=True)
     record = recorded(plants[0], reference.controller, directory / "record.h5", progress)
-    checked, machine = identified(plants[0].machine, record, reference.controller, directory, progress)
+    identification = identified(plants[0].machine, record, reference.controller, directory, progress)
+    machine = identification.machine
     known = full_plants(machine)
     progress("controller for the identified machine and its sampled loop")
     options = DesignOptions(rate=1 / _sample_time(machine), delay_samples=_COMPUTING)
@@ -108,7 +111,7 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     deployment, program, files = coded(known, directory, progress)
     law, apart = running_law(program, deployment)
     candidate = examined(plants, known, synthesis, delayed(law, deployment.delay), program, progress)
-    return Commissioning(checked, machine, candidate, deployment, files, apart)
+    return Commissioning(identification, candidate, deployment, files, apart)
 
 
 def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> Any:
@@ -121,26 +124,22 @@ def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> A
     return trace.record
 
 
-def identified(
-    machine: Machine, record: Any, controller: Any, directory: Path, progress: Progress
-) -> tuple[CheckedIdentification, Machine]:
-    """The identification, and the machine with what was found; leaves identified.toml and identified.html.
+def identified(machine: Machine, record: Any, controller: Any, directory: Path, progress: Progress) -> LoopIdentification:
+    """The identification of the recorded machine; leaves identified.toml and identified.html.
 
     Raises NumericalFailure where the fit did not converge.
     """
     from ambrose.report.identification.page import identification_report
     from ambrose.report.page import write
 
-    paths = expand(machine, usual_unknowns(machine, [record]))
-    checked = checked_identification(machine, [record], controller, paths, progress=progress)
-    origin, comment = origin_of(checked, ["record.h5"], "the reference controller")
-    found = identified_machine(machine, checked.result, origin=origin, keep_wider=True)
-    write_text(directory / "identified.toml", comment + machine_text(found), "machine file")
-    page = identification_report(machine, checked, sources=["record.h5"], controller="the reference controller")
-    write(page, directory / "identified.html")
-    if not checked.result.converged:
-        raise NumericalFailure(f"{checked.result.verdict}; no controller is designed for them, see identified.html")
-    return checked, found
+    names = Provenance(("record.h5",), "the reference controller")
+    done = identify(machine, record, controller, provenance=names, progress=progress)
+    assert isinstance(done, LoopIdentification)  # its method is the closed loop
+    write_text(directory / "identified.toml", done.comment + machine_text(done.machine), "machine file")
+    write(identification_report(done), directory / "identified.html")
+    if not done.result.converged:
+        raise NumericalFailure(f"{done.verdict}; no controller is designed for them, see identified.html")
+    return done
 
 
 def coded(

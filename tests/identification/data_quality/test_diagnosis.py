@@ -12,14 +12,14 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identification import excitation
+from ambrose.identification import excitation, pipeline
 from ambrose.identification.data_quality.channels import Wiring, wirings
 from ambrose.identification.data_quality.controller import controller_match
 from ambrose.identification.data_quality.diagnosis import diagnose_records
-from ambrose.identification.data_quality.finding import RecordFinding, refuse
 from ambrose.identification.data_quality.signals import flat_tops
+from ambrose.identification.findings import Code, Finding, refuse
+from ambrose.identification.loop import usual_unknowns
 from ambrose.identification.output_error.closed_loop import identify
-from ambrose.identification.pipeline import checked_identification, usual_unknowns
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.machine.description import SealTable, Tolerance
 from ambrose.machine.record.record import Record
@@ -385,7 +385,7 @@ def test_a_response_far_from_the_start_values_is_only_a_warning():
     found = only(findings(synthetic(0.35)), "warning", "responds otherwise")
     assert "power unexplained" in found.evidence
     machine, _, controller = setting()
-    result = checked_identification(machine, [synthetic(0.35)], controller, NINE).result
+    result = pipeline.identify(machine, [synthetic(0.35)], controller, unknown=NINE).result
     np.testing.assert_allclose(result.values[0] / result.start[0], 1.35, rtol=0.01)
 
 
@@ -402,7 +402,7 @@ def test_a_wrong_mass_that_no_record_can_tell():
     values = np.vstack([simulate(loop, e), e])
     values[:4] += 1e-8 * np.random.default_rng(0).standard_normal((4, 10000))
     record = Record(machine.name, 1 / DT, tuple(names("yue")), ("m",) * 4 + ("A",) * 8, values, plant.point)
-    checked = checked_identification(replace(machine, shaft=heavier(machine, 1.2)), [record], controller, NINE[:2])
+    checked = pipeline.identify(replace(machine, shaft=heavier(machine, 1.2)), [record], controller, unknown=NINE[:2])
     found = next(item for item in checked.findings if "same factor" in item.what)
     assert found.evidence.startswith("1.19") or (found.evidence.startswith("1.2") and "weigh the rotor" in found.remedy)
 
@@ -410,29 +410,31 @@ def test_a_wrong_mass_that_no_record_can_tell():
 def test_wrong_machine_and_wrong_mass():
     machine, _, controller = setting()
     with pytest.raises(InvalidInput, match="machine of record 1 is 'turboexpander'"):
-        checked_identification(machine, [replace(synthetic(), machine="turboexpander")], controller, NINE)
+        pipeline.identify(machine, [replace(synthetic(), machine="turboexpander")], controller, unknown=NINE)
     fat = replace(machine, shaft=heavier(machine, 1.2))
-    assert not checked_identification(fat, [synthetic(0.0)], controller, NINE).good  # the seal's known stiffness betrays it
+    assert not pipeline.identify(
+        fat, [synthetic(0.0)], controller, unknown=NINE
+    ).passed  # the seal's known stiffness betrays it
     short = replace(
         machine,
         sensors=tuple(replace(s, position=860e-3 - s.position) for s in machine.sensors),  # sensors of A and B exchanged
     )
     with pytest.raises(InvalidInput, match=r"mixed up|no values of these parameters|unstable"):
-        checked_identification(short, [synthetic(0.0)], controller, NINE)
+        pipeline.identify(short, [synthetic(0.0)], controller, unknown=NINE)
 
 
 def test_impossible_values_are_refused_and_distant_ones_doubted():
     machine, _, controller = setting()
-    checked = checked_identification(machine, [synthetic()], controller, NINE)
-    assert not checked.findings and checked.good
+    checked = pipeline.identify(machine, [synthetic()], controller, unknown=NINE)
+    assert not checked.findings and checked.passed
     result = checked.result
     turned = replace(result, values=np.r_[-result.values[:1], result.values[1:]])
-    found = diagnose_result(machine, turned, checked.pieces)
+    found = diagnose_result(machine, turned, checked.outputs)
     assert found[0].severity == "error" and "bearing.A.force_per_current.zeta = -" in found[0].what
     tripled = replace(result, values=np.r_[3 * result.start[:1], result.values[1:]])
-    assert "3 times its start" in only(diagnose_result(machine, tripled, checked.pieces), "warning", "far from").evidence
+    assert "3 times its start" in only(diagnose_result(machine, tripled, checked.outputs), "warning", "far from").evidence
     stiff = replace(result, values=np.r_[result.values[:4], -result.values[4:5], result.values[5:]])
-    assert "not destabilising" in only(diagnose_result(machine, stiff, checked.pieces), "warning", "negative_stiffness").what
+    assert "not destabilising" in only(diagnose_result(machine, stiff, checked.outputs), "warning", "negative_stiffness").what
 
 
 def test_a_knock_during_the_record_is_found_in_the_residual():
@@ -442,7 +444,7 @@ def test_a_knock_during_the_record_is_found_in_the_residual():
     machine, _, controller = setting()
     seen = [name for name in synthetic().signals if name[0] in "ye"]  # without u nothing shows it before
     record = with_values(synthetic(), "y_A_zeta", knocked).select(seen)
-    checked = checked_identification(machine, [record], controller, NINE)
+    checked = pipeline.identify(machine, [record], controller, unknown=NINE)
     assert any("y_A_zeta leaves the model" in item.what and "0.69" in item.evidence for item in checked.findings)
 
 
@@ -451,12 +453,12 @@ def test_a_wrong_delay_without_controller_outputs_is_found_after_the_fit(given):
     """The true one is a sample; it is found as an unknown, with its deviation, and the right one is not complained about."""
     machine, _, controller = setting()
     record = synthetic().select([name for name in synthetic().signals if name[0] in "ye"])
-    checked = checked_identification(machine, [record], controller, NINE, computing_delay=given)
+    checked = pipeline.identify(machine, [record], controller, unknown=NINE, computing_delay=given)
     found = next(item for item in checked.findings if "computing delay of" in item.what)
     count = float(re.search(rf"delay of (\S+) instead of {given} samples", found.what)[1])
     deviation = float(re.search(r"standard deviation (\S+) samples", found.evidence)[1])
     assert abs(count - 1) < 4 * deviation and deviation < 0.01
-    assert "lag of amplifier or sensor" in found.remedy and not checked.good
+    assert "lag of amplifier or sensor" in found.remedy and not checked.passed
 
 
 def test_where_the_delay_cannot_be_an_unknown_whole_ones_are_tried():
@@ -481,14 +483,16 @@ def test_where_the_delay_cannot_be_an_unknown_whole_ones_are_tried():
 
 def test_an_unknown_delay_is_found_and_not_complained_about():
     machine, _, controller = setting()
-    whole = checked_identification(machine, [synthetic()], controller, (*NINE, "delay"), computing_delay=0)
+    whole = pipeline.identify(machine, [synthetic()], controller, unknown=(*NINE, "delay"), computing_delay=0)
     assert whole.result.values[-1] == pytest.approx(DT, rel=0.01)
     assert not any("follows the controller after" in item.what for item in whole.findings)
-    rows = identification_report(machine, whole).sections[0].tables[0].cells
+    rows = identification_report(whole).sections[0].tables[0].cells
     assert rows[-1][0].text == "controller.delay" and rows[-1][2].text.endswith("ms")
-    assert len(whole.pieces[0].residual[0]) == K and np.std(whole.pieces[0].residual) < 0.05 * np.std(whole.pieces[0].measured)
-    late = checked_identification(machine, [synthetic()], controller, (*NINE, "excitation.delay"))
-    assert late.pieces[0].residual.shape == late.pieces[0].record.select(names("y")).values.shape
+    assert len(whole.outputs[0].residual[0]) == K and np.std(whole.outputs[0].residual) < 0.05 * np.std(
+        whole.outputs[0].measured
+    )
+    late = pipeline.identify(machine, [synthetic()], controller, unknown=(*NINE, "excitation.delay"))
+    assert late.outputs[0].residual.shape == late.outputs[0].record.select(names("y")).values.shape
     assert abs(late.result.values[-1]) < 0.05 * DT
 
 
@@ -497,16 +501,16 @@ def test_an_unknown_that_is_not_excited_is_doubted_or_refused():
     values = synthetic().values.copy()
     record = replace(synthetic(), values=values)
     unknown = (*NINE, "coupling.coupling.damping.zeta", "coupling.coupling.damping.eta", "seal.center.C", "seal.center.c")
-    checked = checked_identification(machine, [record], controller, unknown)
-    assert not checked.good and any("hardly" in text for text in checked.result.warnings)
+    checked = pipeline.identify(machine, [record], controller, unknown=unknown)
+    assert not checked.passed and any(finding.code == Code.HARDLY_VISIBLE for finding in checked.findings)
     assert plant.axes == AXES
 
 
 def test_a_start_at_which_the_loop_is_unstable_is_refused():
     machine, _, controller = setting()
     with pytest.raises(InvalidInput, match="the loop at the start values is unstable"):
-        checked_identification(
-            machine, [synthetic()], controller, NINE, start={"bearing.A.negative_stiffness.zeta": 9e6}
+        pipeline.identify(
+            machine, [synthetic()], controller, unknown=NINE, start={"bearing.A.negative_stiffness.zeta": 9e6}
         )  # fmt: skip
 
 
@@ -526,4 +530,4 @@ def test_usual_unknowns():
 
 def test_a_finding_has_one_of_two_severities():
     with pytest.raises(InvalidInput, match="severity"):
-        RecordFinding("fatal", "x", "y", "z")
+        Finding(Code.CLIPPED, "fatal", "x", "y", "z")

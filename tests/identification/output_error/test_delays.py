@@ -12,7 +12,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate, simulate_derivative
 from ambrose.core.sampling import c2d
 from ambrose.identification import excitation
-from ambrose.identification.model_updating import identified_machine
+from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.delays import AHEAD, timed
 from ambrose.identification.output_error.loop_model import loop_model
@@ -139,7 +139,7 @@ def test_a_delay_is_found_beside_the_machine(delay, begin):
     assert found.paths[-1] == CONTROLLER_DELAY
     np.testing.assert_allclose(found.values, nominal, rtol=1e-6)
     assert found.converged and not found.warnings
-    updated = identified_machine(machine, found)
+    updated = update_machine(machine, found)
     assert updated.controller.delay == found.values[-1]
     assert [tolerance.parameter for tolerance in updated.tolerances] == list(KNOWN)
 

@@ -12,6 +12,7 @@ from ambrose.identification.output_error.lagged_products import coloured_product
 from ambrose.identification.output_error.lifted import lift, stream
 from ambrose.identification.output_error.normal_equations import Task, normal_equations
 from ambrose.identification.output_error.residual_analysis import residual_scores
+from whole_records import fit_percent, residual_input_test, sandwich_middle
 
 
 def pieces(signals, length):
@@ -37,7 +38,7 @@ def test_coloured_products_are_those_of_the_whole_record(k, length):
     span = statistics.memory(k)
     sums = lagged_sums(pieces(r, length), [(i, j) for i in range(2) for j in range(2)], span)
     covariance = statistics.tapered(sums.values, k).reshape(2, 2, span + 1)
-    expected = statistics.sandwich_middle(J, r)
+    expected = sandwich_middle(J, r)
     found = coloured_products(pieces(J, length), covariance)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
@@ -65,9 +66,9 @@ def test_scores_are_those_of_the_whole_record():
     assert found.equations.cost == pytest.approx(np.sum(residual**2), rel=1e-9)
     scores = residual_scores(system, task, found, ["a", "b"], ["y1", "y2"], 4)
     for i in range(2):
-        assert scores.fit[i] == pytest.approx(statistics.fit_percent(y[i], residual[i]), rel=1e-9)
+        assert scores.fit[i] == pytest.approx(fit_percent(y[i], residual[i]), rel=1e-9)
         for j in range(2):
-            expected = statistics.residual_input_test(residual[i], y[i], e[j], 100, f"y{i + 1}", "ab"[j], 4)
+            expected = residual_input_test(residual[i], y[i], e[j], 100, f"y{i + 1}", "ab"[j], 4)
             test = scores.tests[2 * i + j]
             assert (test.signal, test.excitation, test.lag) == (expected.signal, expected.excitation, expected.lag)
             assert test.correlation == pytest.approx(expected.correlation, rel=1e-6, abs=1e-9)

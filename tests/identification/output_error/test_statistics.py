@@ -10,8 +10,8 @@ from ambrose.core.response import SystemDerivative, simulate_derivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.levenberg_marquardt import Linearised, minimise
-from ambrose.identification.output_error.lifted import lifted_sensitivities
 from ambrose.identification.output_error.normal_equations import distinct
+from whole_records import fit_percent, lifted_sensitivities, residual_input_test, sandwich_middle
 
 
 @pytest.mark.parametrize(("m", "k"), [(1, 1), (1, 64), (1, 333), (3, 200)])
@@ -47,7 +47,7 @@ def test_sandwich_knows_the_colour():
     gamma = a ** np.arange(400) / (1 - a * a)
     exact = np.array([[sum(g * (1 + (i > 0)) * (x[i:] @ z[: k - i] + z[i:] @ x[: k - i]) / 2 for i, g in enumerate(gamma))
                        for x in J[:, 0]] for z in J[:, 0]])  # fmt: skip
-    middle = statistics.sandwich_middle(J, noise)
+    middle = sandwich_middle(J, noise)
     size = np.sqrt(np.diag(exact))
     np.testing.assert_allclose(middle / size / size[:, None], exact / size / size[:, None], atol=0.05)
     white = (J[0, 0] @ J[0, 0]) / (1 - a * a)
@@ -67,7 +67,7 @@ def test_sandwich_is_the_toeplitz_sum():
             lags = np.correlate(r[i], r[j], "full") / 60  # r_i(t + l) r_j(t), l = -59..59
             gamma = np.array([[lags[59 + t - s] for s in range(60)] for t in range(60)])
             total += J[:, i] @ (gamma * window) @ J[:, j].T
-    np.testing.assert_allclose(statistics.sandwich_middle(J, r), total, atol=1e-10 * np.abs(total).max())
+    np.testing.assert_allclose(sandwich_middle(J, r), total, atol=1e-10 * np.abs(total).max())
 
 
 def test_correlation_and_cosine_have_opposite_signs():
@@ -87,7 +87,7 @@ def test_twins_are_named():
 
 def test_fit_percent():
     y = np.sin(np.arange(1000))
-    assert statistics.fit_percent(y + 7, 0.1 * (y - y.mean())) == pytest.approx(90)
+    assert fit_percent(y + 7, 0.1 * (y - y.mean())) == pytest.approx(90)
 
 
 def test_residual_input_test_finds_what_is_there_and_nothing_else():
@@ -96,10 +96,10 @@ def test_residual_input_test_finds_what_is_there_and_nothing_else():
         rng = np.random.default_rng(seed)
         e = np.repeat(np.sign(rng.standard_normal(k // 10)), 10)
         noise = lfilter([1.0], [1.0, -0.9], rng.standard_normal(k))
-        false += not statistics.residual_input_test(noise, 30 * noise, e, 100, "y", "e").passed
+        false += not residual_input_test(noise, 30 * noise, e, 100, "y", "e").passed
         if seed < 5:
             late = noise + np.roll(e, 17)
-            found = statistics.residual_input_test(late, 30 * noise, e, 100, "y", "e")
+            found = residual_input_test(late, 30 * noise, e, 100, "y", "e")
             assert not found.passed and abs(found.lag - 17) <= 2
     assert false <= 5  # at 99 %: one is expected
 

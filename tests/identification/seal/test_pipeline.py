@@ -12,11 +12,12 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification import excitation
-from ambrose.identification.model_updating import identified_machine
+from ambrose.identification.findings import Code
+from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop as whole_loop
-from ambrose.identification.seal import pipeline as seal_checked
+from ambrose.identification.result import Provenance
 from ambrose.identification.seal import time_domain as seal_records
-from ambrose.identification.seal.pipeline import seal_identification, written_machine
+from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.record.record import Record
@@ -82,55 +83,56 @@ def records(pressures=PRESSURES):
 
 @cache
 def found(form="table"):
-    return seal_identification(machine(), records(), controller(), form)
+    return identify_seal(machine(), records(), controller(), form)
 
 
 def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each():
-    result = found().checked.result
+    result = found().result
     assert result.point.seal_pressure == 0 and not any(path.startswith("seal") for path in result.paths)
     ratio = result.values / result.start
     np.testing.assert_allclose(ratio[:4], 0.97, rtol=2e-3)
     np.testing.assert_allclose(ratio[4:8], 1.05, rtol=5e-3)
-    fit = found().fit
+    fit = found().seal.fit
     np.testing.assert_array_equal(fit.pressure, PRESSURES)
     error = np.abs(fit.values[:, 1] - [stiffness(p) for p in PRESSURES])
     assert error.max() < 0.005 * stiffness(PRESSURES[-1])  # the file's law, proportional to pressure, is 20 to 50 % off
-    assert not any("hardly visible" in text for text in fit.warnings if text.startswith("at 0 Pa"))
+    assert not any(item.code == Code.HARDLY_VISIBLE for item in fit.warnings if item.what.startswith("at 0 Pa"))
 
 
 def test_a_table_follows_the_curve_and_survives_its_file():
-    made = loads_machine(dumps_machine(written_machine(machine(), found(), "here")))
+    done = replace(found(), provenance=Provenance(("here",))).updated()
+    made = loads_machine(dumps_machine(done.machine))
     for pressure in PRESSURES:
         k = seal.coefficients(made.seals[0], pressure).k
-        assert k == pytest.approx(found().fit.at(pressure).values[0, 1], rel=1e-6)
-    assert made.bearings[0].force_per_current[0] == pytest.approx(found().checked.result.values[0])
-    assert made.source.endswith("here")
+        assert k == pytest.approx(found().seal.fit.at(pressure).values[0, 1], rel=1e-6)
+    assert made.bearings[0].force_per_current[0] == pytest.approx(found().result.values[0])
+    assert "from here; seal center as a table over 4 pressures" in made.source
     widths = {item.parameter: item for item in made.tolerances}
     assert widths["seal.center.K"].absolute > 0 and widths["seal.center.k"].relative == 1.0
-    data = seal_checked.as_dict(found())
+    data = found().to_dict()["seal"]
     assert data["lines"] is None and np.shape(data["values"]) == (4, 4) and data["form"] == "table"
-    assert "Seal center, pressure by pressure" in seal_checked.comment(machine(), found())
+    assert "Seal center, pressure by pressure" in done.comment
 
 
 def test_a_line_says_that_the_points_are_none():
     lined = found("line")
-    k = seal_checked.as_dict(lined)["lines"]["k"]
+    k = lined.to_dict()["seal"]["lines"]["k"]
     assert k["scatter"] > 10  # a square root is no line, and the band is as wide as that
-    made = written_machine(machine(), lined)
+    made = lined.updated().machine
     assert made.seals[0].table.axes[0][1] == (0.0, PRESSURES[-1])
-    assert seal_checked.beyond(machine(), lined) == ""
-    higher = replace(machine(), operation=replace(machine().operation, points=(OperatingPoint(seal_pressure=3e5),)))
-    assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in seal_checked.comment(higher, lined)
+    assert lined.seal.note == ""
+    higher = replace(lined, seal=replace(lined.seal, highest=3e5))
+    assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in higher.comment
 
 
 def test_without_a_calm_record_all_are_fitted_together():
     law = replace(machine(), seals=(replace(machine().seals[0], k=0.7 * 3.203e6),))
     inside = replace(law, operation=replace(law.operation, points=(OperatingPoint(seal_pressure=1e5),)))
     given = [replace(record(p), values=_proportional(p)) for p in (0.6e5, 1.2e5)]
-    result = seal_identification(inside, given, controller(), "table")
-    paths = result.checked.result.paths
+    result = identify_seal(inside, given, controller(), "table")
+    paths = result.result.paths
     assert [path for path in paths if path.startswith("seal")] == [f"seal.center.{letter}" for letter in "KkCc"]
-    k = result.fit.values[:, 1]
+    k = result.seal.fit.values[:, 1]
     np.testing.assert_allclose(k, [3.203e6 * p / 2.04e5 for p in (0.6e5, 1.2e5)], rtol=0.01)
 
 
@@ -155,7 +157,7 @@ def _proportional(pressure):
 )
 def test_what_is_refused_before_anything_is_fitted(pressures, form, options, words):
     with pytest.raises(InvalidInput, match=words):
-        seal_identification(machine(), records(pressures), controller(), form, **options)
+        identify_seal(machine(), records(pressures), controller(), form, **options)
 
 
 def test_a_knock_under_pressure_is_found_in_its_record():
@@ -163,14 +165,14 @@ def test_a_knock_under_pressure_is_found_in_its_record():
     values[0, 5000:5004] += 3e-6
     seen = [name for name in record(1.2e5).signals if name[0] != "u"]  # without u nothing shows it before the fit
     given = [record(0.0).select(seen), replace(record(1.2e5), values=values).select(seen)]
-    result = seal_identification(machine(), given, controller(), "table")
-    texts = [str(item) for item in result.checked.findings]
+    result = identify_seal(machine(), given, controller(), "table")
+    texts = [str(item) for item in result.findings]
     assert any("record 2: y_A_zeta leaves the model for a short time" in text and "0.5" in text for text in texts), texts
-    assert not result.good
+    assert not result.passed
 
 
 def test_an_unstable_start_gives_way_to_the_next_and_no_convergence_is_an_error():
-    known = identified_machine(machine(), found().checked.result)
+    known = update_machine(machine(), found().result)
     far = {"seal.center.k": 9e6}
     fit = seal_records.identify(known, [record(0.6e5)], controller(), start=far)
     assert fit.values[0, 1] == pytest.approx(stiffness(0.6e5), rel=0.01)

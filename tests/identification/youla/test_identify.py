@@ -14,7 +14,7 @@ from ambrose.core.response import impulse_response, simulate, simulate_derivativ
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.identification.frf import spectral as frf
-from ambrose.identification.model_updating import identified_machine
+from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop as whole_loop
 from ambrose.identification.parameters import nominal_values
 from ambrose.identification.youla import identify as youla
@@ -78,7 +78,7 @@ def identify(records, unknown=(PATH,), **options):
 
 def share(result):
     """theta: by how much the stiffness found is below the machine's."""
-    return 1 - result.found.values[0] / nominal_values(plant(), [PATH])[0]
+    return 1 - result.estimate.values[0] / nominal_values(plant(), [PATH])[0]
 
 
 @cache
@@ -134,7 +134,7 @@ def test_model_of_s_and_its_jacobian():
 def test_recovery_without_noise(theta):
     result = identify(record(theta=theta))
     assert share(result) == pytest.approx(theta, abs=1e-6)
-    assert result.found.converged and not result.found.warnings and result.controller_error < 1e-9
+    assert result.estimate.converged and not result.estimate.warnings and result.controller_error < 1e-9
 
 
 def test_initial_state_offset_several_records_and_other_parameters():
@@ -146,10 +146,10 @@ def test_initial_state_offset_several_records_and_other_parameters():
     assert abs(share(identify(replace(later, values=values), offset=False)) - 0.5) > 1e-3
     paths = ("bearing.*.negative_stiffness.*", "bearing.*.force_per_current.*", "amplifier.bandwidth")
     result = identify([record(1200), record(1500)], paths)
-    nominal = nominal_values(plant(), result.found.paths)
-    expected = np.where(np.array(result.found.paths) == PATH, 0.5, 1.0)
-    np.testing.assert_allclose(result.found.values / nominal, expected, rtol=1e-5)
-    assert identified_machine(machine(), result.found).name == "turboexpander"
+    nominal = nominal_values(plant(), result.estimate.paths)
+    expected = np.where(np.array(result.estimate.paths) == PATH, 0.5, 1.0)
+    np.testing.assert_allclose(result.estimate.values / nominal, expected, rtol=1e-5)
+    assert update_machine(machine(), result.estimate).name == "turboexpander"
 
 
 def test_several_starts_find_the_same():
@@ -162,7 +162,7 @@ def test_several_starts_find_the_same():
 def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method():
     """0.3 A, 1 um of white sensor noise; P1's own experiment has its Monte Carlo study in tests/literature/test_p1.py."""
     nominal = nominal_values(plant(), [PATH])[0]
-    results = [identify(record(1500, noise=1e-6, seed=seed)).found for seed in range(30)]
+    results = [identify(record(1500, noise=1e-6, seed=seed)).estimate for seed in range(30)]
     found = np.array([result.values[0] for result in results]) / nominal
     predicted = np.array([result.standard_deviations[0] for result in results]) / nominal
     scatter = found.std(ddof=1)
@@ -178,8 +178,8 @@ def test_sensors_of_different_noise_are_weighted():
     noise = sizes * np.random.default_rng(9).standard_normal((4, 3000))
     values = quiet + simulate(select(loop(), D, Y + U), noise)
     measured = replace(record(3000), values=np.vstack([values, sequences(3000)]))
-    known = identify(measured, noise=dict(zip(Y, sizes[:, 0], strict=True))).found
-    alike = identify(measured).found
+    known = identify(measured, noise=dict(zip(Y, sizes[:, 0], strict=True))).estimate
+    alike = identify(measured).estimate
     assert known.standard_deviations[0] < 0.8 * alike.standard_deviations[0]
     for result in (known, alike):
         error = 1 - result.values[0] / nominal_values(plant(), [PATH])[0] - 0.5
@@ -195,7 +195,7 @@ def test_a_controller_that_is_not_quite_the_one_given_does_less_harm():
     result = youla.identify(machine(), record(), louder, [PATH], bending_modes=0)
     other = whole_loop.identify(machine(), record(), louder, [PATH], bending_modes=0)
     assert result.controller_error == pytest.approx(0.05, abs=0.01)
-    assert "unexplained" in result.found.warnings[-1]
+    assert "unexplained" in result.estimate.warnings[-1].what
     nominal = nominal_values(plant(), [PATH])[0]
     assert abs(share(result) - 0.5) < 0.06
     assert abs(1 - other.values[0] / nominal - 0.5) > 0.2
@@ -242,9 +242,9 @@ def test_nonlinear_rig_under_its_weight():
     measured = virtual_rig.run(rig, law, Scenario("prbs", 2.0, sequences=waves)).record
     result = youla.identify(rig, measured, law, ["bearing.*.negative_stiffness.*"])
     static = np.array([measured[f"i_{axis}"].mean() for axis in AXES]) / rig.bearings[0].bias_current
-    expected = nominal_values(model, result.found.paths) * (1 + static**2)
+    expected = nominal_values(model, result.estimate.paths) * (1 + static**2)
     assert result.controller_error < 1e-9 and (static > 0.3).all()
-    np.testing.assert_allclose(result.found.values, expected, rtol=0.03)
+    np.testing.assert_allclose(result.estimate.values, expected, rtol=0.03)
 
 
 def test_bad_input_of_the_injected_experiment():

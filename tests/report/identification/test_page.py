@@ -10,10 +10,11 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification import excitation
-from ambrose.identification.data_quality.finding import RecordFinding
-from ambrose.identification.pipeline import checked_identification
+from ambrose.identification.findings import Code, Finding
+from ambrose.identification.pipeline import Provenance, identify
+from ambrose.identification.seal.by_pressure import SealByPressure
 from ambrose.identification.seal.result import SealFit, line
-from ambrose.identification.validation.agreement import beside
+from ambrose.identification.validation.agreement import compare
 from ambrose.identification.youla import identify as youla
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
@@ -56,12 +57,13 @@ def done():
     start = {f"bearing.{b}.force_per_current.{a}": 1.05 * v for b, pair in
              (("A", machine.bearings[0].force_per_current), ("B", machine.bearings[1].force_per_current))
              for a, v in zip(("zeta", "eta"), pair, strict=True)}  # fmt: skip
-    return machine, checked_identification(machine, [record], controller, FIVE, start=start)
+    source = Provenance(("run.h5",), "pid.json")
+    return machine, identify(machine, [record], controller, unknown=FIVE, start=start, provenance=source)
 
 
 def test_the_page_carries_verdict_parameters_and_pictures(done):
-    machine, checked = done
-    report = identification_report(machine, checked, sources=["run.h5"], controller="pid.json", date="2026-11-21")
+    _, checked = done
+    report = identification_report(checked, date="2026-11-21")
     assert [section.title for section in report.sections] == ["Parameters", "Measured over model", "Can it be believed?"]
     assert report.result.passed and "nothing speaks against it" in report.result.text
     titles = [figure.title for section in report.sections for figure in section.figures]
@@ -75,10 +77,12 @@ def test_the_page_carries_verdict_parameters_and_pictures(done):
 
 
 def test_doubts_come_first(done):
-    machine, checked = done
-    finding = RecordFinding("warning", "u_A_zeta is clipped", "12 samples", "measure again")
-    bad = replace(checked.result, warnings=("x = 1 is hardly visible; excite more",))
-    report = identification_report(machine, replace(checked, findings=(finding,), result=bad))
+    _, checked = done
+    finding = Finding(Code.CLIPPED, "warning", "u_A_zeta is clipped", "12 samples", "measure again")
+    bad = replace(
+        checked.result, warnings=(Finding(Code.HARDLY_VISIBLE, "warning", "x = 1 is hardly visible", remedy="excite more"),)
+    )
+    report = identification_report(replace(checked, checks=(finding,), result=bad))
     assert report.sections[0].title == "What makes this doubtful"
     rows = report.sections[0].tables[0].cells
     assert rows[0][1].text == "12 samples" and rows[1][0].text == "x = 1 is hardly visible" and "excite" in rows[1][2].text
@@ -105,17 +109,17 @@ def test_figures_carry_the_numbers(done):
 
 def test_without_controller_outputs_there_is_no_plant_response(done):
     machine, checked = done
-    piece = checked.pieces[0]
+    piece = checked.outputs[0]
     seen = piece.record.select([name for name in piece.record.signals if name[0] != "u"])
-    less = replace(checked, pieces=(replace(piece, record=seen),))
+    less = replace(checked, outputs=(replace(piece, record=seen),))
     assert frf_figure(machine, less) is None
-    report = identification_report(machine, less)
+    report = identification_report(less)
     assert "Frequency response" not in " ".join(figure.title for section in report.sections for figure in section.figures)
 
 
 def test_of_several_records_the_first_and_the_worst_are_shown(done):
     _, checked = done
-    piece = checked.pieces[0]
+    piece = checked.outputs[0]
     worse = replace(piece, model=piece.model + 1e-6)
     assert [number for number, _ in telling_records([piece, piece, worse])] == [1, 3]
     assert [number for number, _ in telling_records([piece])] == [1]
@@ -145,25 +149,32 @@ def seal_fit(pressures):
     )  # fmt: skip
 
 
+def by_pressure(fit):
+    return SealByPressure(fit, "line", 0.0)
+
+
 def test_seal_coefficients_over_pressure(done):
-    machine, checked = done
+    _, checked = done
     fit = seal_fit([0.5e5, 1e5, 2e5, 3e5])
-    report = identification_report(machine, checked, seal=fit)
+    report = identification_report(replace(checked, seal=by_pressure(fit)))
     section = next(section for section in report.sections if section.title == "Seal")
     picture = section.figures[0].picture
     points = [trace for trace in picture.data if trace.mode == "markers"]
     assert len(points) == 4
     np.testing.assert_allclose(points[1].x, [0.5, 1, 2, 3])  # bar
     assert sum(trace.fill == "toself" for trace in picture.data) == 8  # two bands each
-    two = identification_report(machine, checked, seal=seal_fit([1e5, 2e5]))  # too few for a line
+    two = identification_report(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))  # too few for a line
     section = next(section for section in two.sections if section.title == "Seal")
     assert not any(trace.fill == "toself" for trace in section.figures[0].picture.data)
 
 
 def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
-    machine, checked = done
-    fit = replace(seal_fit([0.5e5, 1e5, 2e5, 3e5]), warnings=("at 50000 Pa: not converged after 50 steps; begin elsewhere",))
-    report = identification_report(machine, checked, seal=fit)
+    _, checked = done
+    fit = replace(
+        seal_fit([0.5e5, 1e5, 2e5, 3e5]),
+        warnings=(Finding(Code.NOT_CONVERGED, "warning", "at 50000 Pa: not converged after 50 steps"),),
+    )
+    report = identification_report(replace(checked, seal=by_pressure(fit)))
     tables = next(section for section in report.sections if section.title == "Seal").tables
     assert [table.title for table in tables] == ["Seal center by pressure", "Seal center: lines over pressure"]
     value, half = fit.values[2, 1] / 1e3, 1.96 * fit.deviations[2, 1] / 1e3
@@ -175,23 +186,27 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
     assert "50000 Pa" in report.sections[0].tables[0].cells[0][0].text
     verdict = next(one for one in report.verdicts if one.label == "Seal")
     assert verdict.passed is False and "4 pressures up to 3\u00a0bar, 1 warning;" in verdict.text and not report.result.passed
-    two = identification_report(machine, checked, seal=seal_fit([1e5, 2e5]))
+    two = identification_report(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))
     assert len(next(section for section in two.sections if section.title == "Seal").tables) == 1
 
 
 def test_another_methods_values_stand_beside(done):
     machine, checked = done
-    rows = beside(checked.result, machine)
-    table = identification_report(machine, checked, compared=rows).sections[0].tables[-1]
+    rows = compare(checked.result, machine)
+    table = identification_report(checked, compared=rows).sections[0].tables[-1]
     assert table.title == "Beside the other file" and len(table.cells) == len(checked.result.paths)
     assert table.cells[0][4].text == "the other states no interval"
     assert table.cells[-1][4].text == "noise"  # the seal's k, which the file states to 100 %
 
 
 def test_not_converged_is_not_sure(done):
-    machine, checked = done
-    lame = replace(checked, result=replace(checked.result, converged=False, warnings=("not converged after 2 steps; x",)))
-    report = identification_report(machine, lame)
+    _, checked = done
+    warning = Finding(Code.NOT_CONVERGED, "warning", "not converged after 2 steps")
+    lame = replace(
+        checked,
+        result=replace(checked.result, converged=False, warnings=(warning,)),
+    )
+    report = identification_report(lame)
     verdict = next(one for one in report.verdicts if one.label == "Parameters")
     assert verdict.passed is False and "NOT converged" in verdict.text and not report.result.passed
 
@@ -199,12 +214,12 @@ def test_not_converged_is_not_sure(done):
 def test_a_residual_that_cannot_be_drawn_says_why(done):
     """The four excitations of this record are independent, so S is drawn; alike ones leave words."""
     machine, checked = done
-    residual = youla.identify(machine, [checked.pieces[0].record], checked.controller, ["seal.center.k"])
-    report = identification_report(machine, replace(checked, residual=residual))
+    residual = youla.identify(machine, [checked.outputs[0].record], checked.controller, ["seal.center.k"])
+    report = identification_report(replace(checked, residual=residual))
     section = next(section for section in report.sections if section.title.startswith("How the machine differs"))
     assert section.figures[0].title == "Residual system" and "Youla" in report.title
     record = residual.signals[0]
     alike = replace(record, values=np.vstack([np.tile(record.values[:1], (4, 1)), record.values[4:]]))
     same = replace(checked, residual=replace(residual, signals=(alike,)))
-    section = next(s for s in identification_report(machine, same).sections if s.title.startswith("How the machine differs"))
+    section = next(s for s in identification_report(same).sections if s.title.startswith("How the machine differs"))
     assert not section.figures and "is not drawn" in section.text

@@ -7,8 +7,9 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.static_load.pipeline import as_dict, checked_static_load, provenance
-from ambrose.identification.validation.agreement import beside
+from ambrose.identification.findings import Code
+from ambrose.identification.pipeline import Provenance, identify
+from ambrose.identification.validation.agreement import compare
 from ambrose.machine.record.record import Record
 from ambrose.report.identification.static_load import line_figure, static_report, static_table
 from ambrose.report.page import render
@@ -41,23 +42,23 @@ def held(curve=0.0, seed=0, sides=(1, -1)):
 
 @pytest.fixture(scope="module")
 def straight():
-    return checked_static_load(BARE, [held()])
+    return identify(BARE, [held()], method="static", provenance=Provenance(("loads.h5",)))
 
 
 @pytest.fixture(scope="module")
 def bent():
-    return checked_static_load(BARE, [held(0.05)])
+    return identify(BARE, [held(0.05)], method="static", provenance=Provenance(("loads.h5",), "", "2026-11-21"))
 
 
 def test_values_stand_beside_the_machines(straight):
     result = straight.result
     np.testing.assert_allclose(result.values, K_I, rtol=1e-3)
     own = np.concatenate([item.force_per_current for item in BARE.bearings])
-    np.testing.assert_array_equal(straight.start, own)
+    np.testing.assert_array_equal(straight.result.start, own)
     rows = static_table(straight).cells
     assert rows[0][1].text.startswith(f"{own[0]:.4g}") and rows[0][6].text == "straight"
     assert float(rows[0][3].text.split()[0]) == pytest.approx(100 * (result.values[0] / own[0] - 1), abs=0.01)
-    report = static_report(BARE, straight, sources=["loads.h5"], compared=beside(result, BARE))
+    report = static_report(straight, compared=compare(result, BARE))
     assert report.result.passed and all(verdict.passed for verdict in report.verdicts)
     assert [table.title for table in report.sections[0].tables] == ["Force per current", "Beside the other file"]
     levels = report.sections[-1].tables[0]
@@ -68,8 +69,8 @@ def test_values_stand_beside_the_machines(straight):
 
 def test_curved_iron_is_doubted_and_drawn(bent):
     result = bent.result
-    assert not bent.good and any("curved" in text for text in result.warnings)
-    report = static_report(BARE, bent)
+    assert not bent.passed and any(finding.code == Code.CURVED for finding in bent.findings)
+    report = static_report(bent)
     assert report.sections[0].title == "What makes this doubtful" and not report.result.passed
     assert report.verdicts[0].passed is False
     part = static_table(bent).cells[0][6].text
@@ -83,18 +84,18 @@ def test_curved_iron_is_doubted_and_drawn(bent):
 
 def test_repeats_widen_what_their_scatter_asks_for(straight):
     louder = replace(held(seed=1), values=held(seed=1).values * np.r_[np.ones(4), np.full(4, 0.98), np.ones(4)][:, None])
-    both = checked_static_load(BARE, [held(), louder], repeats=True)
+    both = identify(BARE, [held(), louder], method="static", repeats=True)
     assert both.repeats.count == 2
     assert (both.result.standard_deviations > 3 * straight.result.standard_deviations).all()
-    assert "Repeats" in render(static_report(BARE, both))
-    data = as_dict(both)
-    assert data["repeats"]["count"] == 2 and data["method"] == "static" and data["good"] is both.good
+    assert "Repeats" in render(static_report(both))
+    data = both.to_dict()
+    assert data["repeats"]["count"] == 2 and data["method"] == "static" and data["good"] is both.passed
     with pytest.raises(InvalidInput, match="at least 2 for repeats"):
-        checked_static_load(BARE, [held()], repeats=True)
+        identify(BARE, [held()], method="static", repeats=True)
 
 
 def test_where_the_values_are_from(bent):
-    origin, comment = provenance(bent, ["loads.h5"], "2026-11-21")
+    origin, comment = bent.origin, bent.comment
     assert origin == "4 values of K_i identified 2026-11-21 by static loads from loads.h5"
     assert all(row.startswith("#") for row in comment.strip().splitlines())
     assert "Warning: force over current of A_zeta is curved" in comment and "at rest" in comment

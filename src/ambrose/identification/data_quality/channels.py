@@ -106,18 +106,18 @@ def measured_responses(records: Sequence[Record], axes: Sequence[str]) -> Respon
         return None
     filled = [_with(record, names) for record in records]
     try:
-        found = frf.h1(filled, names, [f"{kind}_{axis}" for kind in kinds for axis in axes], segment=L * dt)
+        estimate = frf.h1(filled, names, [f"{kind}_{axis}" for kind in kinds for axis in axes], segment=L * dt)
     except InvalidInput:
         return None
-    kept = np.unique(np.round(np.linspace(0, len(found.omega) - 1, min(_LINES, len(found.omega)))).astype(int))
+    kept = np.unique(np.round(np.linspace(0, len(estimate.omega) - 1, min(_LINES, len(estimate.omega)))).astype(int))
     a = len(axes)
     parts = {kind: slice(n * a, (n + 1) * a) for n, kind in enumerate(kinds)}
     return Responses(
-        found.omega[kept],
-        {kind: found.values[kept][:, part] * signs for kind, part in parts.items()},
-        {kind: found.variance[kept][:, part].sum(axis=2) for kind, part in parts.items()},
-        {kind: found.coherence[:, part].T for kind, part in parts.items()},
-        float(betaincinv(mix.shape[1], found.freedom, 0.995)),
+        estimate.omega[kept],
+        {kind: estimate.values[kept][:, part] * signs for kind, part in parts.items()},
+        {kind: estimate.variance[kept][:, part].sum(axis=2) for kind, part in parts.items()},
+        {kind: estimate.coherence[:, part].T for kind, part in parts.items()},
+        float(betaincinv(mix.shape[1], estimate.freedom, 0.995)),
         mix,
     )
 
@@ -177,17 +177,17 @@ def shares(measured: Responses, expected: Expected, wiring: Wiring) -> dict[str,
     excited = wiring.matrix("e", a).T @ measured.mix
     true = {kind: wiring.matrix(kind, a).T @ values for kind, values in measured.values.items()}
     noise = {kind: values @ np.abs(wiring.matrix(kind, a)) for kind, values in measured.noise.items()}
-    found: dict[str, float] = {}
+    unexplained: dict[str, float] = {}
     if "y" in true:
-        found["y"] = _share(true["y"], expected.y @ excited, noise["y"])
+        unexplained["y"] = _share(true["y"], expected.y @ excited, noise["y"])
     if "u" in true:
-        found["u"] = _share(true["u"], expected.u @ excited, noise["u"])
+        unexplained["u"] = _share(true["u"], expected.u @ excited, noise["u"])
         if "y" in true:
-            found["K"] = _share(true["u"], -expected.K @ true["y"], 0 * noise["u"])
+            unexplained["K"] = _share(true["u"], -expected.K @ true["y"], 0 * noise["u"])
     if "i" in true:
         command = (true["u"] if "u" in true else expected.u @ excited) + excited
-        found["i"] = _share(true["i"], expected.amplifier @ command, noise["i"])
-    return found
+        unexplained["i"] = _share(true["i"], expected.amplifier @ command, noise["i"])
+    return unexplained
 
 
 def _share(measured: np.ndarray, model: np.ndarray, noise: np.ndarray) -> float:
@@ -198,9 +198,9 @@ def _share(measured: np.ndarray, model: np.ndarray, noise: np.ndarray) -> float:
     return float(np.mean(np.maximum(left, 0.0) / np.maximum(size, 1e-300)))
 
 
-def score(found: Mapping[str, float]) -> float:
+def score(unexplained: Mapping[str, float]) -> float:
     """The smaller, the better a wiring explains everything: the sum of the logarithms of its shares."""
-    return float(sum(np.log(max(share, _FLOOR)) for share in found.values()))
+    return float(sum(np.log(max(share, _FLOOR)) for share in unexplained.values()))
 
 
 def wirings(kinds: Sequence[str], count: int) -> Iterator[Wiring]:
@@ -232,6 +232,6 @@ def ranked(measured: Responses, expected: Expected, kinds: Sequence[str]) -> lis
     """All wirings, the record as labelled among them, by rising score plus a little for every changed channel."""
     rows = []
     for wiring in (Wiring(), *wirings(kinds, len(measured.mix))):
-        found = shares(measured, expected, wiring)
-        rows.append((score(found) + 0.05 * wiring.changes, wiring, found))
+        unexplained = shares(measured, expected, wiring)
+        rows.append((score(unexplained) + 0.05 * wiring.changes, wiring, unexplained))
     return sorted(rows, key=lambda row: row[0])

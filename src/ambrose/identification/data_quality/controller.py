@@ -75,10 +75,10 @@ def controller_match(machine: Machine, record: Record, law: StateSpace) -> Contr
         if part.u.shape[1] < _BLOCK // 4 and begin:
             continue
         for lag in sorted(set(best.tolist())):
-            found = trials[lag] if begin == 0 else _compare(systems, free, part, lag)
+            comparison = trials[lag] if begin == 0 else _compare(systems, free, part, lag)
             for i in np.flatnonzero(best == lag):
-                left[i, begin + lag : begin + lag + found.left.shape[1]] = found.left[i]
-                jumps += [(int(i), begin + lag + at) for at in _jumps(found.left[i], part.u[i])]
+                left[i, begin + lag : begin + lag + comparison.left.shape[1]] = comparison.left[i]
+                jumps += [(int(i), begin + lag + at) for at in _jumps(comparison.left[i], part.u[i])]
     jumps = jumps if len(jumps) <= a * max(20, total // 500) else []
     return ControllerMatch(axes, residual, best, gain, scaled, left, tuple(jumps))
 

@@ -26,18 +26,15 @@ from ambrose.identification.data_quality.channels import (
     shares,
 )
 from ambrose.identification.data_quality.controller import LAGS, ControllerMatch, controller_match, resolution_residual
-from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFinding
 from ambrose.identification.data_quality.signals import signal_findings
-from ambrose.identification.moved_plant import plant_at
-from ambrose.identification.output_error.problem import deployed_controller
-from ambrose.identification.parameters import ratios
+from ambrose.identification.findings import ERROR, WARNING, Code, Finding
+from ambrose.identification.output_error.problem import as_records, deployed_controller
+from ambrose.identification.parameters import plant_at, ratios
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 
-OTHER_DELAY = "the recorded u follows the controller after"
-FAR_FROM_START = "the machine as it is described, with the start values, responds otherwise than the record"
 _RATES = (0.1, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 10.0)  # true over stated
 _SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}  # share of power from which other explanations are tried
 _BETTER = 1.0  # by how much a score must fall: a factor e in what is left unexplained
@@ -54,19 +51,19 @@ def diagnose_records(
     start: Mapping[str, float] | None = None,
     bending_modes: int = 1,
     computing_delay: float = 1,
-) -> tuple[RecordFinding, ...]:
+) -> tuple[Finding, ...]:
     """What is wrong or doubtful about these records, errors first; () where nothing is. Arguments as ``identify``.
 
     Looks for: no excitation; dead, clipped, saturated, held, repeated and missing samples; swapped and inverted channels; a
     wrong sample rate; a record given twice; another controller, delay or channel skew; an excitation that the machine does not
     follow. Records that do not belong together or to the machine are left to ``identify``, which refuses them.
     """
-    records = (records,) if isinstance(records, Record) else tuple(records)
+    records = as_records(records)
     findings = [finding for n, record in enumerate(records, 1) for finding in signal_findings(machine, record, n)]
     findings += _twice(records)
     broken = any(finding.severity == ERROR for finding in findings)
     alike = len({(record.machine, record.sample_rate_hz) for record in records}) == 1 and records[0].machine == machine.name
-    if alike and not any("no excitation" in finding.what or "never changes" in finding.what for finding in findings):
+    if alike and not any(finding.code in {Code.NO_EXCITATION, Code.DEAD_CHANNEL} for finding in findings):
         delay = round(computing_delay)
         for chosen in _by_point(records):
             begin = _start_at(machine, records, records[chosen[0]], start or {})
@@ -74,20 +71,16 @@ def diagnose_records(
     return _sorted(findings)
 
 
-def _twice(records: Sequence[Record]) -> list[RecordFinding]:
+def _twice(records: Sequence[Record]) -> list[Finding]:
     """Records that hold the same samples: they add nothing, and make every interval too narrow."""
     findings = []
     for n, record in enumerate(records):
         for other in range(n):
             if record.signals == records[other].signals and np.array_equal(record.values, records[other].values):
-                findings.append(
-                    RecordFinding(
-                        ERROR,
-                        f"record {n + 1} is record {other + 1} once more",
-                        f"all {record.values.size} numbers are the same",
-                        "give every record once; repeats are measured anew",
-                    )
-                )
+                what = f"record {n + 1} is record {other + 1} once more"
+                evidence = f"all {record.values.size} numbers are the same"
+                remedy = "give every record once; repeats are measured anew"
+                findings.append(Finding(Code.DUPLICATE_RECORD, ERROR, what, evidence, remedy))
     return findings
 
 
@@ -108,7 +101,7 @@ def _loop_findings(
     bending_modes: int,
     delay: int,
     broken: bool,
-) -> list[RecordFinding]:
+) -> list[Finding]:
     """What the records at one operating point show against the model of their loop."""
     own = [records[n] for n in chosen]
     try:
@@ -134,13 +127,13 @@ def _start_at(machine: Machine, records: Sequence[Record], record: Record, start
     return {path: value * factor for (path, value), factor in zip(start.items(), factors.tolist(), strict=True)}
 
 
-def _sorted(findings: Sequence[RecordFinding]) -> tuple[RecordFinding, ...]:
+def _sorted(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
 
 
 def _wiring_findings(
     plant: Plant, controller: Any, law: StateSpace, measured: Responses, record: Record, delay: int
-) -> list[RecordFinding]:
+) -> list[Finding]:
     """Mixed-up channels, or another sample rate, or a response that is no response at all."""
     untouched = _no_trace(measured)
     if untouched:
@@ -193,13 +186,14 @@ def _other_rate(
     rows = []
     for factor in _RATES:
         law = deployed_controller(plant, controller, 1 / (factor * stated), delay)
-        found = shares(measured, expected_responses(plant, law, measured.omega * factor), Wiring())
-        rows.append((score(found), factor, found))
+        unexplained = shares(measured, expected_responses(plant, law, measured.omega * factor), Wiring())
+        rows.append((score(unexplained), factor, unexplained))
     return min(rows, key=lambda row: row[0])
 
 
-def _rate_finding(stated: float, factor: float, now: Mapping[str, float], then: Mapping[str, float]) -> RecordFinding:
-    return RecordFinding(
+def _rate_finding(stated: float, factor: float, now: Mapping[str, float], then: Mapping[str, float]) -> Finding:
+    return Finding(
+        Code.SAMPLE_RATE,
         ERROR,
         f"the records were not sampled at {stated:g} Hz, as they say, but at about {factor * stated:g} Hz",
         f"left unexplained of the power: {_compared(now, then, 'as stated', f'at {factor * stated:g} Hz')}",
@@ -209,11 +203,12 @@ def _rate_finding(stated: float, factor: float, now: Mapping[str, float], then: 
 
 def _mixed_finding(
     axes: Sequence[str], rows: Sequence[tuple[float, Wiring, dict[str, float]]], now: Mapping[str, float]
-) -> RecordFinding:
+) -> Finding:
     best = rows[0]
     alike = [row[1] for row in rows[1:] if row[1].kind and row[0] < best[0] + 0.3 and row[1].changes <= best[1].changes]
     other = f" (or, equally well: {' / '.join(wiring.words(axes) for wiring in alike[:3])})" if alike else ""
-    return RecordFinding(
+    return Finding(
+        Code.MIXED_CHANNELS,
         ERROR,
         f"channels are mixed up: {best[1].words(axes)}{other}",
         f"left unexplained of the power: {_compared(now, best[2], 'as labelled', 'so corrected')}",
@@ -241,32 +236,24 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
-def _no_trace(measured: Responses) -> list[RecordFinding]:
+def _no_trace(measured: Responses) -> list[Finding]:
     coherence = float(np.quantile(measured.coherence["y"], 0.98)) if "y" in measured.coherence else 1.0
     if coherence >= measured.chance:
         return []
-    return [
-        RecordFinding(
-            ERROR,
-            "the displacements hold no trace of the excitation",
-            f"their coherence with it stays below {coherence:.2f}, and {measured.chance:.2f} would be chance",
-            "check that the recorded excitation reaches the amplifiers, or excite more",
-        )
-    ]
+    what = "the displacements hold no trace of the excitation"
+    evidence = f"their coherence with it stays below {coherence:.2f}, and {measured.chance:.2f} would be chance"
+    remedy = "check that the recorded excitation reaches the amplifiers, or excite more"
+    return [Finding(Code.NO_RESPONSE, ERROR, what, evidence, remedy)]
 
 
-def _unexplained(now: Mapping[str, float]) -> list[RecordFinding]:
+def _unexplained(now: Mapping[str, float]) -> list[Finding]:
     share = now.get("y", 0.0)
     if share <= _SUSPECT["y"]:
         return []
-    return [
-        RecordFinding(
-            WARNING,
-            FAR_FROM_START,
-            f"it leaves {_percent(share)} of the displacements' power unexplained",
-            "usual where unknown parameters are far from their start; else it is another machine, point or controller",
-        )
-    ]
+    what = "the machine as it is described, with the start values, responds otherwise than the record"
+    evidence = f"it leaves {_percent(share)} of the displacements' power unexplained"
+    remedy = "usual where unknown parameters are far from their start; else it is another machine, point or controller"
+    return [Finding(Code.FAR_FROM_START, WARNING, what, evidence, remedy)]
 
 
 def _following(record: Record, match: ControllerMatch) -> float | None:
@@ -279,7 +266,7 @@ def _following(record: Record, match: ControllerMatch) -> float | None:
     rest = measured_responses([replace(kept, values=np.vstack([match.left, kept.values[len(names) :]]))], match.axes)
     if whole is None or rest is None:
         return None
-    size, doubt = (np.sum(np.abs(found.values["u"]) ** 2, axis=(1, 2)) for found in (whole, rest))
+    size, doubt = (np.sum(np.abs(responses.values["u"]) ** 2, axis=(1, 2)) for responses in (whole, rest))
     noise = rest.noise["u"].sum(axis=1)
     clear = np.argsort(size / np.maximum(noise, 1e-300))[-max(len(size) // 4, 1) :]  # the lines where noise matters least
     excess = float(doubt[clear].sum() - noise[clear].sum())
@@ -287,7 +274,7 @@ def _following(record: Record, match: ControllerMatch) -> float | None:
     return float(np.sqrt(max(excess, 0.0) / size[clear].sum())) if excess > chance else 0.0
 
 
-def _controller_findings(machine: Machine, record: Record, number: int, law: StateSpace, delay: int) -> list[RecordFinding]:
+def _controller_findings(machine: Machine, record: Record, number: int, law: StateSpace, delay: int) -> list[Finding]:
     match = controller_match(machine, record, law)
     if match is None:
         return []
@@ -303,22 +290,21 @@ def _controller_findings(machine: Machine, record: Record, number: int, law: Sta
         return []
     residual = float(match.least[worst]) if following is None else min(float(match.least[worst]), following)
     gains = ", ".join(f"{gain:.3g}" for gain in match.gain)
-    return [
-        RecordFinding(
-            ERROR if residual > _OTHER else WARNING,
-            f"{where}: the controller that was given is not the one that ran",
-            f"u_{match.axes[worst]} differs from K(-y) by {100 * residual:.2g} % of its size at the best delay "
-            f"({_samples(int(match.lag[worst]))}); recorded over computed: {gains}",
-            "give the controller of this record, and record every sample of it; one percent of gain is two in the stiffness",
-        )
-    ]
+    severity = ERROR if residual > _OTHER else WARNING
+    what = f"{where}: the controller that was given is not the one that ran"
+    evidence = (
+        f"u_{match.axes[worst]} differs from K(-y) by {100 * residual:.2g} % of its size at the best delay "
+        f"({_samples(int(match.lag[worst]))}); recorded over computed: {gains}"
+    )
+    remedy = "give the controller of this record, and record every sample of it; one percent of gain is two in the stiffness"
+    return [Finding(Code.OTHER_CONTROLLER, severity, what, evidence, remedy)]
 
 
 def _samples(count: int) -> str:
     return f"{count} sample{'' if count == 1 else 's'}"
 
 
-def _jump_findings(record: Record, match: ControllerMatch, where: str) -> list[RecordFinding]:
+def _jump_findings(record: Record, match: ControllerMatch, where: str) -> list[Finding]:
     """Samples that are missing in all channels, or a disturbed one in a single channel."""
     if not match.jumps:
         return []
@@ -334,17 +320,14 @@ def _jump_findings(record: Record, match: ControllerMatch, where: str) -> list[R
     all_axes = len(axes) > 1
     names = ", ".join(f"y_{match.axes[axis]} or u_{match.axes[axis]}" for axis in axes)
     what = "samples are missing or inserted" if all_axes else f"{names} has disturbed samples"
-    return [
-        RecordFinding(
-            WARNING if len(groups) <= 5 else ERROR,
-            f"{where}: {what}",
-            f"u stops following K(-y) at sample {places}{more}",
-            "find the gap in the logger, and identify the stretches between as records of their own",
-        )
-    ]
+    severity = WARNING if len(groups) <= 5 else ERROR
+    what = f"{where}: {what}"
+    evidence = f"u stops following K(-y) at sample {places}{more}"
+    remedy = "find the gap in the logger, and identify the stretches between as records of their own"
+    return [Finding(Code.LOST_SAMPLES, severity, what, evidence, remedy)]
 
 
-def _timing(match: ControllerMatch, delay: int, where: str) -> list[RecordFinding]:
+def _timing(match: ControllerMatch, delay: int, where: str) -> list[Finding]:
     """Another delay than assumed, or channels that are recorded at different times."""
     if delay > LAGS:
         return []
@@ -355,38 +338,30 @@ def _timing(match: ControllerMatch, delay: int, where: str) -> list[RecordFindin
     lags = {int(match.lag[i]) for i in late}
     if len(late) == len(match.axes) and len(lags) == 1:
         lag = lags.pop()
-        return [
-            RecordFinding(
-                WARNING,
-                f"{where}: {OTHER_DELAY} {_samples(lag)}, not {delay}",
-                f"u differs from K(-y) by {100 * float(given.max()):.2g} % after {delay} and by "
-                f"{100 * float(match.least.max()):.2g} % after {_samples(lag)}",
-                f"give {lag} as delay, unless u is recorded before it acts; one sample is 2 to 5 % in the stiffness",
-            )
-        ]
-    names = ", ".join(f"{match.axes[i]} ({_samples(int(match.lag[i]))})" for i in late)
-    return [
-        RecordFinding(
-            WARNING,
-            f"{where}: channels are not recorded at the same time",
-            f"u follows K(-y) best after other delays than {delay} in {names}: from "
-            f"{100 * float(given[late].max()):.2g} % to {100 * float(match.least[late].max()):.2g} %",
-            "shift y or u of these axes by the difference, or record all channels in one scan",
+        what = f"{where}: the recorded u follows the controller after {_samples(lag)}, not {delay}"
+        evidence = (
+            f"u differs from K(-y) by {100 * float(given.max()):.2g} % after {delay} and by "
+            f"{100 * float(match.least.max()):.2g} % after {_samples(lag)}"
         )
-    ]
+        remedy = f"give {lag} as delay, unless u is recorded before it acts; one sample is 2 to 5 % in the stiffness"
+        return [Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy)]
+    names = ", ".join(f"{match.axes[i]} ({_samples(int(match.lag[i]))})" for i in late)
+    what = f"{where}: channels are not recorded at the same time"
+    evidence = (
+        f"u follows K(-y) best after other delays than {delay} in {names}: from "
+        f"{100 * float(given[late].max()):.2g} % to {100 * float(match.least[late].max()):.2g} %"
+    )
+    remedy = "shift y or u of these axes by the difference, or record all channels in one scan"
+    return [Finding(Code.CHANNEL_SKEW, WARNING, what, evidence, remedy)]
 
 
-def _size(match: ControllerMatch, where: str) -> list[RecordFinding]:
+def _size(match: ControllerMatch, where: str) -> list[Finding]:
     """A factor between the recorded and the computed output."""
     off = [i for i, gain in enumerate(match.gain) if abs(gain - 1) > 0.005 and match.scaled[i] < 0.5 * match.least[i]]
     if not off:
         return []
     names = ", ".join(f"u_{match.axes[i]} is {match.gain[i]:.4g} times K(-y)" for i in off)
-    return [
-        RecordFinding(
-            ERROR if max(abs(match.gain[i] - 1) for i in off) > _OTHER else WARNING,
-            f"{where}: the controller has another gain than the one given",
-            names,
-            "correct the gain or the scale of the channels; every percent of it is two in the negative stiffness",
-        )
-    ]
+    severity = ERROR if max(abs(match.gain[i] - 1) for i in off) > _OTHER else WARNING
+    what = f"{where}: the controller has another gain than the one given"
+    remedy = "correct the gain or the scale of the channels; every percent of it is two in the negative stiffness"
+    return [Finding(Code.CONTROLLER_GAIN, severity, what, names, remedy)]

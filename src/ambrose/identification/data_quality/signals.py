@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFinding
+from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
@@ -17,7 +17,7 @@ _STEADY = 0.05  # change of speed or pressure within a record, over its largest
 _MEASURED = ("y", "u", "i")
 
 
-def signal_findings(machine: Machine, record: Record, number: int) -> list[RecordFinding]:
+def signal_findings(machine: Machine, record: Record, number: int) -> list[Finding]:
     """The findings of one record, the ``number``-th of those given; excitations may be constant or two-valued."""
     where = f"record {number}"
     findings = _excitation(machine, record, where)
@@ -25,14 +25,10 @@ def signal_findings(machine: Machine, record: Record, number: int) -> list[Recor
     shown = [name for name in shown if name in record.signals]
     for name in shown:
         if np.ptp(record[name]) == 0:
-            findings.append(
-                RecordFinding(
-                    ERROR,
-                    f"{where}: {name} never changes",
-                    f"all {record.values.shape[1]} samples are {record[name][0]:g}",
-                    "a dead sensor or an unplugged channel: repair it, or leave the signal out of the record",
-                )
-            )
+            what = f"{where}: {name} never changes"
+            evidence = f"all {record.values.shape[1]} samples are {record[name][0]:g}"
+            remedy = "a dead sensor or an unplugged channel: repair it, or leave the signal out of the record"
+            findings.append(Finding(Code.DEAD_CHANNEL, ERROR, what, evidence, remedy))
     moving = [name for name in shown if np.ptp(record[name]) > 0]
     for name in moving:
         findings += _at_limit(machine, record, name, where) or _clipped(record, name, where)
@@ -62,24 +58,21 @@ def flat_tops(x: np.ndarray) -> tuple[int, float]:
     return best, level
 
 
-def _clipped(record: Record, name: str, where: str) -> list[RecordFinding]:
+def _clipped(record: Record, name: str, where: str) -> list[Finding]:
     x = record[name]
     count, level = flat_tops(x)
     if not count or len(np.unique(x[:20000])) <= 3:  # two or three values alone: a switched signal
         return []
     share = count / len(x)
     unit = record.units[record.signals.index(name)]
-    return [
-        RecordFinding(
-            ERROR if share > _SERIOUS else WARNING,
-            f"{where}: {name} is clipped",
-            f"{count} samples ({100 * share:.2g} %) lie exactly at {level:.4g} {unit}, in flat tops",
-            "reduce the excitation, or widen the range of the sensor or the converter, and measure again",
-        )
-    ]
+    severity = ERROR if share > _SERIOUS else WARNING
+    what = f"{where}: {name} is clipped"
+    evidence = f"{count} samples ({100 * share:.2g} %) lie exactly at {level:.4g} {unit}, in flat tops"
+    remedy = "reduce the excitation, or widen the range of the sensor or the converter, and measure again"
+    return [Finding(Code.CLIPPED, severity, what, evidence, remedy)]
 
 
-def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[RecordFinding]:
+def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[Finding]:
     """Currents at the bearing's limit, displacements at its touchdown gap."""
     kind, axis = name.split("_", 1)
     bearing = machine.bearings[machine.axes.index(axis) // 2]
@@ -94,29 +87,25 @@ def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[R
     share = count / len(x)
     remedy = "reduce the excitation until no signal reaches its limit, and measure again"
     evidence = f"{count} samples ({100 * share:.2g} %) reach the bearing's {what} of {limit:.4g} {unit}"
-    text = "is saturated" if kind != "y" else "reaches the touchdown bearing"
-    return [RecordFinding(ERROR if share > _SERIOUS or kind == "y" else WARNING, f"{where}: {name} {text}", evidence, remedy)]
+    code, text = (Code.SATURATED, "is saturated") if kind != "y" else (Code.TOUCHDOWN, "reaches the touchdown bearing")
+    return [Finding(code, ERROR if share > _SERIOUS or kind == "y" else WARNING, f"{where}: {name} {text}", evidence, remedy)]
 
 
-def _moving_point(record: Record, where: str) -> list[RecordFinding]:
+def _moving_point(record: Record, where: str) -> list[Finding]:
     """Speed or pressure that changes during the record: the model holds at one operating point."""
     findings = []
     for name, unit in zip(record.signals, record.units, strict=True):
         if name.partition("_")[0] in {"p", "speed"}:
             low, high = float(record[name].min()), float(record[name].max())
             if high - low > _STEADY * max(abs(low), abs(high)):
-                findings.append(
-                    RecordFinding(
-                        ERROR,
-                        f"{where}: the operating point changes",
-                        f"{name} goes from {low:.4g} to {high:.4g} {unit}",
-                        "cut the record into stretches at one speed and pressure, and identify those",
-                    )
-                )
+                what = f"{where}: the operating point changes"
+                evidence = f"{name} goes from {low:.4g} to {high:.4g} {unit}"
+                remedy = "cut the record into stretches at one speed and pressure, and identify those"
+                findings.append(Finding(Code.MOVING_POINT, ERROR, what, evidence, remedy))
     return findings
 
 
-def _repeated(record: Record, names: list[str], where: str) -> list[RecordFinding]:
+def _repeated(record: Record, names: list[str], where: str) -> list[Finding]:
     """All measured channels equal to their last sample at once: a logger that repeats, or a slower rate than stated."""
     if len(names) < 2:
         return []
@@ -138,34 +127,27 @@ def _repeated(record: Record, names: list[str], where: str) -> list[RecordFindin
     hold = 1 / (1 - share)
     if share > 0.3 and abs(hold - round(hold)) < 0.05:
         rate = record.sample_rate_hz
-        return [
-            RecordFinding(
-                ERROR,
-                f"{where}: the sample rate of {rate:g} Hz is not the one it was measured at",
-                f"every value is held for {round(hold)} samples, as if measured at {rate / round(hold):g} Hz",
-                "record at the controller's rate, or keep every value once and correct sample_rate_hz",
-            )
-        ]
+        what = f"{where}: the sample rate of {rate:g} Hz is not the one it was measured at"
+        evidence = f"every value is held for {round(hold)} samples, as if measured at {rate / round(hold):g} Hz"
+        remedy = "record at the controller's rate, or keep every value once and correct sample_rate_hz"
+        return [Finding(Code.SAMPLE_RATE, ERROR, what, evidence, remedy)]
     remedy = "samples were lost and filled in: find the gaps in the logger, or cut the record there"
     severity = ERROR if share > _SERIOUS else WARNING
-    return [RecordFinding(severity, f"{where}: samples are repeated in all channels at once", evidence, remedy)]
+    return [
+        Finding(Code.REPEATED_SAMPLES, severity, f"{where}: samples are repeated in all channels at once", evidence, remedy)
+    ]
 
 
-def _excitation(machine: Machine, record: Record, where: str) -> list[RecordFinding]:
+def _excitation(machine: Machine, record: Record, where: str) -> list[Finding]:
     """No excitation at all, or excitations that are there but never change."""
-    found = [name for name in record.signals if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")]
-    known = [name for name in found if name[:2] == "f_" or name[2:] in machine.axes]
+    excitations = [name for name in record.signals if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")]
+    known = [name for name in excitations if name[:2] == "f_" or name[2:] in machine.axes]
     if any(np.ptp(record[name]) > 0 for name in known):
         return []
     kinds = ", ".join(dict.fromkeys(f"{name.partition('_')[0]}_" for name in record.signals))
     evidence = f"{', '.join(known)} never change" if known else f"it has signals {kinds} alone"
-    if found and not known:
-        evidence = f"{', '.join(found)} fit no axis of the machine ({', '.join(machine.axes)})"
-    return [
-        RecordFinding(
-            ERROR,
-            f"{where} holds no excitation",
-            evidence,
-            "add a PRBS or chirp to the controller's output and record it as e_<axis>; noise alone tells nothing",
-        )
-    ]
+    if excitations and not known:
+        evidence = f"{', '.join(excitations)} fit no axis of the machine ({', '.join(machine.axes)})"
+    what = f"{where} holds no excitation"
+    remedy = "add a PRBS or chirp to the controller's output and record it as e_<axis>; noise alone tells nothing"
+    return [Finding(Code.NO_EXCITATION, ERROR, what, evidence, remedy)]

@@ -54,14 +54,14 @@ def find_steps(record: Record, signals: Sequence[str] | None = None, least_perio
     names = [name for name in record.signals if name.startswith("e_")] if signals is None else list(signals)
     if not names:
         raise InvalidInput("the record has no excitation e_<axis>; name the signals that carry the sine")
-    found: list[Step] = []
+    steps: list[Step] = []
     for name in names:
         for step in _steady(record, name, least_periods):
-            if all(step.start >= other.stop - _SLACK or step.stop <= other.start + _SLACK for other in found):
-                found.append(step)
-    if not found:
+            if all(step.start >= other.stop - _SLACK or step.stop <= other.start + _SLACK for other in steps):
+                steps.append(step)
+    if not steps:
         raise InvalidInput(f"no excitation of the record is a steady sine for {least_periods} periods; excite by stepped sines")
-    return tuple(sorted(found, key=lambda step: step.start))
+    return tuple(sorted(steps, key=lambda step: step.start))
 
 
 def _steady(record: Record, name: str, least_periods: int) -> list[Step]:
@@ -70,16 +70,16 @@ def _steady(record: Record, name: str, least_periods: int) -> list[Step]:
     up = np.flatnonzero((wave[:-1] <= 0) & (wave[1:] > 0))
     times = record.start_time + (up - wave[up] / (wave[up + 1] - wave[up])) * record.dt
     periods = np.diff(times)
-    found, first = [], 0
+    steps, first = [], 0
     for i in range(1, len(periods) + 1):
         if i < len(periods) and abs(periods[i] - periods[first:i].mean()) <= _ALIKE * periods[i]:
             continue
         if i - first >= least_periods:
             inner = slice(first + 1, i)  # the outermost periods may belong half to the neighbours
             period = np.polyfit(np.arange(i - first - 1), times[inner], 1)[0]
-            found.append(Step(float(2 * np.pi / period), float(times[first]), float(times[i])))
+            steps.append(Step(float(2 * np.pi / period), float(times[first]), float(times[i])))
         first = i
-    return found
+    return steps
 
 
 def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 0.3, least_blocks: int = 3) -> Phasors:
@@ -106,8 +106,8 @@ def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 
         remedy = "pass the steps of this record"
         raise invalid("a step", f"up to {step.stop:g} s", f"within {time[0]:g} to {time[-1]:g} s of the record", remedy)
     rows = record.values[list(index_of(signals, record.signals, "signal"))]
-    found = [_fit(rows[:, i:j], step, record.start_time + i * record.dt, record.dt) for i, j in pairwise(edges.tolist())]
-    return Phasors(step.frequency, tuple(signals), np.mean(found, axis=0), np.array(found))
+    amplitudes = [_fit(rows[:, i:j], step, record.start_time + i * record.dt, record.dt) for i, j in pairwise(edges.tolist())]
+    return Phasors(step.frequency, tuple(signals), np.mean(amplitudes, axis=0), np.array(amplitudes))
 
 
 def _fit(values: np.ndarray, step: Step, start: float, dt: float) -> np.ndarray:
@@ -115,5 +115,5 @@ def _fit(values: np.ndarray, step: Step, start: float, dt: float) -> np.ndarray:
     k = values.shape[1]
     angle = step.frequency * (start + np.arange(k) * dt - step.start)
     X = np.stack([np.cos(angle), np.sin(angle), np.ones(k), np.linspace(-1, 1, k)])
-    found = np.linalg.solve(X @ X.T, X @ values.T)
-    return found[0] - 1j * found[1]
+    coefficients = np.linalg.solve(X @ X.T, X @ values.T)
+    return coefficients[0] - 1j * coefficients[1]

@@ -49,11 +49,11 @@ def stepped(
 def _all(record: Record, step: Step, names: tuple[str, ...], settle: float) -> Phasors:
     """The phasors of the names; an excitation that the record lacks was not driven."""
     known = [name for name in names if name in record.signals or not name.startswith("e_")]
-    found = phasors(record, step, known, settle)
+    measured = phasors(record, step, known, settle)
     place = [names.index(name) for name in known]
-    mean, blocks = np.zeros(len(names), complex), np.zeros((len(found.blocks), len(names)), complex)
-    mean[place], blocks[:, place] = found.mean, found.blocks
-    return Phasors(found.frequency, names, mean, blocks)
+    mean, blocks = np.zeros(len(names), complex), np.zeros((len(measured.blocks), len(names)), complex)
+    mean[place], blocks[:, place] = measured.mean, measured.blocks
+    return Phasors(measured.frequency, names, mean, blocks)
 
 
 def _same(plan: Sequence[Step], frequency: float) -> Step | None:

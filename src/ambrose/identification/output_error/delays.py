@@ -81,11 +81,11 @@ class TimedLoop:
     def _split(self, theta: np.ndarray) -> list[tuple[int, float]]:
         """(whole samples, rest [s]) of both delays, the excitation's counted from the signals as given."""
         dt = self.inner.controller.dt or 0.0
-        found = []
+        parts = []
         for tau, ahead in zip(self.delays(theta), (0, AHEAD if EXCITATION_DELAY in self.unknown else 0), strict=True):
             whole = int(np.floor(tau / dt + 1e-9))
-            found.append((whole + ahead, max(tau - whole * dt, 0.0)))
-        return found
+            parts.append((whole + ahead, max(tau - whole * dt, 0.0)))
+        return parts
 
     def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
         """The sampled loop at theta (q,), and its derivative for each parameter."""

@@ -75,16 +75,16 @@ def minimise(
             trial = x + step
             if predicted <= negligible * state.cost and damping < 1e-3 and allowed(trial):
                 return Minimum(trial, state.cost - predicted, True, iteration + 1, refused, state.parts)
-            found = _tried(linearise, trial) if allowed(trial) else None  # most are accepted: then nothing was in vain
-            gain = (state.cost - found.cost) / predicted if found is not None else -1.0
-            if found is not None and gain > 0:
+            following = _tried(linearise, trial) if allowed(trial) else None  # most are accepted: then nothing was in vain
+            gain = (state.cost - following.cost) / predicted if following is not None else -1.0
+            if following is not None and gain > 0:
                 damping, growth = max(damping * max(1 / 9, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
                 break
             refused += 1
             damping, growth = max(damping, 1e-6) * growth, growth * 2
             if damping > 1e12:
                 return Minimum(x, state.cost, False, iteration, refused, state.parts)
-        x, state = trial, found
+        x, state = trial, following
     return Minimum(x, state.cost, False, max_iterations, refused, state.parts)
 
 

@@ -142,15 +142,6 @@ def blocks(signal: np.ndarray, length: int) -> np.ndarray:
     return padded.reshape(count, length)
 
 
-def lifted_sensitivities(
-    system: StateSpace, directions: Sequence[SystemDerivative], u: np.ndarray, x0: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """y (p, k) and dy (q, p, k) of a whole record u (m, k), from the state x0 (n,), which the parameters do not change."""
-    pieces = [F.transpose(0, 2, 1, 3).reshape(len(F), F.shape[2], -1) for _, F in stream(lift(system, directions), list(u), x0)]
-    F = np.concatenate(pieces, axis=2)[:, :, : u.shape[1]]
-    return F[0], F[1:]
-
-
 def _toeplitz(h: np.ndarray) -> np.ndarray:
     """(c, m, L, p, L): what an input at sample s of a block does at sample t > s, h (L, c, p, m)[t - s - 1]."""
     L = len(h)

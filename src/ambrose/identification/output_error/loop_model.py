@@ -123,7 +123,7 @@ def loop_model(
     n, inputs = system.n_states, [*u, *m]
     dA, dB, count, ports = np.zeros((0, n, n)), np.zeros((0, n, len(inputs))), 0, 0
     if general is not None:
-        dA, dB = _directions(general, inputs)
+        dA, dB = directions_of(general, inputs)
         count, ports = general.n_w_blocks, general.n_z_blocks
     if system.D[:ports, :count].any() or system.D[np.ix_(rows, [*range(count), *inputs])].any():
         raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
@@ -132,7 +132,7 @@ def loop_model(
     return LoopModel(theta0, system.A, B, C, dA, dB, controller, *names, factor)
 
 
-def _directions(general: GeneralizedPlant, inputs: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+def directions_of(general: GeneralizedPlant, inputs: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """A_theta (q, n, n) and B_theta (q, n, inputs): one per block, for a change of the parameter by one SI unit."""
     system, first = general.system, 0
     dA, dB = [], []

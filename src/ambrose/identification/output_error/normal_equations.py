@@ -55,7 +55,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class RecordSolution:
     """The normal equations of a record at one theta, with the initial state x0 (n,) and the offsets b (p,) over the weights
     that fit best, and how they would follow a parameter: dx0 (q, n), db (q, p)."""
 
@@ -113,7 +113,7 @@ def fit(system: StateSpace, task: Task) -> Fit:
     return Fit(residual, best.x0, best.b)
 
 
-def normal_equations(system: StateSpace, directions: list[SystemDerivative], task: Task) -> Estimate:
+def normal_equations(system: StateSpace, directions: list[SystemDerivative], task: Task) -> RecordSolution:
     """r'r, J'J and J'r of the record for theta alone; ``system`` from all excitations to outputs over their weights.
 
     Two passes: the first finds initial state and offsets, on which the derivatives depend.
@@ -128,11 +128,11 @@ def normal_equations(system: StateSpace, directions: list[SystemDerivative], tas
         x0, b = x0 + best[:n], best[n:]
     G, N = _products(lift(system, directions), system.A, task, x0, b, with_nuisance=bool(basis.size))
     M = basis.T @ N
-    found = (basis @ M).T
+    shift = (basis @ M).T
     H, g = G[1:, 1:] - M[:, 1:].T @ M[:, 1:], G[1:, 0]
     blind = np.diag(H) <= _BLIND * np.diag(G)[1:]  # what is left is rounding: initial state and offsets explain it all
     H[blind], H[:, blind], g[blind] = 0.0, 0.0, 0.0
-    return Estimate(Linearised(float(G[0, 0]), H, g), x0, b, -found[1:, :n], -found[1:, n:])
+    return RecordSolution(Linearised(float(G[0, 0]), H, g), x0, b, -shift[1:, :n], -shift[1:, n:])
 
 
 def _products(
@@ -171,23 +171,23 @@ def _measured_less(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> None
         F[:, -1, :, L - rest :] = 0.0
 
 
-def residual_pieces(system: StateSpace, task: Task, found: Estimate) -> Iterator[np.ndarray]:
+def residual_pieces(system: StateSpace, task: Task, solution: RecordSolution) -> Iterator[np.ndarray]:
     """The residual over the weights and below it the distinct excitations, (p + r, length) piece by piece."""
     loop, _ = _driven(system, [], task)
-    for start, F in stream(lift(loop, []), list(task.e), found.x0, None, _long(task)):
-        _measured_less(F, task, start, found.b)
+    for start, F in stream(lift(loop, []), list(task.e), solution.x0, None, _long(task)):
+        _measured_less(F, task, start, solution.b)
         stop = min(start + F.shape[1] * F.shape[3], task.samples)
         yield np.vstack([_in_time(F, stop - start)[0], *(e[None, start:stop] for e in task.e)])
 
 
 def jacobian_pieces(
-    system: StateSpace, directions: list[SystemDerivative], task: Task, found: Estimate
+    system: StateSpace, directions: list[SystemDerivative], task: Task, solution: RecordSolution
 ) -> Iterator[np.ndarray]:
     """J (q, p, length) piece by piece, without the part that initial state and offsets could explain."""
     loop, directions = _driven(system, directions, task)
-    for start, F in stream(lift(loop, directions), list(task.e), found.x0, found.dx0, _long(task)):
+    for start, F in stream(lift(loop, directions), list(task.e), solution.x0, solution.dx0, _long(task)):
         piece = _in_time(F[1:], min(F.shape[1] * F.shape[3], task.samples - start))
-        piece += found.db[:, :, None]
+        piece += solution.db[:, :, None]
         yield piece
 
 

@@ -75,12 +75,12 @@ def period_of(task: Task, period: float | str, dt: float) -> int:
     if isinstance(period, str):
         if period != "auto":
             raise invalid("period", repr(period), 'a time in s, or "auto"', "leave it out for a fit in time domain")
-        found = _shortest(task)
-        if found is None:
+        shortest = _shortest(task)
+        if shortest is None:
             raise InvalidInput(
                 'period "auto": the excitation does not repeat within the record; leave period out, or record whole periods'
             )
-        return found
+        return shortest
     samples = check_positive(period, "period", "give it in seconds") / dt
     P = round(samples)
     if abs(samples - P) > 1e-6 * samples or P < 4:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -28,15 +28,42 @@ from ambrose.plant.reduce import free_mode_reduction
 _WINDOW = 16_384  # samples in which an excitation is judged at a time
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Experiment:
-    """What is to be found and from what: paths (q,) with their values nominal (q,) at the reference ``point``, SI, and
-    their sizes scale (q,).
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitOptions:
+    """How a closed loop is modelled and fitted.
 
-    tasks: one per record; ``place`` of each is that of its loop in ``models``, one per operating point. sizes (p,): the weights
-    of the fitted ``signals``.
+    signals: those fitted (None: every y_<axis>); u_ and i_<axis> are possible. weights: signal -> size of its noise [m] or [A]
+    (None: the signal's rms). bending_modes: per plane. computing_delay [samples]: from measured errors to acting currents.
+    initial_state, offset: estimated per record, else zero. period [s], or "auto": the excitation is periodic, and the fit goes
+    over the lines of its spectrum (output_error/periodic.py), much faster.
     """
 
+    signals: Sequence[str] | None = None
+    weights: Mapping[str, float] | None = None
+    bending_modes: int = 1
+    computing_delay: float = 1
+    initial_state: bool = True
+    offset: bool = True
+    period: float | str | None = None
+    max_iterations: int = 50
+
+    def named(self) -> dict[str, Any]:
+        """As keyword arguments."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """What is to be found and from what: paths (q,) of ``machine`` with their values nominal (q,) at the reference ``point``,
+    SI, and their sizes scale (q,).
+
+    tasks: one per record, sampled every dt [s]; ``place`` of each is that of its loop in ``models``, one per operating point.
+    sizes (p,): the weights of the fitted ``signals``.
+    """
+
+    machine: str
+    dt: float
+    options: FitOptions
     paths: tuple[str, ...]
     nominal: np.ndarray
     scale: np.ndarray
@@ -47,39 +74,31 @@ class Experiment:
     signals: tuple[str, ...]
 
 
-def experiment(
-    machine: Machine,
-    records: Sequence[Record],
-    controller: Any,
-    unknown: Sequence[str],
-    signals: Sequence[str] | None,
-    weights: Mapping[str, float] | None,
-    bending_modes: int,
-    computing_delay: float,
-    initial_state: bool,
-    offset: bool,
+def build_experiment(
+    machine: Machine, records: Record | Sequence[Record], controller: Any, unknown: Sequence[str], options: FitOptions
 ) -> Experiment:
     """The experiment that ``closed_loop.identify`` describes; the same arguments. Raises InvalidInput."""
+    records, computing_delay = as_records(records), options.computing_delay
     points, dt = operating_points(machine, records)
     _check_delay(computing_delay)
     reference = max(points, key=lambda point: abs(point.seal_pressure))
-    plants = [free_mode_reduction(assemble(machine, point), bending_modes) for point in points]
+    plants = [free_mode_reduction(assemble(machine, point), options.bending_modes) for point in points]
     paths, timing = split_timing(machine, unknown)
     main = plants[points.index(reference)]
-    shown = fitted_signals(main, records, signals)
+    shown = fitted_signals(main, records, options.signals)
     excitations = driven_inputs(main, records, -(-(len(paths) + len(timing)) // len(shown)))
     exact = not timing and float(computing_delay).is_integer()
     law = deployed_controller(main, controller, dt, int(computing_delay) if exact else 0)
     factors = [np.ones(len(paths)) if plant is main else ratios(main, plant, paths) for plant in plants]
-    found = nominal_values(main, paths)
+    values = nominal_values(main, paths)
     loops = [
-        loop_model(plant, law, paths, factor * found, excitations, shown, factor)
+        loop_model(plant, law, paths, factor * values, excitations, shown, factor)
         for plant, factor in zip(plants, factors, strict=True)
     ]
     models = loops if exact else [timed(loop, computing_delay, timing) for loop in loops]
-    sizes = _sizes(records, shown, weights)
+    sizes = _sizes(records, shown, options.weights)
     places = [points.index(replace(record.point, label="")) for record in records]
-    if EXCITATION_DELAY in timing and not initial_state:
+    if EXCITATION_DELAY in timing and not options.initial_state:
         text = "the loop has then begun before the first sample that is used"
         raise invalid("initial_state", False, f"True where {EXCITATION_DELAY} is unknown", text)
     tasks = []
@@ -90,13 +109,19 @@ def experiment(
         if isinstance(model, TimedLoop):
             waves, measured, tail = model.aligned(waves, measured)
             alike = model.old_commands
-        tasks.append(Task(*distinct(waves), measured, initial_state, offset, sizes, place, tail, alike))
+        tasks.append(Task(*distinct(waves), measured, options.initial_state, options.offset, sizes, place, tail, alike))
     reference = next(record.point for record in records if replace(record.point, label="") == reference)
     begin = {CONTROLLER_DELAY: computing_delay * dt, EXCITATION_DELAY: 0.0}
-    nominal = np.concatenate([found, [begin[name] for name in timing]])
+    nominal = np.concatenate([values, [begin[name] for name in timing]])
     scale = np.where(nominal == 0, 1.0, np.abs(nominal))
     scale[len(paths) :] = dt
-    return Experiment((*paths, *timing), nominal, scale, reference, tuple(models), tuple(tasks), sizes, shown)
+    return Experiment(
+        machine.name, dt, options, (*paths, *timing), nominal, scale, reference, tuple(models), tuple(tasks), sizes, shown
+    )
+
+
+def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
+    return (records,) if isinstance(records, Record) else tuple(records)
 
 
 def start_values(paths: tuple[str, ...], nominal: np.ndarray, start: Mapping[str, float] | None) -> np.ndarray:
@@ -119,9 +144,8 @@ def admitted(models: Sequence[ParametricModel], theta: np.ndarray) -> bool:
     return all(model.admits(theta) for model in models if isinstance(model, TimedLoop))
 
 
-def check_start(model: ParametricModel | Sequence[ParametricModel], begin: np.ndarray) -> None:
+def check_start(models: Sequence[ParametricModel], begin: np.ndarray) -> None:
     """Refuse a start at which a model's loop is unstable."""
-    models = model if isinstance(model, Sequence) else [model]
     worst = slowest(one.loop(begin)[0] for one in models) if admitted(models, begin) else np.inf
     if not worst < 1:
         raise invalid(
@@ -185,11 +209,11 @@ def driven_inputs(plant: Plant, records: Sequence[Record], order: int) -> tuple[
                 f"record {number} holds no excitation: none of e_<axis>, f_<port> changes in it, and noise alone tells nothing "
                 "about the machine; add a PRBS or chirp to the controller's output and record it as e_<axis>"
             )
-        found = {name: _order(record[name], order) for name in active}
-        best = max(active, key=found.__getitem__)
-        if found[best] < order:
+        orders = {name: _order(record[name], order) for name in active}
+        best = max(active, key=orders.__getitem__)
+        if orders[best] < order:
             raise invalid(
-                f"the order of persistent excitation of {best}", found[best], f"at least {order}",
+                f"the order of persistent excitation of {best}", orders[best], f"at least {order}",
                 "excite with a PRBS, a chirp or more sines, and each axis on its own",
             )  # fmt: skip
     return tuple(driven)
@@ -205,7 +229,7 @@ def _order(signal: np.ndarray, order: int) -> int:
     return best
 
 
-def deployed_controller(plant: Plant, controller: Any, dt: float, delay: int) -> StateSpace:
+def deployed_controller(plant: Plant, controller: Any, dt: float, delay: float) -> StateSpace:
     """The controller as it runs every ``dt`` [s]: sampled by Tustin's map if it is continuous, ``delay`` samples late.
 
     Raises InvalidInput for a controller of another size or rate.

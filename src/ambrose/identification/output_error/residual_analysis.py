@@ -10,7 +10,7 @@ import numpy as np
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.lagged_products import lagged_sums
-from ambrose.identification.output_error.normal_equations import Estimate, Task, residual_pieces
+from ambrose.identification.output_error.normal_equations import RecordSolution, Task, residual_pieces
 
 _LAGS = 100  # samples over which the residual is compared with the excitation
 _EXACT = 1e-7  # residual over signal below which a record is noise-free and no test says anything
@@ -27,7 +27,7 @@ class ResidualScores:
 
 
 def residual_scores(
-    loop: StateSpace, task: Task, found: Estimate, excitations: Sequence[str], signals: Sequence[str], count: int
+    loop: StateSpace, task: Task, solution: RecordSolution, excitations: Sequence[str], signals: Sequence[str], count: int
 ) -> ResidualScores:
     """The scores of a record at the theta of ``loop``, in one pass over its pieces.
 
@@ -40,7 +40,7 @@ def residual_scores(
     own = [(i, i) for i in range(p, p + len(task.e))]
     pairs = [(i, j) for i in range(p) for j in range(p)]
     crossed = [(i, e) for i in range(p) for e, _ in own]
-    sums = lagged_sums(residual_pieces(loop, task, found), [*pairs, *crossed, *own], span)
+    sums = lagged_sums(residual_pieces(loop, task, solution), [*pairs, *crossed, *own], span)
     covariance = statistics.tapered(sums.values[: p * p, : remembered + 1], k).reshape(p, p, remembered + 1)
     spread = np.array([_spread(task, i) for i in range(p)])
     with np.errstate(divide="ignore", invalid="ignore"):

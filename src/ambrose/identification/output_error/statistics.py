@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 
-from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.core.checks import InvalidInput
 
 _VISIBLE = 1e-12  # of the strongest parameter's effect; and the least eigenvalue of J'J with a unit diagonal
 _CONFIDENCE = 0.99
 _LONGEST = 4096  # samples of the noise's memory that are looked at
-_EXACT = 1e-7  # residual over signal below which a record is noise-free and no test says anything
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,31 +42,6 @@ def check_visible(names: Sequence[str], H: np.ndarray, scale: np.ndarray) -> Non
         raise InvalidInput(
             f"these records cannot tell {' from '.join(together)}; excite where they differ, or take all but one as known"
         )
-
-
-def sandwich_middle(J: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """sum over t and s of J_t' Gamma(t - s) J_s (q, q), the covariance of J'r under noise of any colour.
-
-    J (q, p, k), residual (p, k). Gamma is the residual's autocovariance between all signals, tapered by Parzen's window over
-    k/10 samples (4096 at most). White (1980), Newey & West (1987); the sums are taken over frequency.
-    """
-    q, p, k = J.shape
-    residual = check_shape(residual, "residual", "(p, k)", p=p, k=k)
-    span = memory(k)
-    size = scipy.fft.next_fast_len(k + span, real=True)
-    R = scipy.fft.rfft(residual, size, axis=1)
-    cross = scipy.fft.irfft(R[:, None] * R[None].conj(), size, axis=2) / k
-    taper = np.zeros(size)
-    taper[: span + 1] = _parzen(np.arange(span + 1) / span)
-    taper[-span:] = taper[span:0:-1]
-    density = scipy.fft.rfft(cross * taper, size, axis=2)
-    twice = np.full(density.shape[2], 2.0)
-    twice[0] = 1.0
-    if size % 2 == 0:
-        twice[-1] = 1.0
-    F = scipy.fft.rfft(J, size, axis=2)
-    coloured = np.stack([sum(density[i, j] * F[:, j] for j in range(p)) for i in range(p)], axis=1) * twice
-    return np.real(F.conj().reshape(q, -1) @ coloured.reshape(q, -1).T) / size
 
 
 def memory(samples: int) -> int:
@@ -111,36 +84,15 @@ def parameter_correlation(H: np.ndarray) -> np.ndarray:
     return correlation_of(np.linalg.inv(H / size / size[:, None]))
 
 
-def fit_percent(measured: np.ndarray, residual: np.ndarray) -> float:
-    """100 (1 - |residual|/|measured - mean|) of one signal (k,): 100 is perfect, 0 as good as the mean (NRMSE)."""
-    spread = float(np.linalg.norm(measured - measured.mean()))
-    return 100.0 * (1.0 - float(np.linalg.norm(residual)) / spread) if spread > 0 else float("nan")
-
-
-def residual_input_test(
-    residual: np.ndarray, measured: np.ndarray, excitation: np.ndarray, lags: int, signal: str, name: str, tests: int = 1
-) -> ResidualTest:
-    """Does the residual (k,) still follow the excitation (k,), 0 to ``lags`` samples later? 99 % over all ``tests`` of a run.
-
-    The limit is the normal one with the variance sum_l R_r(l) R_e(l)/k, which allows for the colour of both; Ljung (1999),
-    section 16.6. A residual below 1e-7 of the signal counts as none.
-    """
-    k = len(residual)
-    r, e = residual - residual.mean(), excitation - excitation.mean()
-    span = memory(k)
-    size = scipy.fft.next_fast_len(k + max(span, lags), real=True)  # so far no lag wraps around
-    R, E = scipy.fft.rfft(r, size), scipy.fft.rfft(e, size)
-    crossed, own_r, own_e = (scipy.fft.irfft(X, size) for X in (R * E.conj(), np.abs(R) ** 2, np.abs(E) ** 2))
-    quiet = float(np.linalg.norm(r)) <= _EXACT * float(np.linalg.norm(measured))
-    sums = crossed[: min(lags, k - 1) + 1], own_r[: span + 1], own_e[: span + 1]
-    return input_test(*sums, k, signal, name, tests, quiet)
-
-
 def input_test(
     crossed: np.ndarray, own_r: np.ndarray, own_e: np.ndarray, k: int, signal: str, name: str, tests: int, quiet: bool = False
 ) -> ResidualTest:
-    """``residual_input_test`` from the sums over k samples of r(t) e(t - lag) (lags,), r(t) r(t - lag) and e(t) e(t - lag)
-    (both of the same length), means taken off; quiet: the residual is only rounding."""
+    """Does the residual r (k,) still follow the excitation e (k,), 0 to some lags later? 99 % over all ``tests`` of a run.
+
+    From the sums over k samples of r(t) e(t - lag) (lags,), r(t) r(t - lag) and e(t) e(t - lag) (both of the same length),
+    means taken off; quiet: the residual is only rounding. The limit is the normal one with the variance sum_l R_r(l) R_e(l)/k,
+    which allows for the colour of both; Ljung (1999), section 16.6.
+    """
     from scipy.special import ndtri
 
     energy = float(np.sqrt(max(own_r[0], 0.0) * max(own_e[0], 0.0)))

@@ -6,30 +6,38 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.levenberg_marquardt import Minimum
 from ambrose.identification.output_error.statistics import ResidualTest
 
-HARDLY_VISIBLE = "hardly visible in these records"
 _UNSURE, _ALIKE = 0.3, 0.98  # standard deviation over value, and correlation, that are worth a warning
 
 
-def warnings_of(paths: tuple[str, ...], found: Minimum, covariance: np.ndarray, correlation: np.ndarray) -> list[str]:
-    """What makes the result doubtful: not converged, hardly visible, hardly told apart."""
-    texts = []
-    if not found.converged:
-        texts.append(f"not converged after {found.iterations} steps; begin elsewhere, or leave a parameter out")
-    for path, value, deviation in zip(paths, found.x, np.sqrt(np.diag(covariance)), strict=True):
+def warnings_of(
+    paths: tuple[str, ...],
+    minimum: Minimum,
+    covariance: np.ndarray,
+    correlation: np.ndarray,
+    tests: Sequence[ResidualTest],
+    verdict: str,
+) -> tuple[Finding, ...]:
+    """What makes the result doubtful: not converged, hardly visible, hardly told apart, residuals that follow an excitation."""
+    warnings = []
+    if not minimum.converged:
+        what = f"not converged after {minimum.iterations} steps"
+        warnings.append(Finding(Code.NOT_CONVERGED, WARNING, what, remedy="begin elsewhere, or leave a parameter out"))
+    for path, value, deviation in zip(paths, minimum.x, np.sqrt(np.diag(covariance)), strict=True):
         if value != 0 and deviation > _UNSURE * abs(value):
-            texts.append(
-                f"{path} = {value:.4g} has the standard deviation {deviation:.2g}: {HARDLY_VISIBLE}; "
-                "excite its axis more, record longer, or take it as known"
-            )
+            what = f"{path} = {value:.4g} has the standard deviation {deviation:.2g}"
+            remedy = "excite its axis more, record longer, or take it as known"
+            warnings.append(Finding(Code.HARDLY_VISIBLE, WARNING, what, "hardly visible in these records", remedy))
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1)), strict=True):
-        texts.append(
-            f"{paths[i]} and {paths[j]} are correlated by {correlation[i, j]:.3f}: hardly told apart; excite where they "
-            "differ (other frequencies, other axes), or take one as known"
-        )
-    return texts
+        what = f"{paths[i]} and {paths[j]} are correlated by {correlation[i, j]:.3f}"
+        remedy = "excite where they differ (other frequencies, other axes), or take one as known"
+        warnings.append(Finding(Code.CORRELATED, WARNING, what, "hardly told apart", remedy))
+    if not all(test.passed for test in tests):
+        warnings.append(Finding(Code.RESIDUALS, WARNING, verdict))
+    return tuple(warnings)
 
 
 def verdict_of(tests: Sequence[ResidualTest], converged: bool = True) -> str:

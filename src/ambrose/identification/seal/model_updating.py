@@ -16,9 +16,7 @@ from ambrose.plant.assemble import seal_coefficients
 FORMS = ("line", "table", "frequency")
 
 
-def identified_seal(
-    machine: Machine, fit: SealFit, form: str = "line", *, level: float = 0.95, up_to: float = np.inf
-) -> Machine:
+def update_seal(machine: Machine, fit: SealFit, form: str = "line", *, level: float = 0.95, up_to: float = np.inf) -> Machine:
     """The machine with the seal's coefficients as found, and an absolute tolerance for each.
 
     form "line": regression lines over pressure, as a table from zero to the highest pressure measured or operated at; half

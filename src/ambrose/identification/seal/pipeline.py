@@ -3,47 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ambrose.core.checks import invalid
-from ambrose.identification.data_quality.finding import RecordFinding, refuse
-from ambrose.identification.model_updating import identified_machine
-from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.findings import Finding, refuse
+from ambrose.identification.loop import identify_loop, usual_unknowns
+from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import split_timing
-from ambrose.identification.pipeline import CheckedIdentification, checked_identification, usual_unknowns
-from ambrose.identification.seal import time_domain as seal_records
-from ambrose.identification.seal.model_updating import identified_seal
-from ambrose.identification.seal.result import COEFFICIENTS, SealFit, line
+from ambrose.identification.result import LoopIdentification
+from ambrose.identification.seal import time_domain
+from ambrose.identification.seal.by_pressure import SealByPressure, is_of_seal, update_but_seal
+from ambrose.identification.seal.result import COEFFICIENTS, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
-from ambrose.identification.validation.plausibility import diagnose_pieces
-from ambrose.identification.validation.simulated_output import explained
+from ambrose.identification.validation.plausibility import diagnose_outputs
+from ambrose.identification.validation.simulated_output import simulate_outputs
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
+from ambrose.machine.parameters import CONTROLLER_DELAY
 from ambrose.machine.record.record import Record
 
-FORMS = ("line", "table")
 _LEAST = {"line": 3, "table": 2}  # pressures
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SealIdentification:
-    """checked: the common fit, from the records without pressure where there are any; fit: the seal's coefficients at every
-    pressure, all else as ``checked`` found it; form: how the machine holds them, "line" or "table"."""
-
-    checked: CheckedIdentification
-    fit: SealFit
-    form: str
-
-    @property
-    def good(self) -> bool:
-        """Nothing doubtful, in the common fit or at any pressure."""
-        return self.checked.good and not self.fit.warnings
-
-
-def seal_identification(
+def identify_seal(
     machine: Machine,
     records: Sequence[Record],
     controller: Any,
@@ -52,12 +34,10 @@ def seal_identification(
     *,
     seal: str | None = None,
     start: Mapping[str, float] | None = None,
-    signals: Sequence[str] | None = None,
-    bending_modes: int = 1,
-    computing_delay: float = 1,
+    options: FitOptions | None = None,
     progress: Callable[[str], None] = lambda stage: None,
-) -> SealIdentification:
-    """Everything but the seal first (``checked_identification``), then the seal at every pressure (``seal_fit.from_records``).
+) -> LoopIdentification:
+    """Everything but the seal first (``identify_loop``), then the seal at every pressure (seal/time_domain.py).
 
     unknown: what else is sought (none: usual_unknowns). Records without pressure, where there are any, decide it alone, and the
     seal is known there; else all records do, together with the seal's coefficients as they follow the pressure in the machine
@@ -65,9 +45,9 @@ def seal_identification(
     pressure should come first: their numbers in the findings are then those of the list.
     Raises InvalidInput as its parts do, and NumericalFailure where the fit at a pressure does not converge.
     """
-    name = seal_name(machine, seal)
-    if form not in FORMS:
-        raise invalid("the form of the seal", repr(form), f"one of {', '.join(FORMS)}", "correct it")
+    name, options = seal_name(machine, seal), options or FitOptions()
+    if form not in _LEAST:
+        raise invalid("the form of the seal", repr(form), f"one of {', '.join(_LEAST)}", "correct it")
     pressures = {record.point.seal_pressure for record in records}
     if len(pressures) < _LEAST[form]:
         remedy = "record at more pressures" + (", or take the form table" if len(pressures) == 2 else "")
@@ -77,41 +57,35 @@ def seal_identification(
     rest = [record for record in records if record.point.seal_pressure != 0]
     wanted = unknown or usual_unknowns(machine, calm or records)
     paths = [path for kind in split_timing(machine, wanted) for path in kind]
-    others = [path for path in paths if not _of_seal(path, name)]
+    others = [path for path in paths if not is_of_seal(path, name)]
     if not calm or not others:
         calm, rest, others = list(records), [], [*others, *[f"seal.{name}.{letter}" for letter in COEFFICIENTS]]
-    setup: dict[str, Any] = {"signals": signals, "bending_modes": bending_modes, "computing_delay": computing_delay}
-    begin = {path: value for path, value in (start or {}).items() if path in others or not _of_seal(path, name)}
-    checked = checked_identification(machine, calm, controller, others, others=rest, start=begin, progress=progress, **setup)
-    if CONTROLLER_DELAY in checked.result.paths:
-        setup["computing_delay"] = float(checked.result.values[checked.result.paths.index(CONTROLLER_DELAY)]) / records[0].dt
-    setup["start"] = {path: value for path, value in (start or {}).items() if _of_seal(path, name)} or None
-    known = _but_the_seal(machine, checked.result, name)
-    fit = seal_records.identify(known, records, controller, seal=name, progress=progress, **setup)
-    findings = _missed(known, records, controller, checked.result, fit, setup)
-    refuse(findings)
-    return SealIdentification(replace(checked, findings=(*checked.findings, *findings)), fit, form)
+    begin = {path: value for path, value in (start or {}).items() if path in others or not is_of_seal(path, name)}
+    done = identify_loop(machine, calm, controller, others, others=rest, start=begin, progress=progress, options=options)
+    result = done.result
+    if CONTROLLER_DELAY in result.paths:
+        options = replace(options, computing_delay=float(result.values[result.paths.index(CONTROLLER_DELAY)]) / records[0].dt)
+    begin = {path: value for path, value in (start or {}).items() if is_of_seal(path, name)}
+    known = update_but_seal(machine, result, name)
+    fit = time_domain.identify(known, records, controller, seal=name, start=begin or None, progress=progress, **options.named())
+    checks = _check_fit(known, records, controller, fit, options)
+    refuse(checks)
+    highest = max(point.seal_pressure for point in machine.operation.points)
+    return replace(done, checks=(*done.checks, *checks), seal=SealByPressure(fit, form, highest))
 
 
-def _missed(
-    known: Machine,
-    records: Sequence[Record],
-    controller: Any,
-    common: Identification,
-    fit: SealFit,
-    setup: dict[str, Any],
-) -> tuple[RecordFinding, ...]:
-    """What the model with the seal found at each pressure misses in the records under pressure."""
-    signals = setup["signals"] or [f"y_{axis}" for axis in known.axes]
-    how = {"signals": signals, "bending_modes": setup["bending_modes"], "computing_delay": setup["computing_delay"]}
+def _check_fit(
+    known: Machine, records: Sequence[Record], controller: Any, fit: SealFit, options: FitOptions
+) -> tuple[Finding, ...]:
+    """What the model with the seal identified at each pressure misses in the records under pressure."""
     paths = tuple(f"seal.{fit.seal}.{letter}" for letter in COEFFICIENTS)
-    findings: list[RecordFinding] = []
+    findings: list[Finding] = []
     for pressure, values in zip(fit.pressure.tolist(), fit.values, strict=True):
         numbers = [i for i, record in enumerate(records, 1) if record.point.seal_pressure == pressure != 0]
         if numbers:
-            result = replace(common, paths=paths, values=values)
-            pieces = explained(known, [records[i - 1] for i in numbers], controller, result, **how)
-            findings += diagnose_pieces(known, pieces, numbers)
+            own = [records[i - 1] for i in numbers]
+            outputs = simulate_outputs(build_experiment(known, own, controller, paths, options), own, values)
+            findings += diagnose_outputs(known, outputs, numbers)
     return tuple(findings)
 
 
@@ -124,69 +98,3 @@ def _check_reach(machine: Machine, form: str, pressures: set[float]) -> None:
                 f"within the pressures recorded, {min(pressures):g} to {max(pressures):g} Pa, for a table",
                 'record there, or take the form "line"',
             )  # fmt: skip
-
-
-def beyond(machine: Machine, found: SealIdentification) -> str:
-    """A note where the machine has operating points above the highest pressure measured, to which the line goes on; else ""."""
-    top, highest = float(found.fit.pressure.max()), max(point.seal_pressure for point in machine.operation.points)
-    if highest <= top * (1 + 1e-9):
-        return ""
-    return f"the lines of seal {found.fit.seal} go on to {highest:g} Pa; the highest pressure measured is {top:g} Pa"
-
-
-def written_machine(machine: Machine, found: SealIdentification, origin: str = "") -> Machine:
-    """The machine with the common fit's values, and the seal over pressure in their place, each with its tolerance."""
-    known = _but_the_seal(machine, found.checked.result, found.fit.seal)
-    made = identified_seal(known, found.fit, found.form)
-    return replace(made, source="; ".join(part for part in (machine.source, origin) if part))
-
-
-def as_dict(found: SealIdentification) -> dict[str, Any]:
-    """The seal by pressure as plain values for JSON, SI; ``deviations`` are standard deviations."""
-    fit, lines = found.fit, {}
-    if found.form == "line":
-        for letter in COEFFICIENTS:
-            one = line(fit, letter)
-            lines[letter] = {
-                "intercept": one.intercept, "slope": one.slope, "scatter": one.scatter,
-                "covariance": one.covariance.tolist(), "slope_probability": one.slope_probability,
-            }  # fmt: skip
-    return {
-        "name": fit.seal, "form": found.form, "pressure": fit.pressure.tolist(), "coefficients": list(COEFFICIENTS),
-        "values": fit.values.tolist(), "deviations": fit.deviations.tolist(), "correlation": fit.correlation.tolist(),
-        "lines": lines or None, "warnings": list(fit.warnings),
-    }  # fmt: skip
-
-
-def comment(machine: Machine, found: SealIdentification) -> str:
-    """What the file says above the machine about its seal."""
-    fit = found.fit
-    how = {"line": "the regression lines over pressure", "table": "the values at these pressures, linear between"}[found.form]
-    rows = [f"Seal {fit.seal}, pressure by pressure (standard deviations in brackets); in the file: {how}."]
-    for i, pressure in enumerate(fit.pressure):
-        texts = [f"{c} {fit.values[i, j]:.4g} ({fit.deviations[i, j]:.2g})" for j, c in enumerate(COEFFICIENTS)]
-        rows.append(f"  {pressure:g} Pa: {', '.join(texts)}")
-    note = beyond(machine, found)
-    rows += [f"Note: {note}."] if note else []
-    rows += [f"Warning: {text}" for text in fit.warnings]
-    return "".join(f"# {row}\n" for row in rows) + "\n"
-
-
-def _of_seal(path: str, name: str) -> bool:
-    if path in TIMING:
-        return False
-    parameter = parse_parameter(path)
-    return (parameter.table, parameter.name) == ("seal", name) and parameter.quantity in COEFFICIENTS
-
-
-def _but_the_seal(machine: Machine, result: Identification, name: str) -> Machine:
-    """The machine with what was found, but for the seal's coefficients."""
-    kept = np.array([i for i, path in enumerate(result.paths) if not _of_seal(path, name)], dtype=int)
-    if not len(kept):
-        return machine
-    part = replace(
-        result, paths=tuple(result.paths[i] for i in kept), values=result.values[kept], start=result.start[kept],
-        covariance=result.covariance[np.ix_(kept, kept)], correlation=result.correlation[np.ix_(kept, kept)],
-        column_cosine=result.column_cosine[np.ix_(kept, kept)],
-    )  # fmt: skip
-    return identified_machine(machine, part, keep_wider=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.identification.findings import Finding
 from ambrose.identification.seal.regression import Line, fit_line
 
 COEFFICIENTS = ("K", "k", "C", "c")
@@ -40,7 +41,7 @@ class SealFit:
     correlation: np.ndarray
     systematic: np.ndarray
     method: str
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
     def __len__(self) -> int:
         return len(self.pressure)

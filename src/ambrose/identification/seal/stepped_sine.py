@@ -18,6 +18,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.frf.phasors import Phasors, Step, find_steps, phasors
 from ambrose.identification.seal.result import SealFit
 from ambrose.machine.description import OperatingPoint, Seal
@@ -63,11 +64,13 @@ def identify(
         groups.setdefault(record.point.seal_pressure, []).append(record)
     if reference and 0.0 not in groups:
         raise InvalidInput("no record was taken without pressure; add one, or pass reference=False and trust the model")
-    found = {pressure: _at_pressure(machine, name, groups[pressure], steps, settle, currents) for pressure in sorted(groups)}
-    lacking = _lacking(machine, name, found[0.0], groups[0.0][0].point) if reference else {}
+    stiffness = {
+        pressure: _at_pressure(machine, name, groups[pressure], steps, settle, currents) for pressure in sorted(groups)
+    }
+    lacking = _lacking(machine, name, stiffness[0.0], groups[0.0][0].point) if reference else {}
     rows = [
-        (pressure, _corrected(item, lacking, found[0.0] if reference else []))
-        for pressure, items in found.items() for item in items
+        (pressure, _corrected(item, lacking, stiffness[0.0] if reference else []))
+        for pressure, items in stiffness.items() for item in items
         if not lacking or (pressure and _key(item.frequency) in lacking)
     ]  # fmt: skip
     if not rows:
@@ -77,25 +80,24 @@ def identify(
     return replace(_result(machine, name, rows), warnings=_warnings(records, rows))
 
 
-def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]) -> tuple[str, ...]:
+def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]) -> tuple[Finding, ...]:
     """What makes rows doubtful: unbalance at the same frequency, and k lost in noise."""
-    texts = []
+    warnings = []
     speeds = {abs(record.point.speed) for record in records if record.point.speed}
     for w in dict.fromkeys(item.frequency for _, item in rows):
         for speed in speeds:
             if abs(w - speed) < _NEAR_SPEED * 2 * np.pi:
-                texts.append(
-                    f"the step at {w / 2 / np.pi:g} Hz lies at the speed of {speed / 2 / np.pi:g} Hz, where unbalance answers "
-                    "too; leave it out, or take records with and without excitation"
-                )
+                what = f"the step at {w / 2 / np.pi:g} Hz lies at the speed of {speed / 2 / np.pi:g} Hz"
+                remedy = "leave it out, or take records with and without excitation"
+                warnings.append(Finding(Code.AT_SPEED, WARNING, what, "unbalance answers too", remedy))
     for pressure, item in rows:
         k, deviation = item.pair[1].real, float(np.std(item.pairs[:, 1].real, ddof=1)) / len(item.pairs) ** 0.5
         if deviation > _UNSURE * abs(k):
-            texts.append(
-                f"at {pressure:g} Pa and {item.frequency / 2 / np.pi:g} Hz k = {k:.3g} has the standard deviation "
-                f"{deviation:.2g}: the motion drowns in noise; excite more, dwell longer, or leave the frequency out"
-            )
-    return tuple(texts)
+            where = f"at {pressure:g} Pa and {item.frequency / 2 / np.pi:g} Hz"
+            what = f"{where} k = {k:.3g} has the standard deviation {deviation:.2g}"
+            remedy = "excite more, dwell longer, or leave the frequency out"
+            warnings.append(Finding(Code.NOISY, WARNING, what, "the motion drowns in noise", remedy))
+    return tuple(warnings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,11 +213,11 @@ def _lacking(
     """Per frequency, pair (2,) and matrix (2, 2) found at zero pressure beyond what the machine states there."""
     item = next(one for one in machine.seals if one.name == name)
     result = {}
-    for found in items:
-        w = found.frequency
+    for reference in items:
+        w = reference.frequency
         own = seal_coefficients(item, replace(point, whirl_frequency=w))
         a, b = own.K + 1j * w * own.C, own.k + 1j * w * own.c
-        result[_key(w)] = (found.pair - np.array([a, b]), found.matrix - np.array([[a, b], [-b, a]]))
+        result[_key(w)] = (reference.pair - np.array([a, b]), reference.matrix - np.array([[a, b], [-b, a]]))
     return result
 
 

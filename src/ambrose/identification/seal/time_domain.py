@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
+from ambrose.identification.findings import Code
 from ambrose.identification.output_error import closed_loop
-from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.output_error.summary import HARDLY_VISIBLE
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.seal.result import COEFFICIENTS, ENTRIES, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
 from ambrose.machine.machine import Machine
@@ -30,12 +32,13 @@ def identify(
     coefficients: Sequence[str] = COEFFICIENTS,
     entries: bool = False,
     together: bool = True,
-    progress: Callable[[str], None] | None = None,
+    start: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
     **options: Any,
 ) -> SealFit:
     """The coefficients of a seal at every pressure of the records (record.point.seal_pressure): impulses, PRBS, chirps, sines.
 
-    machine: with everything else known, its bearings identified without pressure first. controller and options: as
+    machine: with everything else known, its bearings identified without pressure first. controller, start and options: as
     closed_loop.identify. coefficients: those sought, the others stay the machine's. entries: all eight of the matrices (excite
     along both axes). together: one row per pressure from all its records; False: a row per record, so that repeats show how
     far they scatter. Without pressure a coefficient may well be zero, so that it is hardly visible is no warning there. Raises
@@ -52,13 +55,13 @@ def identify(
     for number, record in enumerate(records):
         groups.setdefault((record.point.seal_pressure, 0 if together else number), []).append(record)
     rows, warnings = [], []
-    found: Identification | None = None
+    estimate: ParameterEstimate | None = None
     for (pressure, _), group in sorted(groups.items(), key=lambda item: item[0]):
-        if progress is not None:
-            progress(f"seal {name} at {pressure:g} Pa, {len(group)} record{'s' * (len(group) > 1)}")
-        found = _converged(machine, group, controller, paths, found, options)
-        rows.append(_row(machine, name, found, entries))
-        warnings += [f"at {pressure:g} Pa: {text}" for text in found.warnings if pressure or HARDLY_VISIBLE not in text]
+        progress(f"seal {name} at {pressure:g} Pa, {len(group)} record{'s' * (len(group) > 1)}")
+        estimate = _fit_at(machine, group, controller, paths, FitOptions(**options), start, estimate)
+        rows.append(_row(machine, name, estimate, entries))
+        kept = [item for item in estimate.warnings if pressure or item.code != Code.HARDLY_VISIBLE]
+        warnings += [replace(item, what=f"at {pressure:g} Pa: {item.what}") for item in kept]
     values, deviations, eight, eight_deviations, cosine, correlation = (np.array(part) for part in zip(*rows, strict=True))
     pressure = np.array([pressure for pressure, _ in sorted(groups)])
     return SealFit(
@@ -67,32 +70,34 @@ def identify(
     )  # fmt: skip
 
 
-def _converged(
+def _fit_at(
     machine: Machine,
     records: list[Record],
     controller: Any,
     paths: list[str],
-    before: Identification | None,
-    options: dict[str, Any],
-) -> Identification:
-    """The fit from the start asked for, else from what was found at the pressure below, else from the machine's values.
+    options: FitOptions,
+    start: Mapping[str, float] | None,
+    below: ParameterEstimate | None,
+) -> ParameterEstimate:
+    """The fit from the start asked for, else from the estimate at the pressure below, else from the machine's values.
 
     Near the stability limit a response rings so long that a start far off leads nowhere. Raises NumericalFailure.
     """
-    starts: list[Any] = [options.get("start")]
-    if before is not None:
-        starts.append(dict(zip(before.paths, before.values.tolist(), strict=True)))
+    experiment = build_experiment(machine, records, controller, paths, options)
+    starts = [start]
+    if below is not None:
+        starts.append(dict(zip(below.paths, below.values.tolist(), strict=True)))
     if starts[0] is not None:
         starts.append(None)
     refused: list[InvalidInput] = []
-    for start in starts:
+    for begin in starts:
         try:
-            found = closed_loop.identify(machine, records, controller, paths, **{**options, "start": start})
+            estimate = closed_loop.fit(experiment, begin)
         except InvalidInput as error:  # the loop is unstable there, for instance
             refused.append(error)
             continue
-        if found.converged:
-            return found
+        if estimate.converged:
+            return estimate
     if len(refused) == len(starts):
         raise refused[0]
     raise NumericalFailure(
@@ -101,11 +106,11 @@ def _converged(
     )
 
 
-def _row(machine: Machine, name: str, found: Identification, entries: bool) -> tuple[np.ndarray, ...]:
+def _row(machine: Machine, name: str, estimate: ParameterEstimate, entries: bool) -> tuple[np.ndarray, ...]:
     """Values, deviations (4,), entries, their deviations (8,), cosine, correlation (4, 4)."""
     item = next(one for one in machine.seals if one.name == name)
-    own = seal_coefficients(item, found.point)
-    letters = [path.rpartition(".")[2] for path in found.paths]
+    own = seal_coefficients(item, estimate.point)
+    letters = [path.rpartition(".")[2] for path in estimate.paths]
     mix = np.zeros((4, len(letters)))
     for i, letter in enumerate(COEFFICIENTS):
         members = _MEMBERS[letter] if entries else (letter,)
@@ -113,13 +118,13 @@ def _row(machine: Machine, name: str, found: Identification, entries: bool) -> t
             if member in letters:
                 mix[i, letters.index(member)] = 1 / len(members)
     sought = mix.any(axis=1)
-    values = np.where(sought, mix @ found.values, [getattr(own, letter) for letter in COEFFICIENTS])
-    deviations = np.sqrt(np.einsum("ij,jk,ik->i", mix, found.covariance, mix))
+    values = np.where(sought, mix @ estimate.values, [getattr(own, letter) for letter in COEFFICIENTS])
+    deviations = np.sqrt(np.einsum("ij,jk,ik->i", mix, estimate.covariance, mix))
     eight, eight_deviations = np.full((2, 8), np.nan)
     cosine, correlation = np.full((2, 4, 4), np.nan)
     if entries:
-        eight, eight_deviations = found.values, found.standard_deviations
+        eight, eight_deviations = estimate.values, estimate.standard_deviations
     else:
         place = np.ix_(*2 * [[COEFFICIENTS.index(letter) for letter in letters]])
-        cosine[place], correlation[place] = found.column_cosine, found.correlation
+        cosine[place], correlation[place] = estimate.column_cosine, estimate.correlation
     return values, deviations, eight, eight_deviations, cosine, correlation

@@ -14,12 +14,14 @@ shows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_shape, invalid
+from ambrose.identification.findings import WARNING, Code, Finding
+from ambrose.identification.output_error.problem import as_records
 from ambrose.identification.static_load.levels import Levels, steady_levels
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -50,16 +52,18 @@ class LocalSlopes:
 class StaticLoad:
     """K_i by static loads at an operating point; one entry per control axis, in the order of ``axes``.
 
-    values (a,) [N/A]: slope of the straight line, with standard_deviations. at_rest (a,) [N/A]: slope of a cubic through the
-    same levels at the unloaded working point - the tangent that small motion sees - with at_rest_deviations. linearity (a,):
-    probability that the cubic's improvement is chance. stiffness_share (a,) [-]: part of the magnet's force that displacement
-    makes; stiffness_effect (a,) [N/A per N/m]: dK_i/dK_s. forces (m, a) [N]: of the magnets, relative to the unloaded rotor.
-    local: slopes between neighbouring levels. warnings: what makes the result doubtful; verdict: one sentence.
+    start (a,) [N/A]: the machine's own. values (a,) [N/A]: slope of the straight line, with standard_deviations. at_rest (a,)
+    [N/A]: slope of a cubic through the same levels at the unloaded working point - the tangent that small motion sees - with
+    at_rest_deviations. linearity (a,): probability that the cubic's improvement is chance. stiffness_share (a,) [-]: part of
+    the magnet's force that displacement makes; stiffness_effect (a,) [N/A per N/m]: dK_i/dK_s. forces (m, a) [N]: of the
+    magnets, relative to the unloaded rotor. local: slopes between neighbouring levels. warnings: what makes the result
+    doubtful; verdict: one sentence.
     """
 
     machine: str
     point: OperatingPoint
     axes: tuple[str, ...]
+    start: np.ndarray
     values: np.ndarray
     standard_deviations: np.ndarray
     at_rest: np.ndarray
@@ -70,13 +74,17 @@ class StaticLoad:
     levels: Levels
     forces: np.ndarray
     local: tuple[LocalSlopes, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     verdict: str
 
     @property
     def paths(self) -> tuple[str, ...]:
         """The parameters' paths in the machine: "bearing.A.force_per_current.zeta"."""
         return tuple(f"bearing.{bearing}.force_per_current.{way}" for bearing, way in (a.rsplit("_", 1) for a in self.axes))
+
+    def widened(self, least: np.ndarray) -> StaticLoad:
+        """The same with standard deviations of at least ``least`` (a,)."""
+        return replace(self, standard_deviations=np.maximum(self.standard_deviations, least))
 
 
 def identify(
@@ -96,7 +104,7 @@ def identify(
     their limit, and records that do not belong to this machine.
     """
     levels = steady_levels(machine, records, average=average, drift=drift)
-    records = (records,) if isinstance(records, Record) else tuple(records)
+    records = as_records(records)
     point, axes = records[0].point, machine.axes
     k_s = _stiffness(machine, point, negative_stiffness)
     forces, places = bearing_forces(machine, point, levels)
@@ -110,9 +118,10 @@ def identify(
     local = tuple(_local(levels, i, force[:, i] - _unloaded(levels, force[:, i])) for i in range(len(axes)))
     values, deviations, at_rest, rest_deviations, linearity = (np.array(column) for column in zip(*rows, strict=True))
     warnings = _warnings(axes, relative, share, linearity, values, at_rest)
+    own = np.concatenate([magnet.linearised(b, point.bias_current).force_per_current for b in machine.bearings])
     return StaticLoad(
-        machine.name, point, axes, values, deviations, at_rest, rest_deviations, linearity, share, effect, levels, relative,
-        local, warnings, _verdict(axes, linearity, values, at_rest),
+        machine.name, point, axes, own, values, deviations, at_rest, rest_deviations, linearity, share, effect, levels,
+        relative, local, warnings, _verdict(axes, linearity, values, at_rest),
     )  # fmt: skip
 
 
@@ -138,8 +147,8 @@ def bearing_forces(machine: Machine, point: OperatingPoint, levels: Levels) -> t
     right = np.vstack([N_f @ levels.loads.T / size[:, None], levels.displacement.T])
     columns = np.abs(matrix).max(axis=0)
     rows = np.abs(matrix / columns).max(axis=1)
-    found = np.linalg.solve(matrix / columns / rows[:, None], right / rows[:, None]) / columns[:, None]
-    q, f = found[:n] / size[:, None], found[n:]
+    solution = np.linalg.solve(matrix / columns / rows[:, None], right / rows[:, None]) / columns[:, None]
+    q, f = solution[:n] / size[:, None], solution[n:]
     return f.T, (N_b.T @ q).T
 
 
@@ -201,11 +210,11 @@ def _least_squares(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.n
     """Coefficients (c,) of the columns (m, c) beside a constant, their standard deviations (c,), the sum of squares left."""
     A = np.column_stack([np.ones(len(y)), columns])
     size = np.linalg.norm(A, axis=0)
-    found, *_ = np.linalg.lstsq(A / size, y, rcond=None)
-    left = float(np.sum((y - A / size @ found) ** 2))
+    coefficients, *_ = np.linalg.lstsq(A / size, y, rcond=None)
+    left = float(np.sum((y - A / size @ coefficients) ** 2))
     free = len(y) - A.shape[1]
     covariance = np.linalg.inv((A / size).T @ (A / size)) * (left / free if free > 0 else 0.0)
-    return found[1:] / size[1:], np.sqrt(np.diag(covariance))[1:] / size[1:], left
+    return coefficients[1:] / size[1:], np.sqrt(np.diag(covariance))[1:] / size[1:], left
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:
@@ -234,26 +243,22 @@ def _local(levels: Levels, i: int, force: np.ndarray) -> LocalSlopes:
 
 def _warnings(
     axes: tuple[str, ...], forces: np.ndarray, share: np.ndarray, linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray
-) -> tuple[str, ...]:
-    texts = []
+) -> tuple[Finding, ...]:
+    rows = []
     for i, axis in enumerate(axes):
         low, high = -forces[:, i].min(), forces[:, i].max()
         if min(low, high) < _SIDED * max(low, high):
-            texts.append(
-                f"{axis} was loaded to one side only; friction, hysteresis and saturation then shift its slope unseen: "
-                "load it in both directions"
-            )
+            evidence = "friction, hysteresis and saturation then shift its slope unseen"
+            rows.append((Code.ONE_SIDED, f"{axis} was loaded to one side only", evidence, "load it in both directions"))
         if share[i] > _MOVED:
-            texts.append(
-                f"at {axis} {share[i]:.0%} of the magnet's force comes from displacement: the position is not held (a "
-                "controller without integrator?), and K_i is as uncertain as the K_s taken for it"
-            )
+            what = f"at {axis} {share[i]:.0%} of the magnet's force comes from displacement"
+            evidence = "the position is not held (a controller without integrator?)"
+            rows.append((Code.NOT_HELD, what, evidence, "K_i is as uncertain as the K_s taken for it"))
         if linearity[i] < _LINEAR and abs(values[i] / at_rest[i] - 1) > 0.01:
-            texts.append(
-                f"force over current of {axis} is curved: {at_rest[i]:.4g} N/A at the working point, {values[i]:.4g} N/A as a "
-                "line over these loads (the iron saturates); small motion finds the first"
-            )
-    return tuple(texts)
+            what = f"force over current of {axis} is curved"
+            both = f"{at_rest[i]:.4g} N/A at the working point, {values[i]:.4g} N/A as a line over these loads"
+            rows.append((Code.CURVED, what, f"{both} (the iron saturates)", "small motion finds the first"))
+    return tuple(Finding(code, WARNING, what, evidence, remedy) for code, what, evidence, remedy in rows)
 
 
 def _verdict(axes: tuple[str, ...], linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray) -> str:

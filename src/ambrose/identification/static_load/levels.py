@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.identification.output_error.problem import as_records
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
@@ -40,7 +41,7 @@ def steady_levels(machine: Machine, records: Record | Sequence[Record], *, avera
     steady (its time and drift are named), and for records of another machine or operating point.
     """
     average = check_positive(average, "average", "give the seconds to average at the end of every level")
-    records = (records,) if isinstance(records, Record) else tuple(records)
+    records = as_records(records)
     _check_records(machine, records)
     ports = tuple(dict.fromkeys(name[2:] for r in records for name in r.signals if _is_load(name) and r[name].any()))
     if not ports:
@@ -103,16 +104,16 @@ def _ends(loads: np.ndarray, block: int, step: float, least: int) -> list[int]:
     moved = (np.abs(np.diff(means, axis=1)) > step).any(axis=0)
     jumps = (inside > 3 * noise + step).any(axis=0)  # a step within the block
     moving = jumps | np.concatenate([[False], moved]) | np.concatenate([moved, [False]])
-    found, begun = [], None
+    ends, begun = [], None
     for j in range(k + 1):
         still = j < k and not moving[j]
         if still and begun is None:
             begun = j
         elif not still and begun is not None:
             if (j - begun - 1) * block >= least:
-                found.append(j * block)
+                ends.append(j * block)
             begun = None
-    return found
+    return ends
 
 
 def _batches(signals: np.ndarray) -> np.ndarray:

@@ -1,24 +1,20 @@
-"""What was found beside what another identification wrote into its machine file: do two methods agree?"""
+"""An estimate against what another identification wrote into its machine file: do two methods agree?"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.identification.model_updating import Found
-from ambrose.identification.parameters import nominal_values
+from ambrose.identification.parameters import COVERAGE, Estimate, nominal_values
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.plant.assemble import assemble
 
-COVERAGE = 1.96  # standard deviations of a 95 % interval
-
 
 @dataclass(frozen=True, slots=True)
-class Beside:
+class Agreement:
     """A parameter found twice, SI: value with the half-width of its 95 % interval, and the other's (0: it states none)."""
 
     path: str
@@ -45,9 +41,16 @@ class Beside:
         """Whether noise alone may make the difference."""
         return bool(abs(self.difference) <= self.difference_half_width)
 
+    def to_dict(self) -> dict[str, float | str | bool | None]:
+        """JSON-ready data, SI and percent."""
+        return {
+            "path": self.path, "value": self.value, "other": self.other, "other_half_width_95": self.other_half_width,
+            "difference_percent": self.difference if self.other else None, "agree": self.agree,
+        }  # fmt: skip
 
-def beside(result: Found, other: Machine) -> tuple[Beside, ...]:
-    """Every parameter found, at its operating point, beside its value and tolerance in another machine file.
+
+def compare(result: Estimate, other: Machine) -> tuple[Agreement, ...]:
+    """Every estimated parameter, at its operating point, with its value and tolerance in another machine file.
 
     Raises InvalidInput for another machine's file.
     """
@@ -59,21 +62,10 @@ def beside(result: Found, other: Machine) -> tuple[Beside, ...]:
     for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
         if path not in TIMING:
             there = float(nominal_values(plant, [path])[0])
-            rows.append(Beside(path, value, COVERAGE * deviation, there, _half_width(other, path, there)))
+            rows.append(Agreement(path, value, COVERAGE * deviation, there, _half_width(other, path, there)))
     if not rows:
-        raise InvalidInput("only delays were found; a machine file holds nothing to compare them with")
+        raise InvalidInput("only delays were identified; a machine file holds nothing to compare them with")
     return tuple(rows)
-
-
-def as_dict(rows: Sequence[Beside]) -> list[dict[str, float | str | bool | None]]:
-    """For JSON, SI and percent."""
-    return [
-        {
-            "path": row.path, "value": row.value, "other": row.other, "other_half_width_95": row.other_half_width,
-            "difference_percent": row.difference if row.other else None, "agree": row.agree,
-        }
-        for row in rows
-    ]  # fmt: skip
 
 
 def _half_width(machine: Machine, path: str, value: float) -> float:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.identification.data_quality.channels import measured_responses
-from ambrose.identification.data_quality.finding import ERROR, WARNING, RecordFinding
-from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.validation.simulated_output import Explained
+from ambrose.identification.findings import ERROR, WARNING, Code, Finding
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 
@@ -20,21 +20,21 @@ _DELAYED, _SURE = 0.1, 5.0  # samples, and standard deviations, by which a delay
 _BURST = 15.0  # over the median size of the residual
 
 
-def diagnose_result(machine: Machine, result: Identification, pieces: Sequence[Explained]) -> tuple[RecordFinding, ...]:
-    """What is impossible (errors) or doubtful (warnings) about an identification; pieces: its records beside the model."""
-    findings = [*_signs(result), *_sizes(result), *_common_factor(result), *diagnose_pieces(machine, pieces)]
+def diagnose_result(machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]) -> tuple[Finding, ...]:
+    """What is impossible (errors) or doubtful (warnings) about an estimate; outputs: of the model, for every record."""
+    findings = [*_signs(result), *_sizes(result), *_common_factor(result), *diagnose_outputs(machine, outputs)]
     return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
 
 
-def diagnose_pieces(machine: Machine, pieces: Sequence[Explained], numbers: Sequence[int] = ()) -> tuple[RecordFinding, ...]:
+def diagnose_outputs(machine: Machine, outputs: Sequence[SimulatedOutput], numbers: Sequence[int] = ()) -> tuple[Finding, ...]:
     """What a model misses in its records: responses (errors), short bursts (warnings). numbers: of the records (1, 2, ...)."""
-    findings: list[RecordFinding] = []
-    for number, piece in zip(numbers or range(1, len(pieces) + 1), pieces, strict=True):
-        findings += [*_missed(machine, piece, number), *_bursts(piece, number)]
+    findings: list[Finding] = []
+    for number, output in zip(numbers or range(1, len(outputs) + 1), outputs, strict=True):
+        findings += [*_missed(machine, output, number), *_bursts(output, number)]
     return tuple(findings)
 
 
-def _signs(result: Identification) -> list[RecordFinding]:
+def _signs(result: ParameterEstimate) -> list[Finding]:
     """Values that no machine has."""
     findings = []
     for path, value in zip(result.paths, result.values, strict=True):
@@ -43,27 +43,19 @@ def _signs(result: Identification) -> list[RecordFinding]:
         parameter = parse_parameter(path)
         positive = parameter.table == "amplifier" or parameter.quantity == "force_per_current"
         if positive and value <= 0:
-            findings.append(
-                RecordFinding(
-                    ERROR,
-                    f"{path} = {value:.4g} cannot be",
-                    "it must be positive",
-                    "look for an inverted channel, another machine or another controller; or take it as known",
-                )
-            )
+            what = f"{path} = {value:.4g} cannot be"
+            evidence = "it must be positive"
+            remedy = "look for an inverted channel, another machine or another controller; or take it as known"
+            findings.append(Finding(Code.IMPOSSIBLE_VALUE, ERROR, what, evidence, remedy))
         elif parameter.quantity == "negative_stiffness" and value <= 0:
-            findings.append(
-                RecordFinding(
-                    WARNING,
-                    f"{path} = {value:.4g} N/m is not destabilising",
-                    "a biased magnet always is",
-                    "look for another controller or gain, a stiffness that is missing in the model, or too little excitation",
-                )
-            )
+            what = f"{path} = {value:.4g} N/m is not destabilising"
+            evidence = "a biased magnet always is"
+            remedy = "look for another controller or gain, a stiffness that is missing in the model, or too little excitation"
+            findings.append(Finding(Code.NOT_DESTABILISING, WARNING, what, evidence, remedy))
     return findings
 
 
-def _sizes(result: Identification) -> list[RecordFinding]:
+def _sizes(result: ParameterEstimate) -> list[Finding]:
     """Values far from where they began, of parameters that designers know."""
     far = []
     for path, value, start in zip(result.paths, result.values, result.start, strict=True):
@@ -73,10 +65,10 @@ def _sizes(result: Identification) -> list[RecordFinding]:
     if not far:
         return []
     remedy = "compare with the data sheet or a static load; a wrong scale of a channel, mass or bias does this"
-    return [RecordFinding(WARNING, "values are far from the machine file's", ", ".join(far), remedy)]
+    return [Finding(Code.FAR_FROM_FILE, WARNING, "values are far from the machine file's", ", ".join(far), remedy)]
 
 
-def _common_factor(result: Identification) -> list[RecordFinding]:
+def _common_factor(result: ParameterEstimate) -> list[Finding]:
     """All K_i and K_s moved by one factor: that is what a wrong mass does, and the fit cannot tell."""
     ratios = [
         value / start
@@ -89,72 +81,66 @@ def _common_factor(result: Identification) -> list[RecordFinding]:
     mean = float(np.mean(ratios))
     if abs(mean - 1) <= _MOVED or float(np.ptp(ratios)) > 2 * _ALIKE * mean:
         return []
-    return [
-        RecordFinding(
-            WARNING,
-            "every force_per_current and negative_stiffness moved by the same factor",
-            f"{mean:.4g} times the start, all within {100 * float(np.ptp(ratios)) / 2 / mean:.2g} %",
-            "a rotor mass that is wrong by this factor does exactly that, and no closed-loop record can tell: weigh the rotor",
-        )
-    ]
+    what = "every force_per_current and negative_stiffness moved by the same factor"
+    evidence = f"{mean:.4g} times the start, all within {100 * float(np.ptp(ratios)) / 2 / mean:.2g} %"
+    remedy = "a rotor mass that is wrong by this factor does exactly that, and no closed-loop record can tell: weigh the rotor"
+    return [Finding(Code.COMMON_FACTOR, WARNING, what, evidence, remedy)]
 
 
-def _missed(machine: Machine, piece: Explained, number: int) -> list[RecordFinding]:
+def _missed(machine: Machine, output: SimulatedOutput, number: int) -> list[Finding]:
     """What follows the excitation in the record but not in the model, over what follows it at all."""
     axes = machine.axes
-    if any(f"y_{axis}" not in piece.signals for axis in axes):
+    if any(f"y_{axis}" not in output.signals for axis in axes):
         return []
     names = [f"y_{axis}" for axis in axes]
-    driven = [name for name in piece.record.signals if name[:2] == "e_"]
-    kept = piece.record.select([*names, *driven])
-    rows = [piece.signals.index(name) for name in names]
+    driven = [name for name in output.record.signals if name[:2] == "e_"]
+    kept = output.record.select([*names, *driven])
+    rows = [output.signals.index(name) for name in names]
     measured = measured_responses([kept], axes)
-    rest = measured_responses([replace(kept, values=np.vstack([piece.residual[rows], kept.values[len(axes) :]]))], axes)
+    rest = measured_responses([replace(kept, values=np.vstack([output.residual[rows], kept.values[len(axes) :]]))], axes)
     if measured is None or rest is None:
         return []
 
-    def power(found: np.ndarray) -> np.ndarray:
-        return np.sum(np.abs(found) ** 2, axis=(0, 2))
+    def power(values: np.ndarray) -> np.ndarray:
+        return np.sum(np.abs(values) ** 2, axis=(0, 2))
 
     left = np.maximum(power(rest.values["y"]) - rest.noise["y"].sum(axis=0), 0.0)
     share = np.sqrt(left / np.maximum(power(measured.values["y"]), 1e-300))
     worst = int(np.argmax(share))
     if share[worst] <= _MISSED:
         return []
-    return [
-        RecordFinding(
-            ERROR,
-            f"record {number}: no values of these parameters make the model respond as the machine did",
-            f"{100 * share[worst]:.2g} % of what follows the excitation in {names[worst]} is missing in the model (amplitude)",
-            "another machine, operating point, controller or delay; or a parameter that is taken as known is not",
-        )
-    ]
+    what = f"record {number}: no values of these parameters make the model respond as the machine did"
+    evidence = (
+        f"{100 * share[worst]:.2g} % of what follows the excitation in {names[worst]} is missing in the model (amplitude)"
+    )
+    remedy = "another machine, operating point, controller or delay; or a parameter that is taken as known is not"
+    return [Finding(Code.MISSING_RESPONSE, ERROR, what, evidence, remedy)]
 
 
-def _bursts(piece: Explained, number: int) -> list[RecordFinding]:
+def _bursts(output: SimulatedOutput, number: int) -> list[Finding]:
     """Short times in which a signal leaves the model: lost samples, knocks, contact."""
     findings = []
-    for name, row in zip(piece.signals, piece.residual, strict=True):
+    for name, row in zip(output.signals, output.residual, strict=True):
         size = np.abs(row)
         quiet = 1.4826 * float(np.median(size))
-        large = np.flatnonzero(size > max(_BURST * quiet, 1e-3 * float(np.std(piece.measured))))
+        large = np.flatnonzero(size > max(_BURST * quiet, 1e-3 * float(np.std(output.measured))))
         starts = [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > 500]
         if quiet > 0 and 0 < len(starts) <= 20:
-            at = ", ".join(f"{piece.record.time[i]:.4g} s" for i in starts[:4])
-            findings.append(
-                RecordFinding(
-                    WARNING,
-                    f"record {number}: {name} leaves the model for a short time",
-                    f"at t = {at}{' and later' if len(starts) > 4 else ''} by up to {size.max() / quiet:.0f} times the usual",
-                    "a knock, contact or lost samples: cut the record there and identify again",
-                )
-            )
+            at = ", ".join(f"{output.record.time[i]:.4g} s" for i in starts[:4])
+            what = f"record {number}: {name} leaves the model for a short time"
+            evidence = f"at t = {at}{' and later' if len(starts) > 4 else ''} by up to {size.max() / quiet:.0f} times the usual"
+            remedy = "a knock, contact or lost samples: cut the record there and identify again"
+            findings.append(Finding(Code.BURST, WARNING, what, evidence, remedy))
     return findings
 
 
 def delay_findings(
-    given: Identification, delay: float, dt: float, free: Callable[[], Identification], whole: Callable[[float], Identification]
-) -> tuple[RecordFinding, ...]:
+    given: ParameterEstimate,
+    delay: float,
+    dt: float,
+    free: Callable[[], ParameterEstimate],
+    whole: Callable[[float], ParameterEstimate],
+) -> tuple[Finding, ...]:
     """Whether another computing delay explains the records clearly better than the ``delay`` [samples of dt, s] of ``given``.
 
     free: identifies with the delay as an unknown, too; whole: with another whole one, asked where the first is refused or leads
@@ -163,39 +149,39 @@ def delay_findings(
     if all(test.passed for test in given.tests) or CONTROLLER_DELAY in given.paths:
         return ()
     try:
-        found = free()
+        estimate = free()
     except ValueError:  # a fitted controller output has no instant between samples, for instance
-        found = None
-    if found is None or not found.converged:
+        estimate = None
+    if estimate is None or not estimate.converged:
         return _whole_delays(given, delay, whole)
-    place = found.paths.index(CONTROLLER_DELAY)
-    count, deviation = float(found.values[place]) / dt, float(found.standard_deviations[place]) / dt
-    left, follows = (_left(given), _left(found)), (_follows(given), _follows(found))
+    place = estimate.paths.index(CONTROLLER_DELAY)
+    count, deviation = float(estimate.values[place]) / dt, float(estimate.standard_deviations[place]) / dt
+    left, follows = (_left(given), _left(estimate)), (_follows(given), _follows(estimate))
     sure = abs(count - delay) > max(_DELAYED, _SURE * deviation)
     if not sure or (left[1] > _CLEARLY * left[0] and follows[1] > _CLEARLY * follows[0]):
         return ()
     number = _fixed(count, deviation)
-    return (
-        RecordFinding(
-            WARNING,
-            f"a computing delay of {number} instead of {delay:g} samples explains the records better",
-            f"found as an unknown: {number} samples ({1e3 * count * dt:.4g} ms), standard deviation {deviation:.2g} samples; "
-            f"it leaves {left[1]:.3g} % of the signals instead of {left[0]:.3g} %, and the residuals follow the excitation by "
-            f"{follows[1]:.2g} times their limit instead of {follows[0]:.2g}",
-            'ask for it ("delay" among the unknowns), or give it if the controller may have it; a lag of amplifier or sensor '
-            "that the model lacks looks the same. One sample is 2 to 5 % in the stiffness",
-        ),
+    what = f"a computing delay of {number} instead of {delay:g} samples explains the records better"
+    evidence = (
+        f"found as an unknown: {number} samples ({1e3 * count * dt:.4g} ms), standard deviation {deviation:.2g} samples; "
+        f"it leaves {left[1]:.3g} % of the signals instead of {left[0]:.3g} %, and the residuals follow the excitation by "
+        f"{follows[1]:.2g} times their limit instead of {follows[0]:.2g}"
     )
+    remedy = (
+        'ask for it ("delay" among the unknowns), or give it if the controller may have it; a lag of amplifier or sensor '
+        "that the model lacks looks the same. One sample is 2 to 5 % in the stiffness"
+    )
+    return (Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy),)
 
 
-def _left(found: Identification) -> float:
+def _left(estimate: ParameterEstimate) -> float:
     """What the model leaves of the signals [%], rms over them."""
-    return float(np.sqrt(np.mean([(100.0 - percent) ** 2 for _, _, percent in found.fit])))
+    return float(np.sqrt(np.mean([(100.0 - percent) ** 2 for _, _, percent in estimate.fit])))
 
 
-def _follows(found: Identification) -> float:
+def _follows(estimate: ParameterEstimate) -> float:
     """The worst residual test over its limit."""
-    return max(abs(test.correlation) / test.limit for test in found.tests)
+    return max(abs(test.correlation) / test.limit for test in estimate.tests)
 
 
 def _fixed(value: float, deviation: float) -> str:
@@ -204,7 +190,7 @@ def _fixed(value: float, deviation: float) -> str:
     return f"{round(value, digits):g}"
 
 
-def _whole_delays(given: Identification, delay: float, whole: Callable[[float], Identification]) -> tuple[RecordFinding, ...]:
+def _whole_delays(given: ParameterEstimate, delay: float, whole: Callable[[float], ParameterEstimate]) -> tuple[Finding, ...]:
     trials = {delay: _left(given)}
     for other in (delay - 1, delay + 1):
         if other >= 0:
@@ -216,11 +202,7 @@ def _whole_delays(given: Identification, delay: float, whole: Callable[[float], 
     if best == delay or trials[best] > _CLEARLY * trials[delay]:
         return ()
     figures = ", ".join(f"{value:.2g} % with {count:g}" for count, value in sorted(trials.items()))
-    return (
-        RecordFinding(
-            WARNING,
-            f"a computing delay of {best:g} instead of {delay:g} samples explains the records better",
-            f"left unexplained of the signals: {figures}",
-            f"give {best:g} as delay if the controller may have it; one sample is 2 to 5 % in the stiffness",
-        ),
-    )
+    what = f"a computing delay of {best:g} instead of {delay:g} samples explains the records better"
+    evidence = f"left unexplained of the signals: {figures}"
+    remedy = f"give {best:g} as delay if the controller may have it; one sample is 2 to 5 % in the stiffness"
+    return (Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy),)

@@ -10,23 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_shape, invalid
-
-
-class Estimate(Protocol):
-    """What one experiment leaves: an Identification, or a StaticLoad."""
-
-    @property
-    def paths(self) -> tuple[str, ...]: ...
-    @property
-    def values(self) -> np.ndarray: ...
-    @property
-    def standard_deviations(self) -> np.ndarray: ...
+from ambrose.identification.parameters import Estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +62,13 @@ class Repeats:
     def deviation_range(self) -> np.ndarray:
         """Interval (2, q) of the true standard deviation, by chi-square for normal scatter."""
         return np.asarray(np.array(deviation_factors(self.count, self.level))[:, None] * self.deviation)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data, SI."""
+        return {
+            "count": self.count, "values": self.values.tolist(), "mean": self.mean.tolist(),
+            "half_width_95": self.half_width.tolist(), "rsd_percent": self.rsd.tolist(),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,12 +136,12 @@ def scatter_study(
     """
     if runs < 10:
         raise invalid("runs", runs, "at least 10", "50 tell a standard deviation to about 10 %")
-    found = []
+    estimates = []
     for seed in range(runs):
-        found.append(experiment(seed))
+        estimates.append(experiment(seed))
         if progress is not None:
             progress(seed + 1)
-    return study(found, truth, level)
+    return study(estimates, truth, level)
 
 
 def study(estimates: Sequence[Estimate], truth: ArrayLike, level: float = 0.95) -> ScatterStudy:

@@ -1,24 +1,22 @@
-"""What the identified model says of every record: its signals beside the measured ones, with the best initial state."""
+"""The identified model driven by every record's excitation: its signals beside the measured ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from ambrose.core.statespace import StateSpace
-from ambrose.identification.output_error.closed_loop import Identification
 from ambrose.identification.output_error.delays import AHEAD, TimedLoop
+from ambrose.identification.output_error.loop_model import ParametricModel
 from ambrose.identification.output_error.normal_equations import fit
-from ambrose.identification.output_error.problem import experiment
-from ambrose.machine.machine import Machine
+from ambrose.identification.output_error.problem import Experiment
 from ambrose.machine.record.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Explained:
+class SimulatedOutput:
     """measured (p, k) and model (p, k) of ``signals``, SI; the model with the estimated initial state and offset."""
 
     record: Record
@@ -31,36 +29,21 @@ class Explained:
         return self.measured - self.model
 
 
-def explained(
-    machine: Machine,
-    records: Sequence[Record],
-    controller: Any,
-    result: Identification,
-    *,
-    signals: Sequence[str] | None = None,
-    bending_modes: int = 1,
-    computing_delay: float = 1,
-) -> tuple[Explained, ...]:
-    """Every record beside the identified model; the arguments as they were identified with. Raises InvalidInput as identify.
-
-    signals: those shown (None: those fitted).
-    """
-    signals = tuple(signals or dict.fromkeys(signal for _, signal, _ in result.fit))
-    given = experiment(machine, records, controller, result.paths, signals, None, bending_modes, computing_delay, True, True)
-    found = []
-    for record, task in zip(records, given.tasks, strict=True):
-        model = given.models[task.place]
-        loop, _ = model.loop(result.values)
-        unit = given.sizes[:, None]
+def simulate_outputs(experiment: Experiment, records: Sequence[Record], theta: np.ndarray) -> tuple[SimulatedOutput, ...]:
+    """Every record of an experiment with the model's outputs at theta (q,); the signals are those of the experiment."""
+    signals, unit, outputs = experiment.signals, experiment.sizes[:, None], []
+    for record, task in zip(records, experiment.tasks, strict=True):
+        model, free = experiment.models[task.place], replace(task, initial_state=True, offset=True)
+        loop, _ = model.loop(theta)
         mixed = StateSpace(loop.A, loop.B @ task.mix, loop.C / unit, loop.D @ task.mix / unit, None, loop.outputs, loop.dt)
-        residual = fit(mixed, task).residual * unit
-        part = _aligned(record, model, task.samples)
+        residual = fit(mixed, free).residual * unit
+        part = _fitted_part(record, model, task.samples)
         measured = part.select(signals).values
-        found.append(Explained(part, signals, measured, measured - residual))
-    return tuple(found)
+        outputs.append(SimulatedOutput(part, signals, measured, measured - residual))
+    return tuple(outputs)
 
 
-def _aligned(record: Record, model: Any, samples: int) -> Record:
+def _fitted_part(record: Record, model: ParametricModel, samples: int) -> Record:
     """The part of a record that was fitted: with an unknown delay of the excitation some samples at both ends are not."""
     skipped = model.longest[1] - AHEAD if isinstance(model, TimedLoop) and model.longest[1] else 0
     if samples == record.values.shape[1]:

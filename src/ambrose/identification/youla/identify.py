@@ -21,9 +21,13 @@ from ambrose.core.realisation.coprime import CoprimeFactors, coprime_factors, in
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identification.output_error.closed_loop import Identification, solve, summary
+from ambrose.identification.findings import WARNING, Code, Finding
+from ambrose.identification.output_error.closed_loop import ParameterEstimate, fit_samples
 from ambrose.identification.output_error.normal_equations import Task, distinct
 from ambrose.identification.output_error.problem import (
+    Experiment,
+    FitOptions,
+    as_records,
     check_records,
     check_start,
     deployed_controller,
@@ -45,14 +49,14 @@ _OTHER, _WRONG = 0.01, 0.5  # of the recorded currents, that the controller give
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualIdentification:
-    """What was found (``found``: values, covariance, tests) and how: the factors, S at the values found, and its signals.
+    """The estimate (values, covariance, tests) and how it was reached: the factors, S at its values, and its signals.
 
     residual: S from alpha to eps, sampled. signals: per record alpha_u_<axis> [A] and eps_y_<axis> [m], for frf.h1 and
     ``residual_free.finite_response``. controller_error: the share of the recorded currents, from 0, that the controller given
     does not explain (the largest of all records; NaN where u was not recorded apart).
     """
 
-    found: Identification
+    estimate: ParameterEstimate
     factors: CoprimeFactors
     residual: StateSpace
     signals: tuple[Record, ...]
@@ -67,32 +71,30 @@ def identify(
     *,
     start: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
-    bending_modes: int = 1,
-    computing_delay: int = 1,
-    initial_state: bool = True,
-    offset: bool = True,
     decay: float = 10.0,
-    max_iterations: int = 50,
+    **options: Any,
 ) -> ResidualIdentification:
     """The parameters at the paths ``unknown`` from records of the closed loop with e_<axis>, u_<axis> [A] and y_<axis> [m].
 
-    controller, start, bending_modes (per plane), computing_delay [samples], initial_state, offset: as in closed_loop.identify;
-    the controller must stabilise the machine as modelled, too. noise: y_<axis> -> standard deviation [m] (None: all alike).
-    decay [1/s]: the slowest rate at which the observers forget. Raises InvalidInput, and UnstableSystem where machine and
-    controller are not stable together.
+    controller, start: as in closed_loop.identify; the controller must stabilise the machine as modelled, too. noise: y_<axis>
+    -> standard deviation [m] (None: all alike). decay [1/s]: the slowest rate at which the observers forget. options: those of
+    FitOptions, but for signals, weights and period, of which the residual has its own. Raises InvalidInput, and UnstableSystem
+    where machine and controller are not stable together.
     """
-    records = (records,) if isinstance(records, Record) else tuple(records)
+    how = FitOptions(**options)
+    check_options(how)
+    records = as_records(records)
     point, dt = check_records(machine, records)
-    plant = free_mode_reduction(assemble(machine, point), bending_modes)
+    plant = free_mode_reduction(assemble(machine, point), how.bending_modes)
     paths = expand(machine, unknown)
     nominal = nominal_values(plant, paths)
     begin = start_values(paths, nominal, start)
     _check_signals(plant, records)
     driven_inputs(plant, records, -(-len(paths) // len(plant.axes)))
     _check_bounded(plant, records)
-    law = deployed_controller(plant, controller, dt, computing_delay)
+    law = deployed_controller(plant, controller, dt, how.computing_delay)
     factors, covariance = sampled_factors(plant, law, _sizes(plant, noise), decay)
-    signals = tuple(residual_signals(factors, record, offset) for record in records)
+    signals = tuple(residual_signals(factors, record, how.offset) for record in records)
     error = max(controller_error(factors, record) for record in records)
     if error > _WRONG:
         raise InvalidInput(
@@ -100,15 +102,22 @@ def identify(
             "that ran, or its output was limited: check sign, units, sample rate, computing_delay and the order of the axes"
         )
     model = sampled_residual(plant, factors, paths, nominal, _whitening(covariance))
-    found = _fit(plant, model, paths, nominal, begin, signals, initial_state, offset, max_iterations)
+    estimate = _fit(plant, model, paths, nominal, begin, signals, how)
     if error > _OTHER:
-        text = (
-            f"the controller given leaves {100 * error:.1f} % of the recorded currents unexplained; the parameters found are "
-            "biased by as much as it differs from the one that ran"
-        )
-        found = replace(found, warnings=(*found.warnings, text))
-    S = residual_at(model, found.values)
-    return ResidualIdentification(found, factors, S, signals, error)
+        what = f"the controller given leaves {100 * error:.1f} % of the recorded currents unexplained"
+        remedy = "the parameters found are biased by as much as it differs from the one that ran"
+        warning = Finding(Code.OTHER_CONTROLLER, WARNING, what, remedy=remedy)
+        estimate = replace(estimate, warnings=(*estimate.warnings, warning))
+    S = residual_at(model, estimate.values)
+    return ResidualIdentification(estimate, factors, S, signals, error)
+
+
+def check_options(options: FitOptions) -> None:
+    """Refuse options that the residual has no use for; raises InvalidInput."""
+    for name in ("signals", "weights", "period"):
+        if getattr(options, name) is not None:
+            text = "the Youla residual is made of every u_ and y_<axis> over the whole record"
+            raise InvalidInput(f"{name} goes with the method closed-loop; {text}")
 
 
 def identify_injected(
@@ -122,8 +131,7 @@ def identify_injected(
     start: Mapping[str, float] | None = None,
     initial_state: bool = False,
     offset: bool = False,
-    max_iterations: int = 50,
-) -> Identification:
+) -> ParameterEstimate:
     """P1's experiment: alpha (m, k) [A] is fed into the controller, held over dt [s], and eps (p, k) [m] read out of it.
 
     plant: reduced, without feedthrough; factors: of the continuous plant (inputs u_<axis>, outputs y_<axis>) and its controller
@@ -145,7 +153,7 @@ def identify_injected(
         plant.machine.name, 1 / dt, (*factors.alpha, *factors.eps), ("A",) * len(alpha) + ("m",) * len(eps),
         np.vstack([alpha, eps]), plant.point,
     )  # fmt: skip
-    return _fit(plant, model, paths, nominal, begin, (signals,), initial_state, offset, max_iterations)
+    return _fit(plant, model, paths, nominal, begin, (signals,), FitOptions(initial_state=initial_state, offset=offset))
 
 
 def _fit(
@@ -155,10 +163,8 @@ def _fit(
     nominal: np.ndarray,
     begin: np.ndarray,
     signals: Sequence[Record],
-    initial_state: bool,
-    offset: bool,
-    most: int,
-) -> Identification:
+    options: FitOptions,
+) -> ParameterEstimate:
     """The least squares of output_error/closed_loop.py on S, with eps whitened and scaled to the size 1."""
     whitening = model.whitening if isinstance(model, SampledResidual) else np.eye(len(model.signals))
     measured = [whitening @ record.select(model.signals).values for record in signals]
@@ -168,13 +174,16 @@ def _fit(
             "eps is zero: the machine shows no difference from its model at all; is this record a simulation of it?"
         )
     tasks = [
-        Task(*distinct(list(record.select(model.excitations).values)), eps / size, initial_state, offset)
+        Task(*distinct(list(record.select(model.excitations).values)), eps / size, options.initial_state, options.offset)
         for record, eps in zip(signals, measured, strict=True)
     ]
-    check_start(model, begin)
-    sizes = np.full(len(model.signals), size)
-    found = solve(paths, model, sizes, tasks, begin, np.where(nominal == 0, 1.0, np.abs(nominal)), most)
-    return summary(plant.machine, plant.point, paths, begin, model, sizes, tasks, found)
+    check_start([model], begin)
+    scale, sizes = np.where(nominal == 0, 1.0, np.abs(nominal)), np.full(len(model.signals), size)
+    experiment = Experiment(
+        plant.machine.name, signals[0].dt, options, paths, nominal, scale, plant.point, (model,), tuple(tasks), sizes,
+        model.signals,
+    )  # fmt: skip
+    return fit_samples(experiment, begin)
 
 
 def sampled_factors(

@@ -68,9 +68,9 @@ def finite_response(alpha: np.ndarray, eps: np.ndarray, taps: int) -> FiniteResp
         raise InvalidInput(
             f"alpha does not excite {taps} taps of every channel; excite longer, or each axis on its own"
         ) from error
-    found = sla.cho_solve(factor, X.T @ Y / size[:, None]) / size[:, None]
-    noise = np.sqrt(np.sum((Y - X @ found) ** 2, axis=0) / freedom)
+    taps_by_output = sla.cho_solve(factor, X.T @ Y / size[:, None]) / size[:, None]
+    noise = np.sqrt(np.sum((Y - X @ taps_by_output) ** 2, axis=0) / freedom)
     spread = np.sqrt(np.diag(sla.cho_solve(factor, np.eye(m * taps)))) / size
     p = len(eps)
     shape = (p, m, taps)
-    return FiniteResponse(found.T.reshape(shape), np.outer(noise, spread).reshape(shape), normal, noise, freedom)
+    return FiniteResponse(taps_by_output.T.reshape(shape), np.outer(noise, spread).reshape(shape), normal, noise, freedom)

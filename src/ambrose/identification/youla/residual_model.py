@@ -17,7 +17,7 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.realisation.coprime import CoprimeFactors, residual_lft
 from ambrose.core.response import SystemDerivative, held_derivative
 from ambrose.core.statespace import StateSpace, index_of
-from ambrose.identification.output_error.loop_model import LoopModel, loop_model
+from ambrose.identification.output_error.loop_model import LoopModel, directions_of, loop_model
 from ambrose.machine.description import Tolerance
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import uncertain
@@ -121,17 +121,8 @@ def held_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str], n
     general = uncertain_residual(plant, factors, paths)
     system = general.system
     u, y = index_of(general.u, system.inputs, "input"), index_of(general.y, system.outputs, "output")
-    dA, dB, first = [], [], 0
-    for block in general.blocks:
-        span = range(first, first + block.n_w)
-        w = index_of([general.w[k] for k in span], system.inputs, "input")
-        z = index_of([general.z[k] for k in span], system.outputs, "output")
-        first += block.n_w
-        dA.append(system.B[:, w] @ system.C[z])
-        dB.append(system.B[:, w] @ system.D[np.ix_(z, u)])
+    dA, dB = directions_of(general, u)
     count = general.n_w_blocks
     if system.D[: general.n_z_blocks, :count].any() or system.D[np.ix_(y, [*range(count), *u])].any():
         raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
-    return HeldResidual(
-        nominal, system.A, system.B[:, u], system.C[y], np.stack(dA), np.stack(dB), dt, factors.alpha, factors.eps
-    )
+    return HeldResidual(nominal, system.A, system.B[:, u], system.C[y], dA, dB, dt, factors.alpha, factors.eps)

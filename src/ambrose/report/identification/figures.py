@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.identification.output_error.closed_loop import Identification
-from ambrose.identification.validation.simulated_output import Explained
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.parameters import COVERAGE
+from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.report import theme, units
 from ambrose.report.figures.panels import Panel, panel_figure
-from ambrose.report.identification.tables import COVERAGE, fixed
+from ambrose.report.identification.tables import fixed
 from ambrose.report.record.curves import thinned
 from ambrose.verification.checks import Curve
 
@@ -43,7 +44,7 @@ def _once(kind: str, name: str) -> str:
     return kind if name == kind else f"{kind} {name}"
 
 
-def change_figure(result: Identification) -> Any:
+def change_figure(result: ParameterEstimate) -> Any:
     """Every parameter's change from its start [%] with its 95 % interval; those without a start value are left out."""
     import plotly.graph_objects as go
 
@@ -72,7 +73,7 @@ def change_figure(result: Identification) -> Any:
     return figure
 
 
-def overlay_figure(piece: Explained) -> tuple[Any, str]:
+def overlay_figure(piece: SimulatedOutput) -> tuple[Any, str]:
     """Measured over model and what is left between them, in a window around the largest motion; and the words for it."""
     part = _telling(piece)
     time = piece.record.time[part]
@@ -85,7 +86,7 @@ def overlay_figure(piece: Explained) -> tuple[Any, str]:
     return figure, f"Shown are {span}, around the largest motion.{' ' + beyond if beyond else ''}"
 
 
-def _panel(piece: Explained, i: int, time: np.ndarray, part: slice) -> Panel:
+def _panel(piece: SimulatedOutput, i: int, time: np.ndarray, part: slice) -> Panel:
     unit = piece.record.units[piece.record.signals.index(piece.signals[i])]
     curves = tuple(
         (label, Curve("identification.time", "", "time", time, values[i : i + 1, part], (piece.signals[i],), "s", unit))
@@ -96,7 +97,7 @@ def _panel(piece: Explained, i: int, time: np.ndarray, part: slice) -> Panel:
     return Panel(units.axis_name(piece.signals[i]), curves, (("", f"fit {100 * (1 - left):.1f} %"),))
 
 
-def _telling(piece: Explained) -> slice:
+def _telling(piece: SimulatedOutput) -> slice:
     """Some periods of the strongest frequency around the largest sample, not at the very beginning."""
     x = piece.measured - piece.measured.mean(axis=1, keepdims=True)
     k, rate = x.shape[1], piece.record.sample_rate_hz
@@ -109,7 +110,7 @@ def _telling(piece: Explained) -> slice:
     return slice(first, first + length)
 
 
-def residual_figure(piece: Explained) -> tuple[Any, str]:
+def residual_figure(piece: SimulatedOutput) -> tuple[Any, str]:
     """The residual over the whole record, on its own scale: does it stay equally small throughout?"""
     time = piece.record.time
     rows = []
@@ -126,7 +127,7 @@ def residual_figure(piece: Explained) -> tuple[Any, str]:
     return panel_figure(rows, {"residual": theme.Style("#0072b2", "solid", "circle-open", 1.0)}, height=120)
 
 
-def correlation_figure(result: Identification) -> Any:
+def correlation_figure(result: ParameterEstimate) -> Any:
     """The parameters' correlation, and beside it the cosine between the Jacobian's columns, which is something else."""
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
@@ -155,7 +156,7 @@ def correlation_figure(result: Identification) -> Any:
     return figure
 
 
-def residual_tests_figure(result: Identification) -> Any:
+def residual_tests_figure(result: ParameterEstimate) -> Any:
     """Largest correlation of each residual with each excitation, over its 99 % limit: above 1 the model misses something."""
     import plotly.graph_objects as go
 
@@ -180,7 +181,7 @@ def residual_tests_figure(result: Identification) -> Any:
     return figure
 
 
-def telling_records(pieces: Sequence[Explained], most: int = 2) -> list[tuple[int, Explained]]:
+def telling_records(pieces: Sequence[SimulatedOutput], most: int = 2) -> list[tuple[int, SimulatedOutput]]:
     """The records worth showing, with their numbers: the worst explained one, and the first."""
     order = sorted(
         range(len(pieces)), key=lambda n: -float(np.linalg.norm(pieces[n].residual) / np.linalg.norm(pieces[n].measured))

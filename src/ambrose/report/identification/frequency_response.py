@@ -11,8 +11,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.validity import compare, model_response
-from ambrose.identification.moved_plant import plant_at
-from ambrose.identification.pipeline import CheckedIdentification
+from ambrose.identification.parameters import plant_at
+from ambrose.identification.result import LoopIdentification
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report import units
@@ -21,7 +21,7 @@ from ambrose.report.figures.seals import response_figure
 _DECADES = 4.0  # of magnitude that are shown
 
 
-def frf_figure(machine: Machine, checked: CheckedIdentification, axes: Sequence[str] = ()) -> tuple[Any, str] | None:
+def frf_figure(machine: Machine, checked: LoopIdentification, axes: Sequence[str] = ()) -> tuple[Any, str] | None:
     """The plant from the amplifiers' command u + e to the displacements, axis by axis, measured, identified and as it was.
 
     Measured by the joint input-output method, or None where the records do not allow it (u_ or some excitations are missing, or
@@ -29,7 +29,7 @@ def frf_figure(machine: Machine, checked: CheckedIdentification, axes: Sequence[
     agrees, in words.
     """
     result, shown = checked.result, tuple(axes) or machine.axes[:4]
-    records = [piece.record for piece in checked.pieces if _same_point(piece.record, checked)]
+    records = [piece.record for piece in checked.outputs if _same_point(piece.record, checked)]
     whole = _measured(records, machine.axes)
     if whole is None:
         return None
@@ -54,7 +54,7 @@ def frf_figure(machine: Machine, checked: CheckedIdentification, axes: Sequence[
     return figure, words
 
 
-def _same_point(record: Record, checked: CheckedIdentification) -> bool:
+def _same_point(record: Record, checked: LoopIdentification) -> bool:
     point = checked.result.point
     return record.point.seal_pressure == point.seal_pressure and record.point.speed == point.speed
 
@@ -70,7 +70,7 @@ def _measured(records: Sequence[Record], axes: Sequence[str]) -> frf.Frf | None:
         return None
 
 
-def _model(machine: Machine, checked: CheckedIdentification, theta: np.ndarray, measured: frf.Frf) -> FrequencyResponse:
+def _model(machine: Machine, checked: LoopIdentification, theta: np.ndarray, measured: frf.Frf) -> FrequencyResponse:
     """The plant with these parameters on the measured lines."""
     values = dict(zip(checked.result.paths, theta.tolist(), strict=True))
     return model_response(measured, plant_at(machine, checked.result.point, values, checked.bending_modes).system)

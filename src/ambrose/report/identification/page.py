@@ -1,6 +1,6 @@
 """One page from one identification: what was found, whether to believe it, and the pictures to see why.
 
-write(identification_report(machine, checked, sources=["prbs.h5"]), "identified.html")
+write(identification_report(done), "identified.html")
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.pipeline import CheckedIdentification
+from ambrose.identification.result import LoopIdentification
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
-from ambrose.identification.validation.agreement import Beside
+from ambrose.identification.validation.agreement import Agreement
 from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.machine.machine import Machine
 from ambrose.report import units
@@ -76,22 +76,11 @@ _TESTS = (
 
 
 def identification_report(
-    machine: Machine,
-    checked: CheckedIdentification,
-    *,
-    sources: Sequence[str] = (),
-    controller: str = "",
-    seal: SealFit | None = None,
-    compared: Sequence[Beside] | None = None,
-    title: str = "",
-    date: str = "",
+    checked: LoopIdentification, *, compared: Sequence[Agreement] | None = None, title: str = "", date: str = ""
 ) -> Report:
-    """The report of an identification.
-
-    machine: as it was before. sources: the records' files; controller: its file. seal: coefficients over several pressures, as
-    a section of their own. compared: with what another method had found. date: ISO date (today if empty).
-    """
-    result = checked.result
+    """The report of an identification; compared: with what another method had found. date: ISO date (today if empty)."""
+    machine, result = checked.given, checked.result
+    seal = None if checked.seal is None else checked.seal.fit
     parameters: list[Table] = [parameters_table(result)]
     if checked.repeats is not None:
         parameters.append(repeats_table(checked.repeats))
@@ -103,11 +92,8 @@ def identification_report(
     if seal is not None:
         tables = (seal_table(seal), *((seal_lines_table(seal),) if len(seal.pressures) > 2 else ()))
         sections.append(Section("Seal", "", (_seal_figure(seal),), tables))
-    doubts = [text for text in result.warnings if text != result.verdict]
-    doubts += [f"seal {seal.seal} {text}" for text in seal.warnings] if seal is not None else []
-    if checked.findings or doubts:
-        table = findings_table(checked.findings, doubts)
-        sections.insert(0, Section("What makes this doubtful", "", (), (table,))) if table.rows else None
+    if checked.doubts:
+        sections.insert(0, Section("What makes this doubtful", "", (), (findings_table(checked.doubts),)))
     if checked.residual is not None:
         sections.append(_residual_section(checked.residual))
     sections.append(Section("Measured over model", "", tuple(_comparisons(machine, checked)), (fit_table(result),)))
@@ -120,7 +106,7 @@ def identification_report(
     words = f"to be doubted: {', '.join(failed)}" if failed else "identified, and nothing speaks against it"
     return Report(
         title or _TITLES[checked.method], machine, tuple(sections), verdicts,
-        _facts(checked, sources, controller), date, result=Verdict("Result", not failed, words),
+        _facts(checked), date, result=Verdict("Result", not failed, words),
     )  # fmt: skip
 
 
@@ -130,10 +116,10 @@ def _seal_figure(fit: SealFit) -> Figure:
     return Figure(f"Seal {units.axis_name(fit.seal)}: coefficients against pressure", pressure_figure(rows, lines), _SEAL)
 
 
-def _comparisons(machine: Machine, checked: CheckedIdentification) -> list[Figure]:
+def _comparisons(machine: Machine, checked: LoopIdentification) -> list[Figure]:
     figures = []
-    several = len(checked.pieces) > 1
-    for number, piece in telling_records(checked.pieces):
+    several = len(checked.outputs) > 1
+    for number, piece in telling_records(checked.outputs):
         where = f", record {number}" if several else ""
         picture, words = overlay_figure(piece)
         figures.append(Figure(f"Time{where}", picture, _TIME + words))
@@ -154,7 +140,7 @@ def _residual_section(residual: ResidualIdentification) -> Section:
     return Section(title, "", (Figure("Residual system", picture, _RESIDUAL),))
 
 
-def _verdicts(checked: CheckedIdentification, seal: SealFit | None = None) -> tuple[Verdict, ...]:
+def _verdicts(checked: LoopIdentification, seal: SealFit | None = None) -> tuple[Verdict, ...]:
     result = checked.result
     passed = all(test.passed for test in result.tests)
     worst = max(zip(result.paths, result.values, result.standard_deviations, strict=True), key=_relative)
@@ -170,8 +156,7 @@ def _verdicts(checked: CheckedIdentification, seal: SealFit | None = None) -> tu
             + ("" if result.converged else ", NOT converged"),
         ),
     ]  # fmt: skip
-    doubts = [text for text in result.warnings if text != result.verdict]
-    count = len(checked.findings) + len(doubts)
+    count = len(checked.doubts) - (len(seal.warnings) if seal is not None else 0)
     text = "nothing found: channels, signs, rate, controller, timing and limits are as stated"
     if count:
         text = f"{count} finding{'s' if count > 1 else ''}; see below"
@@ -187,16 +172,16 @@ def _relative(row: tuple[str, float, float]) -> float:
     return float(row[2]) / max(abs(float(row[1])), 1e-300)
 
 
-def _facts(checked: CheckedIdentification, sources: Sequence[str], controller: str) -> tuple[tuple[str, str], ...]:
+def _facts(checked: LoopIdentification) -> tuple[tuple[str, str], ...]:
     result = checked.result
     spans = [
-        f"{units.number(piece.record.values.shape[1] / piece.record.sample_rate_hz, 4)} s" for piece in checked.pieces
+        f"{units.number(piece.record.values.shape[1] / piece.record.sample_rate_hz, 4)} s" for piece in checked.outputs
     ]  # fmt: skip
-    rate = units.number(checked.pieces[0].record.sample_rate_hz, 6)
+    rate = units.number(checked.outputs[0].record.sample_rate_hz, 6)
     delay, modes = checked.computing_delay, checked.bending_modes
     known = [
-        ("Records", f"{', '.join(sources) or len(spans)} ({', '.join(spans)} at {rate} Hz)"),
-        ("Controller", controller),
+        ("Records", f"{', '.join(checked.provenance.records) or len(spans)} ({', '.join(spans)} at {rate} Hz)"),
+        ("Controller", checked.provenance.controller),
         ("Operating point", result.point.label),
         ("Seal pressure", units.quantity(result.point.seal_pressure, "Pa")),
         ("Speed", f"{units.number(result.point.speed * units.RPM, 4)} rpm"),

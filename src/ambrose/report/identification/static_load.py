@@ -1,6 +1,6 @@
 """The page of K_i from static loads: values beside the machine's, how straight force over current is, the levels.
 
-write(static_report(machine, checked, sources=["loads.h5"]), "static.html")
+write(static_report(done), "static.html")
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.identification.findings import Code
+from ambrose.identification.parameters import COVERAGE
+from ambrose.identification.result import StaticIdentification
 from ambrose.identification.static_load.identify import StaticLoad
-from ambrose.identification.static_load.pipeline import CheckedStaticLoad
-from ambrose.identification.validation.agreement import Beside
-from ambrose.machine.machine import Machine
+from ambrose.identification.validation.agreement import Agreement
 from ambrose.report import theme, units
-from ambrose.report.identification.tables import COVERAGE, compared_table, findings_table, fixed, repeats_table
+from ambrose.report.identification.tables import compared_table, findings_table, fixed, repeats_table
 from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict
 
 _LINEAR = 0.01  # probability below which the straight line is rejected
@@ -27,16 +28,9 @@ _FIGURE = (
 )
 
 
-def static_report(
-    machine: Machine,
-    checked: CheckedStaticLoad,
-    *,
-    sources: Sequence[str] = (),
-    compared: Sequence[Beside] | None = None,
-    date: str = "",
-) -> Report:
-    """The report of static loads; sources: the records' files; compared: with another method's; date: ISO (today if empty)."""
-    result = checked.result
+def static_report(checked: StaticIdentification, *, compared: Sequence[Agreement] | None = None, date: str = "") -> Report:
+    """The report of static loads; compared: with another method's; date: ISO (today if empty)."""
+    machine, result = checked.given, checked.result
     tables = [static_table(checked)]
     if checked.repeats is not None:
         tables.append(repeats_table(checked.repeats))
@@ -48,17 +42,19 @@ def static_report(
         Section("Load levels", "", (), (levels_table(result),), folded=True),
     ]
     if result.warnings:
-        sections.insert(0, Section("What makes this doubtful", "", (), (findings_table((), result.warnings),)))
+        sections.insert(0, Section("What makes this doubtful", "", (), (findings_table(result.warnings),)))
     count = len(result.warnings)
     verdicts = (
-        Verdict("Straightness", not any("curved" in text for text in result.warnings), units.prose(result.verdict)),
+        Verdict(
+            "Straightness", not any(finding.code == Code.CURVED for finding in result.warnings), units.prose(result.verdict)
+        ),
         Verdict(
             "Loads", not count, f"{count} finding{'s' * (count != 1)}; see below" if count else "both sides, position held"
         ),
     )
     words = "to be doubted; see below" if count else "identified, and nothing speaks against it"
     facts = [
-        ("Records", ", ".join(sources)),
+        ("Records", ", ".join(checked.provenance.records)),
         ("Operating point", result.point.label),
         ("Levels", f"{len(result.levels.loads)}, loads at {', '.join(units.axis_name(port) for port in result.levels.ports)}"),
         ("Largest force of a magnet", units.quantity(float(np.abs(result.forces).max()), "N")),
@@ -69,13 +65,13 @@ def static_report(
     )  # fmt: skip
 
 
-def static_table(checked: CheckedStaticLoad) -> Table:
+def static_table(checked: StaticIdentification) -> Table:
     """K_i of every axis: the machine's, the line over the loads, the slope at rest."""
     result, rows = checked.result, []
     for i, path in enumerate(result.paths):
         value, half = float(result.values[i]), COVERAGE * float(result.standard_deviations[i])
         rest, rest_half = float(result.at_rest[i]), COVERAGE * float(result.at_rest_deviations[i])
-        own = float(checked.start[i])
+        own = float(result.start[i])
         rows.append(
             (
                 path,

@@ -5,26 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ambrose.identification.data_quality.finding import ERROR, RecordFinding
-from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.findings import ERROR, Finding
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.parameters import COVERAGE, unit_of
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, line
-from ambrose.identification.validation.agreement import Beside
+from ambrose.identification.validation.agreement import Agreement
 from ambrose.identification.validation.repeatability import Repeats
-from ambrose.machine.parameters import TIMING, parse_parameter
-from ambrose.machine.units import DIMENSIONS
 from ambrose.report import units
 from ambrose.report.page import Cell, Table
 
-COVERAGE = 1.96  # standard deviations of a normal 95 % interval
 _UNSURE = 0.1  # half-width over value that is marked
 
 
-def unit_of(path: str) -> str:
-    """The SI unit of a parameter."""
-    return "s" if path in TIMING else DIMENSIONS[parse_parameter(path).dimension].unit
-
-
-def parameters_table(result: Identification) -> Table:
+def parameters_table(result: ParameterEstimate) -> Table:
     """Parameter, start, value, 95 % interval, relative standard deviation."""
     rows = []
     for path, start, value, deviation in zip(
@@ -52,7 +45,7 @@ def parameters_table(result: Identification) -> Table:
     )  # fmt: skip
 
 
-def fit_table(result: Identification) -> Table:
+def fit_table(result: ParameterEstimate) -> Table:
     """Goodness of fit per record and signal."""
     rows = [
         (str(number), units.axis_name(signal), Cell(f"{percent:.2f} %", "fail" if percent < 50 else "number"))
@@ -62,7 +55,7 @@ def fit_table(result: Identification) -> Table:
     return Table("Fit per signal", ("Record", "Signal", "Fit"), tuple(rows), note)
 
 
-def residual_tests_table(result: Identification) -> Table:
+def residual_tests_table(result: ParameterEstimate) -> Table:
     """Does a residual still follow an excitation, the worst first."""
     ordered = sorted(result.tests, key=lambda test: -abs(test.correlation) / test.limit)
     rows = [
@@ -81,7 +74,7 @@ def residual_tests_table(result: Identification) -> Table:
     return Table("Residual tests", columns, tuple(rows), note)
 
 
-def findings_table(findings: Sequence[RecordFinding], warnings: Sequence[str]) -> Table:
+def findings_table(findings: Sequence[Finding]) -> Table:
     """Everything that makes the result doubtful."""
     rows = [
         (
@@ -90,9 +83,6 @@ def findings_table(findings: Sequence[RecordFinding], warnings: Sequence[str]) -
             units.prose(finding.remedy),
         )
         for finding in findings
-    ]
-    rows += [
-        (Cell(units.prose(text.split(";")[0]), "none"), "", units.prose("; ".join(text.split(";")[1:]))) for text in warnings
     ]
     return Table("Findings", ("What", "Evidence", "What to do"), tuple(rows))
 
@@ -167,7 +157,7 @@ def _plus_minus(value: float, half: float, unit: str) -> str:
     return f"{fixed(value, half)} ± {units.number(half, 2)} {unit}"
 
 
-def compared_table(rows: Sequence[Beside]) -> Table:
+def compared_table(rows: Sequence[Agreement]) -> Table:
     """What was found beside what another method had found."""
     cells = []
     for row in rows:

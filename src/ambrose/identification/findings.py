@@ -1,0 +1,81 @@
+"""What is wrong, or doubtful, with a record or with what was identified from it: findings, each with a code to act upon."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from ambrose.core.checks import InvalidInput, invalid
+
+ERROR, WARNING = "error", "warning"
+
+
+class Code(StrEnum):
+    """What a finding is about; programs compare codes, never texts."""
+
+    # A signal by itself (data_quality/signals.py)
+    NO_EXCITATION = "no-excitation"  # no excitation in the record, or one that never changes
+    DEAD_CHANNEL = "dead-channel"  # a measured signal that never changes
+    CLIPPED = "clipped"  # flat tops
+    SATURATED = "saturated"  # a command at its limit
+    TOUCHDOWN = "touchdown"  # a displacement at the touchdown gap
+    REPEATED_SAMPLES = "repeated-samples"  # all channels hold a value at once
+    MOVING_POINT = "moving-operating-point"  # speed or pressure changes within the record
+    # Records against controller and model (data_quality/diagnosis.py)
+    DUPLICATE_RECORD = "duplicate-record"
+    SAMPLE_RATE = "sample-rate"  # not the stated one
+    MIXED_CHANNELS = "mixed-channels"  # swapped or inverted
+    NO_RESPONSE = "no-response"  # the displacements do not follow the excitation
+    FAR_FROM_START = "far-from-start"  # the model with the start values responds otherwise; settled by the fit
+    OTHER_CONTROLLER = "other-controller"
+    CONTROLLER_GAIN = "controller-gain"
+    OTHER_DELAY = "other-delay"  # another computing delay explains the record better
+    CHANNEL_SKEW = "channel-skew"  # channels recorded at different times
+    LOST_SAMPLES = "lost-samples"
+    # The fit (output_error/summary.py, youla/identify.py)
+    NOT_CONVERGED = "not-converged"
+    HARDLY_VISIBLE = "hardly-visible"  # a parameter with a wide interval
+    CORRELATED = "correlated"  # two parameters that are hardly told apart
+    RESIDUALS = "residuals"  # they still follow an excitation: the verdict
+    # The result (validation/plausibility.py)
+    IMPOSSIBLE_VALUE = "impossible-value"
+    NOT_DESTABILISING = "not-destabilising"  # a negative stiffness of the wrong sign
+    FAR_FROM_FILE = "far-from-file"  # a value far from the machine file's
+    COMMON_FACTOR = "common-factor"  # every K_i and K_s moved alike: a wrong mass
+    MISSING_RESPONSE = "missing-response"  # what the model cannot reproduce at any parameter values
+    BURST = "burst"  # a short time in which a signal leaves the model
+    # Static loads (static_load/identify.py)
+    ONE_SIDED = "one-sided-load"
+    NOT_HELD = "position-not-held"
+    CURVED = "curved"  # force over current
+    # Stepped sines at a seal (seal/stepped_sine.py)
+    AT_SPEED = "step-at-speed"  # unbalance answers too
+    NOISY = "noisy-step"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """severity: "error" (no number from this record can be trusted) or "warning"; ``what`` names record and signal,
+    ``evidence`` the numbers that show it, ``remedy`` what to do. Raises InvalidInput for another severity."""
+
+    code: Code
+    severity: str
+    what: str
+    evidence: str = ""
+    remedy: str = ""
+
+    def __post_init__(self) -> None:
+        if self.severity not in {ERROR, WARNING}:
+            raise invalid("the severity of a finding", repr(self.severity), '"error" or "warning"', "choose one")
+
+    def __str__(self) -> str:
+        text = f"{self.what}: {self.evidence}" if self.evidence else self.what
+        return f"{text}; {self.remedy}" if self.remedy else text
+
+
+def refuse(findings: Iterable[Finding]) -> None:
+    """Raises InvalidInput with every error among the findings, the first one leading."""
+    errors = [str(finding) for finding in findings if finding.severity == ERROR]
+    if errors:
+        raise InvalidInput("\n".join(errors))

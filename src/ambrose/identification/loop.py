@@ -1,0 +1,166 @@
+"""Identification from closed-loop records with its checks: the records before, the result after; a refusal instead of a
+silent wrong number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from ambrose.core.checks import InvalidInput
+from ambrose.identification.data_quality.diagnosis import diagnose_records
+from ambrose.identification.findings import WARNING, Code, Finding, refuse
+from ambrose.identification.output_error import closed_loop
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.output_error.problem import FitOptions, build_experiment
+from ambrose.identification.parameters import COVERAGE, split_timing
+from ambrose.identification.result import LoopIdentification
+from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
+from ambrose.identification.validation.repeatability import of_estimates
+from ambrose.identification.validation.simulated_output import simulate_outputs
+from ambrose.identification.youla import identify as youla
+from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, CONTROLLER_DELAY, TIMING, parse_parameter
+from ambrose.machine.record.record import Record
+
+_SHORT = 1.0  # [s] of every record on which other delays are tried
+Progress = Callable[[str], None]
+
+
+def identify_loop(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: Any,
+    unknown: Sequence[str],
+    *,
+    method: str = "closed-loop",
+    start: Mapping[str, float] | None = None,
+    repeats: bool = False,
+    others: Sequence[Record] = (),
+    progress: Progress = lambda stage: None,
+    options: FitOptions | None = None,
+) -> LoopIdentification:
+    """``closed_loop.identify`` or ``youla.identify`` between diagnose_records and diagnose_result; ``machine`` is not yet
+    updated.
+
+    unknown: none means usual_unknowns. repeats: the records repeat one experiment; each is identified alone, too, and a
+    standard deviation below what their scatter allows for is widened to it. others: records that are checked with these, as
+    further numbers, and not fitted. Raises InvalidInput with every error that was found, each with its evidence and remedy.
+    """
+    options = options or FitOptions()
+    unknown = tuple(unknown) or usual_unknowns(machine, records)
+    paths = [path for kind in split_timing(machine, unknown) for path in kind]
+    if method == "youla":
+        _check_residual(paths, options)
+    setup: dict[str, Any] = {"bending_modes": options.bending_modes, "computing_delay": options.computing_delay}
+    progress("checking the records")
+    known = {path: value for path, value in (start or {}).items() if path not in TIMING}
+    checks = diagnose_records(machine, (*records, *others), controller, start=known, **setup)
+    if CONTROLLER_DELAY in paths:  # then the delay is found, not given
+        checks = tuple(finding for finding in checks if finding.code != Code.OTHER_DELAY)
+    refuse(checks)
+    experiment = build_experiment(machine, records, controller, unknown, options) if method == "closed-loop" else None
+
+    def identify_alone(record: Record, begin: Mapping[str, float]) -> ParameterEstimate:
+        if method == "youla":
+            return youla.identify(machine, record, controller, unknown, start=begin, **options.named()).estimate
+        return closed_loop.fit(build_experiment(machine, record, controller, unknown, options), begin)
+
+    progress(f"identifying {len(paths)} parameters")
+    residual = None
+    if experiment is not None:
+        result = closed_loop.fit(experiment, start)
+    else:
+        residual = youla.identify(machine, records, controller, unknown, start=start, **options.named())
+        result = residual.estimate
+        experiment = build_experiment(machine, records, controller, unknown, FitOptions(**setup))
+    progress("checking the result")
+    outputs = simulate_outputs(experiment, records, result.values)
+    checks = tuple(finding for finding in checks if finding.code != Code.FAR_FROM_START)  # no longer relevant
+    checks += diagnose_result(machine, result, outputs)
+    refuse(checks)
+    if not all(test.passed for test in result.tests) and not any(finding.code == Code.OTHER_DELAY for finding in checks):
+        checks += _other_delay(machine, records, controller, result, options)
+    done = LoopIdentification(
+        given=machine, machine=machine, result=result, checks=checks, outputs=outputs, controller=controller,
+        residual=residual, **setup,
+    )  # fmt: skip
+    return _with_repeats(done, records, identify_alone, progress) if repeats else done
+
+
+def _check_residual(paths: Sequence[str], options: FitOptions) -> None:
+    youla.check_options(options)
+    for path in paths:
+        if path in TIMING:
+            raise InvalidInput(f"{path} as an unknown goes with the method closed-loop; its delay must be known here")
+
+
+def _other_delay(
+    machine: Machine, records: Sequence[Record], controller: Any, result: ParameterEstimate, options: FitOptions
+) -> tuple[Finding, ...]:
+    """Whether another delay explains the first second of the records better, all parameters free."""
+    early = [record.between(record.start_time, record.start_time + _SHORT) for record in records]
+    begin = dict(zip(result.paths, result.values.tolist(), strict=True))
+
+    def refit(delay: float, *extra: str) -> ParameterEstimate:
+        changed = replace(options, computing_delay=delay, period=None)
+        return closed_loop.fit(build_experiment(machine, early, controller, (*result.paths, *extra), changed), begin)
+
+    delay = float(options.computing_delay)
+    try:
+        given = refit(delay)
+    except InvalidInput:  # the first second says too little
+        return ()
+    return delay_findings(given, delay, records[0].dt, lambda: refit(delay, CONTROLLER_DELAY), refit)
+
+
+def _with_repeats(
+    done: LoopIdentification,
+    records: Sequence[Record],
+    identify_alone: Callable[[Record, Mapping[str, float]], ParameterEstimate],
+    progress: Progress,
+) -> LoopIdentification:
+    """With what every record alone gives, and a covariance as wide as their scatter."""
+    begin = dict(zip(done.result.paths, done.result.values.tolist(), strict=True))
+    estimates, lost = [], []
+    for number, record in enumerate(records, 1):
+        progress(f"identifying record {number} of {len(records)} alone")
+        estimates.append(identify_alone(record, begin))
+        if not estimates[-1].converged:
+            remedy = "the scatter of the repeats holds a value that is not the best"
+            lost.append(Finding(Code.NOT_CONVERGED, WARNING, f"record {number} alone did not converge", remedy=remedy))
+    repeats = of_estimates(estimates)
+    result = done.result.widened(repeats.half_width / COVERAGE)
+    return replace(done, result=replace(result, warnings=(*result.warnings, *lost)), repeats=repeats)
+
+
+def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[str, ...]:
+    """What is identified when nothing is named: the machine's uncertain parameters, K_i and K_s of every bearing and axis, and
+    the amplifier's lag (its bandwidth, or its natural frequency).
+
+    A seal's coefficient that scales with the pressure is left out where no record was taken under pressure; so is one that a
+    table or a geometry gives, for it could not be written back.
+    """
+    paths = [
+        f"bearing.{item.name}.{quantity}.{axis}"
+        for quantity in ("force_per_current", "negative_stiffness")
+        for item in machine.bearings
+        for axis in ("zeta", "eta")
+    ]
+    lag = [name for name in AMPLIFIER_PARAMETERS[machine.amplifier.order] if name != "damping"]
+    paths += [f"amplifier.{name}" for name in lag[:1]]
+    pressed = any(record.point.seal_pressure for record in records) or not records
+    for tolerance in machine.tolerances:
+        parameter = parse_parameter(tolerance.parameter)
+        if parameter.table == "seal":
+            seal = next(item for item in machine.seals if item.name == parameter.name)
+            if parameter.quantity in seal.scales_with_pressure and not pressed:
+                continue
+            tabulated = seal.table is not None and parameter.quantity in dict(seal.table.values)
+            if tabulated or seal.geometry is not None:
+                continue
+        if not any(parameter.overlaps(parse_parameter(path)) for path in paths):
+            paths.append(tolerance.parameter)
+    if not paths:
+        raise InvalidInput(f"machine {machine.name!r} has nothing to identify; name the parameters")
+    return tuple(paths)

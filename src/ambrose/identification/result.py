@@ -1,0 +1,303 @@
+"""What an identification gives, whatever its method: parameters, findings, the updated machine, plain data, provenance."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import date
+from typing import Any
+
+import numpy as np
+
+from ambrose import __version__
+from ambrose.core.checks import InvalidInput
+from ambrose.core.presentation import Presented, html_table, in_words
+from ambrose.identification.findings import Code, Finding
+from ambrose.identification.model_updating import update_machine
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.parameters import COVERAGE, unit_of
+from ambrose.identification.seal.by_pressure import SealByPressure
+from ambrose.identification.static_load.identify import StaticLoad
+from ambrose.identification.validation.repeatability import Repeats
+from ambrose.identification.validation.simulated_output import SimulatedOutput
+from ambrose.identification.youla.identify import ResidualIdentification
+from ambrose.machine.machine import Machine
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Names of the records' files and of the controller's, and the date (ISO, today if empty)."""
+
+    records: tuple[str, ...] = ()
+    controller: str = ""
+    date: str = field(default_factory=lambda: date.today().isoformat())
+
+    @property
+    def of_records(self) -> str:
+        return ", ".join(self.records) or "records in memory"
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifiedParameter:
+    """A parameter in SI: where its value began, where it ended, and the standard deviation that noise makes."""
+
+    path: str
+    unit: str
+    start: float
+    value: float
+    standard_deviation: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 %."""
+        half = COVERAGE * self.standard_deviation
+        return self.value - half, self.value + half
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "path": self.path, "unit": self.unit, "start": self.start, "value": self.value,
+            "standard_deviation": self.standard_deviation, "interval_95": list(self.interval),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class Identification(Presented, ABC):
+    """The result of ``identify``: a LoopIdentification or a StaticIdentification.
+
+    given: the machine as it was; machine: with the identified values, and tolerances as wide as they are uncertain. result:
+    values with their covariance, as the method left them. checks: findings about the records, and about what can be true of
+    the result. repeats: what every record alone gives, where that was asked for.
+    """
+
+    given: Machine
+    machine: Machine
+    result: ParameterEstimate | StaticLoad
+    checks: tuple[Finding, ...] = ()
+    repeats: Repeats | None = None
+    provenance: Provenance = field(default_factory=Provenance)
+
+    @property
+    @abstractmethod
+    def method(self) -> str:
+        """ "closed-loop", "youla" or "static"."""
+
+    @property
+    def parameters(self) -> tuple[IdentifiedParameter, ...]:
+        """In the order of ``result.paths``."""
+        result = self.result
+        numbers = (result.start.tolist(), result.values.tolist(), result.standard_deviations.tolist())
+        rows = zip(result.paths, *numbers, strict=True)
+        return tuple(IdentifiedParameter(path, unit_of(path), *values) for path, *values in rows)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Everything that makes the result doubtful, each with its code."""
+        return (*self.checks, *self.result.warnings)
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """The findings but for the verdict on the residuals."""
+        return tuple(finding for finding in self.findings if finding.code != Code.RESIDUALS)
+
+    @property
+    def passed(self) -> bool:
+        """Nothing doubtful: neither in the records nor in the result."""
+        return not self.findings
+
+    @property
+    def verdict(self) -> str:
+        """One sentence on the residuals, or on the straightness of force over current."""
+        return self.result.verdict
+
+    @property
+    @abstractmethod
+    def origin(self) -> str:
+        """One line for the machine's ``source``."""
+
+    @abstractmethod
+    def _heading(self) -> list[str]:
+        """The first lines of ``comment``."""
+
+    def _remark(self, i: int) -> str:
+        """What else the comment says of parameter number i."""
+        return f"began at {self.result.start[i]:.6g}"
+
+    def _appendix(self) -> list[str]:
+        """A last paragraph of the comment."""
+        return []
+
+    @property
+    def comment(self) -> str:
+        """Where the values are from, as a comment to stand above the machine's file."""
+        lines = [*self._heading(), f"Verdict: {self.verdict}", *[f"Warning: {finding}" for finding in self.doubts]]
+        lines += [
+            f"  {row.path} = {row.value:.6g} {row.unit}, standard deviation {row.standard_deviation:.2g}, {self._remark(i)}"
+            for i, row in enumerate(self.parameters)
+        ]
+        appendix = self._appendix()
+        return as_comment(lines) + (as_comment(appendix) if appendix else "")
+
+    def updated(self) -> Identification:
+        """The same with ``machine`` made from the result. Raises InvalidInput for what a machine file cannot hold."""
+        return replace(self, machine=update_machine(self.given, self.result, origin=self.origin, keep_wider=True))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data, SI."""
+        point = self.result.point
+        return {
+            "machine": self.result.machine,
+            "method": self.method,
+            "point": {"speed_rad_s": point.speed, "seal_pressure_pa": point.seal_pressure},
+            "good": self.passed,
+            "verdict": self.verdict,
+            "parameters": [row.to_dict() for row in self.parameters],
+            "findings": [
+                {
+                    "code": str(one.code),
+                    "severity": one.severity,
+                    "what": one.what,
+                    "evidence": one.evidence,
+                    "remedy": one.remedy,
+                }
+                for one in self.checks
+            ],
+            "warnings": [str(finding) for finding in self.result.warnings],
+            "repeats": None if self.repeats is None else self.repeats.to_dict(),
+        }  # fmt: skip
+
+    def to_frame(self) -> Any:
+        """The parameters as a pandas DataFrame, a row each. Raises InvalidInput where pandas is not installed."""
+        try:
+            import pandas  # type: ignore[import-untyped,unused-ignore]
+        except ImportError:
+            raise InvalidInput("a table of the parameters needs pandas, which is not installed; pip install pandas") from None
+        rows = [{**row.to_dict(), "interval_95": row.interval} for row in self.parameters]
+        return pandas.DataFrame(rows).set_index("path")
+
+    def facts(self) -> Mapping[str, Any]:
+        return {
+            "machine": self.result.machine, "method": self.method, "parameters": len(self.result.paths),
+            "passed": self.passed, "findings": [str(finding.code) for finding in self.findings],
+        }  # fmt: skip
+
+    def _repr_html_(self) -> str:
+        rows = [
+            [row.path, *map(in_words, (row.start, row.value, COVERAGE * row.standard_deviation)), row.unit]
+            for row in self.parameters
+        ]
+        table = html_table(rows, self.verdict, ("parameter", "start", "value", "± 95 %", "unit"))
+        return table + html_table([[str(finding)] for finding in self.doubts], "Findings") if self.doubts else table
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class LoopIdentification(Identification):
+    """From closed-loop records. outputs: every record beside the model; controller, computing_delay [samples], bending_modes:
+    how the loop was modelled. residual: what else the method "youla" gave (None: the method was "closed-loop"). seal: the
+    seal's coefficients at every pressure, all else as in ``result``, where they were asked for.
+    """
+
+    result: ParameterEstimate
+    outputs: tuple[SimulatedOutput, ...]
+    controller: Any
+    computing_delay: float
+    bending_modes: int
+    residual: ResidualIdentification | None = None
+    seal: SealByPressure | None = None
+
+    @property
+    def method(self) -> str:
+        return "closed-loop" if self.residual is None else "youla"
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        own = (*self.checks, *self.result.warnings)
+        return own if self.seal is None else (*own, *self.seal.findings)
+
+    @property
+    def origin(self) -> str:
+        how = "" if self.residual is None else " by the Youla residual"
+        count, source = len(self.result.paths), self.provenance
+        text = f"{count} parameters identified {source.date}{how} from {source.of_records}"
+        text += f" with {source.controller}" if source.controller else ""
+        text += "" if self.result.converged else " (NOT converged)"
+        return text if self.seal is None else f"{text}; {self.seal.origin}"
+
+    def _heading(self) -> list[str]:
+        point, source = self.result.point, self.provenance
+        with_controller = f" (controller {source.controller})" if source.controller else ""
+        return [
+            f"Identified {source.date} by ambrose {__version__} from {source.of_records}{with_controller},",
+            f"at {point.speed:g} rad/s and a seal pressure of {point.seal_pressure:g} Pa.",
+            "The values below are in the file; its tolerances are their 95 % intervals, unless a seal's stated one is wider.",
+        ]
+
+    def _appendix(self) -> list[str]:
+        return [] if self.seal is None else self.seal.lines
+
+    def updated(self) -> Identification:
+        if self.seal is None:
+            return Identification.updated(self)
+        made = self.seal.update(self.given, self.result)
+        return replace(self, machine=replace(made, source="; ".join(part for part in (self.given.source, self.origin) if part)))
+
+    def to_dict(self) -> dict[str, Any]:
+        result, residual = self.result, self.residual
+        error = None if residual is None or not np.isfinite(residual.controller_error) else residual.controller_error
+        data = Identification.to_dict(self) | {
+            "correlation": result.correlation.tolist(),
+            "column_cosine": result.column_cosine.tolist(),
+            "fit_percent": [{"record": n, "signal": name, "fit": float(fit)} for n, name, fit in result.fit],
+            "residual_tests": [
+                {
+                    "signal": test.signal, "excitation": test.excitation, "correlation": float(test.correlation),
+                    "limit": float(test.limit), "lag": int(test.lag), "passed": bool(test.passed),
+                }
+                for test in result.tests
+            ],
+            "converged": result.converged,
+            "iterations": result.iterations,
+            "controller_error": error,
+        }  # fmt: skip
+        return data if self.seal is None else data | {"seal": self.seal.to_dict()}
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class StaticIdentification(Identification):
+    """From static loads: the result also holds the levels, and the slopes at the unloaded working point."""
+
+    result: StaticLoad
+
+    @property
+    def method(self) -> str:
+        return "static"
+
+    @property
+    def origin(self) -> str:
+        source = self.provenance
+        return f"{len(self.result.paths)} values of K_i identified {source.date} by static loads from {source.of_records}"
+
+    def _heading(self) -> list[str]:
+        count = len(self.result.levels.loads)
+        return [
+            f"Identified {self.provenance.date} by ambrose {__version__} from static loads in {self.provenance.of_records},",
+            f"{count} steady levels. Slope of the line over these loads, and at the unloaded working point.",
+        ]
+
+    def _remark(self, i: int) -> str:
+        return f"at rest {self.result.at_rest[i]:.6g}, in the file before {self.result.start[i]:.6g}"
+
+    def to_dict(self) -> dict[str, Any]:
+        data, result = Identification.to_dict(self), self.result
+        columns = {
+            "at_rest": result.at_rest, "at_rest_standard_deviation": result.at_rest_deviations,
+            "share_by_displacement": result.stiffness_share, "linearity": result.linearity,
+        }  # fmt: skip
+        for i, row in enumerate(data["parameters"]):
+            row.update({name: float(column[i]) for name, column in columns.items()})
+        return data | {"levels": len(result.levels.loads)}
+
+
+def as_comment(lines: Sequence[str]) -> str:
+    """Lines for the head of a TOML file; those that begin with a space belong to the one above."""
+    return "".join(f"# {' '.join(line.splitlines())}\n" if line[0] != " " else f"#{line}\n" for line in lines) + "\n"
