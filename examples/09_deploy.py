@@ -8,10 +8,10 @@ from ambrose import load_machine
 from ambrose.core.checks import UnstableSystem
 from ambrose.core.sampling import delayed
 from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.c.code import generate
 from ambrose.deployment.c.compiled import CompiledBlock, probed
-from ambrose.deployment.c.fixed import generate
-from ambrose.deployment.discretisation.fixed import deploy
-from ambrose.deployment.pipeline import limits
+from ambrose.deployment.discretisation.deployment import deploy
+from ambrose.deployment.pipeline import machine_limits
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig
@@ -28,7 +28,7 @@ synthesis = design(plants[0], "hinf", rate=1 / SAMPLE)
 
 # Sampled, and verified as it will run: late by one sample, on the full model, at every pressure and over k +-100 %.
 deployment = deploy(synthesis, SAMPLE, SAMPLE, plants=plants)
-block = control_block(deployment, "seal_rig", *limits(machine))
+block = control_block(deployment, "seal_rig", *machine_limits(machine))
 files = generate(block, provenance=["Example 09."])  # the C code; write_code puts it into a directory
 
 # Software in the loop: the same text, compiled, in this process. What is read back out of it is verified again.

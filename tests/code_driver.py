@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.deployment.block.fixed import ControlBlock
-from ambrose.deployment.c.fixed import generate
+from ambrose.deployment.c.code import generate
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-Wconversion", "-Wshadow"]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]

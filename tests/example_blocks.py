@@ -5,7 +5,7 @@ import scipy.linalg as sla
 
 from ambrose import StateSpace
 from ambrose.deployment.block.fixed import ControlBlock, control_block
-from ambrose.deployment.discretisation.fixed import deploy
+from ambrose.deployment.discretisation.deployment import deploy
 
 ERROR, CURRENT, DT = 0.5e-3, 4.0, 1e-4
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

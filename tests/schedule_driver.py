@@ -11,8 +11,9 @@ from ambrose import StateSpace
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.block.scheduled import ScheduledBlock, scheduled_block
-from ambrose.deployment.c.scheduled import generate_scheduled
-from ambrose.deployment.discretisation.scheduled import deploy_scheduled, response
+from ambrose.deployment.c.code import generate
+from ambrose.deployment.discretisation.deployment import deploy_scheduled
+from ambrose.deployment.discretisation.sampling import response
 
 ERROR, CURRENT, DT = 1e-3, 2.0, 1e-4
 GRID = (100.0, 250.0, 300.0, 600.0)  # rad/s
@@ -88,7 +89,7 @@ def compiled(
 ) -> Path:  # fmt: skip
     """The driver's executable; the compiler's complaints are the test's failure."""
     directory.mkdir(exist_ok=True)
-    files = generate_scheduled(block, arithmetic, ["A */ comment that wants out ??/", "é"])
+    files = generate(block, arithmetic, ["A */ comment that wants out ??/", "é"])
     for name, text in files.items():
         (directory / name).write_text(text)
     track = "NAME_track(&block, r.error, r.valid, r.speed, r.current);"

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from ambrose.cli import main
 from ambrose.core.checks import NumericalFailure
-from ambrose.deployment.c.compiled import has_compiler
+from ambrose.deployment.c.compiler import has_compiler
 from ambrose.machine.file.toml import bundled_machines
 from ambrose.synthesis.design import design
 

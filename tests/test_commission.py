@@ -15,7 +15,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.deployment.c.compiled import has_compiler
+from ambrose.deployment.c.compiler import has_compiler
 from ambrose.evaluation import Candidate
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
@@ -181,7 +181,7 @@ def test_section_says_what_was_found(section, commissioned, machine):
     assert all(row[1].mark == row[3].mark == "pass" for row in rig.cells)
     assert rig.groups[2][0] == "commissioned, compiled C code"
     code = {row[0].text: row[1].text for row in tables["The code"].cells}
-    worst = commissioned.deployment.box["sampled.sensitivity.box"].value
+    worst = commissioned.deployment.box[0]["sampled.sensitivity.box"].value
     assert code["Worst sampled sensitivity"].startswith(f"{worst:.3g} at seal.center.k")
     assert code["Sampled loop"].startswith("0 unstable")
     assert "nominal pressure: Peak output sensitivity" in code["Limits that the sampled loop misses"]  # the PID: 7.1

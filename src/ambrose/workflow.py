@@ -157,7 +157,7 @@ def commissioned_results(commissioned: Commissioning) -> dict[str, Any]:
     deployment = commissioned.deployment
     return {
         "identification": commissioned.identification.to_dict(),
-        "sampled": [checks.to_dict() for checks in (*deployment.checks, *([deployment.box] if deployment.box else []))],
+        "sampled": [checks.to_dict() for checks in (*deployment.checks, *deployment.box)],
         "files": [str(path) for path in commissioned.files],
         "compiled": commissioned.from_code,
         "rig": {label: trace.outcome for label, trace in commissioned.candidate.traces if "rig" in trace.scenario},

@@ -10,9 +10,9 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.c.compiled import has_compiler
-from ambrose.deployment.c.fixed import generate
-from ambrose.deployment.discretisation.fixed import deploy
+from ambrose.deployment.c.code import generate
+from ambrose.deployment.c.compiler import has_compiler
+from ambrose.deployment.discretisation.deployment import deploy
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulation.control_program import ControlProgram

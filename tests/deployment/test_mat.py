@@ -17,7 +17,7 @@ from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.discretisation.fixed import deploy
+from ambrose.deployment.discretisation.deployment import deploy
 from ambrose.deployment.mat import FORMAT, mat_files
 from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.result import Certificate, Synthesis

@@ -12,7 +12,7 @@ import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.deployment.pipeline import bundled_machine, deliver, limits
+from ambrose.deployment.pipeline import ExportOptions, bundled_machine, export, machine_limits
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design
@@ -56,7 +56,7 @@ def test_a_verified_controller_is_written(controllers, tmp_path):
 
 @pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
 def test_the_guides_example_compiles(controllers, tmp_path):
-    deliver(read_controller(controllers["hinf"]), tmp_path / "code", name="seal_rig")
+    export(read_controller(controllers["hinf"]), tmp_path / "code", to="c", options=ExportOptions(name="seal_rig"))
     example = re.search(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)
     (tmp_path / "code" / "example.c").write_text(example.group(1))
     driver.build("gcc", ["-c", str(tmp_path / "code" / "example.c"), "-o", str(tmp_path / "example.o")])
@@ -157,7 +157,7 @@ def test_a_full_disk_leaves_nothing(small, tmp_path, monkeypatch, target):
 
 def test_a_target_that_does_not_exist(small, tmp_path):
     with pytest.raises(InvalidInput, match="the target is 'plc', but must be c or mat or fmu or st"):
-        deliver(read_controller(small), tmp_path / "out", target="plc")
+        export(read_controller(small), tmp_path / "out", to="plc")
 
 
 def test_a_target_that_cannot_be_written(controllers, tmp_path):
@@ -172,13 +172,14 @@ def test_limits_must_be_known(tmp_path):
     file = read_controller(write_controller(tmp_path / "c.json", K))
     assert bundled_machine(file) is None
     with pytest.raises(InvalidInput, match="the error limit is unknown, but must be given in m; state it, or name the machine"):
-        deliver(file, tmp_path / "code")
-    done = deliver(file, tmp_path / "code", error_limit=1e-3, current_limit=2.0, force=True)
+        export(file, tmp_path / "code", to="c")
+    options = ExportOptions(error_limit=1e-3, current_limit=2.0, force=True)
+    done = export(file, tmp_path / "code", to="c", options=options)
     assert not done.deployment.verified
     assert "Verified   NOT" in (tmp_path / "code" / "controller.h").read_text()
 
 
 def test_limits_of_a_machine():
-    errors, currents = limits(load_machine("seal-rig"))
+    errors, currents = machine_limits(load_machine("seal-rig"))
     assert np.array_equal(errors, [0.5e-3] * 4)
     assert np.array_equal(currents, [4.0] * 4)

@@ -16,13 +16,13 @@ from ambrose import StateSpace, load_machine
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.scheduled import ScheduledSystem
+from ambrose.deployment.block.run import run_scheduled
 from ambrose.deployment.block.scheduled import scheduled_block
-from ambrose.deployment.block.scheduled_run import run_scheduled
-from ambrose.deployment.c.scheduled import write_scheduled
-from ambrose.deployment.c.scheduled_compiled import CompiledSchedule, probed_at
-from ambrose.deployment.discretisation import scheduled as scheduled_deploy
-from ambrose.deployment.discretisation.scheduled import deploy_scheduled, sensitivity_peak
-from ambrose.deployment.pipeline import deliver, limits
+from ambrose.deployment.c.code import write_code
+from ambrose.deployment.c.compiled import CompiledSchedule, probed
+from ambrose.deployment.discretisation import deployment as scheduled_deploy
+from ambrose.deployment.discretisation.deployment import deploy_scheduled, sensitivity_peak
+from ambrose.deployment.pipeline import ExportOptions, export, machine_limits
 from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.control_program import ControlProgram, ScheduledProgram
@@ -102,7 +102,7 @@ def test_a_speed_at_which_the_loop_is_unstable_refuses(rig, monkeypatch):
     assert [c.label for c in found.outside] == ["nominal pressure"]  # at rest, below the range
     assert found.points == ()
     done = {c.label: c for c in (*found.checks, *found.outside)}
-    monkeypatch.setattr(scheduled_deploy.nominal, "check", lambda plant, K: done[plant.point.label])
+    monkeypatch.setattr(scheduled_deploy, "check_sampled", lambda plant, K: done[plant.point.label])
     with pytest.raises(UnstableSystem, match=r"the sampled loop is unstable at 200 rad/s; design or verify it again"):
         deploy_scheduled(weak, DT, DT, machine=machine, between=0)
 
@@ -116,8 +116,8 @@ def test_tolerances_are_examined_at_the_ends_and_inside(rig, monkeypatch):
         check = Check("sampled.stability.box", "", unstable, "-", 0.0, "<=", unstable == 0, detail="5 corners")
         return Checks("", True, (check,))
 
-    monkeypatch.setattr(scheduled_deploy, "box_check", box)
-    monkeypatch.setattr(scheduled_deploy.nominal, "check", lambda plant, K: Checks(plant.point.label, True, ()))
+    monkeypatch.setattr(scheduled_deploy, "check_over_box", box)
+    monkeypatch.setattr(scheduled_deploy, "check_sampled", lambda plant, K: Checks(plant.point.label, True, ()))
     schedule = gains(rig[1], [0.0, 100.0, TOP], [1.0, 1.0, 1.0])
     with pytest.raises(UnstableSystem, match=r"unstable over the tolerances at 300 rad/s at 1 points \(5 corners\)"):
         deploy_scheduled(schedule, DT, DT, machine=load_machine("seal-rig"))
@@ -138,7 +138,10 @@ def test_a_controller_that_was_not_verified_is_refused(rig, status, message):
 
 
 def test_the_files_are_delivered_with_what_was_verified(rig, file, tmp_path):
-    done = deliver(read_controller(file), tmp_path / "code", with_points(rig[0], 1), name="rig", speed_rate=500.0)
+    done = export(
+        read_controller(file), tmp_path / "code", to="c", machine=with_points(rig[0], 1),
+        options=ExportOptions(name="rig", speed_rate=500.0),
+    )  # fmt: skip
     assert done.deployment.verified
     names = ["rig.c", "rig.h", "rig_report.md", "rig_test.c", "rig_vectors.csv"]
     assert sorted(p.name for p in done.paths) == sorted(p.name for p in (tmp_path / "code").iterdir()) == names
@@ -188,7 +191,7 @@ def test_what_a_schedule_cannot_be(file, tmp_path, options, message):
 
 @compiler
 def test_the_guides_example_compiles(tmp_path):
-    write_scheduled(tmp_path, block_of(small_schedule(), "turbo"))
+    write_code(tmp_path, block_of(small_schedule(), "turbo"))
     example = re.findall(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)[1]
     assert "turbo_step" in example
     (tmp_path / "example.c").write_text(example)
@@ -198,7 +201,7 @@ def test_the_guides_example_compiles(tmp_path):
 def test_speeds_mean_nothing_to_a_fixed_controller(rig, tmp_path):
     path = write_controller(tmp_path / "k.json", rig[1])
     with pytest.raises(InvalidInput, match="this controller is not scheduled over speed"):
-        deliver(read_controller(path), tmp_path / "code", rig[0], speed_rate=1.0)
+        export(read_controller(path), tmp_path / "code", to="c", machine=rig[0], options=ExportOptions(speed_rate=1.0))
 
 
 @compiler
@@ -220,11 +223,11 @@ def test_the_law_is_read_back_out_of_the_running_code(arithmetic, apart):
     block = block_of(small_schedule())
     code = CompiledSchedule(block, arithmetic)
     for speed in (100.0, 175.0, 300.0, 599.0):
-        found, meant = probed_at(code, speed), block.at(speed)
+        found, meant = probed(code, speed), block.at(speed)
         for letter in "ABCD":
             assert np.abs(getattr(found, letter) - getattr(meant, letter)).max() <= apart * np.abs(getattr(meant, letter)).max()
     with pytest.raises(InvalidInput, match="clamps its speed"):
-        probed_at(code, 700.0)
+        probed(code, 700.0)
 
 
 @compiler
@@ -268,7 +271,7 @@ class Listening:
 def running(rig, deployment):
     """Machine, block and a short run-up through the range with steps of force."""
     machine, _ = rig
-    errors, currents = limits(machine)
+    errors, currents = machine_limits(machine)
     block = scheduled_block(deployment, "rig", errors, currents)
     scenario = replace(load_scenario("impulse-parallel"), duration=0.06, speed=10.0, to_speed=290.0)
     return machine, block, scenario

@@ -11,7 +11,6 @@ import st_compiled
 from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
 from ambrose.deployment.block.run import FAULT, HELD, LIMITED, run_block
-from ambrose.deployment.c.fixed import single_limits
 from ambrose.deployment.structured_text import literal, structured_text
 from example_blocks import CURRENT, gain_block, rig_block, small_block, small_controller
 from st_machine import FunctionBlock, parsed
@@ -101,7 +100,7 @@ def test_compiled_by_strucpp(make, tmp_path):
 
 @matiec
 def test_single_precision_compiled_by_matiec(tmp_path):
-    block = single_limits(rig_block())
+    block = rig_block().single()
     st_compiled.translated(structured_text(block, "float"), block.name, tmp_path)
     e = np.random.default_rng(0).normal(0, 0.2 * block.error_limit, (20_000, 4)).astype(np.float32).astype(float)
     expected = run_block(block, e)

@@ -12,9 +12,10 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.sampling import c2d, delayed
 from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.c.compiled import CompiledBlock, has_compiler, probed
-from ambrose.deployment.discretisation.fixed import box_check, deploy, unmet
-from ambrose.deployment.pipeline import limits
+from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.c.compiler import has_compiler
+from ambrose.deployment.discretisation.deployment import deploy, unmet_limits
+from ambrose.deployment.pipeline import machine_limits
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import virtual_rig
@@ -26,6 +27,7 @@ from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensiti
 from ambrose.synthesis.pid import pid_synthesis
 from ambrose.synthesis.problem import design_plant, design_tolerances, open_model
 from ambrose.verification import nominal
+from ambrose.verification.sampled import check_over_box
 
 pytestmark = [pytest.mark.literature, pytest.mark.skipif(not has_compiler(), reason="no C compiler here")]
 SAMPLE = 1e-4
@@ -52,14 +54,14 @@ def deployment(plants, synthesis):
 
 @pytest.fixture(scope="module")
 def mu(deployment):
-    return CompiledBlock(control_block(deployment, "mu", *limits(RIG)))
+    return CompiledBlock(control_block(deployment, "mu", *machine_limits(RIG)))
 
 
 @pytest.fixture(scope="module")
 def reference(plants):
     """P5's PID as C code; its loop is unstable at twice nominal pressure, so it is deployed all the same."""
     deployment = deploy(pid_synthesis(plants["nominal pressure"]), SAMPLE, SAMPLE, plants=[], force=True)
-    return CompiledBlock(control_block(deployment, "pid", *limits(RIG)))
+    return CompiledBlock(control_block(deployment, "pid", *machine_limits(RIG)))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +82,7 @@ def measured(trace):
 def test_the_sampled_loop_is_stable_over_the_whole_tolerance(deployment):
     assert deployment.problems == ()
     assert [checks.stable for checks in deployment.checks] == [True, True, True]
-    assert deployment.box.checks[0].value == 0  # on the full plant with its bending modes
+    assert deployment.box[0].checks[0].value == 0  # on the full plant with its bending modes
 
 
 @pytest.mark.parametrize("label", PRESSURES)
@@ -118,19 +120,19 @@ def test_half_the_states_suffice_at_a_loss_of_five_per_cent(plants, synthesis, p
     found = find_lowest_order(problem, synthesis.controller, measure, 0.05, polishing=False)
     assert (synthesis.controller.n_states, found.controller.n_states) == (28, 14)
     assert found.measure <= 1.05 * found.reference
-    full = box_check(plants["nominal pressure"], delayed(c2d(found.controller, SAMPLE, "tustin"), 1))
+    full = check_over_box(plants["nominal pressure"], delayed(c2d(found.controller, SAMPLE, "tustin"), 1))
     assert full.checks[0].value == 0
     assert full["sampled.sensitivity.box"].value == pytest.approx(found.measure, rel=0.005)
 
 
 def test_ten_states_polished_meet_every_requirement_that_28_miss(plants, synthesis, deployment, problem):
     """sigma_max(S_o) below 3 in the sampled loop: polishing knows that the parameter is real, D-K iteration does not."""
-    assert unmet(deployment)  # 3.32 at zero pressure
+    assert unmet_limits(deployment)  # 3.32 at zero pressure
     lowest = polish_synthesis(problem, synthesis.controller, order=10, rounds=1).controller
     found = deploy(lowest, SAMPLE, SAMPLE, plants=[plants[label] for label in PRESSURES])
     assert lowest.n_states == 10
-    assert unmet(found) == () and found.problems == ()
-    assert found.box["sampled.sensitivity.box"].value < 3.0
-    code = CompiledBlock(control_block(found, "lowest", *limits(RIG)))
+    assert unmet_limits(found) == () and found.problems == ()
+    assert found.box[0]["sampled.sensitivity.box"].value < 3.0
+    code = CompiledBlock(control_block(found, "lowest", *machine_limits(RIG)))
     for label in PRESSURES:
         assert on_the_rig(code, label).outcome == "completed"

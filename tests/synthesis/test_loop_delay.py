@@ -8,12 +8,12 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import select
-from ambrose.deployment.discretisation.fixed import box_check
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.design import design
 from ambrose.synthesis.loop_delay import apply_delay, loop_delay
 from ambrose.synthesis.problem import open_model
+from ambrose.verification.sampled import check_over_box
 
 SAMPLE = 1e-4
 
@@ -52,7 +52,7 @@ def test_a_controller_designed_for_its_delay_is_better_in_the_sampled_loop(plant
     worst = []
     for rate in (None, 1 / SAMPLE):
         controller = design(plant, "mu", rate=rate).controller
-        found = box_check(plant, delayed(c2d(controller, SAMPLE, "tustin"), 1))
+        found = check_over_box(plant, delayed(c2d(controller, SAMPLE, "tustin"), 1))
         assert found.checks[0].value == 0
         worst.append(found["sampled.sensitivity.box"].value)
     assert worst[1] < 0.9 * worst[0]  # 3.32 against 3.91

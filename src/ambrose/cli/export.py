@@ -49,26 +49,27 @@ def export(
 
     A controller scheduled over speed is written as C in floating point, verified at frozen speeds over its range."""
     from ambrose.core.checks import check_positive
-    from ambrose.deployment.pipeline import deliver
+    from ambrose.deployment.pipeline import ExportOptions
+    from ambrose.deployment.pipeline import export as write_for_target
     from ambrose.synthesis.controller_file import read_controller
 
     remedy = "give it in Hz"
-    dt = None if rate_hz is None else 1 / check_positive(rate_hz, "--rate-hz", remedy)
+    if rate_hz is not None:
+        check_positive(rate_hz, "--rate-hz", remedy)
     prewarp = None if prewarp_hz is None else 6.283185307179586 * check_positive(prewarp_hz, "--prewarp-hz", remedy)
-    file = read_controller(controller)
+    options = ExportOptions(
+        name=name, arithmetic=arithmetic, rate=rate_hz, delay_samples=delay_samples, sampling=sampling, prewarp=prewarp,
+        error_limit=error_limit, current_limit=current_limit, speed_limit=speed_limit, speed_rate=speed_rate,
+        sources_only=sources_only, force=force,
+    )  # fmt: skip
+    file, known = read_controller(controller), None if machine is None else load(machine)
     with progress_shown(as_json) as progress:
-        done = deliver(
-            file, output, None if machine is None else load(machine), target=target, name=name, arithmetic=arithmetic,
-            sample_time=dt, delay_samples=delay_samples, method=sampling, prewarp=prewarp, error_limit=error_limit,
-            current_limit=current_limit, speed_limit=speed_limit, speed_rate=speed_rate, sources_only=sources_only, force=force,
-            progress=progress,
-        )  # fmt: skip
-    paths, problems = [str(path) for path in done.paths], list(done.deployment.problems)
+        delivery = write_for_target(file, output, to=target, machine=known, options=options, progress=progress)
+    content = delivery.to_dict()
     if as_json:
-        summary = {"target": target, "files": paths, "verified": done.deployment.verified, "problems": problems}
-        click.echo(json.dumps(summary))
+        click.echo(json.dumps(content))
     else:
-        for problem in problems:
+        for problem in content["problems"]:
             click.echo(f"forced although {problem}", err=True)
-        click.echo("\n".join(paths))
-    sys.exit(0 if done.deployment.verified else 1)
+        click.echo("\n".join(content["files"]))
+    sys.exit(0 if content["verified"] else 1)

@@ -20,7 +20,8 @@ from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.vectors import Vectors, as_csv, vectors
-from ambrose.deployment.discretisation.fixed import Deployment
+from ambrose.deployment.c.code import block_facts
+from ambrose.deployment.discretisation.deployment import Deployment
 from ambrose.deployment.rendering import render
 from ambrose.synthesis.result import Status, Synthesis
 
@@ -35,29 +36,26 @@ _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
 def mat_files(
-    block: ControlBlock, deployment: Deployment, file: Synthesis, provenance: Sequence[str] = ()
+    block: ControlBlock, deployment: Deployment, synthesis: Synthesis, provenance: Sequence[str] = ()
 ) -> dict[str, str | bytes]:
     """<name>.mat, <name>_load.m and <name>_vectors.csv.
 
-    file: where the controller comes from. provenance: the lines that other targets put into their headers. Raises InvalidInput.
+    synthesis: where the controller comes from. provenance: the lines that other targets put into their headers. Raises InvalidInput.
     """
     if block.name.lower() in _RESERVED:
         raise invalid("the name of the block", repr(block.name), "no word of MATLAB or Octave", "give another --name")
     run = vectors(block)
-    facts = {
-        "name": block.name, "provenance": [as_comment(line) for line in provenance], "ni": len(block.inputs),
-        "no": len(block.outputs), "nx": block.n_states, "rate": f"{1 / block.sample_time:.9g}", "delay": block.delay,
-        "continuous": deployment.source.dt is None,
-    }  # fmt: skip
+    continuous, comments = deployment.source.dt is None, [as_comment(line) for line in provenance]
+    facts = {**block_facts(block), "provenance": comments, "continuous": continuous}
     return {
-        f"{block.name}.mat": _bytes({block.name: content(block, deployment, file, provenance, run)}),
+        f"{block.name}.mat": _bytes({block.name: content(block, deployment, synthesis, provenance, run)}),
         f"{block.name}_load.m": render("load.m.j2", facts),
         f"{block.name}_vectors.csv": as_csv(block, run),
     }
 
 
 def content(
-    block: ControlBlock, deployment: Deployment, file: Synthesis, provenance: Sequence[str], run: Vectors
+    block: ControlBlock, deployment: Deployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
 ) -> dict[str, Any]:
     """The struct's fields."""
     K, source = deployment.controller, deployment.source
@@ -82,15 +80,15 @@ def content(
             "errors": run.errors, "valid": run.valid.astype(float), "currents": run.currents,
             "status": _column(run.status),
         },
-        "method": file.method,
-        "status": file.verdict,
-        "gamma": float(file.gamma),
-        "certificate": _certificate(file),
+        "method": synthesis.method,
+        "status": synthesis.verdict,
+        "gamma": float(synthesis.gamma),
+        "certificate": _certificate(synthesis),
         "verified": deployment.verified,
         "verification": _verification(deployment),
         "provenance": {
-            "package": "ambrose", "package_version": __version__, "machine": file.provenance.machine or "",
-            "machine_hash": file.provenance.machine_hash or "", "date": file.provenance.date, "lines": _cells(provenance),
+            "package": "ambrose", "package_version": __version__, "machine": synthesis.provenance.machine or "",
+            "machine_hash": synthesis.provenance.machine_hash or "", "date": synthesis.provenance.date, "lines": _cells(provenance),
         },
     }  # fmt: skip
 
@@ -108,20 +106,21 @@ def _block(block: ControlBlock) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _certificate(file: Synthesis) -> Any:
-    if file.status is Status.UNCERTIFIED:
+def _certificate(synthesis: Synthesis) -> Any:
+    certificate = synthesis.certificate
+    if synthesis.status is Status.UNCERTIFIED:
         return np.zeros((0, 0))
-    found = file.certificate
     return {
-        "stable": found.stable, "spectral_abscissa": float(found.spectral_abscissa),
-        "closed_loop_norm": float(found.closed_loop_norm), "fastest_pole": float(found.fastest_pole), "plant": found.plant,
-        "margins": {_field(name): float(value) for name, value in found.margins.items()} or np.zeros((0, 0)),
+        "stable": certificate.stable, "spectral_abscissa": float(certificate.spectral_abscissa),
+        "closed_loop_norm": float(certificate.closed_loop_norm), "fastest_pole": float(certificate.fastest_pole),
+        "plant": certificate.plant,
+        "margins": {_field(name): float(value) for name, value in certificate.margins.items()} or np.zeros((0, 0)),
     }  # fmt: skip
 
 
 def _verification(deployment: Deployment) -> Any:
     """One struct per operating point, and over the tolerances: stable, and every quantity with its value and limit."""
-    checks = [*deployment.checks, *([deployment.box] if deployment.box is not None else [])]
+    checks = [*deployment.checks, *deployment.box]
     if not checks:
         return np.zeros((0, 0))
     names = ("label", "stable", "quantity", "value", "unit", "limit")
@@ -157,6 +156,3 @@ def _bytes(variables: Mapping[str, Any]) -> bytes:
     stream = io.BytesIO()
     savemat(stream, dict(variables), format="5", do_compression=False, long_field_names=True, oned_as="column")
     return stream.getvalue()
-
-
-__all__ = ["FORMAT", "VERSION", "content", "mat_files"]

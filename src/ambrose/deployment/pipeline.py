@@ -1,30 +1,30 @@
-"""From a controller file to files for a target: sampled, verified on its machine, limited by it, written."""
+"""From a controller to files for a target: sampled, verified on its machine, limited by it, written."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose import __version__
-from ambrose.core.checks import invalid
+from ambrose.core.checks import check_positive, invalid
+from ambrose.core.presentation import Presented
 from ambrose.core.sampling import Method
-from ambrose.deployment.block.fixed import HOLD_SAMPLES, WINDUP_TIME, ControlBlock, check_limits, control_block
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace, as_statespace, rename
+from ambrose.deployment.block.block import HOLD_SAMPLES, WINDUP_TIME, check_limits
+from ambrose.deployment.block.fixed import ControlBlock, control_block
 from ambrose.deployment.block.names import check_identifier
 from ambrose.deployment.block.scheduled import ScheduledBlock, check_speed_limits, scheduled_block
-from ambrose.deployment.c.fixed import Arithmetic, generate
-from ambrose.deployment.c.scheduled import generate_scheduled
-from ambrose.deployment.discretisation.fixed import Deployment, Progress, deploy, unmet
-from ambrose.deployment.discretisation.scheduled import ScheduledDeployment, deploy_scheduled
+from ambrose.deployment.c.code import Arithmetic, Precision, check_precision, generate
+from ambrose.deployment.discretisation.deployment import Deployment, Progress, ScheduledDeployment, deploy, deploy_scheduled
 from ambrose.deployment.fmu.archive import fmu_files
 from ambrose.deployment.mat import mat_files
-from ambrose.deployment.scheduled_pipeline import check_deliverable, scheduled_provenance
-from ambrose.deployment.structured_text import Precision, structured_text
+from ambrose.deployment.provenance import provenance_lines
+from ambrose.deployment.structured_text import structured_text
 from ambrose.machine.atomic_write import check_place, write_files
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import Machine
@@ -33,125 +33,197 @@ from ambrose.synthesis.result import Synthesis
 
 SAMPLE_TIME = 1e-4  # s, where neither the caller nor the controller says one
 Target = Literal["c", "mat", "fmu", "st"]
-Files = Mapping[str, str | bytes]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Order:
-    """What a target writes from: the controller file, its deployment and block, the lines of provenance, and the options."""
-
-    file: Synthesis
-    deployment: Deployment
-    block: ControlBlock
-    lines: Sequence[str]
-    arithmetic: Arithmetic
-    sources_only: bool
-
-
-TARGETS: Mapping[Target, Callable[[Order], Files]] = {
-    "c": lambda order: generate(order.block, order.arithmetic, order.lines),
-    "mat": lambda order: mat_files(order.block, order.deployment, order.file, order.lines),
-    "fmu": lambda order: fmu_files(order.block, order.arithmetic, order.lines, sources_only=order.sources_only),
-    "st": lambda order: structured_text(order.block, cast(Precision, order.arithmetic), order.lines),
-}
-_ARITHMETIC: Mapping[Target, tuple[Arithmetic, ...]] = {
-    "c": ("double", "float", "fixed32", "fixed16"), "fmu": ("double", "float", "fixed32", "fixed16"),
-    "mat": ("double",), "st": ("double", "float"),
+TARGETS: Mapping[Target, tuple[Arithmetic, ...]] = {  # with what each can compute in
+    "c": ("double", "float", "fixed32", "fixed16"), "mat": ("double",), "fmu": ("double", "float", "fixed32", "fixed16"),
+    "st": ("double", "float"),
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Delivery:
-    """What was written, and what it was verified on."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExportOptions:
+    """How a controller is written.
 
+    name: prefix of every name in the code, a C identifier. arithmetic: of the code. rate [Hz]: of the samples (None: the
+    controller's own, or 10 kHz); delay_samples: from measured errors to currents set; sampling: "tustin", exact at ``prewarp``
+    [rad/s] if given, or "zoh". error_limit [m], current_limit [A]: one number or one per axis (None: the bearings' gaps, or
+    twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in ``control_block``. speed_limit
+    [rad/s], speed_rate [rad/s^2]: of a scheduled controller, as in ``scheduled_block``. sources_only: an FMU without a binary.
+    force: write a controller that is not verified, or not stable everywhere. Raises InvalidInput.
+    """
+
+    name: str = "controller"
+    arithmetic: Arithmetic = "double"
+    rate: float | None = None
+    delay_samples: int = 1
+    sampling: Method = "tustin"
+    prewarp: float | None = None
+    error_limit: ArrayLike | None = None
+    current_limit: ArrayLike | None = None
+    windup_time: float = WINDUP_TIME
+    hold_samples: int = HOLD_SAMPLES
+    speed_limit: float | None = None
+    speed_rate: float | None = None
+    sources_only: bool = False
+    force: bool = False
+
+    def __post_init__(self) -> None:
+        check_identifier(self.name, "the name of the block", "choose letters, digits and underscores")
+        if self.rate is not None:
+            check_positive(self.rate, "rate", "give it in Hz")
+        if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int) or self.delay_samples < 0:
+            raise invalid("delay_samples", self.delay_samples, "a whole number, zero or more", "1 is usual")
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Delivery(Presented):
+    """What was written for a target, and what it was verified on."""
+
+    target: Target
     deployment: Deployment | ScheduledDeployment
     block: ControlBlock | ScheduledBlock
     paths: tuple[Path, ...]
 
+    def facts(self) -> Mapping[str, Any]:
+        """Target, verdict, size, rate and files."""
+        facts = {
+            "target": self.target, "verified": self.deployment.verified, "states": self.block.n_states,
+            "rate_hz": 1 / self.block.sample_time, "files": [path.name for path in self.paths],
+        }  # fmt: skip
+        return facts | ({"problems": list(self.deployment.problems)} if self.deployment.problems else {})
 
-def deliver(
-    file: Synthesis,
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data: target, paths of the files, whether the controller is verified, and what speaks against it."""
+        paths, problems = [str(path) for path in self.paths], list(self.deployment.problems)
+        return {"target": self.target, "files": paths, "verified": self.deployment.verified, "problems": problems}
+
+
+def export(
+    controller: Any,
     directory: str | Path,
-    machine: Machine | None = None,
     *,
-    target: Target = "c",
-    name: str = "controller",
-    arithmetic: Arithmetic = "double",
-    sample_time: float | None = None,
-    delay_samples: int = 1,
-    method: Method = "tustin",
-    prewarp: float | None = None,
-    error_limit: ArrayLike | None = None,
-    current_limit: ArrayLike | None = None,
-    windup_time: float = WINDUP_TIME,
-    hold_samples: int = HOLD_SAMPLES,
-    speed_limit: float | None = None,
-    speed_rate: float | None = None,
-    sources_only: bool = False,
-    force: bool = False,
+    to: Target,
+    machine: Machine | None = None,
+    options: ExportOptions | None = None,
     progress: Progress = lambda stage: None,
 ) -> Delivery:
-    """Files of a controller file, in ``directory``, after its sampled loop was verified at every point of ``machine``.
+    """Write a controller for a target into ``directory``, after its sampled loop was verified at every point of ``machine``.
 
-    target: "c" (C99), "mat" (MATLAB, Octave), "fmu" (FMI 2.0 and 3.0), "st" (IEC 61131-3); sources_only: an FMU without binary.
-    machine: None: the bundled one that the file names, if it is unchanged. sample_time [s]: None: the controller's own, or
-    0.1 ms. error_limit [m], current_limit [A]: None: the bearings' gaps (or twice their touchdown gaps) and largest currents.
-    speed_limit [rad/s], speed_rate [rad/s^2]: of a scheduled controller, which is written as C in floating point
-    (``scheduled_block``). The other arguments: ``deploy``, ``deploy_scheduled``, ``control_block``, ``generate``. Raises
-    InvalidInput, UnstableSystem.
+    controller: a Synthesis, or a system from errors [m] to currents [A] (StateSpace, python-control); signals
+    not called err_<axis> are the machine's axes in their order. A controller scheduled over speed is written as C in floating
+    point. to: "c" (C99), "mat" (MATLAB, Octave), "fmu" (FMI 2.0 and 3.0), "st" (IEC 61131-3). machine: None: the bundled one
+    that the controller was made for, if it is unchanged. Raises InvalidInput, and UnstableSystem for a controller that is
+    refused (``deploy``).
     """
-    _check_order(file, target, name, arithmetic, delay_samples)
-    if file.scheduled is None and not (speed_limit is None and speed_rate is None):
-        raise invalid("speed_limit or speed_rate", "given", "left out", "this controller is not scheduled over speed")
-    machine = bundled_machine(file) if machine is None else machine
-    error_limit, current_limit = _limits(file, machine, error_limit, current_limit)
+    options = ExportOptions() if options is None else options
+    synthesis = _synthesis(controller, machine)
+    _check_target(synthesis, to, options)
+    machine = bundled_machine(synthesis) if machine is None else machine
+    limits = _limits(synthesis, machine, options)
     check_place(directory)  # all this before the verification, which takes seconds
-    dt = sample_time or file.controller.dt or SAMPLE_TIME
-    if file.scheduled is not None:
-        check_speed_limits(file.scheduled.grid, speed_limit, speed_rate)
-        over = deploy_scheduled(
-            file, dt, delay_samples * dt, method=method, prewarp=prewarp, machine=machine, force=force, progress=progress
-        )
-        law = scheduled_block(
-            over, name, error_limit, current_limit, windup_time=windup_time, hold_samples=hold_samples,
-            speed_limit=speed_limit, rate_limit=speed_rate,
-        )  # fmt: skip
-        progress("writing")
-        written = generate_scheduled(law, cast(Precision, arithmetic), scheduled_provenance(file, machine, over))
-        return Delivery(over, law, tuple(write_files(directory, written)))
-    plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.points]
-    deployment = deploy(
-        file, dt, delay_samples * dt, method=method, prewarp=prewarp, plants=plants, force=force, progress=progress
-    )
-    block = control_block(deployment, name, error_limit, current_limit, windup_time=windup_time, hold_samples=hold_samples)
+    deployment, block = _deploy(synthesis, machine, options, limits, progress)
     progress("writing")
-    order = Order(file, deployment, block, provenance(file, machine, deployment), arithmetic, sources_only)
-    return Delivery(deployment, block, tuple(write_files(directory, TARGETS[target](order))))
+    files = _files(to, synthesis, deployment, block, options)
+    return Delivery(to, deployment, block, tuple(write_files(directory, files)))
 
 
-def _check_order(file: Synthesis, target: Target, name: str, arithmetic: str, delay_samples: int) -> None:
+def _synthesis(controller: Any, machine: Machine | None) -> Synthesis:
+    """``controller`` with what is known of its origin. Raises InvalidInput."""
+    if isinstance(controller, Synthesis):
+        return controller if controller.provenance.date or machine is None else _made_for(controller, machine)
+    schedule = controller if isinstance(controller, ScheduledSystem) else None
+    if schedule is None and not all(hasattr(controller, letter) for letter in "ABCD"):
+        kind = type(controller).__name__
+        raise invalid("the controller", f"a {kind}", "a Synthesis or a system with A, B, C, D", "design() or read_controller()")
+    system = _on_axes(as_statespace(controller), machine) if schedule is None else schedule.at(schedule.range[0])
+    return _synthesis(Synthesis(system, scheduled=schedule), machine)
+
+
+def _made_for(synthesis: Synthesis, machine: Machine) -> Synthesis:
+    """A synthesis that was never written to a file, with the machine that a file would record."""
+    origin = replace(synthesis.provenance, machine=machine.name, machine_hash=machine_hash(machine))
+    return replace(synthesis, provenance=origin)
+
+
+def _on_axes(system: StateSpace, machine: Machine | None) -> StateSpace:
+    """A system with names of its own takes those of the machine's axes, in their order. Raises InvalidInput."""
+    if machine is None or any(name.startswith("err_") for name in system.inputs):
+        return system
+    count = len(machine.axes)
+    if system.D.shape != (count, count):
+        required = f"({count}, {count}) for the axes {', '.join(machine.axes)}"
+        raise invalid("the controller's size (outputs, inputs)", system.D.shape, required, "design it for this machine")
+    return rename(system, [f"err_{axis}" for axis in machine.axes], [f"u_{axis}" for axis in machine.axes])
+
+
+def _check_target(synthesis: Synthesis, to: Target, options: ExportOptions) -> None:
     """What can be refused before anything is computed. Raises InvalidInput."""
-    check_identifier(name, "the name of the block", "choose letters, digits and underscores")
-    if target not in TARGETS:
-        raise invalid("the target", repr(target), " or ".join(TARGETS), "choose one of them")
-    if file.scheduled is not None:
-        check_deliverable(file.scheduled, target, arithmetic)
-    if arithmetic not in _ARITHMETIC[target]:
-        allowed = " or ".join(_ARITHMETIC[target])
-        raise invalid("arithmetic", repr(arithmetic), f"{allowed} for the target {target!r}", "choose it, or another target")
-    if isinstance(delay_samples, bool) or not isinstance(delay_samples, int) or delay_samples < 0:
-        raise invalid("delay_samples", delay_samples, "a whole number, zero or more", "1 is usual")
+    if to not in TARGETS:
+        raise invalid("the target", repr(to), " or ".join(TARGETS), "choose one of them")
+    scheduled = synthesis.scheduled
+    if scheduled is not None:
+        if to != "c":
+            low, high = scheduled.range
+            what = f"{to!r} for a controller scheduled over {low:g} to {high:g} {scheduled.unit} of {scheduled.parameter}"
+            remedy = "a scheduled controller is written as C99 only; or write the fixed one of a speed, scheduled.at(speed)"
+            raise invalid("the target", what, '"c"', remedy)
+        check_precision(options.arithmetic)
+        check_speed_limits(scheduled.grid, options.speed_limit, options.speed_rate)
+    elif not (options.speed_limit is None and options.speed_rate is None):
+        raise invalid("speed_limit or speed_rate", "given", "left out", "this controller is not scheduled over speed")
+    if options.arithmetic not in TARGETS[to]:
+        allowed = f"{' or '.join(TARGETS[to])} for the target {to!r}"
+        raise invalid("arithmetic", repr(options.arithmetic), allowed, "choose it, or another target")
 
 
-def bundled_machine(file: Synthesis) -> Machine | None:
+def _deploy(
+    synthesis: Synthesis,
+    machine: Machine | None,
+    options: ExportOptions,
+    limits: tuple[ArrayLike, ArrayLike],
+    progress: Progress,
+) -> tuple[Deployment | ScheduledDeployment, ControlBlock | ScheduledBlock]:
+    dt = 1 / options.rate if options.rate is not None else synthesis.controller.dt or SAMPLE_TIME
+    delay, windup, hold = options.delay_samples * dt, options.windup_time, options.hold_samples
+    method, prewarp, force = options.sampling, options.prewarp, options.force
+    if synthesis.scheduled is None:
+        plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.points]
+        fixed = deploy(synthesis, dt, delay, method=method, prewarp=prewarp, plants=plants, force=force, progress=progress)
+        return fixed, control_block(fixed, options.name, *limits, windup_time=windup, hold_samples=hold)
+    over = deploy_scheduled(
+        synthesis, dt, delay, method=method, prewarp=prewarp, machine=machine, force=force, progress=progress
+    )
+    return over, scheduled_block(
+        over, options.name, *limits, windup_time=windup, hold_samples=hold, speed_limit=options.speed_limit,
+        rate_limit=options.speed_rate,
+    )  # fmt: skip
+
+
+def _files(
+    to: Target,
+    synthesis: Synthesis,
+    deployment: Deployment | ScheduledDeployment,
+    block: ControlBlock | ScheduledBlock,
+    options: ExportOptions,
+) -> Mapping[str, str | bytes]:
+    lines = provenance_lines(synthesis, deployment)
+    if to == "c" or isinstance(block, ScheduledBlock) or isinstance(deployment, ScheduledDeployment):
+        return generate(block, options.arithmetic, lines)
+    if to == "mat":
+        return mat_files(block, deployment, synthesis, lines)
+    if to == "st":
+        return structured_text(block, cast(Precision, options.arithmetic), lines)
+    return fmu_files(block, options.arithmetic, lines, sources_only=options.sources_only)
+
+
+def bundled_machine(synthesis: Synthesis) -> Machine | None:
     """The bundled machine that the file was made for; None where there is none, or it has changed since."""
-    if file.provenance.machine not in bundled_machines():
+    if synthesis.provenance.machine not in bundled_machines():
         return None
-    machine = load_machine(str(file.provenance.machine))
-    return machine if machine_hash(machine) == file.provenance.machine_hash else None
+    machine = load_machine(str(synthesis.provenance.machine))
+    return machine if machine_hash(machine) == synthesis.provenance.machine_hash else None
 
 
-def limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | None]:
+def machine_limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Per axis the largest plausible displacement [m] and the largest current [A]; None where a bearing does not say."""
     gaps, currents = [], []
     for bearing in machine.bearings:
@@ -162,45 +234,18 @@ def limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | None]:
     return known[0], known[1]
 
 
-def _limits(
-    file: Synthesis, machine: Machine | None, error_limit: ArrayLike | None, current_limit: ArrayLike | None
-) -> tuple[ArrayLike, ArrayLike]:
+def _limits(synthesis: Synthesis, machine: Machine | None, options: ExportOptions) -> tuple[ArrayLike, ArrayLike]:
     """The limits given, else those of the machine. Raises InvalidInput where neither says one."""
-    errors, currents = (None, None) if machine is None else limits(machine)
-    error = _given(errors if error_limit is None else error_limit, "the error limit", "m")
-    current = _given(currents if current_limit is None else current_limit, "the current limit", "A")
-    check_limits(error, len(file.controller.inputs), "error_limit", "the bearing's gap is the largest")
-    check_limits(current, len(file.controller.outputs), "current_limit", "give the largest control current in A")
+    errors, currents = (None, None) if machine is None else machine_limits(machine)
+    error = _known(errors if options.error_limit is None else options.error_limit, "the error limit", "m")
+    current = _known(currents if options.current_limit is None else options.current_limit, "the current limit", "A")
+    check_limits(error, len(synthesis.controller.inputs), "error_limit", "the bearing's gap is the largest")
+    check_limits(current, len(synthesis.controller.outputs), "current_limit", "give the largest control current in A")
     return error, current
 
 
-def _given(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
+def _known(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
     if value is None:
         remedy = "state it, or name the machine (no bundled one is the machine that this controller was made for)"
         raise invalid(what, "unknown", f"given in {unit}", remedy)
     return value
-
-
-def provenance(file: Synthesis, machine: Machine | None, deployment: Deployment) -> Sequence[str]:
-    """The lines of the header that say where the controller comes from and what it was verified on."""
-    made = file.provenance
-    lines = [
-        f"Controller {file.method}, written {made.date} by ambrose {made.package_version}; code by ambrose {__version__}.",
-        f"Machine    {made.machine or 'not recorded'}, hash {made.machine_hash or 'not recorded'}.",
-        f"Sampled    by {deployment.method}, {deployment.delay} samples of computing delay in the loop.",
-    ]
-    if machine is None:
-        lines.append("Verified   NOT: the sampled loop was not examined.")
-    for checks in deployment.checks:
-        verdict = "stable" if checks.stable else "UNSTABLE"
-        with suppress(KeyError):
-            verdict += f", sensitivity peak {checks['sensitivity.output.max'].value:.3g}"
-        lines.append(f"Verified   {checks.label}: {verdict}.")
-    if deployment.box is not None:
-        count = deployment.box.checks[0]
-        lines.append(f"Verified   over the tolerances: {count.value:.0f} unstable of {count.detail}.")
-    lines += [f"Forced     although {problem}." for problem in deployment.problems]
-    return lines + [f"Unmet      {text}." for text in unmet(deployment)]
-
-
-__all__ = ["TARGETS", "Delivery", "Order", "Target", "bundled_machine", "deliver", "limits", "provenance"]

@@ -19,6 +19,3 @@ def render(template: str, values: Mapping[str, Any], autoescape: bool = False) -
         autoescape=autoescape,
     )
     return environment.get_template(template).render(values)
-
-
-__all__ = ["render"]

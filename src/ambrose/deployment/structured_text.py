@@ -9,21 +9,21 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import invalid
-from ambrose.deployment.block.cost import diagonals_of, step_cost
-from ambrose.deployment.block.fixed import ControlBlock, transfers
+from ambrose.deployment.block.cost import step_cost
+from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.run import FLOOR
-from ambrose.deployment.block.vectors import SAMPLES, Vectors, as_csv, vectors
-from ambrose.deployment.block.word_length import floating_error
-from ambrose.deployment.c.fixed import on_diagonal, single_limits
+from ambrose.deployment.block.vectors import Vectors, as_csv, vectors
+from ambrose.deployment.block.word_length import MANTISSA, floating_error
+from ambrose.deployment.c.code import Precision, block_facts
+from ambrose.deployment.c.literals import diagonals, digits, lines_of
 from ambrose.deployment.rendering import render
 
-Precision = Literal["double", "float"]
 _TYPES = {"double": "LREAL", "float": "REAL"}
 _WORDS = """
 abs abstract acos action add and any any_bit any_date any_derived any_elementary any_int any_magnitude any_num
@@ -46,7 +46,6 @@ reset track held fault limited e u d state carry last missing error_limit curren
 asked given sum change check block sample samples wrong done errors valid currents status expected largest tolerance direct
 to_current from_error unwind transfer_error transfer_current
 """  # what the function block and the test declare besides signals
-_WIDTH = 118
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,7 @@ def structured_text(block: ControlBlock, precision: Precision = "double", proven
         remedy = "structured text is written in floating point; take the C code for fixed point"
         raise invalid("arithmetic", repr(precision), "double or float", remedy)
     if precision == "float":
-        block = single_limits(block)
+        block = block.single()
     _check_names(block)
     run = vectors(block, single=precision == "float")
     facts = _facts(block, precision, provenance)
@@ -81,7 +80,7 @@ def structured_text(block: ControlBlock, precision: Precision = "double", proven
 
 def _check_names(block: ControlBlock) -> None:
     """Names that structured text allows: case does not count, no two underscores in a row, no keyword, none of ours."""
-    own = frozenset(_OWN.split()) | {d["name"] for d in _diagonals(block)}
+    own = frozenset(_OWN.split()) | {d["name"] for d in diagonals(block.increment, block.increment)}
     checked = [("the name of the block", block.name, "give another --name")]
     checked += [("a signal's name", s, "rename() the controller's signals") for s in (*block.inputs, *block.outputs)]
     for what, name, remedy in checked:
@@ -99,60 +98,34 @@ def _check_names(block: ControlBlock) -> None:
 
 
 def _facts(block: ControlBlock, precision: Precision, provenance: Sequence[str]) -> dict[str, Any]:
-    cost = step_cost(block, precision)
     return {
-        "name": block.name, "type": _TYPES[precision], "ni": len(block.inputs), "no": len(block.outputs),
-        "nx": block.n_states, "winding": block.winding,
-        "inputs": _signals(block.inputs, block.error_limit), "outputs": _signals(block.outputs, block.current_limit),
+        **block_facts(block), "type": _TYPES[precision], "winding": block.winding, "cost": step_cost(block, precision),
         "provenance": [_comment(line) for line in provenance] or ["provenance: not given"],
-        "sample_time": f"{block.sample_time:.9g}", "rate": f"{1 / block.sample_time:.9g}", "delay": block.delay,
-        "hold": block.hold_samples, "windup": f"{block.windup_time:g}", "cost": cost, "transfers": transfers(block),
-        "direct": bool(block.D.any()), "diagonals": _diagonals(block), "floor": literal(FLOOR["float"], "float"),
+        "diagonals": diagonals(block.increment, block.increment), "floor": literal(FLOOR["float"], "float"),
     }  # fmt: skip
 
 
-def _signals(names: Sequence[str], limits: np.ndarray) -> list[dict[str, str]]:
-    return [{"name": name, "limit": f"{limit:.9g}"} for name, limit in zip(names, limits.tolist(), strict=True)]
-
-
-def _diagonals(block: ControlBlock) -> list[dict[str, Any]]:
-    """The diagonals of A - I with the states that they reach: first and last row, and where they read."""
-    n = block.n_states
-    return [
-        {
-            "offset": k,
-            "name": f"{'below' if k < 0 else 'above'}_{abs(k)}" if k else "own",
-            "first": max(0, -k), "last": n - 1 - max(0, k),
-            "shift": f" {'-' if k < 0 else '+'} {abs(k)}" if k else "",
-        }
-        for k, _ in diagonals_of(block.increment)
-    ]  # fmt: skip
-
-
 def _tables(block: ControlBlock, precision: Precision) -> list[Table]:
-    kind, n, m, p, w = _TYPES[precision], block.n_states, len(block.inputs), len(block.outputs), block.winding
-
-    def table(name: str, x: np.ndarray) -> Table:
-        return Table(name, ", ".join(f"0..{count - 1}" for count in x.shape), kind, values(x, precision))
-
-    found = [table("error_limit", block.error_limit), table("current_limit", block.current_limit)]
-    found += [table(str(d["name"]), on_diagonal(block.increment, int(d["offset"]))) for d in _diagonals(block)]
-    if n:
-        found += [table("from_error", block.B.T), table("to_current", block.C.T)]
+    arrays = {"error_limit": block.error_limit, "current_limit": block.current_limit}
+    arrays |= {d["name"]: d["entries"] for d in diagonals(block.increment, block.increment)}
+    if block.n_states:
+        arrays |= {"from_error": block.B.T, "to_current": block.C.T}
     if block.D.any():
-        found.append(table("direct", block.D.T))
-    if w:
-        found.append(table("unwind", block.unwind[:w].T))
-    if transfers(block):
-        found += [table("transfer_error", block.from_error.T), table("transfer_current", block.from_output.T)]
-    assert all(t.values for t in found), (m, p)
-    return found
+        arrays["direct"] = block.D.T
+    if block.winding:
+        arrays["unwind"] = block.unwind[: block.winding].T
+    if block.transfers:
+        arrays |= {"transfer_error": block.from_error.T, "transfer_current": block.from_output.T}
+    return [
+        Table(name, ", ".join(f"0..{count - 1}" for count in x.shape), _TYPES[precision], values(x, precision))
+        for name, x in arrays.items()
+    ]
 
 
 def _test(block: ControlBlock, run: Vectors, precision: Precision) -> dict[str, Any]:
-    tolerance = 1e-12 * block.raw_limit if precision == "double" else floating_error(block, 24)
+    tolerance = 1e-12 * block.raw_limit if precision == "double" else floating_error(block, MANTISSA["float"])
     return {
-        "samples": SAMPLES, "errors": values(run.errors, precision), "currents": values(run.currents, precision),
+        "samples": len(run.errors), "errors": values(run.errors, precision), "currents": values(run.currents, precision),
         "tolerance": values(tolerance, precision), "status": _lines([str(int(v)) for v in run.status]),
         "valid": _lines(["TRUE" if v else "FALSE" for v in run.valid.ravel()]),
     }  # fmt: skip
@@ -164,28 +137,17 @@ def values(x: np.ndarray, precision: Precision) -> str:
 
 
 def _lines(items: Sequence[str]) -> str:
-    lines, line = [], ""
-    for k, text in enumerate(items):
-        item = text + (", " if k + 1 < len(items) else "")
-        if line and len(line) + len(item) > _WIDTH:
-            lines.append(line.rstrip())
-            line = ""
-        line += item
-    return "\n        ".join([*lines, line])
+    return "\n        ".join(lines_of(items))
 
 
 def literal(value: float, precision: Precision) -> str:
     """A number with the point that the standard demands: 1.0E-05, not 1e-05."""
-    text = f"{value:.17g}" if precision == "double" else f"{float(np.float32(value)):.9g}"
-    digits, _, exponent = text.partition("e")
-    if "." not in digits:
-        digits += ".0"
-    return f"{digits}E{int(exponent)}" if exponent else digits
+    mantissa, _, exponent = digits(value, precision).partition("e")
+    if "." not in mantissa:
+        mantissa += ".0"
+    return f"{mantissa}E{int(exponent)}" if exponent else mantissa
 
 
 def _comment(text: str) -> str:
     """``text`` made safe inside (* *)."""
     return as_comment(text).replace("(*", "( *").replace("*)", "* )").replace("$", "_")
-
-
-__all__ = ["KEYWORDS", "Precision", "literal", "structured_text", "values"]

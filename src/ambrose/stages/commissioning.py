@@ -17,10 +17,12 @@ from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.c.compiled import CompiledBlock, has_compiler, probed
-from ambrose.deployment.c.fixed import write_code
-from ambrose.deployment.discretisation.fixed import Deployment, deploy, unmet
-from ambrose.deployment.pipeline import SAMPLE_TIME, limits, provenance
+from ambrose.deployment.c.code import write_code
+from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.c.compiler import has_compiler
+from ambrose.deployment.discretisation.deployment import Deployment, deploy, unmet_limits
+from ambrose.deployment.pipeline import SAMPLE_TIME, machine_limits
+from ambrose.deployment.provenance import provenance_lines
 from ambrose.evaluation import Candidate
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
@@ -74,7 +76,7 @@ class Commissioning:
     @property
     def in_words(self) -> tuple[tuple[str, str], ...]:
         """(what, words) about the sampled controller and its code."""
-        deployed, box = self.deployment, self.deployment.box
+        deployed = self.deployment
         rate = 1 / (deployed.controller.dt or SAMPLE_TIME)
         rows = [
             ("Controller", f"{deployed.controller.n_states} states, {rate:g} Hz, {deployed.delay} sample of computing delay"),
@@ -83,11 +85,11 @@ class Commissioning:
         ]
         if self.apart is not None:
             rows.insert(2, ("Law read back out of the running code", f"within {self.apart:.1g} of the design's"))
-        if box is not None:
+        for box in deployed.box:
             worst, unstable = box["sampled.sensitivity.box"], box["sampled.stability.box"]
             rows.insert(1, ("Sampled loop", f"{unstable.value:.0f} unstable of {unstable.detail}"))
             rows.insert(2, ("Worst sampled sensitivity", f"{worst.value:.3g} at {worst.detail}"))
-            rows.insert(3, ("Limits that the sampled loop misses", "; ".join(unmet(deployed)) or "none"))
+            rows.insert(3, ("Limits that the sampled loop misses", "; ".join(unmet_limits(deployed)) or "none"))
         return tuple(rows)
 
 
@@ -150,12 +152,12 @@ def coded(
     file, dt = read_controller(directory / "controller.json"), _sample_time(machine)
     narrow = tuple(replace(plant, machine=replace(machine, tolerances=design_tolerances(machine))) for plant in plants)
     deployment = deploy(file, dt, _COMPUTING * dt, plants=narrow, progress=progress)
-    errors, currents = limits(machine)
+    errors, currents = machine_limits(machine)
     if errors is None or currents is None:
         raise InvalidInput(f"machine {machine.name!r} states no gap or max_current of a bearing; the code needs both as limits")
     block = control_block(deployment, "controller", errors, currents)
     progress("writing the C code")
-    files = tuple(write_code(directory / "code", block, "double", provenance(file, machine, deployment)))
+    files = tuple(write_code(directory / "code", block, "double", provenance_lines(file, deployment)))
     return deployment, CompiledBlock(block) if has_compiler() else block.system, files
 
 

@@ -13,13 +13,10 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.block.run import run_block
-from ambrose.deployment.block.scheduled import transfers
-from ambrose.deployment.block.scheduled_run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, followed, run_scheduled
-from ambrose.deployment.c.scheduled import single, vectors
-from ambrose.deployment.discretisation.fixed import deploy
-from ambrose.deployment.discretisation.motion import motion
-from ambrose.deployment.discretisation.scheduled import deploy_scheduled
+from ambrose.deployment.block.motion import motion
+from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, followed, run_block, run_scheduled
+from ambrose.deployment.block.vectors import scheduled_vectors
+from ambrose.deployment.discretisation.deployment import deploy, deploy_scheduled
 from schedule_driver import CURRENT, DT, ERROR, GRID, block_of, gain_schedule, small_schedule, two_states
 
 
@@ -184,13 +181,13 @@ def test_the_integrator_does_not_wind_up():
 
 
 def test_transfer_is_planned_where_it_converges(block):
-    assert transfers(block)
-    assert transfers(block_of(two_states()))
-    assert not transfers(block_of(gain_schedule()))
+    assert block.transfers
+    assert block_of(two_states()).transfers
+    assert not block_of(gain_schedule()).transfers
 
 
 def test_vectors_meet_every_branch(block):
-    status = np.bitwise_or.reduce(vectors(block_of(small_schedule(), rate_limit=1e4)).status)
+    status = np.bitwise_or.reduce(scheduled_vectors(block_of(small_schedule(), rate_limit=1e4)).status)
     assert status == HELD | FAULT | LIMITED | CLAMPED | SPEED | BEHIND
 
 
@@ -242,7 +239,7 @@ def test_grid_points_that_single_precision_cannot_tell_apart():
     systems = [small_schedule().at(v) for v in (100.0, 300.0)]
     block = block_of(ScheduledSystem([300.0, 300.0 + 1e-6], systems))
     with pytest.raises(InvalidInput, match="apart in single precision"):
-        single(block)
+        block.single()
 
 
 def test_only_speed_can_be_scheduled_over():

@@ -11,8 +11,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.deployment.block.fixed import control_block
 from ambrose.deployment.block.run import run_block
 from ambrose.deployment.c.compiled import CompiledBlock, probed
-from ambrose.deployment.discretisation.fixed import deploy
-from ambrose.deployment.pipeline import limits
+from ambrose.deployment.discretisation.deployment import deploy
+from ambrose.deployment.pipeline import machine_limits
 from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
@@ -30,7 +30,7 @@ def rig():
     zero = next(point for point in machine.operation.points if point.seal_pressure == 0)
     plant = assemble(machine, zero)
     deployment = deploy(pid_synthesis(plant), SAMPLE, SAMPLE, plants=[], force=True)
-    errors, currents = limits(machine)
+    errors, currents = machine_limits(machine)
     return machine, plant, control_block(deployment, "pid", errors, currents)
 
 

@@ -17,8 +17,8 @@ from ambrose.deployment.block.fixed import control_block
 from ambrose.deployment.block.fixed_point import fixed_point
 from ambrose.deployment.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
 from ambrose.deployment.block.word_length import floating_error, word_lengths
-from ambrose.deployment.c.fixed import generate, single_limits, write_code
-from ambrose.deployment.discretisation.fixed import deploy
+from ambrose.deployment.c.code import generate, write_code
+from ambrose.deployment.discretisation.deployment import deploy
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.design import design
 from example_blocks import gain_block, rig_block
@@ -65,7 +65,7 @@ def test_double_agrees_with_python(blocks, method, tmp_path):
 @compiler
 @pytest.mark.parametrize("method", METHODS)
 def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
-    block = single_limits(blocks[method])
+    block = blocks[method].single()
     with np.errstate(all="ignore"):
         e, valid = driver.adversarial(block, SAMPLES // 2)
         e = e.astype(np.float32).astype(float)

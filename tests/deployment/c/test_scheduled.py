@@ -12,10 +12,11 @@ import example_blocks as example
 from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
+from ambrose.deployment.block.cost import scheduled_cost
 from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.block.scheduled_run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, run_scheduled
-from ambrose.deployment.c.scheduled import generate_scheduled, scheduled_cost, single, write_scheduled
-from ambrose.deployment.discretisation.fixed import deploy
+from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, run_scheduled
+from ambrose.deployment.c.code import generate, write_code
+from ambrose.deployment.discretisation.deployment import deploy
 from schedule_driver import (
     CURRENT,
     DT,
@@ -70,7 +71,7 @@ def test_clang_agrees_with_python(tmp_path):
 
 @compiler
 def test_single_precision_stays_close(tmp_path):
-    block = single(block_of(small_schedule()))
+    block = block_of(small_schedule()).single()
     with np.errstate(all="ignore"):
         e, valid, v = adversarial(block, SAMPLES // 5)
         e, v = e.astype(np.float32).astype(float), v.astype(np.float32).astype(float)
@@ -122,7 +123,7 @@ def test_the_code_is_continuous_at_the_grid_points_and_clamps_at_the_ends(tmp_pa
     [(small_schedule, "double"), (small_schedule, "float"), (two_states, "float"), (gain_schedule, "double")],
 )
 def test_compiles_clean_and_passes_its_own_vectors(make, arithmetic, name, tmp_path):
-    write_scheduled(tmp_path / "code", block_of(make(), rate_limit=1e5), arithmetic, ["A */ comment"])
+    write_code(tmp_path / "code", block_of(make(), rate_limit=1e5), arithmetic, ["A */ comment"])
     files = [str(tmp_path / "code" / f) for f in ("lpv.c", "lpv_test.c")]
     for flags in (driver.sanitizers(name), ["-O3"])[: 2 if make is small_schedule else 1]:
         program = tmp_path / "selftest"
@@ -136,7 +137,7 @@ def test_compiles_clean_and_passes_its_own_vectors(make, arithmetic, name, tmp_p
 @pytest.mark.parametrize(("make", "arithmetic"), [(small_schedule, "float"), (two_states, "double"), (gain_schedule, "double")])
 def test_every_warning_of_clang_but_two(make, arithmetic, tmp_path):
     """But padding, which no target's layout can avoid, and the comparison of the current given with the one asked for."""
-    for name, text in generate_scheduled(block_of(make(), rate_limit=1e5), arithmetic).items():
+    for name, text in generate(block_of(make(), rate_limit=1e5), arithmetic).items():
         (tmp_path / name).write_text(text)
     silent = ["-Wno-padded", "-Wno-float-equal", "-Wno-unknown-warning-option", "-Wno-unsafe-buffer-usage"]
     sources = [str(tmp_path / f"lpv{end}") for end in (".c", "_test.c")]
@@ -157,7 +158,7 @@ def test_every_warning_of_clang_but_two(make, arithmetic, tmp_path):
     ],
 )
 def test_selftest_notices(pattern, change, tmp_path):
-    files = generate_scheduled(block_of(small_schedule()))
+    files = generate(block_of(small_schedule()))
     broken = re.sub(pattern, change, files["lpv.c"], count=1)
     assert broken != files["lpv.c"]
     for name, text in {**files, "lpv.c": broken}.items():
@@ -198,7 +199,7 @@ def test_reset_forgets_the_states_and_not_the_speed(tmp_path):
 
 def test_header_and_report_say_what_matters():
     block = block_of(small_schedule(), rate_limit=2500.0)
-    files = generate_scheduled(block, provenance=["Verified nowhere"])
+    files = generate(block, provenance=["Verified nowhere"])
     header, report = files["lpv.h"], files["lpv_report.md"]
     for text in (
         "Verified nowhere", "4 grid points from 100 to 600 rad/s (15.92 to 95.49 Hz)", "#define LPV_SPEED_LOWEST 100.0",
@@ -212,16 +213,16 @@ def test_header_and_report_say_what_matters():
     assert f"| {cost.state_bytes}, {cost.table_bytes} bytes |" in report
     row = next(line for line in report.splitlines() if line.startswith("| 100 |"))
     assert 1e-9 < float(row.split("|")[-2]) < 1e-4  # what single precision does to the gain
-    assert "SPEED_RATE" not in generate_scheduled(block_of(small_schedule()))["lpv.h"]
+    assert "SPEED_RATE" not in generate(block_of(small_schedule()))["lpv.h"]
     unproved = replace(block, motion=replace(block.motion, contraction=1.2))
-    assert "While the speed moves no bound is proved" in generate_scheduled(unproved)["lpv.h"]
+    assert "While the speed moves no bound is proved" in generate(unproved)["lpv.h"]
 
 
 @compiler
 def test_the_stated_memory_is_that_of_the_compiler(tmp_path):
     for arithmetic in ("double", "float"):
         block = block_of(small_schedule())
-        for name, text in generate_scheduled(block, arithmetic).items():
+        for name, text in generate(block, arithmetic).items():
             (tmp_path / name).write_text(text)
         (tmp_path / "size.c").write_text(
             '#include <stdio.h>\n#include "lpv.h"\nint main(void) { printf("%d", (int)sizeof(lpv_block)); return 0; }\n'
@@ -236,4 +237,4 @@ def test_other_arithmetic_is_refused(arithmetic):
     with pytest.raises(
         InvalidInput, match=f"arithmetic of a scheduled controller is '{arithmetic}', but must be double or float"
     ):
-        generate_scheduled(block_of(small_schedule()), arithmetic)
+        generate(block_of(small_schedule()), arithmetic)

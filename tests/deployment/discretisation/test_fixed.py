@@ -6,7 +6,7 @@ from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import feedback, poles, select, series, static_gain
-from ambrose.deployment.discretisation.fixed import box_check, deploy, unmet
+from ambrose.deployment.discretisation.deployment import deploy, unmet_limits
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
@@ -14,6 +14,7 @@ from ambrose.synthesis.design import design
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Certificate, Synthesis
+from ambrose.verification.sampled import check_over_box
 
 DT = 1e-4
 
@@ -41,8 +42,8 @@ def test_a_controller_that_holds_everywhere_is_verified(plants, robust):
     assert found.delay == 1
     assert len(found.checks) == len(plants)
     assert found.in_loop.n_states == found.controller.n_states + 4
-    assert found.box["sampled.stability.box"].value == 0
-    assert all("limit" in text for text in unmet(found))
+    assert found.box[0]["sampled.stability.box"].value == 0
+    assert all("limit" in text for text in unmet_limits(found))
 
 
 def test_sampled_sensitivity_against_frequency_response(plants, robust):
@@ -55,7 +56,7 @@ def test_sampled_sensitivity_against_frequency_response(plants, robust):
         G = c2d(select(plant.system, plant.named("u"), plant.named("y")), DT)
         S = feedback(static_gain(np.eye(4), dt=DT), series(late, G))
         worst = max(worst, float(np.linalg.norm(frequency_response(S, omega).values, 2, axis=(1, 2)).max()))
-    value = box_check(plants[0], late)["sampled.sensitivity.box"].value
+    value = check_over_box(plants[0], late)["sampled.sensitivity.box"].value
     assert worst * (1 - 1e-9) <= value <= 1.01 * worst
 
 
@@ -64,7 +65,7 @@ def test_refused_where_the_sampled_loop_is_unstable(plants, pid):
         deploy(pid, DT, DT, plants=plants)
     found = deploy(pid, DT, DT, plants=plants, force=True)
     assert not found.verified
-    assert not found.box.checks[0].passed
+    assert not found.box[0].checks[0].passed
 
 
 def test_delay_counts(plants, robust):

@@ -18,10 +18,8 @@ from fmpy.validation import validate_fmu
 import code_driver as driver
 from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
-from ambrose.deployment.block.fixed import transfers
 from ambrose.deployment.block.fixed_point import fixed_point
 from ambrose.deployment.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
-from ambrose.deployment.c.fixed import single_limits
 from ambrose.deployment.fmu.archive import fmu, fmu_files, source_files
 from ambrose.deployment.fmu.description import variables
 from ambrose.machine.atomic_write import write_files
@@ -114,7 +112,7 @@ def test_simulated_with_tables_of_input(version, tmp_path):
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("arithmetic", ["float", "fixed32"])
 def test_the_code_inside_may_be_float_or_fixed(rig, version, arithmetic, tmp_path):
-    block = single_limits(rig) if arithmetic == "float" else rig
+    block = rig.single() if arithmetic == "float" else rig
     e = np.random.default_rng(2).normal(0, 0.1 * ERROR, (2000, 4))
     e[100:104, 1] = np.nan
     player = opened(block, version, tmp_path, arithmetic)
@@ -366,7 +364,7 @@ def test_a_compiler_that_fails(monkeypatch, tmp_path):
     (tmp_path / "cc").write_text("#!/bin/sh\necho 'no licence today' >&2\nexit 3\n")
     (tmp_path / "cc").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    with pytest.raises(InvalidInput, match=r"refused the code of the FMU: no licence today; write an FMU of sources only"):
+    with pytest.raises(InvalidInput, match=r"refused the code: no licence today; write an FMU of sources only"):
         fmu_files(small_block())
 
 
@@ -407,5 +405,5 @@ def test_limits_are_those_of_the_code(tmp_path):
 
 def test_gain_has_nothing_to_track():
     names = [v.name for v in variables(gain_block())]
-    assert not transfers(gain_block())
+    assert not gain_block().transfers
     assert "tracking" not in names

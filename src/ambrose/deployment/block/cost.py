@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.deployment.block.fixed import ControlBlock, transfers
+from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.block.scheduled import ScheduledBlock
 
 _BYTES = {"double": (8, 8), "float": (4, 4), "fixed32": (4, 8), "fixed16": (2, 4)}  # of a signal, of a state
 
@@ -22,35 +23,46 @@ class Cost:
     table_bytes: int
 
 
-def diagonals_of(x: np.ndarray) -> list[tuple[int, int]]:
-    """The non-zero diagonals of x (n, n): offset (positive above) and how many entries are not zero."""
-    n = len(x)
-    counts = [(k, int(np.count_nonzero(np.diagonal(x, k)))) for k in range(1 - n, n)]
-    return [(k, count) for k, count in counts if count]
+def diagonals_of(x: np.ndarray) -> list[int]:
+    """The offsets (positive above) of the diagonals of x (n, n) that are not zero."""
+    return [k for k in range(1 - len(x), len(x)) if np.diagonal(x, k).any()]
+
+
+def padding_of(increment: np.ndarray) -> tuple[int, int]:
+    """How many places before and after the states the diagonals of A - I (n, n) reach."""
+    offsets = diagonals_of(increment)
+    return max(0, -min(offsets, default=0)), max(0, max(offsets, default=0))
 
 
 def step_cost(block: ControlBlock, arithmetic: str) -> Cost:
     """Counted as the code does it: whole diagonals of A - I, dense B, C and (where not zero) D."""
     n, m, p, w = block.n_states, len(block.inputs), len(block.outputs), block.winding
-    diagonals = diagonals_of(block.increment)
     direct = m * p if block.D.any() else 0
-    products = len(diagonals) * n + n * m + n * p + direct
+    products = len(diagonals_of(block.increment)) * n + n * m + n * p + direct
     signal, state = _BYTES[arithmetic]
     floating = arithmetic in {"double", "float"}
-    padding = max(0, -diagonals[0][0]) + max(0, diagonals[-1][0]) if diagonals else 0
     carry = w * signal if floating else 0
-    tables = products + w * p + (m + p if floating else 0) + (n * (m + p) if transfers(block) else 0)
-    shifts = 0 if floating else n + 2 * p + (n if transfers(block) else 0)
+    tables = products + w * p + (m + p if floating else 0) + (n * (m + p) if block.transfers else 0)
+    shifts = 0 if floating else n + 2 * p + (n if block.transfers else 0)
     return Cost(
         multiplications=products,
         additions=products + n + (3 * w if floating else 0),
         limited=w * p,
-        state_bytes=(n + padding) * state + carry + m * (signal + 2),
+        state_bytes=(n + sum(padding_of(block.increment))) * state + carry + m * (signal + 2),
         table_bytes=tables * signal + shifts,
     )
 
 
-def flop_floor(block: ControlBlock) -> int:
-    """Multiplications and additions of the non-zero coefficients alone: what no arrangement of this realisation can avoid."""
-    parts = (block.increment, block.B, block.C, block.D)
-    return 2 * sum(int(np.count_nonzero(part)) for part in parts)
+def scheduled_cost(block: ScheduledBlock, arithmetic: str) -> Cost:
+    """Counted as the code does it: two grid points, dense tables."""
+    n, m, p, k = block.n_states, len(block.inputs), len(block.outputs), len(block.grid)
+    size = _BYTES[arithmetic][0]
+    products = 2 * (n + m) * (n + p)
+    transfer = k * n * (m + p) if block.transfers else 0
+    return Cost(
+        multiplications=products + 2 * (n + m),
+        additions=products + 3 * n + 4,
+        limited=2 * p * (n + 1),
+        state_bytes=(2 * n + m + 2) * size + 2 * (m + 3),
+        table_bytes=(k * ((n + m) * (n + p) + n * p + 1) + transfer + m + p + 2) * size,
+    )

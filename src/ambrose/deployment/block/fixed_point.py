@@ -14,6 +14,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.peak_gain import peak_gains
+from ambrose.deployment.block.block import block_slices
 from ambrose.deployment.block.fixed import ControlBlock
 
 WORDS = (16, 32)
@@ -58,7 +59,7 @@ def fixed_point(block: ControlBlock, word: int = 32, largest_error: float = LARG
         raise invalid("word", word, "16 or 32 bits", "choose one of them")
     signal = word - 2
     cut_bits = np.ceil(np.log2(block.raw_limit / block.current_limit)).astype(int)
-    update, unwind, output, transfer = normalised(block, cut_bits)
+    update, unwind, output, transfer = _normalise(block, cut_bits)
     q_update, update_bits = _rows(update, word, "a state's increment")
     q_unwind, unwind_bits = _rows(unwind, word, "a state's unwinding")
     q_output, output_bits = _rows(output, word, "an output")
@@ -88,7 +89,7 @@ def fixed_point(block: ControlBlock, word: int = 32, largest_error: float = LARG
     return replace(fixed, error=error)
 
 
-def normalised(block: ControlBlock, cut_bits: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _normalise(block: ControlBlock, cut_bits: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The matrices with every signal as a part of its limit: update (n, n + m), unwind (n, p), output (p, n + m), transfer
     (n, m + p); what is cut off is a part of 2^cut_bits limits."""
     e, u = block.error_limit, block.current_limit
@@ -133,9 +134,6 @@ def _error(fixed: FixedBlock, update: np.ndarray, output: np.ndarray) -> np.ndar
 def spread(block: ControlBlock, source: np.ndarray) -> np.ndarray:
     """How far the states (n,) can be off when every sample adds an error up to ``source`` (n,), over HORIZON samples."""
     result = np.zeros(block.n_states)
-    start = 0
-    for k in block.sizes:
-        own = slice(start, start + k)
+    for own in block_slices(block.sizes):
         result[own] = peak_gains(block.increment[own, own], np.diag(source[own]), HORIZON).sum(axis=1)
-        start += k
     return result

@@ -8,22 +8,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.deployment.block.block import Block
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import FixedBlock
+from ambrose.deployment.block.scheduled import ScheduledBlock, places
 
 HELD, FAULT, LIMITED = 1, 2, 4  # status bits, as in the header
+CLAMPED, SPEED, BEHIND = 8, 16, 32  # of a scheduled block besides
 FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denormal numbers linger
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockRun:
-    """currents (k, p) [A] (whole numbers for fixed point), status (k,) the states after the last sample (n,) and
-    the largest magnitude of each on the way (n,)."""
+    """currents (k, p) [A] (whole numbers for fixed point), status (k,), the states after the last sample (n,) and the largest
+    magnitude of each on the way (n,); schedule (k,) [rad/s]: where a scheduled law was taken (fixed: None)."""
 
     currents: np.ndarray
     status: np.ndarray
     states: np.ndarray
     largest: np.ndarray
+    schedule: np.ndarray | None = None
 
 
 def run_block(
@@ -31,41 +35,108 @@ def run_block(
 ) -> BlockRun:
     """Double precision. errors (k, m) [m]: NaN and infinity allowed; valid (k, m): the channels' flags (None: all true);
     start (n,): the states before the first sample (None: zero). Raises InvalidInput."""
-    e, good = _inputs(errors, valid, block)
-    with np.errstate(invalid="ignore"):
-        good &= np.abs(e) <= block.error_limit
-    e, status = held(e, good, block.hold_samples)
+    e, status = _plausible_errors(block, errors, valid)
     x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
-    carry, largest = np.zeros_like(x), np.abs(x)
-    w = block.winding
+    carry, largest = np.zeros(block.winding), np.abs(x)
     direct, driven = e @ block.D.T, e @ block.B.T
     currents = np.empty(direct.shape)
-    limit, floor = block.current_limit, FLOOR["double"]
     for k in range(len(e)):
         u = direct[k] + block.C @ x
-        cut = np.minimum(np.maximum(u, -limit), limit)
-        currents[k] = cut
-        d = block.increment @ x + driven[k]
-        if (cut != u).any():
+        currents[k] = np.minimum(np.maximum(u, -block.current_limit), block.current_limit)
+        cut = currents[k] - u
+        step = block.increment @ x + driven[k]
+        if cut.any():
             status[k] |= LIMITED
-            d += block.unwind @ (cut - u)
-        d[:w] += carry[:w]
-        new = x + d
-        carry[:w] = d[:w] - (new[:w] - x[:w])  # what the sum lost (Kahan 1965)
-        new[np.abs(new) < floor] = 0.0
-        x = new
+            step += block.unwind @ cut
+        x = _add_compensated(x, step, carry, FLOOR["double"])
         largest = np.maximum(largest, np.abs(x))
     return BlockRun(currents, status, x, largest)
+
+
+def run_scheduled(
+    block: ScheduledBlock,
+    errors: ArrayLike,
+    speeds: ArrayLike,
+    valid: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    single: bool = False,
+) -> BlockRun:
+    """errors (k, m) [m] and speeds (k,) [rad/s]: NaN and infinity allowed; valid (k, m): the errors' flags (None: all true);
+    start (n,): the states before the first sample (None: zero). single: computed in single precision. Raises InvalidInput."""
+    e, status = _plausible_errors(block, errors, valid)
+    kind = np.float32 if single else np.float64
+    v = np.asarray(speeds, dtype=float)
+    if v.shape != (len(e),):
+        raise InvalidInput(f"the shape of speeds is {v.shape}, but must be ({len(e)},), one for every sample")
+    schedule, speed_status = followed(block, v)
+    status |= speed_status
+    i, share = places(block.grid, schedule)
+    x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
+    carry, largest = np.zeros_like(x), np.abs(x)
+    to_state = np.concatenate([block.increment, block.B], axis=2).astype(kind)
+    to_current = np.concatenate([block.C, block.D], axis=2).astype(kind)
+    unwind, limit = block.unwind.astype(kind), block.current_limit.astype(kind)
+    lowest = np.negative(limit)
+    e, share = e.astype(kind), share.astype(kind)
+    currents = np.empty((len(e), len(block.outputs)), kind)
+    floor = FLOOR["float" if single else "double"]
+    for k in range(len(e)):
+        z = np.concatenate([x, e[k]])
+        low, high, a = (1 - share[k]) * z, share[k] * z, i[k]
+        u = to_current[a] @ low + to_current[a + 1] @ high
+        currents[k] = np.minimum(np.maximum(u, lowest), limit)
+        cut = currents[k] - u
+        step = to_state[a] @ low + to_state[a + 1] @ high
+        if cut.any():
+            status[k] |= LIMITED
+            step += unwind[a] @ ((1 - share[k]) * cut) + unwind[a + 1] @ (share[k] * cut)
+        x = _add_compensated(x, step, carry, floor)
+        largest = np.maximum(largest, np.abs(x))
+    return BlockRun(currents.astype(float), status, x.astype(float), largest.astype(float), schedule)
+
+
+def _add_compensated(x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: float) -> np.ndarray:
+    """x + step (n,); ``carry`` keeps what the sums of the first states lost (Kahan 1965) for the next sample."""
+    w = len(carry)
+    step[:w] += carry
+    total = x + step
+    carry[:] = step[:w] - (total[:w] - x[:w])
+    total[np.abs(total) < floor] = 0.0
+    return total
+
+
+def followed(block: ScheduledBlock, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the schedule stands (k,) [rad/s] for speeds (k,) as measured, and the status (k,) of the speed alone."""
+    low, high = block.range
+    with np.errstate(invalid="ignore"):
+        good = np.abs(speeds) <= block.speed_limit
+    known, status = _hold_last(speeds[:, None], good[:, None], block.hold_samples)
+    status = np.where(good, 0, status | SPEED)
+    first = int(np.argmax(good)) if good.any() else len(good)
+    known = known[:, 0].astype(float)
+    known[:first] = low  # nothing is known of the speed yet
+    target = np.clip(known, low, high)
+    status |= np.where(known != target, CLAMPED, 0)
+    if not np.isfinite(block.speed_step):
+        return target, status
+    place, step, at = np.empty(len(target)), block.speed_step, low
+    for k, wanted in enumerate(target.tolist()):
+        if k > first and abs(wanted - at) > step:
+            at += step if wanted > at else -step
+            status[k] |= BEHIND
+        else:
+            at = wanted
+        place[k] = at
+    return place, status
 
 
 def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = None) -> BlockRun:
     """Fixed point, bit by bit. errors (k, m): whole numbers of 2^-signal_bits error_limit; currents likewise."""
     block, s = fixed.block, fixed.signal_bits
-    given, good = _inputs(errors, valid, block)
+    given, good = _inputs(block, errors, valid)
     e = given.astype(np.int64)
     one = 1 << s
-    good &= (e >= -one) & (e <= one)
-    e, status = held(e, good, block.hold_samples)
+    e, status = _hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
     n = block.n_states
     X, largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
     edge = 1 << fixed.state_bits
@@ -99,7 +170,14 @@ def _shift(value: np.ndarray, bits: np.ndarray, half: np.ndarray) -> np.ndarray:
     return np.sign(value) * ((np.abs(value) + half) >> bits)
 
 
-def _inputs(errors: ArrayLike, valid: ArrayLike | None, block: ControlBlock) -> tuple[np.ndarray, np.ndarray]:
+def _plausible_errors(block: Block, errors: ArrayLike, valid: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
+    """The errors (k, m) [m] that are used, and the status (k,) so far."""
+    e, good = _inputs(block, np.asarray(errors, dtype=float), valid)
+    with np.errstate(invalid="ignore"):
+        return _hold_last(e, good & (np.abs(e) <= block.error_limit), block.hold_samples)
+
+
+def _inputs(block: Block, errors: ArrayLike, valid: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
     e = np.asarray(errors)
     if e.ndim != 2 or e.shape[1] != len(block.inputs):
         raise InvalidInput(f"the shape of errors is {e.shape}, but must be (k, {len(block.inputs)}); give one column per axis")
@@ -108,7 +186,7 @@ def _inputs(errors: ArrayLike, valid: ArrayLike | None, block: ControlBlock) -> 
     return e, check_shape(valid, "valid", "(k, m)", k=len(e), m=e.shape[1]) != 0
 
 
-def held(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
+def _hold_last(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
     """Bad samples replaced by the channel's last good one (zero before the first), and the status (k,) without limiting."""
     row = np.arange(len(e))[:, None]
     last = np.maximum.accumulate(np.where(good, row, -1), axis=0)

@@ -4,66 +4,92 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ambrose.deployment.block.block import Block
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import FixedBlock
-from ambrose.deployment.block.run import run_block, run_fixed
+from ambrose.deployment.block.run import run_block, run_fixed, run_scheduled
+from ambrose.deployment.block.scheduled import ScheduledBlock
 
-SAMPLES = 96
+_SAMPLES = 96
+_SWEEP = 64  # samples of a scheduled run in which the speed passes through the range and beyond
+_TAIL = 24  # samples without a speed, at the end
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vectors:
-    """errors (k, m) [m] and currents (k, p) [A], or counts of fixed point; valid (k, m) and status (k,): whole numbers."""
+    """errors (k, m) [m] and currents (k, p) [A], or counts of fixed point; valid (k, m) and status (k,): whole numbers. Of a
+    scheduled block besides speeds (k,) [rad/s], NaN for none, and rounding (p,) [A]: the largest difference between single and
+    double precision."""
 
     errors: np.ndarray
     valid: np.ndarray
     currents: np.ndarray
     status: np.ndarray
+    speeds: np.ndarray | None = None
+    rounding: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def vectors(block: ControlBlock, fixed: FixedBlock | None = None, single: bool = False) -> Vectors:
     """Small and large errors, limiting, flags, values out of range, silence. fixed: the answer in whole numbers; single:
     errors that single precision holds."""
-    rng = np.random.default_rng(7)
-    m = len(block.inputs)
-    e = rng.uniform(-1, 1, (SAMPLES, m)) * np.exp2(-rng.integers(0, 16, (SAMPLES, m)))
-    e[:8] = 0.0
-    e[0, 0] = 1.0
+    e, valid = _errors(len(block.inputs), _SAMPLES)
     e[40:60] = 1.0
     e[70] = 3.0  # implausible
-    valid = np.ones((SAMPLES, m), np.int64)
-    valid[64:82, m - 1] = 0
+    valid[64:82, -1] = 0
     if fixed is not None:
         words = np.clip(np.round(e * (1 << fixed.signal_bits)), 1 - 2 ** (fixed.word - 1), 2 ** (fixed.word - 1) - 1)
         e = words.astype(np.int64)
         run = run_fixed(fixed, e, valid)
     else:
-        e = e * block.error_limit
-        if single:
-            e = e.astype(np.float32).astype(float)
+        e = _held_exactly(e * block.error_limit, single)
         run = run_block(block, e, valid)
     return Vectors(e, valid, run.currents, run.status)
 
 
-def as_csv(block: ControlBlock, run: Vectors) -> str:
-    """The vectors as CSV: errors, flags, currents, status, with a line of names."""
-    titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *block.outputs, "status"]
-    return csv_text(titles, [run.errors, run.valid, run.currents, run.status[:, None]])
+def scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vectors:
+    """The same with speeds: sweeps beyond both ends, limiting everywhere, grid points, no speed."""
+    k, (low, high) = len(block.grid), block.range
+    limited = max(24, 2 * k)
+    e, valid = _errors(len(block.inputs), _SWEEP + limited + k + _TAIL)
+    e[30] = 3.0  # implausible
+    e[_SWEEP : _SWEEP + limited] = 1.0
+    valid[40:58, -1] = 0
+    wide = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), _SWEEP)
+    speeds = np.concatenate([wide, np.linspace(high, low, limited), block.grid, np.full(_TAIL, np.nan)])
+    speeds[:2], speeds[-4:] = np.nan, [2 * block.speed_limit, low, high, low]
+    e, speeds = _held_exactly(e * block.error_limit, single), _held_exactly(speeds, single)
+    run = run_scheduled(block, e, speeds, valid)
+    rounding = np.abs(run_scheduled(block, e, speeds, valid, single=True).currents - run.currents).max(axis=0)
+    return Vectors(e, valid, run.currents, run.status, speeds, rounding)
 
 
-def csv_text(titles: Sequence[str], columns: Sequence[np.ndarray]) -> str:
-    """CSV with a line of titles above columns (k, ...), with all their digits."""
+def _errors(m: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (count, m) of all sizes as parts of their limit, after a pulse into silence, and flags (count, m), all good."""
+    rng = np.random.default_rng(7)
+    e = rng.uniform(-1, 1, (count, m)) * np.exp2(-rng.integers(0, 16, (count, m)))
+    e[:8] = 0.0
+    e[0, 0] = 1.0
+    return e, np.ones((count, m), np.int64)
+
+
+def _held_exactly(x: np.ndarray, single: bool) -> np.ndarray:
+    """x, rounded to what single precision holds."""
+    return x.astype(np.float32).astype(float) if single else x
+
+
+def as_csv(block: Block, run: Vectors) -> str:
+    """The vectors as CSV: errors, flags, [speed,] currents, status with all their digits, below a line of names."""
+    speed = ["speed"] if run.speeds is not None else []
+    titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *speed, *block.outputs, "status"]
+    speeds = [run.speeds[:, None]] if run.speeds is not None else []
+    columns = [run.errors, run.valid, *speeds, run.currents, run.status[:, None]]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(titles)
-    for k in range(len(columns[0])):
+    for k in range(len(run.errors)):
         writer.writerow([f"{v:.17g}" if isinstance(v, float) else int(v) for part in columns for v in part[k].tolist()])
     return stream.getvalue()
-
-
-__all__ = ["SAMPLES", "Vectors", "as_csv", "csv_text", "vectors"]

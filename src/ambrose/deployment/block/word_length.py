@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ambrose.core.checks import invalid
+from ambrose.deployment.block.block import block_slices
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import spread
 
 BITS = (8, 12, 16, 24, 32, 53)
-_POINTS = 200
+MANTISSA = {"double": 53, "float": 24}  # bits
+_ANGLES = np.geomspace(1e-6, 0.999, 200) * np.pi  # per sample, up to the Nyquist frequency
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,71 +26,44 @@ class WordLength:
     pole_shift: float
 
 
-def rounded(block: ControlBlock, bits: int) -> ControlBlock:
-    """The block with every coefficient rounded to ``bits`` bits of mantissa. Raises InvalidInput."""
+def round_to_bits(x: np.ndarray, bits: int) -> np.ndarray:
+    """x rounded to ``bits`` bits of mantissa. Raises InvalidInput."""
     if not 2 <= bits <= 53:
         raise invalid("bits", bits, "from 2 to 53 bits of mantissa", "24 is single precision, 53 double")
-    return replace(
-        block,
-        increment=to_bits(block.increment, bits),
-        B=to_bits(block.B, bits),
-        C=to_bits(block.C, bits),
-        D=to_bits(block.D, bits),
-        unwind=to_bits(block.unwind, bits),
-        from_error=to_bits(block.from_error, bits),
-        from_output=to_bits(block.from_output, bits),
-    )
-
-
-def to_bits(x: np.ndarray, bits: int) -> np.ndarray:
-    """x rounded to ``bits`` bits of mantissa."""
     mantissa, exponent = np.frexp(x)
     return np.ldexp(np.round(np.ldexp(mantissa, bits)), exponent - bits)
 
 
 def word_lengths(block: ControlBlock, bits: tuple[int, ...] = BITS) -> tuple[WordLength, ...]:
-    """The effect of each word length on the block between its limits, from 1e-6 of the Nyquist frequency up to it."""
-    omega = np.geomspace(1e-6, 0.999, _POINTS) * np.pi / block.sample_time
-    exact = _response(block, omega)
-    size = np.linalg.norm(exact, 2, axis=(1, 2))
-    result = []
-    for count in bits:
-        other = rounded(block, count)
-        error = np.linalg.norm(_response(other, omega) - exact, 2, axis=(1, 2)) / np.maximum(size, np.finfo(float).tiny)
-        result.append(WordLength(count, float(error.max()), _pole_shift(block, other)))
-    return tuple(result)
-
-
-def _response(block: ControlBlock, omega: np.ndarray) -> np.ndarray:
-    return law_response(block.increment, block.B, block.C, block.D, omega * block.sample_time)
-
-
-def law_response(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """C (delta - increment)^-1 B + D (w, p, m) at angles (w,) per sample, with delta = z - 1 evaluated without cancellation."""
-    if not len(increment):
-        return np.broadcast_to(D, (len(angle), *D.shape)).astype(complex)
-    inner = np.expm1(1j * angle)[:, None, None] * np.eye(len(increment)) - increment
-    return C @ np.linalg.solve(inner, np.broadcast_to(B, (len(angle), *B.shape))) + D
+    """The effect of each word length on the block between its limits."""
+    law = (block.increment, block.B, block.C, block.D)
+    return tuple(WordLength(count, gain_error(*law, count), _pole_shift(block, count)) for count in bits)
 
 
 def gain_error(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, bits: int) -> float:
     """What rounding A - I, B, C and D to ``bits`` bits of mantissa does to the response, relative to its largest singular
     value at each frequency: the largest, from 1e-6 of the Nyquist frequency up to it."""
-    angle = np.geomspace(1e-6, 0.999, _POINTS) * np.pi
-    meant = law_response(increment, B, C, D, angle)
-    off = law_response(to_bits(increment, bits), to_bits(B, bits), to_bits(C, bits), to_bits(D, bits), angle) - meant
-    size = np.maximum(np.linalg.norm(meant, 2, axis=(1, 2)), np.finfo(float).tiny)
-    return float((np.linalg.norm(off, 2, axis=(1, 2)) / size).max())
+    exact = _response(increment, B, C, D)
+    error = _response(*(round_to_bits(x, bits) for x in (increment, B, C, D))) - exact
+    size = np.maximum(np.linalg.norm(exact, 2, axis=(1, 2)), np.finfo(float).tiny)
+    return float((np.linalg.norm(error, 2, axis=(1, 2)) / size).max())
 
 
-def _pole_shift(block: ControlBlock, other: ControlBlock) -> float:
-    worst, start = 0.0, 0
-    for k in block.sizes:
-        own = slice(start, start + k)
-        old, new = (np.sort_complex(np.linalg.eigvals(b.increment[own, own])) for b in (block, other))
+def _response(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """C (delta - increment)^-1 B + D (w, p, m), with delta = z - 1 evaluated without cancellation."""
+    if not len(increment):
+        return np.broadcast_to(D, (len(_ANGLES), *D.shape)).astype(complex)
+    inner = np.expm1(1j * _ANGLES)[:, None, None] * np.eye(len(increment)) - increment
+    return C @ np.linalg.solve(inner, np.broadcast_to(B, (len(_ANGLES), *B.shape))) + D
+
+
+def _pole_shift(block: ControlBlock, bits: int) -> float:
+    worst = 0.0
+    for own in block_slices(block.sizes):
+        old = np.sort_complex(np.linalg.eigvals(block.increment[own, own]))
+        new = np.sort_complex(np.linalg.eigvals(round_to_bits(block.increment[own, own], bits)))
         size = np.abs(old)
         worst = max(worst, float((np.abs(new - old)[size > 0] / size[size > 0]).max(initial=0.0)))
-        start += k
     return worst
 
 

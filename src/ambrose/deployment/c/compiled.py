@@ -1,32 +1,30 @@
 """The generated C code, compiled and running here: software in the loop.
 
-``CompiledBlock`` runs in the virtual rig in place of a controller (``simulate.control_program``), and ``probed`` reads the law
-back out of the running code, sample by sample, so that the same verification can be made of what the compiler made.
+``CompiledBlock`` runs in the virtual rig in place of a controller (``simulation.control_program``), ``CompiledSchedule`` in
+place of a scheduled one, given the speed at every sample. ``probed`` reads the law back out of the running code, so that the
+same verification can be made of what the compiler made.
 """
 
 from __future__ import annotations
 
 import ctypes
-import shutil
-import subprocess
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.statespace import StateSpace
-from ambrose.deployment.block.cost import diagonals_of
-from ambrose.deployment.block.fixed import ControlBlock, transfers
+from ambrose.deployment.block.cost import padding_of
+from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import fixed_point
-from ambrose.deployment.c.fixed import Arithmetic, generate
+from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.c.code import Arithmetic, Precision, generate
+from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler
 
-COMPILERS = ("cc", "gcc", "clang")
-_FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic", "-Werror")
-_TIME_LIMIT = 120.0  # s, for the compiler
+_FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 _SIZE = """#include <stddef.h>
 #include "{name}.h"
 size_t {name}_size(void);
@@ -46,12 +44,12 @@ class _Words:
     whole: bool
 
     @classmethod
-    def of(cls, block: ControlBlock, arithmetic: Arithmetic) -> _Words:
+    def of(cls, block: ControlBlock | ScheduledBlock, arithmetic: Arithmetic) -> _Words:
         if arithmetic in {"double", "float"}:
             real = np.float64 if arithmetic == "double" else np.float32
             return cls(real, real, np.ones(len(block.inputs)), np.ones(len(block.outputs)), 1.0, False)
         word = int(arithmetic.removeprefix("fixed"))
-        fixed = fixed_point(block, word)
+        fixed = fixed_point(cast(ControlBlock, block), word)
         one = 2.0**fixed.signal_bits
         signal, stored = (np.int32, np.int64) if word == 32 else (np.int16, np.int32)
         return cls(signal, stored, block.error_limit / one, block.current_limit / one, 2.0**-fixed.state_bits, True)
@@ -61,17 +59,19 @@ class _Words:
         return np.rint(scaled) if self.whole else scaled
 
 
-class CompiledBlock:
-    """A block's C code in this process. errors [m] and currents [A], whatever the code's arithmetic.
+B = TypeVar("B", ControlBlock, ScheduledBlock)
 
-    sample_time [s], delay [samples], system: as the rig asks of a program; status: the bits of the last step.
-    """
 
-    def __init__(self, block: ControlBlock, arithmetic: Arithmetic = "double", compiler: str | None = None) -> None:
+class _Compiled(Generic[B]):
+    """What compiled fixed and scheduled blocks share."""
+
+    def __init__(self, block: B, arithmetic: Arithmetic = "double", compiler: str | None = None) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
-        self.block, self.arithmetic, self.status = block, arithmetic, 0
+        self.block: B = block
+        self.arithmetic, self.status = arithmetic, 0
+        files = generate(block, arithmetic)
         self._words = _Words.of(block, arithmetic)
-        self._library = library(block.name, generate(block, arithmetic), compiler)
+        self._library = _load(block.name, files, compiler)
         size = self._library[f"{block.name}_size"]
         size.restype = ctypes.c_size_t
         self._memory = ctypes.create_string_buffer(size())
@@ -87,10 +87,6 @@ class CompiledBlock:
     def delay(self) -> int:
         return self.block.delay
 
-    @property
-    def system(self) -> StateSpace:
-        return self.block.system
-
     def begin(self, states: np.ndarray) -> None:
         """Everything as after its first call, then the states (n,)."""
         self._call("init")
@@ -98,26 +94,19 @@ class CompiledBlock:
 
     def track(self, errors: np.ndarray, currents: np.ndarray) -> None:
         """Bumpless transfer to errors (m,) [m] and currents (p,) [A]. Raises InvalidInput for a block that cannot."""
-        if not transfers(self.block):
+        if not self.block.transfers:
             raise InvalidInput("this block has no bumpless transfer: its states do not reach every output; begin it at rest")
-        self._errors[:] = self._words.counts(errors, self._words.error)
         self._currents[:] = self._words.counts(currents, self._words.current)
-        self._call("track", pointer(self._errors), None, pointer(self._currents))
+        self._call_with_signals("track", errors)
 
     def step(self, errors: np.ndarray) -> np.ndarray:
         """One sample: currents (p,) [A] from errors (m,) [m]."""
-        self._errors[:] = self._words.counts(errors, self._words.error)
-        self.status = int(self._call("step", pointer(self._errors), None, pointer(self._currents)))
+        self.status = int(self._call_with_signals("step", errors))
         return self._currents * self._words.current
-
-    def run(self, errors: np.ndarray) -> np.ndarray:
-        """currents (k, p) [A] over errors (k, m) [m], from the present state."""
-        e = check_shape(errors, "errors", "(k, m)", m=len(self.block.inputs))
-        return np.array([self.step(row) for row in e]).reshape(len(e), len(self.block.outputs))
 
     def states(self) -> np.ndarray:
         """The states (n,) as they stand in the code's memory, 1 being their bound."""
-        return self._state_memory() * self._words.state
+        return self._state_memory().astype(float) * self._words.state
 
     def set_states(self, states: np.ndarray) -> None:
         """Writes the states (n,) into the code's memory."""
@@ -125,45 +114,94 @@ class CompiledBlock:
 
     def _state_memory(self) -> np.ndarray:
         """The states where the code keeps them: first in the block, after the zeros that its diagonals reach into."""
-        diagonals = diagonals_of(self.block.increment)
-        before = max(0, -diagonals[0][0]) if diagonals else 0
+        before = padding_of(self.block.increment)[0] if isinstance(self.block, ControlBlock) else 0
         kind = np.dtype(self._words.stored)
         return np.frombuffer(memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize)
+
+    def _call_with_signals(self, verb: str, errors: np.ndarray) -> Any:
+        """step or track: errors in, all of them valid, currents in place."""
+        self._errors[:] = self._words.counts(errors, self._words.error)
+        return self._call(verb, _pointer(self._errors), None, *self._speed_argument(), _pointer(self._currents))
+
+    def _speed_argument(self) -> tuple[Any, ...]:
+        return ()
 
     def _call(self, verb: str, *arguments: Any) -> Any:
         return self._library[f"{self.block.name}_{verb}"](self._memory, *arguments)
 
 
-class Running(Protocol):
-    """What ``probed`` asks of running code; block: with n_states, inputs, outputs, error_limit [m], sample_time [s]."""
+class CompiledBlock(_Compiled[ControlBlock]):
+    """A block's C code in this process. errors [m] and currents [A], whatever the code's arithmetic.
 
-    status: int
+    sample_time [s], delay [samples], system: as the rig asks of a program; status: the bits of the last step.
+    """
 
     @property
-    def block(self) -> Any: ...
-    def begin(self, states: np.ndarray) -> None: ...
-    def step(self, errors: np.ndarray) -> np.ndarray: ...
-    def states(self) -> np.ndarray: ...
+    def system(self) -> StateSpace:
+        return self.block.system
+
+    def run(self, errors: np.ndarray) -> np.ndarray:
+        """currents (k, p) [A] over errors (k, m) [m], from the present state."""
+        e = check_shape(errors, "errors", "(k, m)", m=len(self.block.inputs))
+        return np.array([self.step(row) for row in e]).reshape(len(e), len(self.block.outputs))
 
 
-def probed(code: Running) -> StateSpace:
+class CompiledSchedule(_Compiled[ScheduledBlock]):
+    """A scheduled block's C code in this process: errors [m] and speeds [rad/s] to currents [A].
+
+    As ``CompiledBlock``, and schedule: as the rig asks of a program; called with a speed [rad/s]: the law there, frozen.
+    """
+
+    def __init__(self, block: ScheduledBlock, arithmetic: Precision = "double", compiler: str | None = None) -> None:
+        """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        self.speed = block.range[0]
+        super().__init__(block, arithmetic, compiler)
+
+    @property
+    def system(self) -> StateSpace:
+        """The law at the speed of the next step."""
+        return self.block.at(self.speed)
+
+    def __call__(self, speed: float) -> StateSpace:
+        return self.block.at(speed)
+
+    def schedule(self, speed: float) -> None:
+        """The speed [rad/s] of the next step; NaN: not known."""
+        self.speed = speed
+
+    def run(self, errors: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+        """currents (k, p) [A] over errors (k, m) [m] and speeds (k,) [rad/s], from the present state."""
+        e = check_shape(errors, "errors", "(k, m)", m=len(self.block.inputs))
+        currents = np.empty((len(e), len(self.block.outputs)))
+        for k, speed in enumerate(np.asarray(speeds, float).tolist()):
+            self.schedule(speed)
+            currents[k] = self.step(e[k])
+        return currents
+
+    def _speed_argument(self) -> tuple[Any, ...]:
+        return (ctypes.c_double(self.speed) if self.arithmetic == "double" else ctypes.c_float(self.speed),)
+
+
+def probed(code: CompiledBlock | CompiledSchedule, speed: float | None = None) -> StateSpace:
     """The law that the running code follows: its states are set one by one, its inputs too, and one step is taken from each.
 
-    Every column is what the compiled code made of it, rounding of its words included. Raises InvalidInput where a current stays
-    limited however small the step.
+    speed [rad/s]: at which a schedule is frozen. Every column is what the compiled code made of it, rounding of its words
+    included. Raises InvalidInput where a current stays limited, or the speed clamped, however small the step.
     """
-    n, m = code.block.n_states, len(code.block.inputs)
-    columns = [_response(code, state, np.zeros(m)) for state in np.eye(n)]
-    columns += [_response(code, np.zeros(n), error) for error in np.eye(m) * code.block.error_limit]
-    table = np.array(columns).reshape(n + m, -1).T  # (next states and currents, states and errors)
-    table[:, n:] /= code.block.error_limit
+    if isinstance(code, CompiledSchedule) and speed is not None:
+        code.schedule(speed)
     block = code.block
+    n, m = block.n_states, len(block.inputs)
+    columns = [_response(code, state, np.zeros(m)) for state in np.eye(n)]
+    columns += [_response(code, np.zeros(n), error) for error in np.eye(m) * block.error_limit]
+    table = np.array(columns).reshape(n + m, -1).T  # (next states and currents, states and errors)
+    table[:, n:] /= block.error_limit
     return StateSpace(
         table[:n, :n], table[:n, n:], table[n:, :n], table[n:, n:], block.inputs, block.outputs, block.sample_time
     )  # fmt: skip
 
 
-def _response(code: Running, state: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def _response(code: CompiledBlock | CompiledSchedule, state: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Next states and currents (n + p,) from a state and errors, taken so small that nothing is limited, and scaled back."""
     for power in range(1, 40):
         size = 0.5**power
@@ -176,30 +214,19 @@ def _response(code: Running, state: np.ndarray, errors: np.ndarray) -> np.ndarra
     )
 
 
-def pointer(values: np.ndarray) -> Any:
+def _pointer(values: np.ndarray) -> Any:
     return values.ctypes.data_as(ctypes.c_void_p)
 
 
-def has_compiler() -> bool:
-    """Whether the code can be compiled here."""
-    return any(shutil.which(name) for name in COMPILERS)
-
-
-def library(block: str, files: Mapping[str, str], compiler: str | None) -> Any:
-    """The generated ``files`` of a block by this name, compiled and loaded. Raises InvalidInput."""
-    found = compiler or next((name for name in COMPILERS if shutil.which(name)), None)
-    if found is None or shutil.which(found) is None:
-        wanted = compiler or " or ".join(COMPILERS)
-        raise InvalidInput(f"there is no C compiler {wanted} on this computer; install one to run the C code here")
+def _load(name: str, files: dict[str, str], compiler: str | None) -> Any:
+    """The generated files of a block by this name, compiled and loaded. Raises InvalidInput."""
+    remedy = "install one to run the C code here"
+    chosen = find_compiler(compiler)
+    if chosen is None:
+        raise InvalidInput(f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; {remedy}")
+    sources = [f"{name}.c", "size.c"]
+    code = build_library(chosen, {**files, "size.c": _SIZE.format(name=name)}, sources, _FLAGS, "give another compiler")
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        for name, text in {**files, "size.c": _SIZE.format(name=block)}.items():
-            (place / name).write_text(text)
-        target = place / "block.so"
-        sources = [str(place / f"{block}.c"), str(place / "size.c")]
-        done = subprocess.run(
-            [found, *_FLAGS, *sources, "-o", str(target)], capture_output=True, text=True, check=False, timeout=_TIME_LIMIT
-        )
-        if done.returncode:
-            raise InvalidInput(f"{found} does not compile the code: {done.stderr.strip()[:500]}")
+        target = Path(folder) / f"{name}.so"
+        target.write_bytes(code)
         return ctypes.CDLL(str(target))

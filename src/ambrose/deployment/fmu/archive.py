@@ -9,19 +9,16 @@ from __future__ import annotations
 import html
 import io
 import platform
-import shutil
-import subprocess
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import get_args
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.deployment.block.fixed import ControlBlock, transfers
+from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import check_identifier
-from ambrose.deployment.c.fixed import Arithmetic, generate, single_limits
+from ambrose.deployment.c.code import Arithmetic, block_facts, generate
+from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler
 from ambrose.deployment.fmu.description import (
     Version,
     build_description,
@@ -32,9 +29,7 @@ from ambrose.deployment.fmu.description import (
 )
 from ambrose.deployment.rendering import render
 
-_COMPILERS = ("cc", "gcc", "clang")
 _OWN = ("fmi2", "fmi3", "memory", "instance", "counts", "token", "refuse")  # in templates/fmu_memory.h.j2, fmi2.c.j2, fmi3.c.j2
-_TIME_LIMIT = 120.0  # s, for the compiler
 _SPACE = uuid.UUID("5d1b0e5e-8f0a-5c0e-9a55-6d1f2c8f2f10")  # of the tokens: equal code has an equal token
 _FOLDERS = {  # (system, machine): folder of FMI 2.0, folder of FMI 3.0, suffix
     ("Linux", "x86_64"): ("linux64", "x86_64-linux", "so"),
@@ -53,12 +48,10 @@ def fmu_files(
     arithmetic: of the code inside; the FMU's variables are in m and A in every case. sources_only: without a binary, for
     an importer that compiles. Raises InvalidInput, also where there is no C compiler, or it fails.
     """
-    return {f"{block.name}_fmi{v[0]}.fmu": fmu(block, v, arithmetic, provenance, sources_only=sources_only) for v in versions()}
-
-
-def versions() -> tuple[Version, ...]:
-    """Those that are written."""
-    return get_args(Version)
+    return {
+        f"{block.name}_fmi{v[0]}.fmu": fmu(block, v, arithmetic, provenance, sources_only=sources_only)
+        for v in get_args(Version)
+    }
 
 
 def fmu(
@@ -73,7 +66,7 @@ def fmu(
     ``fmu_files``."""
     _check_names(block)
     if arithmetic == "float":
-        block = single_limits(block)
+        block = block.single()
     code = source_files(block, version, arithmetic, provenance)
     token = "{" + str(uuid.uuid5(_SPACE, "\n".join(code.values()))) + "}"
     code[f"fmi{version[0]}.c"] = code[f"fmi{version[0]}.c"].replace("TOKEN", token)
@@ -97,10 +90,8 @@ def source_files(
     """The C of an FMU by name; in fmi2.c or fmi3.c the word TOKEN stands for the token."""
     written = generate(block, arithmetic, provenance)
     facts = {
-        "name": block.name, "prefix": block.name.upper(), "delay": block.delay, "sample_time": f"{block.sample_time:.9g}",
-        "transfers": transfers(block), "fixed": arithmetic.startswith("fixed"), "token": "TOKEN",
+        **block_facts(block), "fixed": arithmetic.startswith("fixed"), "token": "TOKEN",
         "references": references(block).items(),
-        "inputs": [{"name": name} for name in block.inputs], "outputs": [{"name": name} for name in block.outputs],
     }  # fmt: skip
     wrapper = f"fmi{version[0]}.c"
     return {
@@ -133,27 +124,15 @@ def _place(version: Version) -> tuple[str, str]:
 
 
 def _compiled(block: ControlBlock, version: Version, code: Mapping[str, str]) -> bytes:
-    """The shared library that the sources make here."""
-    compiler = next((found for name in _COMPILERS if (found := shutil.which(name))), None)
+    """The shared library that the sources make here. Raises InvalidInput."""
+    compiler = find_compiler()
     if compiler is None:
         raise InvalidInput(
-            f"no C compiler was found ({', '.join(_COMPILERS)}): an FMU with a binary needs one; install one, or write "
+            f"no C compiler was found ({', '.join(COMPILERS)}): an FMU with a binary needs one; install one, or write "
             "an FMU of sources only (--sources-only)"
         )
-    with tempfile.TemporaryDirectory(prefix="ambrose-fmu-") as folder:
-        for name, text in code.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
-        command = [compiler, "-std=c99", "-O2", "-fPIC", "-fvisibility=hidden", "-shared", *sources(block, version)]
-        try:
-            done = subprocess.run(
-                [*command, "-o", "library", "-lm"], cwd=folder, capture_output=True, text=True, check=False, timeout=_TIME_LIMIT
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise InvalidInput(f"the C compiler {compiler} did not run: {error}; write an FMU of sources only") from error
-        if done.returncode:
-            last = (done.stderr.strip().splitlines() or ["no message"])[0]
-            raise InvalidInput(f"the C compiler {compiler} refused the code of the FMU: {last}; write an FMU of sources only")
-        return (Path(folder) / "library").read_bytes()
+    flags = ["-fvisibility=hidden"]
+    return build_library(compiler, code, sources(block, version), flags, "write an FMU of sources only", "-lm")
 
 
 def _page(block: ControlBlock, text: str, provenance: Sequence[str]) -> str:
@@ -179,6 +158,3 @@ def _zipped(files: Mapping[str, str | bytes]) -> bytes:
             entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
     return stream.getvalue()
-
-
-__all__ = ["fmu", "fmu_files", "source_files", "versions"]

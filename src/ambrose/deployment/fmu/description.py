@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ambrose import __version__
-from ambrose.deployment.block.fixed import ControlBlock, transfers
+from ambrose.deployment.block.fixed import ControlBlock
 
 Version = Literal["2.0", "3.0"]
 FLAGS = (
@@ -41,7 +41,7 @@ def variables(block: ControlBlock) -> tuple[Variable, ...]:
         text = f"reference - displacement, plausible within +-{limit:.9g} m"
         found.append(Variable(name, "real", "input", "m", text, "0", nominal=limit))
     found += [Variable(f"valid_{name}", "boolean", "input", "", f"{name} may be used", "true") for name in block.inputs]
-    if transfers(block):
+    if block.transfers:
         text = "follow the given currents (bumpless transfer) instead of controlling"
         found.append(Variable("tracking", "boolean", "input", "", text, "false"))
         for name, limit in zip(block.outputs, block.current_limit.tolist(), strict=True):
@@ -84,7 +84,7 @@ def model_description(block: ControlBlock, version: Version, token: str, text: s
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="what was refused, and why")
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=step)
-    (_variables_3 if three else _variables_2)(root, block)
+    _variables(root, block, three=three)
     _structure(root, block, three=three)
     return _text(root)
 
@@ -113,23 +113,19 @@ def _units(root: ET.Element) -> None:
             ET.SubElement(unit, "DisplayUnit", name="um", factor="1e6")
 
 
-def _variables_2(root: ET.Element, block: ControlBlock) -> None:
+def _variables(root: ET.Element, block: ControlBlock, *, three: bool) -> None:
+    """The variables with their types: attributes of one element in FMI 3.0, a child element in FMI 2.0."""
     listed = ET.SubElement(root, "ModelVariables")
     for reference, v in enumerate(variables(block)):
-        scalar = ET.SubElement(
-            listed, "ScalarVariable", name=v.name, valueReference=str(reference), causality=v.causality,
-            variability=_variability(v), description=v.description,
-        )  # fmt: skip
-        ET.SubElement(scalar, "Real" if v.kind == "real" else "Boolean", _attributes(v))
-
-
-def _variables_3(root: ET.Element, block: ControlBlock) -> None:
-    listed = ET.SubElement(root, "ModelVariables")
-    for reference, v in enumerate(variables(block)):
-        ET.SubElement(
-            listed, "Float64" if v.kind == "real" else "Boolean", _attributes(v), name=v.name,
-            valueReference=str(reference), causality=v.causality, variability=_variability(v), description=v.description,
-        )  # fmt: skip
+        common = {
+            "name": v.name, "valueReference": str(reference), "causality": v.causality,
+            "variability": _variability(v), "description": v.description,
+        }  # fmt: skip
+        if three:
+            ET.SubElement(listed, "Float64" if v.kind == "real" else "Boolean", {**_attributes(v), **common})
+        else:
+            scalar = ET.SubElement(listed, "ScalarVariable", common)
+            ET.SubElement(scalar, "Real" if v.kind == "real" else "Boolean", _attributes(v))
 
 
 def _variability(v: Variable) -> str:
@@ -170,6 +166,3 @@ def _structure(root: ET.Element, block: ControlBlock, *, three: bool) -> None:
 def _text(root: ET.Element) -> str:
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-
-
-__all__ = ["FLAGS", "Variable", "Version", "build_description", "model_description", "references", "sources", "variables"]

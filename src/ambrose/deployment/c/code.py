@@ -1,0 +1,272 @@
+"""A block as C99: a source and a header, a self-test with its vectors, and a report of formats and cost.
+
+The text of the code is in templates/; here are its numbers. The block's arithmetic, signs and timing: block/fixed.py,
+block/fixed_point.py, block/scheduled.py and docs/integrator.md. The code needs no library, no heap and no recursion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ambrose.core.checks import invalid
+from ambrose.deployment.block.block import Block
+from ambrose.deployment.block.cost import padding_of, scheduled_cost, step_cost
+from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, fixed_point
+from ambrose.deployment.block.names import as_comment
+from ambrose.deployment.block.run import FLOOR
+from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.block.vectors import Vectors, as_csv, scheduled_vectors, vectors
+from ambrose.deployment.block.word_length import MANTISSA, floating_error, gain_error, word_lengths
+from ambrose.deployment.c.literals import diagonals, integer_table, literal, real_table
+from ambrose.deployment.rendering import render
+from ambrose.machine.atomic_write import write_files
+
+Arithmetic = Literal["double", "float", "fixed32", "fixed16"]
+Precision = Literal["double", "float"]
+_WORDS = {"fixed32": 32, "fixed16": 16}
+_SINGLE_TOLERANCE = 1e-4  # of the current limit, of a scheduled block
+_DOUBLE_TOLERANCE = 1e-12  # of the current asked for
+_HZ = 2 * np.pi
+
+
+def generate(
+    block: ControlBlock | ScheduledBlock,
+    arithmetic: Arithmetic = "double",
+    provenance: Sequence[str] = (),
+    largest_error: float = LARGEST_ERROR,
+) -> dict[str, str]:
+    """The files of a block by name: <name>.h, .c, _test.c, _vectors.csv and _report.md.
+
+    arithmetic: "double", "float", "fixed32" or "fixed16" (see ``fixed_point`` for what that refuses, and
+    for largest_error [-]); of a scheduled block "double" or "float". provenance: lines for the header: where the controller
+    comes from and what it was verified on. Raises InvalidInput.
+    """
+    if isinstance(block, ScheduledBlock):
+        check_precision(arithmetic)
+    elif arithmetic not in get_args(Arithmetic):
+        raise invalid("arithmetic", repr(arithmetic), " or ".join(get_args(Arithmetic)), "choose one of them")
+    if arithmetic == "float":
+        block = block.single()
+    if isinstance(block, ScheduledBlock):
+        run = scheduled_vectors(block, arithmetic == "float")
+        facts = {**_facts(block, arithmetic, provenance), **_schedule_facts(block, arithmetic)}
+        tables, report, kind = _scheduled_tables(block, arithmetic), _scheduled_report(block, run), "scheduled"
+        source, tolerance = "scheduled.c.j2", _DOUBLE_TOLERANCE * block.raw_limit
+        if arithmetic == "float":
+            tolerance = np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
+    else:
+        fixed = fixed_point(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
+        run = vectors(block, fixed, single=arithmetic == "float")
+        facts = {**_facts(block, arithmetic, provenance), **_word_facts(block, fixed)}
+        tables = _floating_tables(block, arithmetic) if fixed is None else _fixed_tables(fixed)
+        error = floating_error(block, MANTISSA[arithmetic]) if fixed is None else fixed.error
+        report, kind = _fixed_report(block, fixed, error), "controller"
+        source = "controller.c.j2" if fixed is None else "controller_fixed.c.j2"
+        tolerance = {"double": _DOUBLE_TOLERANCE * block.raw_limit, "float": error}.get(arithmetic, 0 * error)
+    texts = {
+        ".h": (f"{kind}.h.j2", {}),
+        ".c": (source, tables),
+        "_test.c": ("selftest.c.j2", _replay(run, tolerance, arithmetic)),
+        "_report.md": (f"{kind}_report.md.j2", report),
+    }
+    files = {f"{block.name}{end}": render(template, {**facts, **values}) for end, (template, values) in texts.items()}
+    return {**files, f"{block.name}_vectors.csv": as_csv(block, run)}
+
+
+def write_code(
+    directory: str | Path,
+    block: ControlBlock | ScheduledBlock,
+    arithmetic: Arithmetic = "double",
+    provenance: Sequence[str] = (),
+    largest_error: float = LARGEST_ERROR,
+) -> list[Path]:
+    """Generate the code and write it to ``directory`` (made if absent): all files, or none. Returns their paths.
+
+    Raises InvalidInput, also where the directory cannot be written.
+    """
+    return write_files(directory, generate(block, arithmetic, provenance, largest_error))
+
+
+def check_precision(arithmetic: str) -> None:
+    """Refuse fixed point for a schedule. Raises InvalidInput."""
+    if arithmetic not in get_args(Precision):
+        remedy = "fixed point would need tight bounds on every state for any motion of the speed; use double or float"
+        raise invalid("arithmetic of a scheduled controller", repr(arithmetic), "double or float", remedy)
+
+
+def block_facts(block: Block) -> dict[str, Any]:
+    """What every target's text says of a block: its name, sizes, timing, signals and limits."""
+
+    def signals(names: Sequence[str], limits: np.ndarray, unit: str) -> list[dict[str, str]]:
+        return [{"name": name, "limit": f"{v:.9g}", "unit": unit} for name, v in zip(names, limits, strict=True)]
+
+    return {
+        "name": block.name, "prefix": block.name.upper(),
+        "ni": len(block.inputs), "no": len(block.outputs), "nx": block.n_states,
+        "sample_time": f"{block.sample_time:.9g}", "rate": f"{1 / block.sample_time:.9g}", "delay": block.delay,
+        "hold": block.hold_samples, "windup": f"{block.windup_time:g} s", "direct": bool(block.D.any()),
+        "inputs": signals(block.inputs, block.error_limit, "m"), "outputs": signals(block.outputs, block.current_limit, "A"),
+        "transfers": block.transfers,
+    }  # fmt: skip
+
+
+def _facts(block: ControlBlock | ScheduledBlock, arithmetic: str, provenance: Sequence[str]) -> dict[str, Any]:
+    """What header, source, self-test and report share."""
+    word = _WORDS.get(arithmetic, 0)
+    types, floating = {"double": "double", "float": "float"}, {"double": "double precision", "float": "single precision"}
+    return {
+        **block_facts(block),
+        "scheduled": isinstance(block, ScheduledBlock), "fixed": bool(word), "word": word,
+        "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
+        "type": types.get(arithmetic, f"int{word}_t"), "state_type": types.get(arithmetic, f"int{2 * word}_t"),
+        "zero": "0" if word else literal(0.0, arithmetic), "delay_text": _delay_text(block.delay),
+        "cost": scheduled_cost(block, arithmetic) if isinstance(block, ScheduledBlock) else step_cost(block, arithmetic),
+        "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
+    }  # fmt: skip
+
+
+def _word_facts(block: ControlBlock, fixed: FixedBlock | None) -> dict[str, Any]:
+    """What is added of a fixed controller: its paddings, and what a count is of its words."""
+    low, high = padding_of(block.increment)
+    facts: dict[str, Any] = {
+        "winding": block.winding, "low": low, "padded": block.n_states + low + high, "error_unit": "m", "current_unit": "A",
+    }  # fmt: skip
+    if fixed is None:
+        return facts
+    one = 1 << fixed.signal_bits
+    counts = np.concatenate([block.error_limit, block.current_limit]) / one
+    return facts | {
+        "error_unit": "counts of the limit", "current_unit": "counts of the limit", "one": one,
+        "lsb": [f"{v:.17g}" for v in counts], "signal_bits": fixed.signal_bits, "state_bits": fixed.state_bits,
+    }  # fmt: skip
+
+
+def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
+    """What is added of a scheduled controller."""
+    low, high = block.range
+    limited = bool(np.isfinite(block.rate_limit))
+    motion_text = "While the speed moves no bound is proved."
+    if block.motion.proved:
+        farthest = block.motion.states.max(initial=0.0)
+        motion_text = f"For any motion of the speed: within +-{farthest:.3g} (proved, conservative)."
+    return {
+        "one": literal(1.0, arithmetic), "ng": len(block.grid),
+        "low": f"{low:.6g}", "high": f"{high:.6g}", "low_hz": f"{low / _HZ:.4g}", "high_hz": f"{high / _HZ:.4g}",
+        "lowest": literal(low, arithmetic), "highest": literal(high, arithmetic),
+        "speed_limit": literal(block.speed_limit, arithmetic), "plausible": f"{block.speed_limit:.6g}",
+        "speed_rate": f"{block.rate_limit:.9g}" if limited else "",
+        "rate_text": f" The schedule follows at {block.rate_limit:.6g} rad/s^2 at most." if limited else "",
+        "motion_text": motion_text, "passes": block.passes,
+    }  # fmt: skip
+
+
+def _delay_text(delay: int) -> str:
+    """What the design assumes of the time from errors to currents, delay [samples]."""
+    if delay == 0:
+        return "The design assumes that the currents are set at once: within a small part of the sample."
+    count = "1 sample" if delay == 1 else f"{delay} samples"
+    return f"The design assumes that the currents are set {count} after the errors were measured, and held."
+
+
+def _floating_tables(block: ControlBlock, arithmetic: str) -> dict[str, Any]:
+    table = real_table(arithmetic)
+    return {
+        "diagonals": [{**d, "table": table(d["entries"])} for d in diagonals(block.increment, block.increment)],
+        "B": table(block.B.T), "C": table(block.C.T), "D": table(block.D.T), "unwind": table(block.unwind[: block.winding].T),
+        "error_limit": table(block.error_limit), "current_limit": table(block.current_limit),
+        "transfer_error": table(block.from_error.T), "transfer_current": table(block.from_output.T),
+        "floor": literal(FLOOR[arithmetic], arithmetic),
+    }  # fmt: skip
+
+
+def _fixed_tables(fixed: FixedBlock) -> dict[str, Any]:
+    block, n, m, w = fixed.block, fixed.block.n_states, len(fixed.block.inputs), fixed.block.winding
+    increment, B = np.split(fixed.update, [n], axis=1)
+    C, D = np.split(fixed.output, [n], axis=1)
+    shift = fixed.signal_bits - fixed.state_bits
+    arrays = {
+        "B": B.T, "C": C.T, "D": D.T, "unwind": fixed.unwind[:w].T, "update_shift": fixed.update_bits + shift,
+        "unwind_shift": fixed.unwind_bits[:w] + shift, "output_bits": fixed.output_bits, "cut_bits": fixed.cut_bits,
+        "transfer_error": fixed.transfer[:, :m].T, "transfer_current": fixed.transfer[:, m:].T,
+        "transfer_bits": fixed.transfer_bits + fixed.signal_bits,
+    }  # fmt: skip
+    rows = [{**d, "table": integer_table(d["entries"])} for d in diagonals(increment, block.increment)]
+    return {"diagonals": rows, **{name: integer_table(x) for name, x in arrays.items()}}
+
+
+def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
+    table = real_table(arithmetic)
+    matrices = {
+        "to_current": np.concatenate([block.C, block.D], axis=2),
+        "to_state": np.concatenate([block.increment, block.B], axis=2),
+        "unwind": block.unwind, "steady": block.steady, "pick": block.pick,
+    }  # fmt: skip
+    return {
+        **{name: table(x.transpose(0, 2, 1)) for name, x in matrices.items()},
+        "error_limit": table(block.error_limit), "current_limit": table(block.current_limit), "grid": table(block.grid),
+        "speed_step": literal(block.speed_step, arithmetic) if np.isfinite(block.speed_step) else "",
+        "floor": literal(FLOOR[arithmetic], arithmetic),
+    }  # fmt: skip
+
+
+def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, Any]:
+    """What the self-test holds: the vectors as C, and the tolerance."""
+    table = integer_table if arithmetic in _WORDS else real_table(arithmetic)
+    number = {"number_format": "%ld", "number_cast": "long"} if arithmetic in _WORDS else {
+        "number_format": "%.17g", "number_cast": "double",
+    }  # fmt: skip
+    speeds = {}
+    if run.speeds is not None:
+        known = ~np.isnan(run.speeds)
+        speeds = {"speeds": table(np.where(known, run.speeds, 0.0)), "known": integer_table(known)}
+    return {
+        "samples": len(run.errors), "errors": table(run.errors), "valid": integer_table(run.valid),
+        "currents": table(run.currents), "status": integer_table(run.status), "tolerance": table(tolerance), **speeds, **number,
+    }  # fmt: skip
+
+
+def _output_rows(block: Block, error: np.ndarray) -> list[dict[str, str]]:
+    """The report's table of outputs; error (p,) [A]."""
+    return [
+        {"name": name, "limit": f"{limit:.6g}", "raw": f"{raw:.4g}", "error": f"{off:.2g}"}
+        for name, limit, raw, off in zip(block.outputs, block.current_limit, block.raw_limit, error, strict=True)
+    ]
+
+
+def _fixed_report(block: ControlBlock, fixed: FixedBlock | None, error: np.ndarray) -> dict[str, Any]:
+    return {
+        "sizes": ", ".join(str(k) for k in block.sizes) or "none", "outputs": _output_rows(block, error), "horizon": HORIZON,
+        "rows": [] if fixed is None else _formats(fixed), "word_lengths": word_lengths(block),
+    }  # fmt: skip
+
+
+def _formats(fixed: FixedBlock) -> list[dict[str, str]]:
+    block = fixed.block
+    states = [f"x[{i}]" for i in range(block.n_states)]
+    groups = [(states, fixed.update, fixed.update_bits), (block.outputs, fixed.output, fixed.output_bits)]
+    groups.append(([f"unwind {state}" for state in states[: block.winding]], fixed.unwind, fixed.unwind_bits))
+    if block.transfers:
+        groups.append(([f"track {state}" for state in states], fixed.transfer, fixed.transfer_bits))
+    return [
+        {"name": name, "bits": str(f), "total": f"{np.abs(row * np.exp2(-f)).sum():.3g}"}
+        for names, matrix, bits in groups
+        for name, row, f in zip(names, matrix, bits, strict=False)  # unwind: the first states
+    ]
+
+
+def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
+    points = []
+    for speed, E, B, C, D, L in zip(block.grid, block.increment, block.B, block.C, block.D, block.unwind, strict=True):
+        z, led = (1 + np.linalg.eigvals(X) if len(X) else np.zeros(1) for X in (E, E - L @ C))
+        distance = 1 - np.abs(z)
+        points.append({
+            "speed": f"{speed:.6g}", "hz": f"{speed / _HZ:.4g}", "radius": f"{np.abs(led).max():.6f}",
+            "slow": f"{distance.min():.3g}", "fast": f"{distance.max():.3g}",
+            "single": f"{gain_error(E, B, C, D, MANTISSA['float']):.2g}",
+        })  # fmt: skip
+    return {"outputs": _output_rows(block, run.rounding), "points": points}
