@@ -40,7 +40,8 @@ def mat_files(
 ) -> dict[str, str | bytes]:
     """<name>.mat, <name>_load.m and <name>_vectors.csv.
 
-    synthesis: where the controller comes from. provenance: the lines that other targets put into their headers. Raises InvalidInput.
+    synthesis: where the controller comes from. provenance: the lines that other targets put into their headers. Raises
+    InvalidInput.
     """
     if block.name.lower() in _RESERVED:
         raise invalid("the name of the block", repr(block.name), "no word of MATLAB or Octave", "give another --name")
@@ -58,7 +59,7 @@ def content(
     block: ControlBlock, deployment: Deployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
 ) -> dict[str, Any]:
     """The struct's fields."""
-    K, source = deployment.controller, deployment.source
+    K, source, origin = deployment.controller, deployment.source, synthesis.provenance
     return {
         "format": FORMAT,
         "version": float(VERSION),
@@ -81,14 +82,14 @@ def content(
             "status": _column(run.status),
         },
         "method": synthesis.method,
-        "status": synthesis.verdict,
+        "status": str(synthesis.verdict),
         "gamma": float(synthesis.gamma),
         "certificate": _certificate(synthesis),
         "verified": deployment.verified,
         "verification": _verification(deployment),
         "provenance": {
-            "package": "ambrose", "package_version": __version__, "machine": synthesis.provenance.machine or "",
-            "machine_hash": synthesis.provenance.machine_hash or "", "date": synthesis.provenance.date, "lines": _cells(provenance),
+            "package": "ambrose", "package_version": __version__, "machine": origin.machine or "",
+            "machine_hash": origin.machine_hash or "", "date": origin.date, "lines": _cells(provenance),
         },
     }  # fmt: skip
 

@@ -183,19 +183,16 @@ def _deploy(
     progress: Progress,
 ) -> tuple[Deployment | ScheduledDeployment, ControlBlock | ScheduledBlock]:
     dt = 1 / options.rate if options.rate is not None else synthesis.controller.dt or SAMPLE_TIME
-    delay, windup, hold = options.delay_samples * dt, options.windup_time, options.hold_samples
-    method, prewarp, force = options.sampling, options.prewarp, options.force
+    delay, sampling = options.delay_samples * dt, {"method": options.sampling, "prewarp": options.prewarp}
+    how: dict[str, Any] = {**sampling, "force": options.force, "progress": progress}
+    guards: dict[str, Any] = {"windup_time": options.windup_time, "hold_samples": options.hold_samples}
     if synthesis.scheduled is None:
         plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.points]
-        fixed = deploy(synthesis, dt, delay, method=method, prewarp=prewarp, plants=plants, force=force, progress=progress)
-        return fixed, control_block(fixed, options.name, *limits, windup_time=windup, hold_samples=hold)
-    over = deploy_scheduled(
-        synthesis, dt, delay, method=method, prewarp=prewarp, machine=machine, force=force, progress=progress
-    )
-    return over, scheduled_block(
-        over, options.name, *limits, windup_time=windup, hold_samples=hold, speed_limit=options.speed_limit,
-        rate_limit=options.speed_rate,
-    )  # fmt: skip
+        fixed = deploy(synthesis, dt, delay, plants=plants, **how)
+        return fixed, control_block(fixed, options.name, *limits, **guards)
+    over = deploy_scheduled(synthesis, dt, delay, machine=machine, **how)
+    speeds = {"speed_limit": options.speed_limit, "rate_limit": options.speed_rate}
+    return over, scheduled_block(over, options.name, *limits, **guards, **speeds)
 
 
 def _files(
