@@ -22,15 +22,15 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.core.statespace import StateSpace
-from ambrose.deployment.block.fixed import ControlBlock, control_block
-from ambrose.deployment.block.fixed_point import fixed_point
+from ambrose.deployment.block.fixed import ControlBlock, build_block
+from ambrose.deployment.block.fixed_point import to_fixed_point
 from ambrose.deployment.c.code import Arithmetic, generate
-from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.c.compiled import CompiledBlock, read_law
 from ambrose.deployment.discretisation.deployment import Deployment, deploy
-from ambrose.deployment.fmu.archive import fmu_files
-from ambrose.deployment.mat import mat_files
+from ambrose.deployment.fmu.archive import generate_fmus
+from ambrose.deployment.mat import generate_mat
 from ambrose.deployment.pipeline import machine_limits
-from ambrose.deployment.structured_text import structured_text
+from ambrose.deployment.structured_text import generate_structured_text
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.simulation import virtual_rig
@@ -103,8 +103,8 @@ def run() -> list[dict[str, Any]]:
         return []
     machine = load_machine("seal-rig")
     deployment = deploy(design(assemble(machine), "mu"), 1e-4, 1e-4, force=True)
-    block = control_block(deployment, "rig", 0.5e-3, 4.0)
-    in_the_loop = control_block(deployment, "rig", *machine_limits(machine))
+    block = build_block(deployment, "rig", 0.5e-3, 4.0)
+    in_the_loop = build_block(deployment, "rig", *machine_limits(machine))
     rows = [*_steps(block), _generation(block), *_other_targets(deployment, block), _precision(block)]
     return [*rows, *_in_the_loop(machine, in_the_loop), _read_back(in_the_loop)]
 
@@ -193,10 +193,10 @@ def _other_targets(deployment: Deployment, block: ControlBlock) -> list[dict[str
     """CPU seconds of writing the other targets; the FMUs' includes the compiler's."""
     file = Synthesis(deployment.source, "mu", provenance=Provenance(date="2026-01-01T00:00:00+00:00"))
     targets = {
-        "MAT-file, script, vectors": lambda: mat_files(block, deployment, file),
-        "structured text, test program, vectors": lambda: structured_text(block),
-        "FMI 2.0 and 3.0, sources only": lambda: fmu_files(block, sources_only=True),
-        "FMI 2.0 and 3.0, compiled": lambda: fmu_files(block),
+        "MAT-file, script, vectors": lambda: generate_mat(block, deployment, file),
+        "structured text, test program, vectors": lambda: generate_structured_text(block),
+        "FMI 2.0 and 3.0, sources only": lambda: generate_fmus(block, sources_only=True),
+        "FMI 2.0 and 3.0, compiled": lambda: generate_fmus(block),
     }
     rows = []
     for name, write in targets.items():
@@ -221,7 +221,7 @@ def _cpu() -> float:
 def _precision(block: ControlBlock) -> dict[str, Any]:
     """Compiled single precision and fixed point against compiled double precision, relative to the current limit."""
     rng = np.random.default_rng(0)
-    fixed = fixed_point(block)
+    fixed = to_fixed_point(block)
     one = 1 << fixed.signal_bits
     whole = np.round(rng.uniform(-1, 1, (_SAMPLES, 4)) * 0.02 * one).astype(np.int64)
     e = (whole / one * block.error_limit).astype(np.float32).astype(float)
@@ -303,7 +303,7 @@ def _read_back(block: ControlBlock) -> dict[str, Any]:
     apart, found = {}, []
     for arithmetic in _REAL:
         begin = _cpu()
-        law = probed(CompiledBlock(block, arithmetic))
+        law = read_law(CompiledBlock(block, arithmetic))
         found.append(_cpu() - begin)
         pairs = [(getattr(law, letter), getattr(block.system, letter)) for letter in "ABCD"]
         apart[arithmetic] = max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in pairs)

@@ -7,9 +7,9 @@ that come back one sample later. A controller whose sampled loop is unstable at 
 from ambrose import load_machine
 from ambrose.core.checks import UnstableSystem
 from ambrose.core.sampling import delayed
-from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.c.code import generate
-from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.c.compiled import CompiledBlock, read_law
 from ambrose.deployment.discretisation.deployment import deploy
 from ambrose.deployment.pipeline import machine_limits
 from ambrose.plant.assemble import assemble
@@ -28,12 +28,12 @@ synthesis = design(plants[0], "hinf", rate=1 / SAMPLE)
 
 # Sampled, and verified as it will run: late by one sample, on the full model, at every pressure and over k +-100 %.
 deployment = deploy(synthesis, SAMPLE, SAMPLE, plants=plants)
-block = control_block(deployment, "seal_rig", *machine_limits(machine))
+block = build_block(deployment, "seal_rig", *machine_limits(machine))
 files = generate(block, provenance=["Example 09."])  # the C code; write_code puts it into a directory
 
 # Software in the loop: the same text, compiled, in this process. What is read back out of it is verified again.
 code = CompiledBlock(block)
-verdicts = {plant.point.label: nominal.check(plant, delayed(probed(code), code.delay)) for plant in plants}
+verdicts = {plant.point.label: nominal.check(plant, delayed(read_law(code), code.delay)) for plant in plants}
 runs = {p.point.label: virtual_rig.run(machine, code, load_scenario("impulse-parallel"), point=p.point) for p in plants}
 
 # The PID does not hold twice the nominal pressure, sampled or not: refused (one bending mode is enough to see it).

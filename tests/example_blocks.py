@@ -4,7 +4,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose import StateSpace
-from ambrose.deployment.block.fixed import ControlBlock, control_block
+from ambrose.deployment.block.fixed import ControlBlock, build_block
 from ambrose.deployment.discretisation.deployment import deploy
 
 ERROR, CURRENT, DT = 0.5e-3, 4.0, 1e-4
@@ -25,7 +25,7 @@ def rig_controller() -> StateSpace:
 
 
 def rig_block(delay: int = 1, name: str = "rig") -> ControlBlock:
-    return control_block(deploy(rig_controller(), DT, delay * DT, force=True), name, ERROR, CURRENT)
+    return build_block(deploy(rig_controller(), DT, delay * DT, force=True), name, ERROR, CURRENT)
 
 
 def small_controller() -> StateSpace:
@@ -37,10 +37,10 @@ def small_controller() -> StateSpace:
 
 def small_block(delay: int = 1, name: str = "small", system: StateSpace | None = None) -> ControlBlock:
     K = small_controller() if system is None else system
-    return control_block(deploy(K, DT, delay * DT, force=True), name, 1e-3, 2.0)
+    return build_block(deploy(K, DT, delay * DT, force=True), name, 1e-3, 2.0)
 
 
 def gain_block(name: str = "gain") -> ControlBlock:
     """A gain without states: nothing to track, nothing to wind up."""
     K = StateSpace([], [], [], [[2.1e3, 0.0], [0.0, 3.1e3]], ["err_x", "err_y"], ["u_x", "u_y"])
-    return control_block(deploy(K, 1e-3, 1e-3, force=True), name, 1e-3, 2.0)
+    return build_block(deploy(K, 1e-3, 1e-3, force=True), name, 1e-3, 2.0)

@@ -10,7 +10,7 @@ import code_driver as driver
 from ambrose import StateSpace
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.deployment.block.scheduled import ScheduledBlock, scheduled_block
+from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block
 from ambrose.deployment.c.code import generate
 from ambrose.deployment.discretisation.deployment import deploy_scheduled
 from ambrose.deployment.discretisation.sampling import response
@@ -81,7 +81,7 @@ def gain_schedule() -> ScheduledSystem:
 
 
 def block_of(schedule: ScheduledSystem, name: str = "lpv", **settings: Any) -> ScheduledBlock:
-    return scheduled_block(deploy_scheduled(schedule, DT, DT, force=True), name, ERROR, CURRENT, **settings)
+    return build_scheduled_block(deploy_scheduled(schedule, DT, DT, force=True), name, ERROR, CURRENT, **settings)
 
 
 def compiled(

@@ -25,7 +25,7 @@ from ambrose.report import page as document
 from ambrose.report.commissioning import commissioning_section
 from ambrose.report.page import Report
 from ambrose.stages import commissioning as stage
-from ambrose.stages.commissioning import coded, commission
+from ambrose.stages.commissioning import commission, compile_controller
 from ambrose.stages.plants import full_plants
 from ambrose.stages.proof import verification
 from ambrose.stages.trials import simulations
@@ -119,8 +119,8 @@ def test_a_second_run_takes_the_controller_up(commissioned, plants, reference, d
 
     monkeypatch.setattr(stage, "METHOD", "pid")
     monkeypatch.setattr("ambrose.stages.control.design", never)
-    monkeypatch.setattr(stage, "coded", lambda known, place, progress: (commissioned.deployment, known[0], ()))
-    monkeypatch.setattr(stage, "running_law", lambda program, deployment: (deployment.controller, None))
+    monkeypatch.setattr(stage, "compile_controller", lambda known, place, progress: (commissioned.deployment, known[0], ()))
+    monkeypatch.setattr(stage, "read_running_law", lambda program, deployment: (deployment.controller, None))
     monkeypatch.setattr(stage, "examined", lambda plants, known, synthesis, *rest: synthesis)
     again = commission(plants, reference, directory, lambda text: None)
     assert machine_hash(again.machine) == machine_hash(commissioned.machine)
@@ -129,8 +129,8 @@ def test_a_second_run_takes_the_controller_up(commissioned, plants, reference, d
 
 def test_without_a_compiler_the_law_runs_in_python(commissioned, directory, monkeypatch):
     monkeypatch.setattr(stage, "has_compiler", lambda: False)
-    deployment, program, files = coded(small_plants(commissioned.machine), directory, lambda text: None)
-    law, apart = stage.running_law(program, deployment)
+    deployment, program, files = compile_controller(small_plants(commissioned.machine), directory, lambda text: None)
+    law, apart = stage.read_running_law(program, deployment)
     assert apart is None and law is program
     assert [path.name for path in files] == [path.name for path in commissioned.files]  # written all the same
     words = dict(replace(commissioned, apart=None).in_words)
@@ -154,7 +154,7 @@ def test_a_controller_unstable_over_the_tolerances_is_not_run(commissioned, dire
     wide = replace(commissioned.machine, tolerances=(Tolerance("seal.center.k", relative=1.0),))
     before = {path: path.read_bytes() for path in (directory / "code").iterdir()}
     with pytest.raises(UnstableSystem, match=r"unstable at \d+ points of the tolerances"):
-        coded(small_plants(wide), directory, lambda text: None)
+        compile_controller(small_plants(wide), directory, lambda text: None)
     assert {path: path.read_bytes() for path in (directory / "code").iterdir()} == before
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.c.code import generate
 from ambrose.deployment.c.compiler import has_compiler
 from ambrose.deployment.discretisation.deployment import deploy
@@ -32,7 +32,7 @@ def block(kind, word):
 def test_the_interrupt_compiles_as_printed(tmp_path):
     plant = assemble(load_machine("seal-rig"))
     deployment = deploy(pid_synthesis(plant), 1e-4, 1e-4, plants=[], force=True)
-    for name, text in generate(control_block(deployment, "seal_rig", 0.5e-3, 4.0)).items():
+    for name, text in generate(build_block(deployment, "seal_rig", 0.5e-3, 4.0)).items():
         (tmp_path / name).write_text(text)
     (tmp_path / "main.c").write_text(block("c", '"seal_rig.h"'))
     done = subprocess.run(["cc", *FLAGS, "main.c"], cwd=tmp_path, capture_output=True, text=True, check=False)

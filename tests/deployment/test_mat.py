@@ -16,9 +16,9 @@ import scipy.signal
 from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
-from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.discretisation.deployment import deploy
-from ambrose.deployment.mat import FORMAT, mat_files
+from ambrose.deployment.mat import FORMAT, generate_mat
 from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.result import Certificate, Synthesis
 from example_blocks import CURRENT, DT, ERROR, rig_controller, small_controller
@@ -40,8 +40,8 @@ def written(tmp_path_factory):
     )
     file = read_controller(write_controller(folder / "controller.json", result, date=datetime(2026, 1, 2, tzinfo=UTC)))
     deployment = deploy(file, DT, DT, force=True)
-    block = control_block(deployment, "rig", ERROR, CURRENT)
-    for name, content in mat_files(block, deployment, file, ["Controller %d 'quoted'", "Unmet µ"]).items():
+    block = build_block(deployment, "rig", ERROR, CURRENT)
+    for name, content in generate_mat(block, deployment, file, ["Controller %d 'quoted'", "Unmet µ"]).items():
         (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     return folder, block, deployment, file
 
@@ -124,7 +124,7 @@ def test_a_controller_written_alone_and_sampled(tmp_path):
     K = c2d(small_controller(), DT, "zoh")
     file = read_controller(write_controller(tmp_path / "k.json", K))
     deployment = deploy(file, DT, 0.0, force=True)
-    (tmp_path / "k.mat").write_bytes(mat_files(control_block(deployment, "k", 1e-3, 2.0), deployment, file)["k.mat"])
+    (tmp_path / "k.mat").write_bytes(generate_mat(build_block(deployment, "k", 1e-3, 2.0), deployment, file)["k.mat"])
     found = scipy.io.loadmat(tmp_path / "k.mat", simplify_cells=True)["k"]
     assert np.isnan(found["gamma"])
     assert found["certificate"].size == found["continuous"].size == found["verification"].size == 0
@@ -135,7 +135,7 @@ def test_a_controller_written_alone_and_sampled(tmp_path):
 def test_names_that_matlab_reserves(written, name):
     _, _, deployment, file = written
     with pytest.raises(InvalidInput, match="must be no word of MATLAB or Octave"):
-        mat_files(control_block(deployment, name, ERROR, CURRENT), deployment, file)
+        generate_mat(build_block(deployment, name, ERROR, CURRENT), deployment, file)
 
 
 def test_python_control_and_back(written, tmp_path):

@@ -17,9 +17,9 @@ from ambrose.cli import main
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.block.run import run_scheduled
-from ambrose.deployment.block.scheduled import scheduled_block
+from ambrose.deployment.block.scheduled import build_scheduled_block
 from ambrose.deployment.c.code import write_code
-from ambrose.deployment.c.compiled import CompiledSchedule, probed
+from ambrose.deployment.c.compiled import CompiledSchedule, read_law
 from ambrose.deployment.discretisation import deployment as scheduled_deploy
 from ambrose.deployment.discretisation.deployment import deploy_scheduled, sensitivity_peak
 from ambrose.deployment.pipeline import ExportOptions, export, machine_limits
@@ -223,11 +223,11 @@ def test_the_law_is_read_back_out_of_the_running_code(arithmetic, apart):
     block = block_of(small_schedule())
     code = CompiledSchedule(block, arithmetic)
     for speed in (100.0, 175.0, 300.0, 599.0):
-        found, meant = probed(code, speed), block.at(speed)
+        found, meant = read_law(code, speed), block.at(speed)
         for letter in "ABCD":
             assert np.abs(getattr(found, letter) - getattr(meant, letter)).max() <= apart * np.abs(getattr(meant, letter)).max()
     with pytest.raises(InvalidInput, match="clamps its speed"):
-        probed(code, 700.0)
+        read_law(code, 700.0)
 
 
 @compiler
@@ -272,7 +272,7 @@ def running(rig, deployment):
     """Machine, block and a short run-up through the range with steps of force."""
     machine, _ = rig
     errors, currents = machine_limits(machine)
-    block = scheduled_block(deployment, "rig", errors, currents)
+    block = build_scheduled_block(deployment, "rig", errors, currents)
     scenario = replace(load_scenario("impulse-parallel"), duration=0.06, speed=10.0, to_speed=290.0)
     return machine, block, scenario
 

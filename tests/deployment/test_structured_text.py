@@ -11,7 +11,7 @@ import st_compiled
 from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
 from ambrose.deployment.block.run import FAULT, HELD, LIMITED, run_block
-from ambrose.deployment.structured_text import literal, structured_text
+from ambrose.deployment.structured_text import generate_structured_text, literal
 from example_blocks import CURRENT, gain_block, rig_block, small_block, small_controller
 from st_machine import FunctionBlock, parsed
 
@@ -26,7 +26,7 @@ def direct_block():
 
 @pytest.fixture(scope="module")
 def parsed_block():
-    return parsed(structured_text(direct_block(), provenance=["from (* here *) *) $N"])["small.st"])
+    return parsed(generate_structured_text(direct_block(), provenance=["from (* here *) *) $N"])["small.st"])
 
 
 def play(fb, block, e, valid):
@@ -65,7 +65,7 @@ def test_track_and_reset(parsed_block):
 
 def test_a_gain_without_states():
     block = gain_block()
-    fb = FunctionBlock(parsed(structured_text(block)["gain.st"]))
+    fb = FunctionBlock(parsed(generate_structured_text(block)["gain.st"]))
     e = np.array([[1e-4, -2e-4], [2e-4, 9e-4], [5e-4, 3.0]])
     found, status = play(fb, block, e, np.ones((3, 2), bool))
     expected = run_block(block, e)
@@ -77,7 +77,7 @@ def test_a_gain_without_states():
 @pytest.mark.parametrize("make", [rig_block, direct_block, gain_block])
 def test_compiled_by_matiec(make, tmp_path):
     block = make()
-    st_compiled.translated(structured_text(block, provenance=["from (* here *) *)"]), block.name, tmp_path)
+    st_compiled.translated(generate_structured_text(block, provenance=["from (* here *) *)"]), block.name, tmp_path)
     e, valid = driver.adversarial(block, 100_000)
     expected = run_block(block, e, valid)
     found, status = st_compiled.replay(block, tmp_path, e, valid)
@@ -92,7 +92,7 @@ def test_compiled_by_strucpp(make, tmp_path):
     block = make()
     e, valid = driver.adversarial(block, 100_000)
     expected = run_block(block, e, valid)
-    found, status, selftest = st_compiled.replay_strucpp(structured_text(block), block, tmp_path, e, valid)
+    found, status, selftest = st_compiled.replay_strucpp(generate_structured_text(block), block, tmp_path, e, valid)
     assert np.abs(found - expected.currents).max() <= 1e-12 * block.current_limit.max()
     assert (status == expected.status).all()
     assert selftest == (96, 0, True)
@@ -101,7 +101,7 @@ def test_compiled_by_strucpp(make, tmp_path):
 @matiec
 def test_single_precision_compiled_by_matiec(tmp_path):
     block = rig_block().single()
-    st_compiled.translated(structured_text(block, "float"), block.name, tmp_path)
+    st_compiled.translated(generate_structured_text(block, "float"), block.name, tmp_path)
     e = np.random.default_rng(0).normal(0, 0.2 * block.error_limit, (20_000, 4)).astype(np.float32).astype(float)
     expected = run_block(block, e)
     found, status = st_compiled.replay(block, tmp_path, e, np.ones(e.shape, bool), "float")
@@ -113,7 +113,7 @@ def test_single_precision_compiled_by_matiec(tmp_path):
 @matiec
 def test_tracking_compiled_by_matiec(tmp_path):
     block = rig_block()
-    st_compiled.translated(structured_text(block), block.name, tmp_path)
+    st_compiled.translated(generate_structured_text(block), block.name, tmp_path)
     given = [1.0, -0.5, 2.0, 0.25]
     e = np.tile([1e-6, -2e-6, 3e-6, 0.0], (4, 1))
     found, _ = st_compiled.replay(
@@ -125,7 +125,7 @@ def test_tracking_compiled_by_matiec(tmp_path):
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_every_number_is_a_literal_of_the_standard(precision):
     """Digits around a point, an exponent of whole digits, no suffix; and it gives the same number back."""
-    for text in structured_text(rig_block(), precision).values():
+    for text in generate_structured_text(rig_block(), precision).values():
         code = re.sub(r"\(\*.*?\*\)", "", text, flags=re.DOTALL)
         for row in csv.reader(code.splitlines()) if "FUNCTION" not in code and "PROGRAM" not in code else []:
             assert len(row) == 13
@@ -142,7 +142,7 @@ def test_every_number_is_a_literal_of_the_standard(precision):
 def test_names_that_structured_text_reserves(name):
     K = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], ["err_A"], ["u_A"])
     with pytest.raises(InvalidInput, match=r"the name of the block is '.*', but must be"):
-        structured_text(small_block(name=name, system=K))
+        generate_structured_text(small_block(name=name, system=K))
 
 
 @pytest.mark.parametrize(
@@ -158,9 +158,9 @@ def test_names_that_structured_text_reserves(name):
 def test_signals_that_structured_text_reserves(inputs, outputs, message):
     K = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs, outputs)
     with pytest.raises(InvalidInput, match=message):
-        structured_text(small_block(name="rig", system=K))
+        generate_structured_text(small_block(name="rig", system=K))
 
 
 def test_fixed_point_is_refused():
     with pytest.raises(InvalidInput, match=r"'fixed32', but must be double or float; .* C code"):
-        structured_text(small_block(), "fixed32")
+        generate_structured_text(small_block(), "fixed32")

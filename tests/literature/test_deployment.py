@@ -11,8 +11,8 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.sampling import c2d, delayed
-from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.block.fixed import build_block
+from ambrose.deployment.c.compiled import CompiledBlock, read_law
 from ambrose.deployment.c.compiler import has_compiler
 from ambrose.deployment.discretisation.deployment import deploy, unmet_limits
 from ambrose.deployment.pipeline import machine_limits
@@ -54,14 +54,14 @@ def deployment(plants, synthesis):
 
 @pytest.fixture(scope="module")
 def mu(deployment):
-    return CompiledBlock(control_block(deployment, "mu", *machine_limits(RIG)))
+    return CompiledBlock(build_block(deployment, "mu", *machine_limits(RIG)))
 
 
 @pytest.fixture(scope="module")
 def reference(plants):
     """P5's PID as C code; its loop is unstable at twice nominal pressure, so it is deployed all the same."""
     deployment = deploy(pid_synthesis(plants["nominal pressure"]), SAMPLE, SAMPLE, plants=[], force=True)
-    return CompiledBlock(control_block(deployment, "pid", *machine_limits(RIG)))
+    return CompiledBlock(build_block(deployment, "pid", *machine_limits(RIG)))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_pid_from_c_touches_down_at_twice_nominal_pressure(reference):
 @pytest.mark.parametrize("label", PRESSURES)
 def test_the_running_code_has_the_verification_of_the_design(mu, deployment, plants, label):
     """Every quantity, from the law that is read back out of the compiled code and from the one that was designed."""
-    code = nominal.check(plants[label], delayed(probed(mu), mu.delay))
+    code = nominal.check(plants[label], delayed(read_law(mu), mu.delay))
     meant = deployment.checks[PRESSURES.index(label)]
     assert [check.name for check in code.checks] == [check.name for check in meant.checks]
     assert [check.passed for check in code.checks] == [check.passed for check in meant.checks]
@@ -133,6 +133,6 @@ def test_ten_states_polished_meet_every_requirement_that_28_miss(plants, synthes
     assert lowest.n_states == 10
     assert unmet_limits(found) == () and found.problems == ()
     assert found.box[0]["sampled.sensitivity.box"].value < 3.0
-    code = CompiledBlock(control_block(found, "lowest", *machine_limits(RIG)))
+    code = CompiledBlock(build_block(found, "lowest", *machine_limits(RIG)))
     for label in PRESSURES:
         assert on_the_rig(code, label).outcome == "completed"

@@ -19,7 +19,7 @@ from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import as_comment
-from ambrose.deployment.block.vectors import Vectors, as_csv, vectors
+from ambrose.deployment.block.vectors import Vectors, as_csv, make_vectors
 from ambrose.deployment.c.code import block_facts
 from ambrose.deployment.discretisation.deployment import Deployment
 from ambrose.deployment.rendering import render
@@ -35,7 +35,7 @@ _RESERVED = frozenset(_WORDS.split())
 _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
-def mat_files(
+def generate_mat(
     block: ControlBlock, deployment: Deployment, synthesis: Synthesis, provenance: Sequence[str] = ()
 ) -> dict[str, str | bytes]:
     """<name>.mat, <name>_load.m and <name>_vectors.csv.
@@ -45,7 +45,7 @@ def mat_files(
     """
     if block.name.lower() in _RESERVED:
         raise invalid("the name of the block", repr(block.name), "no word of MATLAB or Octave", "give another --name")
-    run = vectors(block)
+    run = make_vectors(block)
     continuous, comments = deployment.source.dt is None, [as_comment(line) for line in provenance]
     facts = {**block_facts(block), "provenance": comments, "continuous": continuous}
     return {

@@ -16,15 +16,15 @@ from ambrose.core.sampling import Method
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, rename
 from ambrose.deployment.block.block import HOLD_SAMPLES, WINDUP_TIME, check_limits
-from ambrose.deployment.block.fixed import ControlBlock, control_block
+from ambrose.deployment.block.fixed import ControlBlock, build_block
 from ambrose.deployment.block.names import check_identifier
-from ambrose.deployment.block.scheduled import ScheduledBlock, check_speed_limits, scheduled_block
+from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block, check_speed_limits
 from ambrose.deployment.c.code import Arithmetic, Precision, check_precision, generate
 from ambrose.deployment.discretisation.deployment import Deployment, Progress, ScheduledDeployment, deploy, deploy_scheduled
-from ambrose.deployment.fmu.archive import fmu_files
-from ambrose.deployment.mat import mat_files
+from ambrose.deployment.fmu.archive import generate_fmus
+from ambrose.deployment.mat import generate_mat
 from ambrose.deployment.provenance import provenance_lines
-from ambrose.deployment.structured_text import structured_text
+from ambrose.deployment.structured_text import generate_structured_text
 from ambrose.machine.atomic_write import check_place, write_files
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import Machine
@@ -46,9 +46,9 @@ class ExportOptions:
     name: prefix of every name in the code, a C identifier. arithmetic: of the code. rate [Hz]: of the samples (None: the
     controller's own, or 10 kHz); delay_samples: from measured errors to currents set; sampling: "tustin", exact at ``prewarp``
     [rad/s] if given, or "zoh". error_limit [m], current_limit [A]: one number or one per axis (None: the bearings' gaps, or
-    twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in ``control_block``. speed_limit
-    [rad/s], speed_rate [rad/s^2]: of a scheduled controller, as in ``scheduled_block``. sources_only: an FMU without a binary.
-    force: write a controller that is not verified, or not stable everywhere. Raises InvalidInput.
+    twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in ``build_block``. speed_limit
+    [rad/s], speed_rate [rad/s^2]: of a scheduled controller, as in ``build_scheduled_block``. sources_only: an FMU without a
+    binary. force: write a controller that is not verified, or not stable everywhere. Raises InvalidInput.
     """
 
     name: str = "controller"
@@ -189,10 +189,10 @@ def _deploy(
     if synthesis.scheduled is None:
         plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.points]
         fixed = deploy(synthesis, dt, delay, plants=plants, **how)
-        return fixed, control_block(fixed, options.name, *limits, **guards)
+        return fixed, build_block(fixed, options.name, *limits, **guards)
     over = deploy_scheduled(synthesis, dt, delay, machine=machine, **how)
     speeds = {"speed_limit": options.speed_limit, "rate_limit": options.speed_rate}
-    return over, scheduled_block(over, options.name, *limits, **guards, **speeds)
+    return over, build_scheduled_block(over, options.name, *limits, **guards, **speeds)
 
 
 def _files(
@@ -206,10 +206,10 @@ def _files(
     if to == "c" or isinstance(block, ScheduledBlock) or isinstance(deployment, ScheduledDeployment):
         return generate(block, options.arithmetic, lines)
     if to == "mat":
-        return mat_files(block, deployment, synthesis, lines)
+        return generate_mat(block, deployment, synthesis, lines)
     if to == "st":
-        return structured_text(block, cast(Precision, options.arithmetic), lines)
-    return fmu_files(block, options.arithmetic, lines, sources_only=options.sources_only)
+        return generate_structured_text(block, cast(Precision, options.arithmetic), lines)
+    return generate_fmus(block, options.arithmetic, lines, sources_only=options.sources_only)
 
 
 def bundled_machine(synthesis: Synthesis) -> Machine | None:

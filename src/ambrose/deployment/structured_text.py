@@ -18,7 +18,7 @@ from ambrose.deployment.block.cost import step_cost
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.run import FLOOR
-from ambrose.deployment.block.vectors import Vectors, as_csv, vectors
+from ambrose.deployment.block.vectors import Vectors, as_csv, make_vectors
 from ambrose.deployment.block.word_length import MANTISSA, floating_error
 from ambrose.deployment.c.code import Precision, block_facts
 from ambrose.deployment.c.literals import diagonals, digits, lines_of
@@ -58,7 +58,9 @@ class Table:
     values: str
 
 
-def structured_text(block: ControlBlock, precision: Precision = "double", provenance: Sequence[str] = ()) -> dict[str, str]:
+def generate_structured_text(
+    block: ControlBlock, precision: Precision = "double", provenance: Sequence[str] = ()
+) -> dict[str, str]:
     """<name>.st (the function block), <name>_test.st (a program that replays the vectors), <name>_vectors.csv.
 
     precision: "double" (LREAL) or "float" (REAL). Raises InvalidInput for names that structured text reserves.
@@ -69,7 +71,7 @@ def structured_text(block: ControlBlock, precision: Precision = "double", proven
     if precision == "float":
         block = block.single()
     _check_names(block)
-    run = vectors(block, single=precision == "float")
+    run = make_vectors(block, single=precision == "float")
     facts = _facts(block, precision, provenance)
     return {
         f"{block.name}.st": render("block.st.j2", {**facts, "tables": _tables(block, precision)}),

@@ -16,9 +16,9 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
-from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.c.code import write_code
-from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.c.compiled import CompiledBlock, read_law
 from ambrose.deployment.c.compiler import has_compiler
 from ambrose.deployment.discretisation.deployment import Deployment, deploy, unmet_limits
 from ambrose.deployment.pipeline import SAMPLE_TIME, machine_limits
@@ -110,8 +110,8 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     progress("controller for the identified machine and its sampled loop")
     options = DesignOptions(rate=1 / _sample_time(machine), delay_samples=_COMPUTING)
     synthesis = resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
-    deployment, program, files = coded(known, directory, progress)
-    law, apart = running_law(program, deployment)
+    deployment, program, files = compile_controller(known, directory, progress)
+    law, apart = read_running_law(program, deployment)
     candidate = examined(plants, known, synthesis, delayed(law, deployment.delay), program, progress)
     return Commissioning(identification, candidate, deployment, files, apart)
 
@@ -144,7 +144,7 @@ def identified(machine: Machine, record: Any, controller: Any, directory: Path, 
     return done
 
 
-def coded(
+def compile_controller(
     plants: tuple[Plant, ...], directory: Path, progress: Progress
 ) -> tuple[Deployment, CompiledBlock | StateSpace, tuple[Path, ...]]:
     """Sampled, verified as it will run, written as C and, where there is a compiler, running; else its law in Python."""
@@ -155,17 +155,17 @@ def coded(
     errors, currents = machine_limits(machine)
     if errors is None or currents is None:
         raise InvalidInput(f"machine {machine.name!r} states no gap or max_current of a bearing; the code needs both as limits")
-    block = control_block(deployment, "controller", errors, currents)
+    block = build_block(deployment, "controller", errors, currents)
     progress("writing the C code")
     files = tuple(write_code(directory / "code", block, "double", provenance_lines(file, deployment)))
     return deployment, CompiledBlock(block) if has_compiler() else block.system, files
 
 
-def running_law(program: CompiledBlock | StateSpace, deployment: Deployment) -> tuple[StateSpace, float | None]:
+def read_running_law(program: CompiledBlock | StateSpace, deployment: Deployment) -> tuple[StateSpace, float | None]:
     """The law that runs, without the computing delay, read out of code if it is code; and how far it is from the design's."""
     if not isinstance(program, CompiledBlock):
         return program, None
-    law = probed(program)
+    law = read_law(program)
     pairs = [(getattr(law, letter), getattr(program.system, letter)) for letter in "ABCD"]
     return law, max(float(np.abs(found - meant).max() / np.abs(meant).max()) for found, meant in pairs if meant.any())
 

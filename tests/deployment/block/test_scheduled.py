@@ -12,10 +12,10 @@ from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.block.motion import motion
-from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, followed, run_block, run_scheduled
-from ambrose.deployment.block.vectors import scheduled_vectors
+from ambrose.deployment.block.fixed import build_block
+from ambrose.deployment.block.motion import bound_motion
+from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, follow_speed, run_block, run_scheduled
+from ambrose.deployment.block.vectors import make_scheduled_vectors
 from ambrose.deployment.discretisation.deployment import deploy, deploy_scheduled
 from schedule_driver import CURRENT, DT, ERROR, GRID, block_of, gain_schedule, small_schedule, two_states
 
@@ -37,7 +37,7 @@ def apart(found, expected):
 
 @pytest.mark.parametrize("speed", GRID)
 def test_at_a_grid_point_it_is_the_fixed_block_of_that_point(block, speed):
-    fixed = control_block(deploy(small_schedule().at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
+    fixed = build_block(deploy(small_schedule().at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
     e = quiet(block)
     run = run_scheduled(block, e, np.full(len(e), speed))
     assert not run.status.any()
@@ -50,7 +50,7 @@ def test_at_a_grid_point_it_is_the_fixed_block_of_that_point(block, speed):
 @pytest.mark.parametrize("speed", [101.0, 175.0, 299.0, 450.0, 599.9])
 def test_between_it_is_the_sampled_matrices_in_between(block, speed):
     sampled = deploy_scheduled(small_schedule(), DT, DT, force=True).sampled
-    fixed = control_block(deploy(sampled.at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
+    fixed = build_block(deploy(sampled.at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
     e = quiet(block)
     run = run_scheduled(block, e, np.full(len(e), speed))
     assert apart(run.currents, run_block(fixed, e).currents) < 1e-10
@@ -116,7 +116,7 @@ def test_a_missing_speed_is_held_then_a_fault():
 
 def test_the_schedule_follows_no_faster_than_it_may():
     block = block_of(small_schedule(), rate_limit=1e5)  # 10 rad/s a sample
-    place, status = followed(block, np.array([np.nan, 300.0, 325.0, 325.0, 325.0, 325.0, 50.0, 50.0, np.nan]))
+    place, status = follow_speed(block, np.array([np.nan, 300.0, 325.0, 325.0, 325.0, 325.0, 50.0, 50.0, np.nan]))
     assert place == pytest.approx([100.0, 300.0, 310.0, 320.0, 325.0, 325.0, 315.0, 305.0, 295.0])
     assert [(s & BEHIND) > 0 for s in status] == [False, False, True, True, False, False, True, True, True]
     assert [(s & CLAMPED) > 0 for s in status] == [False] * 6 + [True] * 3
@@ -125,7 +125,7 @@ def test_the_schedule_follows_no_faster_than_it_may():
 def test_states_stay_within_one_at_frozen_speeds(block):
     worst = 0.0
     for speed in (*GRID, 130.0, 270.0, 500.0):
-        frozen = control_block(deploy(block.at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
+        frozen = build_block(deploy(block.at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
         e, valid = driver.adversarial(frozen, 2000, seed=int(speed))
         run = run_scheduled(block, e, np.full(len(e), speed), valid)
         worst = max(worst, run.largest.max())
@@ -142,9 +142,9 @@ def test_states_stay_within_their_proved_bound_while_the_speed_jumps(block):
 
 
 def switching(A, count=2):
-    """motion() of matrices without inputs to speak of."""
+    """bound_motion() of matrices without inputs to speak of."""
     zero = np.zeros((count, 2, 1))
-    return motion(np.array(A) - np.eye(2), zero + 1, np.zeros((count, 1, 2)), np.zeros((count, 1, 1)), zero, np.ones(2))
+    return bound_motion(np.array(A) - np.eye(2), zero + 1, np.zeros((count, 1, 2)), np.zeros((count, 1, 1)), zero, np.ones(2))
 
 
 def test_no_bound_is_claimed_where_motion_can_destabilise():
@@ -187,7 +187,7 @@ def test_transfer_is_planned_where_it_converges(block):
 
 
 def test_vectors_meet_every_branch(block):
-    status = np.bitwise_or.reduce(scheduled_vectors(block_of(small_schedule(), rate_limit=1e4)).status)
+    status = np.bitwise_or.reduce(make_scheduled_vectors(block_of(small_schedule(), rate_limit=1e4)).status)
     assert status == HELD | FAULT | LIMITED | CLAMPED | SPEED | BEHIND
 
 

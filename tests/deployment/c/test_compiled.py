@@ -8,9 +8,9 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.block.run import run_block
-from ambrose.deployment.c.compiled import CompiledBlock, probed
+from ambrose.deployment.c.compiled import CompiledBlock, read_law
 from ambrose.deployment.discretisation.deployment import deploy
 from ambrose.deployment.pipeline import machine_limits
 from ambrose.plant.assemble import assemble
@@ -31,7 +31,7 @@ def rig():
     plant = assemble(machine, zero)
     deployment = deploy(pid_synthesis(plant), SAMPLE, SAMPLE, plants=[], force=True)
     errors, currents = machine_limits(machine)
-    return machine, plant, control_block(deployment, "pid", errors, currents)
+    return machine, plant, build_block(deployment, "pid", errors, currents)
 
 
 WORDS = {"double": 1e-15, "float": 1e-6, "fixed32": 1e-6}
@@ -40,7 +40,7 @@ WORDS = {"double": 1e-15, "float": 1e-6, "fixed32": 1e-6}
 @pytest.mark.parametrize("arithmetic", WORDS)
 def test_the_law_is_read_back_out_of_the_running_code(rig, arithmetic):
     block = rig[2]
-    found = probed(CompiledBlock(block, arithmetic))
+    found = read_law(CompiledBlock(block, arithmetic))
     for letter in "ABCD":
         meant = getattr(block.system, letter)
         assert np.abs(getattr(found, letter) - meant).max() <= WORDS[arithmetic] * np.abs(meant).max()
@@ -61,7 +61,7 @@ def test_the_rig_cannot_tell_the_code_from_the_design(rig, arithmetic, apart):
 
 def test_the_same_verification_comes_out_of_the_code(rig):
     _, plant, block = rig
-    code, design = (nominal.check(plant, system) for system in (probed(CompiledBlock(block)), block.system))
+    code, design = (nominal.check(plant, system) for system in (read_law(CompiledBlock(block)), block.system))
     assert code.stable
     for name in ("sensitivity.output.max", "compliance.max"):
         assert code[name].value == pytest.approx(design[name].value, rel=1e-9)

@@ -13,8 +13,8 @@ import example_blocks as example
 from ambrose import StateSpace, load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.sampling import c2d
-from ambrose.deployment.block.fixed import control_block
-from ambrose.deployment.block.fixed_point import fixed_point
+from ambrose.deployment.block.fixed import build_block
+from ambrose.deployment.block.fixed_point import to_fixed_point
 from ambrose.deployment.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
 from ambrose.deployment.block.word_length import floating_error, word_lengths
 from ambrose.deployment.c.code import generate, write_code
@@ -37,14 +37,14 @@ def controllers():
 
 @pytest.fixture(scope="module")
 def blocks(controllers):
-    return {m: control_block(deploy(K, 1e-4, 1e-4, force=True), "rig", ERROR, CURRENT) for m, K in controllers.items()}
+    return {m: build_block(deploy(K, 1e-4, 1e-4, force=True), "rig", ERROR, CURRENT) for m, K in controllers.items()}
 
 
 def small_block(**settings):
     """Two inputs, one output, an integrator, a complex pair and a real pole; no direct term."""
     A = [[0.0, 0, 0, 0], [0, -200.0, 900.0, 0], [0, -900.0, -200.0, 0], [0, 0, 0, -3000.0]]
     K = StateSpace(A, [[40.0, 10.0], [0, 5e5], [5e5, 0], [9e6, 4e6]], [[500.0, 1.0, 1.0, 2.0]], [[0.0, 0.0]])
-    return control_block(deploy(K, 1e-4, force=True), "small", 1e-3, 2.0, **settings)
+    return build_block(deploy(K, 1e-4, force=True), "small", 1e-3, 2.0, **settings)
 
 
 @compiler
@@ -86,7 +86,7 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_fixed_point_is_the_integer_model_bit_by_bit(blocks, method, tmp_path):
     block = blocks[method]
-    fixed = fixed_point(block)
+    fixed = to_fixed_point(block)
     e, valid = driver.adversarial(block, SAMPLES // (3 if method == "mu" else 10))
     one = 1 << fixed.signal_bits
     with np.errstate(all="ignore"):
@@ -220,21 +220,21 @@ def test_word_length_table_and_report(blocks):
 
 def test_16_bits_refused_where_rounding_is_too_large(blocks):
     with pytest.raises(InvalidInput, match=r"rounding error of u_\w+ with words of 16 bits is .* of its limit"):
-        fixed_point(blocks["mu"], 16)
+        to_fixed_point(blocks["mu"], 16)
 
 
 def test_fixed_point_that_overflows_is_refused(controllers):
-    block = control_block(deploy(controllers["mu"], 1e-4, force=True), "rig", ERROR, 1e-3)
+    block = build_block(deploy(controllers["mu"], 1e-4, force=True), "rig", ERROR, 1e-3)
     with pytest.raises(InvalidInput, match=r"fixed point overflows: an output adds up to .* words of 32 bits"):
-        fixed_point(block, 16)
+        to_fixed_point(block, 16)
 
 
 def test_a_state_without_bound_is_refused():
     unstable = StateSpace([[5.0]], [[1.0]], [[1.0]], [[0.0]])
     with pytest.raises(UnstableSystem, match="no output sees"):
-        control_block(deploy(StateSpace([[0.0]], [[1.0]], [[0.0]], [[1.0]]), 1e-3, force=True), "k", 1.0, 1.0)
+        build_block(deploy(StateSpace([[0.0]], [[1.0]], [[0.0]], [[1.0]]), 1e-3, force=True), "k", 1.0, 1.0)
     # an unstable pole that saturates is held by the unwinding only inside a region: L stabilises it, so it is bounded
-    assert control_block(deploy(unstable, 1e-3, force=True), "k", 1.0, 1.0).winding == 1
+    assert build_block(deploy(unstable, 1e-3, force=True), "k", 1.0, 1.0).winding == 1
 
 
 @pytest.mark.parametrize(
@@ -242,16 +242,16 @@ def test_a_state_without_bound_is_refused():
 )  # fmt: skip
 def test_names_that_are_not_c_identifiers(name):
     with pytest.raises(InvalidInput, match="must be a C identifier"):
-        control_block(deploy(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 1e-3, force=True), name, 1.0, 1.0)
+        build_block(deploy(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 1e-3, force=True), name, 1.0, 1.0)
 
 
 def test_signal_names_that_are_not_c_identifiers():
     K = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], ["err_drive end"], ["u_A"])
     with pytest.raises(InvalidInput, match="the input signal is 'err_drive end'"):
-        control_block(deploy(K, 1e-3, force=True), "k", 1.0, 1.0)
+        build_block(deploy(K, 1e-3, force=True), "k", 1.0, 1.0)
     K = StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]], ["err_a", "err_A"], ["u_A"])
     with pytest.raises(InvalidInput, match="unique in capitals"):
-        control_block(deploy(K, 1e-3, force=True), "k", 1.0, 1.0)
+        build_block(deploy(K, 1e-3, force=True), "k", 1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_signal_names_that_are_not_c_identifiers():
 def test_limits_that_mean_nothing(settings, message):
     K = deploy(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 1e-3, force=True)
     with pytest.raises(InvalidInput, match=message):
-        control_block(K, "k", **{"error_limit": 1.0, "current_limit": 1.0, **settings})
+        build_block(K, "k", **{"error_limit": 1.0, "current_limit": 1.0, **settings})
 
 
 def test_arithmetic_unknown():
@@ -317,7 +317,7 @@ def test_writing_again_replaces(tmp_path):
 
 @compiler
 def test_a_gain_without_states(tmp_path):
-    block = control_block(deploy(StateSpace([], [], [], [[2.0, 0.0], [0.0, 3.0]]), 1e-3, force=True), "gain", 1.0, 2.0)
+    block = build_block(deploy(StateSpace([], [], [], [[2.0, 0.0], [0.0, 3.0]]), 1e-3, force=True), "gain", 1.0, 2.0)
     for arithmetic in ("double", "fixed32"):
         program = driver.compiled(block, arithmetic, tmp_path / arithmetic, "gcc")
         one = 1 if arithmetic == "double" else 2**30

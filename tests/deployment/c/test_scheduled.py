@@ -13,7 +13,7 @@ from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.block.cost import scheduled_cost
-from ambrose.deployment.block.fixed import control_block
+from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, run_scheduled
 from ambrose.deployment.c.code import generate, write_code
 from ambrose.deployment.discretisation.deployment import deploy
@@ -37,7 +37,7 @@ compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
 
 def adversarial(block, count, seed=0):
     """Errors, flags and speeds of every kind; the errors' worst case is that of a grid point."""
-    frozen = control_block(deploy(block.at(GRID[1]), DT, DT, force=True), "k", ERROR, CURRENT)
+    frozen = build_block(deploy(block.at(GRID[1]), DT, DT, force=True), "k", ERROR, CURRENT)
     errors, valid = driver.adversarial(frozen, count, seed)
     return errors, valid, adversarial_speeds(block, count, seed)
 

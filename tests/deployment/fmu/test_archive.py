@@ -18,9 +18,9 @@ from fmpy.validation import validate_fmu
 import code_driver as driver
 from ambrose import StateSpace
 from ambrose.core.checks import InvalidInput
-from ambrose.deployment.block.fixed_point import fixed_point
+from ambrose.deployment.block.fixed_point import to_fixed_point
 from ambrose.deployment.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
-from ambrose.deployment.fmu.archive import fmu, fmu_files, source_files
+from ambrose.deployment.fmu.archive import generate_fmu, generate_fmus, generate_sources
 from ambrose.deployment.fmu.description import variables
 from ambrose.machine.atomic_write import write_files
 from example_blocks import CURRENT, ERROR, gain_block, rig_block, small_block
@@ -40,7 +40,7 @@ def rig():
 
 def opened(block, version, folder, arithmetic="double"):
     path = folder / f"{block.name}{version}.fmu"
-    path.write_bytes(fmu(block, version, arithmetic))
+    path.write_bytes(generate_fmu(block, version, arithmetic))
     player = Player(path, folder / "opened")
     player.begin()
     return player
@@ -55,7 +55,8 @@ def files_of(content):
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("make", [small_block, lambda: small_block(0), lambda: small_block(3), gain_block, rig_block])
 def test_validation_finds_nothing(version, make, tmp_path):
-    (tmp_path / "x.fmu").write_bytes(fmu(make(), version, provenance=['<&"> Controller'], sources_only=make is not gain_block))
+    content = generate_fmu(make(), version, provenance=['<&"> Controller'], sources_only=make is not gain_block)
+    (tmp_path / "x.fmu").write_bytes(content)
     assert validate_fmu(str(tmp_path / "x.fmu")) == []
 
 
@@ -90,7 +91,7 @@ def test_the_computing_delay_is_inside(version, delay, tmp_path):
 def test_simulated_with_tables_of_input(version, tmp_path):
     """FMPy's own master, its inputs from a table, 10^4 samples: smooth errors, nothing implausible."""
     block = small_block()
-    (tmp_path / "x.fmu").write_bytes(fmu(block, version))
+    (tmp_path / "x.fmu").write_bytes(generate_fmu(block, version))
     count = 10_000
     t = np.arange(count + 1) * block.sample_time
     e = 2e-5 * np.column_stack([np.sin(300 * t), np.cos(40 * t)])
@@ -118,7 +119,7 @@ def test_the_code_inside_may_be_float_or_fixed(rig, version, arithmetic, tmp_pat
     player = opened(block, version, tmp_path, arithmetic)
     found, status = player.play(block, e)
     if arithmetic == "fixed32":
-        fixed = fixed_point(block)
+        fixed = to_fixed_point(block)
         words = np.floor(np.nan_to_num(e, nan=0) / ERROR * 2**30 + 0.5).astype(np.int64)
         run = run_fixed(fixed, words, ~np.isnan(e))
         assert np.abs(found - run.currents * (CURRENT / 2**30)).max() <= 1e-15 * CURRENT
@@ -213,7 +214,7 @@ def test_sources_fit_the_headers_of_the_standard(version_headers, name, arithmet
         block = small_block(
             2, system=StateSpace([[-300.0]], [[300.0, 100.0]], [[1e3]], [[500.0, 0.0]], ["err_x", "err_y"], ["u_x"])
         )
-    for file, text in source_files(block, version, arithmetic).items():
+    for file, text in generate_sources(block, version, arithmetic).items():
         (tmp_path / file).write_text(text)
     wrapper = tmp_path / f"fmi{version[0]}.c"
     for flags in ([], ["-I", str(HEADERS), "-include", header]):
@@ -271,7 +272,7 @@ int main(void)
 def test_wrappers_under_the_sanitizers(version, delay, tmp_path):
     """A thousand steps, refusals and saved states, without a leak or an access beyond an array."""
     block = rig_block(delay)
-    for file, text in source_files(block, version, "double").items():
+    for file, text in generate_sources(block, version, "double").items():
         (tmp_path / file).write_text(text)
     check = _CHECK_2.replace("SAMPLE,", f"{block.sample_time},")
     if version == "3.0":  # the same calls in its words
@@ -305,7 +306,7 @@ def test_fmpy_builds_the_sources_itself(version, tmp_path, monkeypatch):
     """An FMU of sources only: FMPy finds what to compile in the FMU, builds it with CMake, and runs it."""
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=":")  # CMake comes with FMPy
     block = small_block()
-    (tmp_path / "x.fmu").write_bytes(fmu(block, version, sources_only=True))
+    (tmp_path / "x.fmu").write_bytes(generate_fmu(block, version, sources_only=True))
     folder = fmpy.extract(str(tmp_path / "x.fmu"), str(tmp_path / "x"))
     (tmp_path / "build").mkdir()
     build_platform_binary(folder, tmp_path / "build", generator="Unix Makefiles")
@@ -320,21 +321,21 @@ def test_fmpy_builds_the_sources_itself(version, tmp_path, monkeypatch):
 @pytest.mark.parametrize("version", VERSIONS)
 def test_contents_and_repeatable_bytes(version):
     block = small_block()
-    content = fmu(block, version, provenance=["from <here> & there"])
-    assert content == fmu(block, version, provenance=["from <here> & there"])
+    content = generate_fmu(block, version, provenance=["from <here> & there"])
+    assert content == generate_fmu(block, version, provenance=["from <here> & there"])
     found = files_of(content)
     binaries = [name for name in found if name.startswith("binaries/")]
     assert len(binaries) == 1
     assert {"sources/small.c", "sources/small.h", "sources/small_fmu.h", f"sources/fmi{version[0]}.c"} < set(found)
     assert b"from &lt;here&gt; &amp; there" in found["documentation/index.html"]
     assert b"TOKEN" not in found[f"sources/fmi{version[0]}.c"]
-    other = files_of(fmu(replace(block, hold_samples=3), version, sources_only=True))["modelDescription.xml"]
+    other = files_of(generate_fmu(replace(block, hold_samples=3), version, sources_only=True))["modelDescription.xml"]
     assert other != found["modelDescription.xml"]  # another code, another token
 
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_variables_units_and_limits(version, tmp_path):
-    (tmp_path / "x.fmu").write_bytes(fmu(rig_block(0), version, sources_only=True))
+    (tmp_path / "x.fmu").write_bytes(generate_fmu(rig_block(0), version, sources_only=True))
     found = {v.name: v for v in fmpy.read_model_description(str(tmp_path / "x.fmu")).modelVariables}
     assert found["err_A_zeta"].unit == "m"
     assert found["u_B_eta"].unit == "A"
@@ -347,7 +348,7 @@ def test_variables_units_and_limits(version, tmp_path):
     assert float(description.defaultExperiment.stepSize) == 1e-4
     needs = {o.variable.name: [v.name for v in o.dependencies] for o in description.outputs}
     assert needs["u_A_zeta"][0] == "err_A_zeta"  # without delay the outputs depend on the inputs of the same instant
-    (tmp_path / "x.fmu").write_bytes(fmu(rig_block(1), version, sources_only=True))
+    (tmp_path / "x.fmu").write_bytes(generate_fmu(rig_block(1), version, sources_only=True))
     later = fmpy.read_model_description(str(tmp_path / "x.fmu"))
     assert all(o.dependencies == [] for o in later.outputs)
 
@@ -355,8 +356,8 @@ def test_variables_units_and_limits(version, tmp_path):
 def test_without_a_compiler(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(InvalidInput, match=r"no C compiler was found .* sources only"):
-        fmu_files(small_block())
-    for content in fmu_files(small_block(), sources_only=True).values():
+        generate_fmus(small_block())
+    for content in generate_fmus(small_block(), sources_only=True).values():
         assert not [name for name in files_of(content) if name.startswith("binaries/")]
 
 
@@ -365,20 +366,20 @@ def test_a_compiler_that_fails(monkeypatch, tmp_path):
     (tmp_path / "cc").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
     with pytest.raises(InvalidInput, match=r"refused the code: no licence today; write an FMU of sources only"):
-        fmu_files(small_block())
+        generate_fmus(small_block())
 
 
 def test_a_platform_without_a_name(monkeypatch):
     monkeypatch.setattr("platform.machine", lambda: "mips")
     with pytest.raises(InvalidInput, match=r"this computer is Linux mips, but must be a platform that FMI 2.0 names"):
-        fmu(small_block(), "2.0")
+        generate_fmu(small_block(), "2.0")
 
 
 @pytest.mark.parametrize("names", [(["held", "b"], ["c"]), (["a", "b"], ["time"]), (["a", "valid_a"], ["c"])])
 def test_signals_called_like_variables_of_the_fmu(names):
     K = StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]], *names)
     with pytest.raises(InvalidInput, match="must be unlike the FMU's own variables"):
-        fmu(small_block(system=K), "2.0", sources_only=True)
+        generate_fmu(small_block(system=K), "2.0", sources_only=True)
 
 
 def test_nothing_half_written_when_the_disk_is_full(tmp_path, monkeypatch):
@@ -391,14 +392,14 @@ def test_nothing_half_written_when_the_disk_is_full(tmp_path, monkeypatch):
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(InvalidInput, match="No space left on device; nothing was changed"):
-        write_files(tmp_path / "new", fmu_files(small_block(), sources_only=True))
+        write_files(tmp_path / "new", generate_fmus(small_block(), sources_only=True))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_limits_are_those_of_the_code(tmp_path):
     """In single precision 0.3 A is a little more: the description says so, and no output leaves its range."""
     block = replace(small_block(), current_limit=np.array([0.3]))
-    (tmp_path / "x.fmu").write_bytes(fmu(block, "3.0", "float", sources_only=True))
+    (tmp_path / "x.fmu").write_bytes(generate_fmu(block, "3.0", "float", sources_only=True))
     found = {v.name: v for v in fmpy.read_model_description(str(tmp_path / "x.fmu")).modelVariables}
     assert float(found["u_x"].max) == float(np.float32(0.3)) > 0.3
 

@@ -58,7 +58,7 @@ class ControlBlock(Block):
         return StateSpace(A, self.B, self.C, self.D, self.inputs, self.outputs, self.sample_time)
 
 
-def control_block(
+def build_block(
     deployment: Deployment,
     name: str,
     error_limit: ArrayLike,

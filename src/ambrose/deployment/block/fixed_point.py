@@ -49,7 +49,7 @@ class FixedBlock:
     error: np.ndarray
 
 
-def fixed_point(block: ControlBlock, word: int = 32, largest_error: float = LARGEST_ERROR) -> FixedBlock:
+def to_fixed_point(block: ControlBlock, word: int = 32, largest_error: float = LARGEST_ERROR) -> FixedBlock:
     """The block in words of 16 or 32 bits.
 
     largest_error [-]: of the current limit, that rounding may cause. Raises InvalidInput for a word in which a sum overflows
@@ -128,10 +128,10 @@ def _error(fixed: FixedBlock, update: np.ndarray, output: np.ndarray) -> np.ndar
     wrong = np.abs(fixed.update * np.exp2(-fixed.update_bits)[:, None] - update).sum(axis=1)
     source = wrong + half * np.abs(update[:, :n]).sum(axis=1) + 0.5 * 2.0**-fixed.state_bits
     wrong = np.abs(fixed.output * np.exp2(-fixed.output_bits)[:, None] - output).sum(axis=1)
-    return block.current_limit * (np.abs(output[:, :n]) @ (spread(block, source) + half) + wrong + half)
+    return block.current_limit * (np.abs(output[:, :n]) @ (accumulate_rounding(block, source) + half) + wrong + half)
 
 
-def spread(block: ControlBlock, source: np.ndarray) -> np.ndarray:
+def accumulate_rounding(block: ControlBlock, source: np.ndarray) -> np.ndarray:
     """How far the states (n,) can be off when every sample adds an error up to ``source`` (n,), over HORIZON samples."""
     result = np.zeros(block.n_states)
     for own in block_slices(block.sizes):

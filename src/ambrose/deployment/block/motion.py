@@ -34,7 +34,7 @@ class Motion:
         return self.contraction < 1
 
 
-def motion(
+def bound_motion(
     increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, unwind: np.ndarray, inputs: np.ndarray
 ) -> Motion:
     """The common Lyapunov function of A - L C over a grid, and the states' bounds.

@@ -68,7 +68,7 @@ def run_scheduled(
     v = np.asarray(speeds, dtype=float)
     if v.shape != (len(e),):
         raise InvalidInput(f"the shape of speeds is {v.shape}, but must be ({len(e)},), one for every sample")
-    schedule, speed_status = followed(block, v)
+    schedule, speed_status = follow_speed(block, v)
     status |= speed_status
     i, share = places(block.grid, schedule)
     x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
@@ -105,7 +105,7 @@ def _add_compensated(x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: 
     return total
 
 
-def followed(block: ScheduledBlock, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def follow_speed(block: ScheduledBlock, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where the schedule stands (k,) [rad/s] for speeds (k,) as measured, and the status (k,) of the speed alone."""
     low, high = block.range
     with np.errstate(invalid="ignore"):

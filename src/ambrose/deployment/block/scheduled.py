@@ -35,7 +35,7 @@ from ambrose.deployment.block.block import (
     slow_states,
     transfer_gains,
 )
-from ambrose.deployment.block.motion import Motion, motion
+from ambrose.deployment.block.motion import Motion, bound_motion
 from ambrose.deployment.discretisation.deployment import ScheduledDeployment
 
 _EXAMINED = 3  # speeds in every interval at which the anti-windup is examined
@@ -93,7 +93,7 @@ class ScheduledBlock(Block):
         return replace(Block.single(self), grid=grid, speed_limit=speed_limit, rate_limit=rate)
 
 
-def scheduled_block(
+def build_scheduled_block(
     deployment: ScheduledDeployment,
     name: str,
     error_limit: ArrayLike,
@@ -106,7 +106,7 @@ def scheduled_block(
 ) -> ScheduledBlock:
     """The block of a scheduled deployment.
 
-    name, error_limit [m], current_limit [A], windup_time [s], hold_samples: as in ``control_block``. speed_limit [rad/s]: a
+    name, error_limit [m], current_limit [A], windup_time [s], hold_samples: as in ``build_block``. speed_limit [rad/s]: a
     speed of larger magnitude is implausible and replaced by the last good one (None: twice the highest of the grid); within it,
     a speed beyond the grid is clamped. rate_limit [rad/s^2]: how fast the schedule follows the speed (None: at once). Raises
     InvalidInput, UnstableSystem for a controller whose states have no bound at a frozen speed.
@@ -129,7 +129,7 @@ def scheduled_block(
         increment=increment, B=B, C=C, D=law.D, unwind=L, steady=steady / rows, pick=pick / rows, passes=passes,
         error_limit=errors, current_limit=currents, raw_limit=np.maximum(raw, currents), hold_samples=hold_samples,
         windup_time=windup_time, speed_limit=speed_limit, rate_limit=rate_limit,
-        motion=motion(increment, B, C, law.D, L, np.r_[errors, currents]),
+        motion=bound_motion(increment, B, C, law.D, L, np.r_[errors, currents]),
     )  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def places(grid: np.ndarray, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _unwinding(law: _Points, currents: np.ndarray, rate: float) -> np.ndarray:
     """L (k, n, p) [1/A] at every grid point.
 
-    As in control_block, but over all states, which are common to the speeds and so are not parted into slow and fast: a state
+    As in build_block, but over all states, which are common to the speeds and so are not parted into slow and fast: a state
     slower than the windup time is led at ``rate`` = dt / windup_time per sample and a faster one hardly at all.
     """
     C = law.C / currents[:, None]

@@ -33,7 +33,7 @@ class Vectors:
     rounding: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def vectors(block: ControlBlock, fixed: FixedBlock | None = None, single: bool = False) -> Vectors:
+def make_vectors(block: ControlBlock, fixed: FixedBlock | None = None, single: bool = False) -> Vectors:
     """Small and large errors, limiting, flags, values out of range, silence. fixed: the answer in whole numbers; single:
     errors that single precision holds."""
     e, valid = _errors(len(block.inputs), _SAMPLES)
@@ -50,7 +50,7 @@ def vectors(block: ControlBlock, fixed: FixedBlock | None = None, single: bool =
     return Vectors(e, valid, run.currents, run.status)
 
 
-def scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vectors:
+def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vectors:
     """The same with speeds: sweeps beyond both ends, limiting everywhere, grid points, no speed."""
     k, (low, high) = len(block.grid), block.range
     limited = max(24, 2 * k)

@@ -9,7 +9,7 @@ import numpy as np
 from ambrose.core.checks import invalid
 from ambrose.deployment.block.block import block_slices
 from ambrose.deployment.block.fixed import ControlBlock
-from ambrose.deployment.block.fixed_point import spread
+from ambrose.deployment.block.fixed_point import accumulate_rounding
 
 BITS = (8, 12, 16, 24, 32, 53)
 MANTISSA = {"double": 53, "float": 24}  # bits
@@ -79,5 +79,5 @@ def floating_error(block: ControlBlock, bits: int) -> np.ndarray:
     source[block.winding :] += unit
     source[: block.winding] += 2 * unit**2 * (terms + 1) + 2 * unit * size[: block.winding]
     asked = np.abs(block.C).sum(axis=1) + np.abs(block.D) @ block.error_limit
-    states = spread(block, source) + 2 * unit * (np.arange(n) < block.winding)
+    states = accumulate_rounding(block, source) + 2 * unit * (np.arange(n) < block.winding)
     return np.abs(block.C) @ states + unit * (2 + n + len(block.inputs)) * asked

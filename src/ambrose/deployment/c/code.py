@@ -16,11 +16,11 @@ from ambrose.core.checks import invalid
 from ambrose.deployment.block.block import Block
 from ambrose.deployment.block.cost import padding_of, scheduled_cost, step_cost
 from ambrose.deployment.block.fixed import ControlBlock
-from ambrose.deployment.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, fixed_point
+from ambrose.deployment.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, to_fixed_point
 from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.run import FLOOR
 from ambrose.deployment.block.scheduled import ScheduledBlock
-from ambrose.deployment.block.vectors import Vectors, as_csv, scheduled_vectors, vectors
+from ambrose.deployment.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.deployment.block.word_length import MANTISSA, floating_error, gain_error, word_lengths
 from ambrose.deployment.c.literals import diagonals, integer_table, literal, real_table
 from ambrose.deployment.rendering import render
@@ -42,7 +42,7 @@ def generate(
 ) -> dict[str, str]:
     """The files of a block by name: <name>.h, .c, _test.c, _vectors.csv and _report.md.
 
-    arithmetic: "double", "float", "fixed32" or "fixed16" (see ``fixed_point`` for what that refuses, and
+    arithmetic: "double", "float", "fixed32" or "fixed16" (see ``to_fixed_point`` for what that refuses, and
     for largest_error [-]); of a scheduled block "double" or "float". provenance: lines for the header: where the controller
     comes from and what it was verified on. Raises InvalidInput.
     """
@@ -53,15 +53,15 @@ def generate(
     if arithmetic == "float":
         block = block.single()
     if isinstance(block, ScheduledBlock):
-        run = scheduled_vectors(block, arithmetic == "float")
+        run = make_scheduled_vectors(block, arithmetic == "float")
         facts = {**_facts(block, arithmetic, provenance), **_schedule_facts(block, arithmetic)}
         tables, report, kind = _scheduled_tables(block, arithmetic), _scheduled_report(block, run), "scheduled"
         source, tolerance = "scheduled.c.j2", _DOUBLE_TOLERANCE * block.raw_limit
         if arithmetic == "float":
             tolerance = np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
     else:
-        fixed = fixed_point(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
-        run = vectors(block, fixed, single=arithmetic == "float")
+        fixed = to_fixed_point(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
+        run = make_vectors(block, fixed, single=arithmetic == "float")
         facts = {**_facts(block, arithmetic, provenance), **_word_facts(block, fixed)}
         tables = _floating_tables(block, arithmetic) if fixed is None else _fixed_tables(fixed)
         error = floating_error(block, MANTISSA[arithmetic]) if fixed is None else fixed.error

@@ -1,7 +1,7 @@
 """The generated C code, compiled and running here: software in the loop.
 
 ``CompiledBlock`` runs in the virtual rig in place of a controller (``simulation.control_program``), ``CompiledSchedule`` in
-place of a scheduled one, given the speed at every sample. ``probed`` reads the law back out of the running code, so that the
+place of a scheduled one, given the speed at every sample. ``read_law`` reads the law back out of the running code, so that the
 same verification can be made of what the compiler made.
 """
 
@@ -19,7 +19,7 @@ from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.cost import padding_of
 from ambrose.deployment.block.fixed import ControlBlock
-from ambrose.deployment.block.fixed_point import fixed_point
+from ambrose.deployment.block.fixed_point import to_fixed_point
 from ambrose.deployment.block.scheduled import ScheduledBlock
 from ambrose.deployment.c.code import Arithmetic, Precision, generate
 from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler
@@ -49,7 +49,7 @@ class _Words:
             real = np.float64 if arithmetic == "double" else np.float32
             return cls(real, real, np.ones(len(block.inputs)), np.ones(len(block.outputs)), 1.0, False)
         word = int(arithmetic.removeprefix("fixed"))
-        fixed = fixed_point(cast(ControlBlock, block), word)
+        fixed = to_fixed_point(cast(ControlBlock, block), word)
         one = 2.0**fixed.signal_bits
         signal, stored = (np.int32, np.int64) if word == 32 else (np.int16, np.int32)
         return cls(signal, stored, block.error_limit / one, block.current_limit / one, 2.0**-fixed.state_bits, True)
@@ -182,7 +182,7 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
         return (ctypes.c_double(self.speed) if self.arithmetic == "double" else ctypes.c_float(self.speed),)
 
 
-def probed(code: CompiledBlock | CompiledSchedule, speed: float | None = None) -> StateSpace:
+def read_law(code: CompiledBlock | CompiledSchedule, speed: float | None = None) -> StateSpace:
     """The law that the running code follows: its states are set one by one, its inputs too, and one step is taken from each.
 
     speed [rad/s]: at which a schedule is frozen. Every column is what the compiled code made of it, rounding of its words

@@ -40,7 +40,7 @@ _FOLDERS = {  # (system, machine): folder of FMI 2.0, folder of FMI 3.0, suffix
 }
 
 
-def fmu_files(
+def generate_fmus(
     block: ControlBlock, arithmetic: Arithmetic = "double", provenance: Sequence[str] = (), *, sources_only: bool = False
 ) -> dict[str, bytes]:
     """<name>_fmi2.fmu and <name>_fmi3.fmu.
@@ -49,12 +49,12 @@ def fmu_files(
     an importer that compiles. Raises InvalidInput, also where there is no C compiler, or it fails.
     """
     return {
-        f"{block.name}_fmi{v[0]}.fmu": fmu(block, v, arithmetic, provenance, sources_only=sources_only)
+        f"{block.name}_fmi{v[0]}.fmu": generate_fmu(block, v, arithmetic, provenance, sources_only=sources_only)
         for v in get_args(Version)
     }
 
 
-def fmu(
+def generate_fmu(
     block: ControlBlock,
     version: Version,
     arithmetic: Arithmetic = "double",
@@ -63,11 +63,11 @@ def fmu(
     sources_only: bool = False,
 ) -> bytes:
     """One FMU as the bytes of its archive; equal input gives equal bytes where the compiler does. Arguments and errors:
-    ``fmu_files``."""
+    ``generate_fmus``."""
     _check_names(block)
     if arithmetic == "float":
         block = block.single()
-    code = source_files(block, version, arithmetic, provenance)
+    code = generate_sources(block, version, arithmetic, provenance)
     token = "{" + str(uuid.uuid5(_SPACE, "\n".join(code.values()))) + "}"
     code[f"fmi{version[0]}.c"] = code[f"fmi{version[0]}.c"].replace("TOKEN", token)
     text = (
@@ -84,7 +84,7 @@ def fmu(
     return _zipped(archive)
 
 
-def source_files(
+def generate_sources(
     block: ControlBlock, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
 ) -> dict[str, str]:  # fmt: skip
     """The C of an FMU by name; in fmi2.c or fmi3.c the word TOKEN stands for the token."""
