@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ambrose.deployment.block.block import Block
 from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.block.scheduled import ScheduledBlock
 from ambrose.deployment.c.code import generate
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-Wconversion", "-Wshadow"]
@@ -21,6 +23,7 @@ _DRIVER = """
 typedef struct {
     TYPE error[PREFIX_INPUTS];
     TYPE current[PREFIX_OUTPUTS];
+    TYPE speed; /* of a scheduled block */
     unsigned char valid[PREFIX_INPUTS];
     unsigned char op;
 } row;
@@ -31,12 +34,13 @@ int main(void)
     unsigned status;
     NAME_init(&block);
     while (fread(r.error, sizeof r.error, 1, stdin) == 1 && fread(r.current, sizeof r.current, 1, stdin) == 1 &&
-           fread(r.valid, sizeof r.valid, 1, stdin) == 1 && fread(&r.op, 1, 1, stdin) == 1) {
+           fread(&r.speed, sizeof r.speed, 1, stdin) == 1 && fread(r.valid, sizeof r.valid, 1, stdin) == 1 &&
+           fread(&r.op, 1, 1, stdin) == 1) {
         status = 0;
         if (r.op == 0)
-            status = NAME_step(&block, r.error, r.valid, r.current);
+            status = NAME_step(&block, r.error, r.valid, SPEED r.current);
         else if (r.op == 1)
-            NAME_track(&block, r.error, r.valid, r.current);
+            NAME_track(&block, r.error, r.valid, SPEED r.current);
         else
             NAME_reset(&block);
         fwrite(r.current, sizeof r.current, 1, stdout);
@@ -61,16 +65,17 @@ def sanitizers(compiler: str) -> tuple[str, ...]:
 
 
 def compiled(
-    block: ControlBlock, arithmetic: str, directory: Path, compiler: str, flags: list[str] | None = None, **settings: float
+    block: Block, arithmetic: str, directory: Path, compiler: str, flags: list[str] | None = None, **settings: float
 ) -> Path:
     """The driver's executable; the compiler's complaints are the test's failure."""
     directory.mkdir(exist_ok=True)
     files = generate(block, arithmetic, ["A */ comment that wants out ??/", "é"], **settings)
     for name, text in files.items():
         (directory / name).write_text(text)
-    track = "NAME_track(&block, r.error, r.valid, r.current);"
+    track = "NAME_track(&block, r.error, r.valid, SPEED r.current);"
     code = _DRIVER if "_track(" in files[f"{block.name}.h"] else _DRIVER.replace(track, "return 1;")
-    code = code.replace("PREFIX", block.name.upper()).replace("NAME", block.name)
+    speed = "r.speed," if isinstance(block, ScheduledBlock) else ""
+    code = code.replace("SPEED", speed).replace("PREFIX", block.name.upper()).replace("NAME", block.name)
     kind = {"double": "double", "float": "float", "fixed32": "int32_t", "fixed16": "int16_t"}[arithmetic]
     (directory / "driver.c").write_text(code.replace("TYPE", kind))
     target = directory / f"run-{compiler}"
@@ -92,13 +97,14 @@ def replay(
     op: np.ndarray | None = None,
     given: np.ndarray | None = None,
     outputs: int = 4,
+    speeds: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Currents (k, p) and status (k,) of the compiled block over errors (k, m)."""
+    """Currents (k, p) and status (k,) of the compiled block over errors (k, m), and speeds (k,) if it is scheduled."""
     count, inputs = errors.shape
     kind = TYPES[arithmetic]
-    rows = np.zeros(count, [("e", kind, inputs), ("u", kind, outputs), ("valid", "u1", inputs), ("op", "u1")])
+    rows = np.zeros(count, [("e", kind, inputs), ("u", kind, outputs), ("v", kind), ("valid", "u1", inputs), ("op", "u1")])
     with np.errstate(over="ignore", invalid="ignore"):
-        rows["e"] = errors
+        rows["e"], rows["v"] = errors, 0 if speeds is None else speeds
     rows["valid"] = 1 if valid is None else valid
     rows["op"] = STEP if op is None else op
     rows["u"] = 0 if given is None else given

@@ -1,6 +1,5 @@
-"""Compiles the code of a scheduled block with a driver that replays a file of samples, and runs it."""
+"""Scheduled blocks for the tests, and what drives them: speeds of every kind."""
 
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -11,45 +10,11 @@ from ambrose import StateSpace
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block
-from ambrose.deployment.c.code import generate
 from ambrose.deployment.discretisation.deployment import deploy_scheduled
 from ambrose.deployment.discretisation.sampling import response
 
 ERROR, CURRENT, DT = 1e-3, 2.0, 1e-4
 GRID = (100.0, 250.0, 300.0, 600.0)  # rad/s
-TYPES = {"double": np.float64, "float": np.float32}
-_DRIVER = """
-#include <stdio.h>
-#include "NAME.h"
-typedef struct {
-    TYPE error[PREFIX_INPUTS];
-    TYPE current[PREFIX_OUTPUTS];
-    TYPE speed;
-    unsigned char valid[PREFIX_INPUTS];
-    unsigned char op;
-} row;
-int main(void)
-{
-    static NAME_block block;
-    row r;
-    unsigned status;
-    NAME_init(&block);
-    while (fread(r.error, sizeof r.error, 1, stdin) == 1 && fread(r.current, sizeof r.current, 1, stdin) == 1 &&
-           fread(&r.speed, sizeof r.speed, 1, stdin) == 1 && fread(r.valid, sizeof r.valid, 1, stdin) == 1 &&
-           fread(&r.op, 1, 1, stdin) == 1) {
-        status = 0;
-        if (r.op == 0)
-            status = NAME_step(&block, r.error, r.valid, r.speed, r.current);
-        else if (r.op == 1)
-            NAME_track(&block, r.error, r.valid, r.speed, r.current);
-        else
-            NAME_reset(&block);
-        fwrite(r.current, sizeof r.current, 1, stdout);
-        fwrite(&status, sizeof status, 1, stdout);
-    }
-    return 0;
-}
-"""
 
 
 def small_schedule(dt: float | None = None) -> ScheduledSystem:
@@ -84,49 +49,12 @@ def block_of(schedule: ScheduledSystem, name: str = "lpv", **settings: Any) -> S
     return build_scheduled_block(deploy_scheduled(schedule, DT, DT, force=True), name, ERROR, CURRENT, **settings)
 
 
-def compiled(
-    block: ScheduledBlock, arithmetic: str, directory: Path, compiler: str, flags: list[str] | None = None
-) -> Path:  # fmt: skip
-    """The driver's executable; the compiler's complaints are the test's failure."""
-    directory.mkdir(exist_ok=True)
-    files = generate(block, arithmetic, ["A */ comment that wants out ??/", "é"])
-    for name, text in files.items():
-        (directory / name).write_text(text)
-    track = "NAME_track(&block, r.error, r.valid, r.speed, r.current);"
-    code = _DRIVER if "_track(" in files[f"{block.name}.h"] else _DRIVER.replace(track, "return 1;")
-    code = code.replace("PREFIX", block.name.upper()).replace("NAME", block.name).replace("TYPE", arithmetic)
-    (directory / "driver.c").write_text(code)
-    target = directory / f"run-{compiler}"
-    sources = [str(directory / f"{block.name}.c"), str(directory / "driver.c")]
-    driver.build(compiler, [*(["-O1", *driver.sanitizers(compiler)] if flags is None else flags), *sources, "-o", str(target)])
-    return target
-
-
 def replay(
-    program: Path,
-    arithmetic: str,
-    errors: np.ndarray,
-    speeds: np.ndarray,
-    valid: np.ndarray | None = None,
-    op: np.ndarray | None = None,
-    given: np.ndarray | None = None,
-    outputs: int = 2,
-) -> tuple[np.ndarray, np.ndarray]:
+    program: Path, arithmetic: str, errors: np.ndarray, speeds: np.ndarray, valid: np.ndarray | None = None, outputs: int = 2,
+    **signals: Any,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Currents (k, p) and status (k,) of the compiled block over errors (k, m) and speeds (k,)."""
-    count, inputs = errors.shape
-    kind = TYPES[arithmetic]
-    rows = np.zeros(count, [("e", kind, inputs), ("u", kind, outputs), ("v", kind), ("valid", "u1", inputs), ("op", "u1")])
-    with np.errstate(over="ignore", invalid="ignore"):
-        rows["e"], rows["v"] = errors, speeds
-    rows["valid"] = 1 if valid is None else valid
-    rows["op"] = 0 if op is None else op
-    if given is not None:
-        rows["u"] = given
-    done = subprocess.run([str(program)], input=rows.tobytes(), capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr.decode()[-2000:]
-    found = np.frombuffer(done.stdout, [("u", kind, outputs), ("status", "u4")])
-    assert len(found) == count
-    return found["u"].astype(float), found["status"]
+    return driver.replay(program, arithmetic, errors, valid, outputs=outputs, speeds=speeds, **signals)
 
 
 def adversarial_speeds(block: ScheduledBlock, count: int, seed: int = 0) -> np.ndarray:

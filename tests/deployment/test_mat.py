@@ -54,6 +54,7 @@ def test_mat4py_reads_the_controller(written):
         assert np.array_equal(found["continuous"][letter], getattr(deployment.source, letter))
     assert found["format"] == FORMAT
     assert found["dt"] == DT
+    assert (found["method"], found["status"]) == ("hinf", "verified")
     assert [name for (name,) in found["inputs"]] == list(block.inputs)
     assert [name for (name,) in found["outputs"]] == list(block.outputs)
     assert (found["input_unit"], found["output_unit"], found["delay_samples"]) == ("m", "A", 1)

@@ -2,8 +2,10 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -11,7 +13,7 @@ from click.testing import CliRunner
 import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.deployment.pipeline import ExportOptions, bundled_machine, export, machine_limits
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.controller_file import read_controller, write_controller
@@ -183,3 +185,70 @@ def test_limits_of_a_machine():
     errors, currents = machine_limits(load_machine("seal-rig"))
     assert np.array_equal(errors, [0.5e-3] * 4)
     assert np.array_equal(currents, [4.0] * 4)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """The seal rig at its nominal point alone, without tolerances: verified in half a second; and a controller for it."""
+    machine = load_machine("seal-rig")
+    machine = replace(machine, tolerances=(), operation=replace(machine.operation, points=machine.operation.points[:1]))
+    return machine, design(assemble(machine), "hinf")
+
+
+def test_any_system_is_verified_on_the_machine_and_written(rig, tmp_path):
+    """python-control's names mean nothing: its signals are the machine's axes in their order."""
+    machine, synthesis = rig
+    K = synthesis.controller
+    own = export(synthesis, tmp_path / "own", to="c", machine=machine)
+    foreign = export(control.ss(K.A, K.B, K.C, K.D), tmp_path / "foreign", to="c", machine=machine)
+    assert own.deployment.verified
+    assert foreign.deployment.verified
+    for name in ("controller.c", "controller_test.c", "controller_vectors.csv"):
+        assert (tmp_path / "own" / name).read_bytes() == (tmp_path / "foreign" / name).read_bytes()
+    header = (tmp_path / "foreign" / "controller.h").read_text()
+    assert "Controller given, made by ambrose" in header
+    assert "Machine    seal-rig, hash " in header
+    assert "Verified   nominal pressure: stable, sensitivity peak" in header
+    with pytest.raises(UnstableSystem, match="the sampled loop is unstable at nominal pressure"):
+        export(control.ss(K.A, K.B, -K.C, -K.D), tmp_path / "wrong", to="c", machine=machine)
+
+
+def test_a_delivery_shows_itself(rig, tmp_path):
+    machine, synthesis = rig
+    delivery = export(synthesis, tmp_path / "code", to="st", machine=machine, options=ExportOptions(name="rig", rate=20000.0))
+    assert len(repr(delivery)) < 200
+    assert repr(delivery).startswith("Delivery(target=st, verified=True, states=")
+    assert "rate_hz=2e+04, files=[rig.st, rig_test.st, rig_vectors.csv]" in repr(delivery)
+    assert "<td>rate hz</td>" in delivery._repr_html_()
+    paths = [str(tmp_path / "code" / name) for name in ("rig.st", "rig_test.st", "rig_vectors.csv")]
+    assert json.loads(json.dumps(delivery.to_dict())) == {"target": "st", "files": paths, "verified": True, "problems": []}
+    assert len(repr(delivery.deployment)) < 200
+    assert delivery.deployment.to_dict()["checks"][0]["label"] == "nominal pressure"
+
+
+@pytest.mark.parametrize(
+    ("controller", "message"),
+    [
+        ("controller.json", "the controller is a str, but must be a Synthesis or a system with A, B, C, D"),
+        (
+            control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]),
+            r"size \(outputs, inputs\) is \(1, 1\), but must be \(4, 4\) for the axes A_",
+        ),
+    ],
+)
+def test_what_is_no_controller_of_the_machine(rig, tmp_path, controller, message):
+    with pytest.raises(InvalidInput, match=message):
+        export(controller, tmp_path / "code", to="c", machine=rig[0])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rate": 0.0}, "rate is 0.0, but must be positive"),
+        ({"delay_samples": 1.5}, "delay_samples is 1.5"),
+        ({"name": "1"}, "name of"),
+    ],
+)
+def test_options_that_mean_nothing(settings, message):
+    with pytest.raises(InvalidInput, match=message):
+        ExportOptions(**settings)

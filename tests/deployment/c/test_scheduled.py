@@ -24,7 +24,6 @@ from schedule_driver import (
     GRID,
     adversarial_speeds,
     block_of,
-    compiled,
     gain_schedule,
     replay,
     small_schedule,
@@ -51,7 +50,9 @@ def test_double_agrees_with_python(make, rate, tmp_path):
     count = SAMPLES if make is small_schedule and rate else SAMPLES // 10
     e, valid, v = adversarial(block, count)
     expected = run_scheduled(block, e, v, valid)
-    found, status = replay(compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=len(block.outputs))
+    found, status = replay(
+        driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=len(block.outputs)
+    )
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
     for bit in (HELD, FAULT, LIMITED, CLAMPED, SPEED, *([BEHIND] if rate else [])):  # the samples did meet every branch
@@ -64,7 +65,7 @@ def test_clang_agrees_with_python(tmp_path):
     e, valid, v = adversarial(block, SAMPLES // 10, seed=1)
     expected = run_scheduled(block, e, v, valid)
     for flags in (None, ["-O3"]):
-        found, status = replay(compiled(block, "double", tmp_path / "c", "clang", flags), "double", e, v, valid)
+        found, status = replay(driver.compiled(block, "double", tmp_path / "c", "clang", flags), "double", e, v, valid)
         assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
         assert (status == expected.status).all()
 
@@ -76,7 +77,7 @@ def test_single_precision_stays_close(tmp_path):
         e, valid, v = adversarial(block, SAMPLES // 5)
         e, v = e.astype(np.float32).astype(float), v.astype(np.float32).astype(float)
     expected = run_scheduled(block, e, v, valid)
-    found, status = replay(compiled(block, "float", tmp_path / "c", "gcc"), "float", e, v, valid)
+    found, status = replay(driver.compiled(block, "float", tmp_path / "c", "gcc"), "float", e, v, valid)
     assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT  # stated in docs/integrator.md; limiting included
     assert (status == expected.status).all()
 
@@ -92,7 +93,7 @@ def test_a_block_as_large_as_the_machines(tmp_path):
     block = block_of(schedule)
     e, valid, v = adversarial(block, SAMPLES // 10)
     expected = run_scheduled(block, e, v, valid)
-    found, status = replay(compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=4)
+    found, status = replay(driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=4)
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
 
@@ -100,7 +101,7 @@ def test_a_block_as_large_as_the_machines(tmp_path):
 @compiler
 def test_the_code_is_continuous_at_the_grid_points_and_clamps_at_the_ends(tmp_path):
     block = block_of(small_schedule())
-    program = compiled(block, "double", tmp_path / "c", "gcc")
+    program = driver.compiled(block, "double", tmp_path / "c", "gcc")
     e = np.random.default_rng(2).uniform(-1, 1, (200, 2)) * 1e-2 * ERROR
 
     def at(speed):
@@ -174,7 +175,7 @@ def test_selftest_notices(pattern, change, tmp_path):
 def test_transfer_without_a_bump(make, arithmetic, tmp_path):
     """At grid points and between them: the step after a track gives the currents that were tracked."""
     block = block_of(make())
-    program = compiled(block, arithmetic, tmp_path / "c", "gcc")
+    program = driver.compiled(block, arithmetic, tmp_path / "c", "gcc")
     m, p = len(block.inputs), len(block.outputs)
     for speed in (GRID[0], GRID[1], 175.0, 275.0, 450.0, 700.0):
         e = np.tile(np.array([1e-5, -2e-5])[:m], (4, 1))
@@ -187,7 +188,7 @@ def test_transfer_without_a_bump(make, arithmetic, tmp_path):
 @compiler
 def test_reset_forgets_the_states_and_not_the_speed(tmp_path):
     block = block_of(small_schedule(), rate_limit=1e5)
-    program = compiled(block, "double", tmp_path / "c", "gcc")
+    program = driver.compiled(block, "double", tmp_path / "c", "gcc")
     e = np.full((6, 2), 1e-5)
     v = np.array([300.0, 300.0, np.nan, np.nan, np.nan, np.nan])
     op = np.array([0, 0, driver.RESET, 0, 0, 0])
