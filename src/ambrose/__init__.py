@@ -1,4 +1,4 @@
-"""Control of rotors on active magnetic bearings with destabilising seal forces. Read ``workflow.py`` first."""
+"""Control of rotors on active magnetic bearings with destabilising seal forces: ``import ambrose as amb``, see api.py."""
 
 from __future__ import annotations
 
@@ -7,22 +7,56 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-if TYPE_CHECKING:
-    from ambrose.core.lft import GeneralizedPlant
-    from ambrose.core.statespace import StateSpace
-    from ambrose.machine.file.toml import load_machine
-
-__all__ = ["GeneralizedPlant", "StateSpace", "__version__", "load_machine"]
-
-_HOME = {
-    "GeneralizedPlant": "ambrose.core.lft",
-    "StateSpace": "ambrose.core.statespace",
-    "load_machine": "ambrose.machine.file.toml",
+_HOME = {  # public name -> module; imported on first use, so that ``import ambrose`` stays fast
+    **dict.fromkeys(("assemble", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"),
+    **dict.fromkeys(("bundled_machines", "load_machine", "save_machine"), "machine.file.toml"),
+    **dict.fromkeys(("read_record", "write_record"), "machine.record.record"),
+    **dict.fromkeys(("read_controller", "write_controller"), "synthesis.controller_file"),
+    **dict.fromkeys(("bundled_scenarios", "load_scenario", "Scenario"), "simulation.scenario"),
+    **dict.fromkeys(("Machine", "OperatingPoint"), "machine.description"),
+    **dict.fromkeys(("RealBlock", "ComplexBlock", "FullBlock", "GeneralizedPlant"), "core.lft"),
+    **dict.fromkeys(("AmbroseError", "InvalidInput", "NumericalFailure", "UnstableSystem"), "core.checks"),
+    "Record": "machine.record.record",
+    "StateSpace": "core.statespace",
+    "Plant": "plant.model",
+    "Synthesis": "synthesis.result",
+    "Verification": "verification.verification",
+    "Trace": "simulation.trace",
+    "Identification": "identification.pipeline",
+    "ExportOptions": "deployment.pipeline",
+    "Study": "workflow",
+    "hinf_synthesis": "synthesis.hinf.synthesis",
+    "mu_synthesis": "synthesis.mu.synthesis",
+    "lpv_synthesis": "synthesis.lpv.synthesis",
+    "mu_bounds": "core.mu.bounds",
+    "hinf_norm": "core.norms",
+    "worst_case_gain": "core.worst_case.search",
+    "frequency_response": "core.frequency",
+    "perturbed": "plant.uncertainty",
 }
+
+__all__ = ["__version__", *_HOME]  # noqa: PLE0604
+
+if TYPE_CHECKING:
+    from ambrose.api import assemble as assemble
+    from ambrose.api import design as design
+    from ambrose.api import export as export
+    from ambrose.api import identify as identify
+    from ambrose.api import plot as plot
+    from ambrose.api import reduce as reduce
+    from ambrose.api import simulate as simulate
+    from ambrose.api import study as study
+    from ambrose.api import verify as verify
 
 
 def __getattr__(name: str) -> Any:
-    """Public names are imported on first use, so that ``import ambrose`` stays fast."""
+    """Public names are imported on first use."""
     if name in _HOME:
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module 'ambrose' has no attribute {name!r}")
+        item = getattr(import_module(f"ambrose.{_HOME[name]}"), name)
+        globals()[name] = item
+        return item
+    raise AttributeError(f"module 'ambrose' has no attribute {name!r}; dir(ambrose) lists what it has")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,155 @@
+"""``import ambrose as amb``: the chain through the front door, what its results show, what wrong input is answered."""
+
+import json
+import subprocess
+import sys
+
+import control
+import numpy as np
+import pytest
+
+import ambrose as amb
+
+POINT = "nominal pressure"
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return amb.load_machine("seal-rig")
+
+
+@pytest.fixture(scope="module")
+def plant(machine):
+    return amb.assemble(machine, POINT)
+
+
+@pytest.fixture(scope="module")
+def pid(machine):
+    return amb.design(machine, "pid")
+
+
+@pytest.fixture(scope="module")
+def verdict(machine, pid):
+    return amb.verify(machine, pid, points=["zero", "nominal"], tolerances=False)
+
+
+@pytest.fixture(scope="module")
+def run(machine, pid):
+    return amb.simulate(machine, pid, "impulse-parallel", linear=True)
+
+
+def test_dir_lists_the_front_door_and_nothing_else():
+    names = dir(amb)
+    assert {"assemble", "design", "verify", "simulate", "identify", "export", "study", "plot", "Machine", "StateSpace"} <= set(
+        names
+    )
+    for name in names:
+        assert getattr(amb, name) is not None
+        if callable(getattr(amb, name)):
+            assert getattr(amb, name).__doc__, name
+
+
+def test_import_is_light():
+    code = "import sys, ambrose; print([m for m in ('numpy', 'scipy', 'plotly', 'numba', 'pandas') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_operating_points_by_label_by_noun_and_by_keyword(machine):
+    by_label = amb.assemble(machine, "twice")
+    noun = next(point for point in machine.operation.points if point.label == "twice nominal pressure")
+    by_keyword = amb.assemble(machine, POINT, seal_pressure=noun.seal_pressure)
+    for other in (amb.assemble(machine, noun), by_keyword):
+        np.testing.assert_array_equal(by_label.system.A, other.system.A)
+
+
+def test_chain(machine, plant, pid, verdict, run):
+    assert pid.status == "verified"
+    assert [checks.label for checks in verdict.points] == ["zero pressure", POINT]
+    worst = verdict.worst["sensitivity.output.max"]
+    assert worst.value == max(checks["sensitivity.output.max"].value for checks in verdict.points)
+    assert run.outcome == "completed"
+    assert amb.reduce(plant).bending_modes >= 1
+    assert amb.reduce(plant, 0).bending_modes == 0
+
+
+def test_a_control_system_goes_in_and_out(machine, pid):
+    theirs = pid.controller.to_control()
+    assert isinstance(theirs, control.StateSpace)
+    np.testing.assert_array_equal(amb.StateSpace(theirs).A, pid.controller.A)
+    ours, back = (amb.verify(machine, law, points=POINT, tolerances=False) for law in (pid, theirs))
+    assert back.to_dict() == ours.to_dict()
+
+
+def test_order_of_the_signals_does_not_matter(machine, pid):
+    K, turned = pid.controller, [2, 0, 3, 1]
+    other = amb.StateSpace(
+        K.A, K.B[:, turned], K.C[turned], K.D[np.ix_(turned, turned)],
+        inputs=[K.inputs[i] for i in turned], outputs=[K.outputs[i] for i in turned], dt=K.dt,
+    )  # fmt: skip
+    first, second = (amb.verify(machine, law, points=POINT, tolerances=False) for law in (K, other))
+    assert second.passed == first.passed
+    value = first.worst["sensitivity.output.max"].value
+    assert second.worst["sensitivity.output.max"].value == pytest.approx(value, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["machine", "plant", "pid", "verdict", "run"])
+def test_results_show_themselves(name, request):
+    item = request.getfixturevalue(name)
+    assert len(repr(item)) < 200
+    assert "\n" not in repr(item)
+    assert "<table" in item._repr_html_()
+    if hasattr(item, "to_dict"):
+        json.dumps(item.to_dict())
+    figure = amb.plot(item)
+    assert figure.data
+
+
+def test_frames(verdict, run):
+    pandas = pytest.importorskip("pandas")
+    assert isinstance(verdict.to_frame(), pandas.DataFrame)
+    assert len(run.to_frame()) == run.record.values.shape[1]
+
+
+WRONG = [
+    (lambda m, c: amb.load_machine("seal-rigg"), "seal-rig"),
+    (lambda m, c: amb.load_machine(3), "machine"),
+    (lambda m, c: amb.assemble(m, "no such point"), "nominal pressure"),
+    (lambda m, c: amb.assemble(m, 7), "operating point"),
+    (lambda m, c: amb.assemble(m, speeed=3.0), "speed"),
+    (lambda m, c: amb.reduce(m), "assemble"),
+    (lambda m, c: amb.design(m, "pidd"), "pid"),
+    (lambda m, c: amb.design(m, 3), "method"),
+    (lambda m, c: amb.verify(m, "no-such.json"), "no-such.json"),
+    (lambda m, c: amb.verify(m, 3), "controller"),
+    (lambda m, c: amb.verify(m, np.eye(4)), "controller"),
+    (lambda m, c: amb.verify(m, control.ss([], [], [], np.eye(3))), "(4, 4)"),
+    (lambda m, c: amb.verify(m, c, points="elsewhere"), "nominal pressure"),
+    (lambda m, c: amb.simulate(m, c, "levitatoin"), "levitation"),
+    (lambda m, c: amb.simulate(m, None), "controller"),
+    (lambda m, c: amb.identify(m, []), "record"),
+    (lambda m, c: amb.identify(m, 3, c), "record"),
+    (lambda m, c: amb.identify(m, "no-such.h5", c), "no-such.h5"),
+    (lambda m, c: amb.export(c, "somewhere", to="fortran"), "c"),
+    (lambda m, c: amb.plot(3), "plot"),
+    (lambda m, c: amb.StateSpace(3), "A"),
+    (lambda m, c: amb.read_record(3), "record"),
+    (lambda m, c: amb.read_controller(3), "controller"),
+    (lambda m, c: amb.save_machine(3, "m.toml"), "machine"),
+    (lambda m, c: amb.write_controller("c.json", 3), "controller"),
+    (lambda m, c: amb.study(3), "machine"),
+    (lambda m, c: amb.hinf_synthesis(3), "plant"),
+    (lambda m, c: amb.mu_bounds("x", []), "M"),
+    (lambda m, c: amb.hinf_norm("x"), "system"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(WRONG)))
+def test_wrong_input_is_answered_in_one_sentence(number, machine, pid, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    call, word = WRONG[number]
+    with pytest.raises(amb.InvalidInput) as refusal:
+        call(machine, pid)
+    message = str(refusal.value)
+    assert word in message
+    assert "\n" not in message
+    assert len(message) < 500
