@@ -191,8 +191,8 @@ def _deploy(
         fixed = deploy(synthesis, dt, delay, plants=plants, **how)
         return fixed, build_block(fixed, options.name, *limits, **guards)
     over = deploy_scheduled(synthesis, dt, delay, machine=machine, **how)
-    speeds: dict[str, Any] = {"speed_limit": options.speed_limit, "rate_limit": options.speed_rate}
-    return over, build_scheduled_block(over, options.name, *limits, **guards, **speeds)
+    guards |= {"speed_limit": options.speed_limit, "rate_limit": options.speed_rate}
+    return over, build_scheduled_block(over, options.name, *limits, **guards)
 
 
 def _files(
