@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
 from ambrose.machine.file import update
+from ambrose.machine.file.json_schema import machine_schema
 from ambrose.machine.file.table import Table
 from ambrose.machine.file.tables import MachineFile, table_below
 from ambrose.machine.file.toml import (
@@ -28,7 +29,6 @@ from ambrose.machine.file.toml import (
     load_machine,
     loads_machine,
     machine_hash,
-    machine_schema,
 )
 from ambrose.machine.file.update import save_machine
 from ambrose.machine.machine import Machine

@@ -16,11 +16,11 @@ def machines(as_json: bool) -> None:
     """List the bundled machines."""
     from ambrose.machine.file.toml import bundled_machines, load_machine
 
-    found = {name: load_machine(name).description for name in bundled_machines()}
+    descriptions = {name: load_machine(name).description for name in bundled_machines()}
     if as_json:
-        click.echo(json.dumps(found))
+        click.echo(json.dumps(descriptions))
         return
-    print_table("Bundled machines", ("name", "what it is"), list(found.items()))
+    print_table("Bundled machines", ("name", "what it is"), list(descriptions.items()))
 
 
 @click.command()
@@ -30,11 +30,11 @@ def check(machine: str, as_json: bool) -> None:
     """Validate a machine file; mass, bending frequencies, open-loop poles and model sizes."""
     from ambrose.stages.plants import facts
 
-    found = facts(load(machine))
+    known = facts(load(machine))
     if as_json:
-        click.echo(json.dumps(found))
+        click.echo(json.dumps(known))
         return
-    print_table(f"{found['machine']}: {found['description']}", ("quantity", "value"), _facts_in_words(found))
+    print_table(f"{known['machine']}: {known['description']}", ("quantity", "value"), _facts_in_words(known))
 
 
 def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:

@@ -37,11 +37,11 @@ def suggestion(word: str, known: Iterable[str], nothing: str = "there is none") 
     return f"known: {', '.join(names)}" if names else nothing
 
 
-def listed(name: str, found: Sequence[str]) -> str:
+def listed(name: str, problems: Sequence[str]) -> str:
     """One message out of one problem or many."""
-    if len(found) == 1:
-        return f"{name}: {found[0]}"
-    return "\n  - ".join([f"{name} has {len(found)} problems:", *found])
+    if len(problems) == 1:
+        return f"{name}: {problems[0]}"
+    return "\n  - ".join([f"{name} has {len(problems)} problems:", *problems])
 
 
 def complaint(where: str, key: str, value: object, requirement: str, remedy: str) -> str:

@@ -18,8 +18,8 @@ from ambrose.machine.machine import Machine
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
-def editor_schema() -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of a machine file: every table and key with its meaning, form and default."""
+def machine_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a machine file, for editors: every table and key with its meaning, form and default."""
     made: dict[str, Any] = tidy_schema(MachineFile.model_json_schema(by_alias=True))
     tables: dict[str, Any] = made.pop("$defs")
     for model in Table.__subclasses__():
@@ -70,4 +70,4 @@ def write_schema(schema: dict[str, Any], path: str | os.PathLike[str]) -> None:
 
 
 if __name__ == "__main__":  # python -m ambrose.machine.file.json_schema docs/machine.schema.json
-    write_schema(editor_schema(), sys.argv[1])
+    write_schema(machine_schema(), sys.argv[1])

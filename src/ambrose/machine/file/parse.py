@@ -73,8 +73,8 @@ def _reasons(table: Mapping[str, Any], above: str = "") -> tuple[tuple[tuple[str
     complaints: list[str] = []
     for key, value in table.items():
         if isinstance(value, Mapping):
-            more, wrong = _reasons(value, f"{above}{key}.")
-            pairs += more
+            inner, wrong = _reasons(value, f"{above}{key}.")
+            pairs += inner
             complaints += wrong
         elif isinstance(value, str):
             pairs.append((f"{above}{key}", value))

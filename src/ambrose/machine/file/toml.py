@@ -66,13 +66,6 @@ def machine_hash(machine: Machine) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-def machine_schema() -> dict[str, Any]:
-    """The JSON schema of machine files, for editors that complete and check TOML while it is typed."""
-    from ambrose.machine.file.json_schema import editor_schema
-
-    return editor_schema()
-
-
 def read_machine_text(file: Any) -> str:
     """The text of a machine file (its path), or of the bundled machine of that name. Raises InvalidInput."""
     if not isinstance(file, (str, os.PathLike)):

@@ -184,13 +184,13 @@ def _update_entries(table: Any, key: str, model: type[Model], whole: Sequence[_P
 
 def _identities(entries: Sequence[Any], model: type[Model]) -> Iterator[tuple[Any, int]]:
     """What tells entries apart: the value of the model's key for it, and how often it occurred before."""
-    seen: dict[Any, int] = {}
+    occurrences: dict[Any, int] = {}
     for entry in entries:
         value = _plain(entry.get(model.identity))
         if model.identity and (dimension := _dimension(model, model.identity, {})):
             value = Quantity(dimension).read(value)
-        seen[value] = seen.get(value, -1) + 1
-        yield value, seen[value]
+        occurrences[value] = occurrences.get(value, -1) + 1
+        yield value, occurrences[value]
 
 
 def _reorder(listed: Any, entries: Sequence[Any], wanted: Sequence[int | None], given: Sequence[_Plain]) -> None:

@@ -29,13 +29,13 @@ def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str 
     if not isinstance(columns, ColumnMap):
         columns = read_columns(columns) if isinstance(columns, Mapping) else load_columns(columns)
     with variables_of(path) as find:
-        found = [find(column.source) for column in columns.columns]
+        variables = [find(column.source) for column in columns.columns]
         time = None if columns.time is None else find(columns.time.source)
-        _check_lengths(columns, found, time)
-        rate, start = _timing(columns, found, time)
-        values = np.empty((len(found), len(found[0].values)))
+        _check_lengths(columns, variables, time)
+        rate, start = _timing(columns, variables, time)
+        values = np.empty((len(variables), len(variables[0].values)))
         units = []
-        for row, column, variable in zip(values, columns.columns, found, strict=True):
+        for row, column, variable in zip(values, columns.columns, variables, strict=True):
             row[:], unit = _converted(column, variable, lambda sample: f" (t = {start + sample / rate:g} s)")
             units.append(unit)
     values.flags.writeable = False
@@ -43,8 +43,8 @@ def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str 
     return Record(columns.machine, rate, names, tuple(units), values, columns.point, start, columns.notes)
 
 
-def _check_lengths(columns: ColumnMap, found: list[Variable], time: Variable | None) -> None:
-    lengths = {column.source: len(variable.values) for column, variable in zip(columns.columns, found, strict=True)}
+def _check_lengths(columns: ColumnMap, variables: list[Variable], time: Variable | None) -> None:
+    lengths = {column.source: len(variable.values) for column, variable in zip(columns.columns, variables, strict=True)}
     if columns.time is not None and time is not None:
         lengths[columns.time.source] = len(time.values)
     if len(set(lengths.values())) > 1:
@@ -52,7 +52,7 @@ def _check_lengths(columns: ColumnMap, found: list[Variable], time: Variable | N
             "the numbers of samples", lengths, "the same for all signals", "leave out those sampled otherwise, or resample them"
         )
     k = next(iter(lengths.values()))
-    if k == 0 or k * len(found) > LARGEST:
+    if k == 0 or k * len(variables) > LARGEST:
         raise invalid("the number of samples", k, f"at least 1, and at most {LARGEST} values in all", "choose other variables")
 
 
@@ -71,7 +71,7 @@ def _converted(column: Column, variable: Variable, moment: Callable[[int], str])
     return si_values(column.name, unit, column.scale * raw.astype(float) + column.offset)
 
 
-def _timing(columns: ColumnMap, found: list[Variable], time: Variable | None) -> tuple[float, float]:
+def _timing(columns: ColumnMap, variables: list[Variable], time: Variable | None) -> tuple[float, float]:
     """Sample rate [Hz] and time of the first sample [s]; every source that states the rate must agree."""
     stated: list[tuple[str, float]] = []
     start = 0.0
@@ -84,7 +84,7 @@ def _timing(columns: ColumnMap, found: list[Variable], time: Variable | None) ->
         except InvalidInput as error:
             raise InvalidInput(f"the time column {columns.time.source}: {error}") from error
         start = float(seconds[0])
-    for column, variable in zip(columns.columns, found, strict=True):
+    for column, variable in zip(columns.columns, variables, strict=True):
         if variable.rate is not None:
             stated.append((f"the channel {column.source}", variable.rate))
     if not stated:

@@ -133,7 +133,7 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
 
     def note(entry: Any) -> bool:
         doubts.append(entry.getMessage())
-        return False  # said in an exception, not on the screen
+        return False  # reported in an exception, not on the screen
 
     def find(name: str) -> Variable:
         if doubts:  # a file cut within its last channels still has the others in full
@@ -163,8 +163,8 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
 
 
 def _unknown(name: str, known: list[str], kind: str) -> InvalidInput:
-    more = f" and {len(known) - _SHOWN} more" if len(known) > _SHOWN else ""
+    rest = f" and {len(known) - _SHOWN} rest" if len(known) > _SHOWN else ""
     hint = suggestion(name, known, "")
-    listed = f"it has {', '.join(known[:_SHOWN])}{more}" if known else f"there is no {kind} at that place"
+    listed = f"it has {', '.join(known[:_SHOWN])}{rest}" if known else f"there is no {kind} at that place"
     close = f"; {hint}" if hint.startswith("did you mean") else ""
     return InvalidInput(f"there is no {kind} {name!r} in the file; {listed}{close}")

@@ -36,9 +36,9 @@ class InvalidMachine(InvalidInput):
 
 def check_machine(machine: MachineDescription) -> None:
     """Raises InvalidMachine, an InvalidInput with one line per problem, if there is any."""
-    found = problems(machine)
-    if found:
-        raise InvalidMachine(f'machine "{machine.name}"', found)
+    lines = problems(machine)
+    if lines:
+        raise InvalidMachine(f'machine "{machine.name}"', lines)
 
 
 def problems(machine: MachineDescription) -> tuple[str, ...]:
@@ -93,15 +93,15 @@ def _attachments(machine: MachineDescription) -> Iterator[tuple[str, str, float]
 
 
 def _names(machine: MachineDescription) -> Iterator[str]:
-    seen: dict[str, str] = {}
+    tables: dict[str, str] = {}
     for table, name, _ in _attachments(machine):
         if not _NAME.fullmatch(name):
             requirement = "a letter, then letters, digits, _ or -"
             yield complaint(f"[[{table}]]", "name", shown(name), requirement, "signals and files are named after it")
-        elif name in seen:
+        elif name in tables:
             remedy = "give every attachment its own name"
-            yield f'[[{table}]] {name}: name "{name}" is taken by a [[{seen[name]}]] already; {remedy}'
-        seen.setdefault(name, table)
+            yield f'[[{table}]] {name}: name "{name}" is taken by a [[{tables[name]}]] already; {remedy}'
+        tables.setdefault(name, table)
 
 
 def _places(machine: MachineDescription) -> Iterator[str]:
@@ -193,11 +193,11 @@ def _operation(machine: MachineDescription) -> Iterator[str]:
 
 
 def _tolerances(machine: MachineDescription) -> Iterator[str]:
-    found: list[Parameter] = []
+    uncertain: list[Parameter] = []
     for i, tolerance in enumerate(machine.tolerances):
         where = f"[[tolerance]] {i + 1}"
         try:
-            found.append(find_uncertain(machine, tolerance.parameter))
+            uncertain.append(find_uncertain(machine, tolerance.parameter))
         except InvalidInput as error:
             yield f"{where}: {error}"
         named = f"{where} {tolerance.parameter}"
@@ -206,7 +206,7 @@ def _tolerances(machine: MachineDescription) -> Iterator[str]:
             yield f"{named}: {both} given; give one of the two"
         widths = (("relative", tolerance.relative, ""), ("absolute", tolerance.absolute, ""))
         yield from not_positive(named, "give the half-width, or remove the tolerance", *widths)
-    for one, other in combinations(found, 2):
+    for one, other in combinations(uncertain, 2):
         if one.overlaps(other):
             yield (
                 f'[[tolerance]]: parameters "{one.path}" and "{other.path}" are the same number; '
