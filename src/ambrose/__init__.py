@@ -9,13 +9,15 @@ __version__ = "0.1.0"
 
 _HOME = {  # public name -> module; imported on first use, so that ``import ambrose`` stays fast
     **dict.fromkeys(("assemble", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"),
-    **dict.fromkeys(("bundled_machines", "load_machine", "save_machine"), "machine.file.toml"),
-    **dict.fromkeys(("read_record", "write_record"), "machine.record.record"),
+    **dict.fromkeys(("bundled_machines", "load_machine"), "machine.file.toml"),
+    **dict.fromkeys(("read_record", "write_record"), "machine.record.files"),
     **dict.fromkeys(("read_controller", "write_controller"), "synthesis.controller_file"),
     **dict.fromkeys(("bundled_scenarios", "load_scenario", "Scenario"), "simulation.scenario"),
-    **dict.fromkeys(("Machine", "OperatingPoint"), "machine.description"),
     **dict.fromkeys(("RealBlock", "ComplexBlock", "FullBlock", "GeneralizedPlant"), "core.lft"),
     **dict.fromkeys(("AmbroseError", "InvalidInput", "NumericalFailure", "UnstableSystem"), "core.checks"),
+    "Machine": "machine.machine",
+    "OperatingPoint": "machine.description",
+    "save_machine": "machine.file.update",
     "Record": "machine.record.record",
     "StateSpace": "core.statespace",
     "Plant": "plant.model",

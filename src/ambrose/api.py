@@ -24,7 +24,8 @@ from ambrose.core.checks import InvalidInput
 if TYPE_CHECKING:
     from ambrose.deployment.pipeline import Delivery, ExportOptions
     from ambrose.identification.pipeline import Identification
-    from ambrose.machine.description import Machine, OperatingPoint
+    from ambrose.machine.description import OperatingPoint
+    from ambrose.machine.machine import Machine
     from ambrose.plant.model import Plant
     from ambrose.simulation.trace import Trace
     from ambrose.synthesis.result import Synthesis
