@@ -33,11 +33,11 @@ from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.report.comparison.campaign import Condition, campaign_report
 from ambrose.report.page import Report, write
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis.pid import pid_controller
+from benchmarks.campaign_page import Condition, campaign_report
 
 DT = 1e-4
 BIASES = (6.0, 8.0, 10.0)

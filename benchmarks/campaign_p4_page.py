@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ambrose.identification.frf.spectral import Frf
 from ambrose.machine.machine import Machine
+from ambrose.report import theme, units
 from ambrose.report.figures import seals as seal_figures
+from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Figure, Report, Section
+from ambrose.verification.checks import Curve
 from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Impulses, Stepped, Swept, truth
 
 GREEK = {"zeta": "ζ", "eta": "η"}
@@ -69,9 +74,21 @@ def _resonance(sines: Stepped) -> Section:
     return Section("One constant model for all frequencies", text, tuple(figures))
 
 
+def _beside(i: int, axis: str, time: np.ndarray, *responses: np.ndarray) -> tuple[tuple[str, Curve], ...]:
+    """The measured and the modelled displacement of one axis; time (k,) [s], responses (p, k) [m]."""
+    return tuple(
+        (label, Curve("impulse", "", "time", time, values[i : i + 1], (axis,), "s", "m"))
+        for label, values in zip(("measured", "identified model"), responses, strict=True)
+    )
+
+
 def _pressure(machine: Machine, pulses: Impulses) -> Section:
     shown = {f"{p / BAR:.2f} bar": r for p, r in pulses.responses.items() if round(p / BAR, 2) in (0.95, 1.9)}
-    overlay = seal_figures.overlay_figure(shown, machine.axes, drive=(0.05, 0.06))
+    rows = [
+        [Panel(units.axis_name(axis), _beside(i, axis, *responses), side=title) for i, axis in enumerate(machine.axes)]
+        for title, responses in shown.items()
+    ]
+    overlay, _ = panel_figure(rows, theme.overlay_styles(("measured", "identified model")), height=190)
     lines = seal_figures.pressure_figure(pulses.fit, pulses.lines, nominal=NOMINAL, truth=truth)
     return Section(
         "Seal over pressure, from impulses",

@@ -16,7 +16,7 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.deployment.c.compiler import has_compiler
-from ambrose.evaluation import Candidate
+from ambrose.evaluation import evaluate, full_plants, verify_points
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.record.files import read_record
@@ -26,9 +26,6 @@ from ambrose.report.commissioning import commissioning_section
 from ambrose.report.page import Report
 from ambrose.stages import commissioning as stage
 from ambrose.stages.commissioning import commission, compile_controller
-from ambrose.stages.plants import full_plants
-from ambrose.stages.proof import verification
-from ambrose.stages.trials import simulations
 from ambrose.synthesis.controller_file import read_controller
 from ambrose.synthesis.pid import pid_synthesis
 
@@ -105,7 +102,7 @@ def test_the_compiled_code_holds_the_rig_at_every_point(commissioned, machine):
 
 def test_it_is_judged_as_it_runs(commissioned):
     """The checks are of the sampled loop with its delay, not of the continuous design, whose sensitivity is lower."""
-    continuous = verification(full_plants(commissioned.machine), commissioned.candidate.synthesis.controller, lambda text: None)
+    continuous = verify_points(full_plants(commissioned.machine), commissioned.candidate.synthesis.controller)
     for found, sampled, other in zip(commissioned.candidate.checks, commissioned.deployment.checks, continuous, strict=True):
         value = found["sensitivity.output.max"].value
         assert value == pytest.approx(sampled["sensitivity.output.max"].value, rel=1e-9)
@@ -121,7 +118,7 @@ def test_a_second_run_takes_the_controller_up(commissioned, plants, reference, d
     monkeypatch.setattr("ambrose.stages.control.design", never)
     monkeypatch.setattr(stage, "compile_controller", lambda known, place, progress: (commissioned.deployment, known[0], ()))
     monkeypatch.setattr(stage, "read_running_law", lambda program, deployment: (deployment.controller, None))
-    monkeypatch.setattr(stage, "examined", lambda plants, known, synthesis, *rest: synthesis)
+    monkeypatch.setattr(stage, "evaluate", lambda name, synthesis, *rest, **options: synthesis)
     again = commission(plants, reference, directory, lambda text: None)
     assert machine_hash(again.machine) == machine_hash(commissioned.machine)
     np.testing.assert_array_equal(again.candidate.controller.A, commissioned.candidate.synthesis.controller.A)
@@ -160,10 +157,8 @@ def test_a_controller_unstable_over_the_tolerances_is_not_run(commissioned, dire
 
 @pytest.fixture(scope="module")
 def section(commissioned, plants, reference):
-    controller = reference.controller
-    checks = verification(plants, controller, lambda text: None)
-    traces = simulations(plants, controller, lambda text: None)
-    candidate = Candidate("PID", reference, checks, None, traces)
+    exact = tuple(replace(plant, machine=replace(plant.machine, tolerances=())) for plant in plants)
+    candidate = evaluate("PID", reference, exact)
     return commissioning_section(
         commissioned.identification,
         candidate,
@@ -192,9 +187,7 @@ def test_section_says_what_was_found(section, commissioned, machine):
 
 
 def test_results_are_plain_data(commissioned):
-    from ambrose.workflow import commissioned_results
-
-    found = json.loads(json.dumps(commissioned_results(commissioned), default=str))
+    found = json.loads(json.dumps(commissioned.to_dict()))
     assert found["compiled"] is commissioned.from_code
     assert found["rig"] == dict.fromkeys(LABELS, "completed")
     assert [point["label"] for point in found["sampled"]] == [*LABELS, "over the tolerances, sampled"]

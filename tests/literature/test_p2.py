@@ -4,7 +4,8 @@ A short form (two repeats, 0.6 s, few loads) of `python -m benchmarks.campaign_p
 docs/reproduction.md.
 """
 
-import importlib.util
+import importlib
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -18,18 +19,17 @@ from ambrose.physics import magnet
 from ambrose.simulation import virtual_rig
 
 pytestmark = pytest.mark.literature
-FOLDER = Path(__file__).parents[2] / "benchmarks"
 
 
 @pytest.fixture(scope="module")
 def p2():
     """The campaign's module, which is a command and not part of the package."""
-    import sys
-
-    spec = importlib.util.spec_from_file_location("campaign_p2", FOLDER / "campaign_p2.py")
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    root = str(Path(__file__).parents[2])
+    sys.path.insert(0, root)
+    try:
+        return importlib.import_module("benchmarks.campaign_p2")
+    finally:
+        sys.path.remove(root)
 
 
 @pytest.fixture(scope="module")

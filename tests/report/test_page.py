@@ -65,16 +65,12 @@ class Page(HTMLParser):
 def report(
     machine: Machine,
     verifications: list[Checks],
-    shapes: tuple[np.ndarray, np.ndarray],
     responses: list[tuple[str, Curve]],
     comparison: list[tuple[str, Curve]],
 ) -> Report:
     return verification_report(
         machine,
         verifications,
-        node_positions=np.linspace(0, machine.length, 40),
-        shapes=shapes[0],
-        frequencies=shapes[1],
         models=[("full model", "320 states"), ("reduced model", "8 states")],
         responses=responses,
         comparison=comparison,

@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import to_statespace
+from ambrose.evaluation import simulate_linear
 from ambrose.machine.description import ShaftSection
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
@@ -32,7 +33,6 @@ from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.simulation import linear
 from ambrose.simulation.run_up import spin_up
 from ambrose.simulation.scenario import Pulse, Scenario, Unbalance
-from ambrose.stages.trials import simulation
 from ambrose.synthesis.pid import pid_controller
 
 LOW, HIGH, KNOT = 60.0, 2800.0, 1500.0  # rad/s; of the table
@@ -180,13 +180,10 @@ def test_poles_of_a_seal_with_states_are_common_to_all_speeds():
     np.testing.assert_array_equal(dynamics[0], dynamics[1])
 
 
-def test_the_linear_trial_of_a_run_up_changes_the_plant_with_the_speed(monkeypatch):
-    from ambrose.stages import trials as trial
-
+def test_the_linear_simulation_of_a_run_up_changes_the_plant_with_the_speed():
     short = replace(RUN_UP, duration=0.05, pulses=(Pulse("f_A_zeta", 50.0, 0.01),))
-    monkeypatch.setattr(trial, "load_scenario", lambda name: short)
     plant = assemble(machine("table"), at("table", 900.0).point)
-    found = simulation(plant, controller("table"), "short")
+    found = simulate_linear(plant, controller("table"), short)
     np.testing.assert_array_equal(found.record.values, spin_up(plant, controller("table"), short).record.values)
     held = linear.run(closed_loop(plant, controller("table")), short)
     assert error(held, found.record.select(OUTPUTS).values) > 0.01

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -40,37 +41,19 @@ def simulate(
 
     An *.h5 record of the rig grows while it runs, as *.partial.h5, which stays readable when the run is interrupted.
     """
-    from ambrose.machine.parameters import operating_point
+    from ambrose.evaluation import simulate_scenario
     from ambrose.machine.record.files import write_record
-    from ambrose.plant.assemble import assemble
-    from ambrose.simulation import virtual_rig
-    from ambrose.simulation.scenario import load_scenario
-    from ambrose.stages.trials import simulation
     from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)
-    controller = read_controller(path).law
+    controller = read_controller(path)
+    growing = not linear and output.suffix.lower() != ".csv"
+    options: dict[str, Any] = {} if second is None else {"second": read_controller(second)}
+    if not linear:
+        options |= {"bending_modes": bending_modes, "seed": seed, "path": output if growing else None}
     with progress_shown(as_json) as progress:
-        if linear:
-            progress("assembling the plant")
-            nominal = description.operation.nominal
-            plant = assemble(description, nominal if point is None else operating_point(description, point))
-            progress(f"simulating {scenario}")
-            trace = simulation(plant, controller, scenario)
-        else:
-            progress(f"running {scenario} on the virtual rig (the first run on a computer compiles it, half a minute)")
-            trace = virtual_rig.run(
-                description,
-                controller,
-                load_scenario(scenario),
-                second=None if second is None else read_controller(second).law,
-                point=None if point is None else operating_point(description, point),
-                bending_modes=bending_modes,
-                seed=seed,
-                path=None if output.suffix.lower() == ".csv" else output,
-                progress=progress,
-            )
-    if linear or output.suffix.lower() == ".csv":
+        trace = simulate_scenario(description, controller, scenario, point=point, linear=linear, progress=progress, **options)
+    if not growing:
         write_record(trace.record, output)
     if report is not None:
         from ambrose.report.page import write

@@ -18,26 +18,29 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prin
 @AS_JSON
 def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
     """The whole chain: every controller the machine file allows, verified, simulated and compared in report.html."""
-    from ambrose import workflow as study
     from ambrose.report.tables import verdict
+    from ambrose.workflow import study
 
     description = load(machine)
     directory = output or Path(f"study-{description.name}")
     with progress_shown(as_json) as progress:
-        result = study.run(description, directory, progress)
+        result = study(description, directory, progress)
     report = directory / "report.html"
     if as_json:
-        click.echo(json.dumps({**study.results(result), "report": str(report)}))
+        click.echo(json.dumps({**result.to_dict(), "report": str(report)}))
     else:
         rows = [(name, "design", why) for name, why in result.failed]
         marks = ["red"] * len(rows)
         for candidate in result.candidates:
-            for checks in [*candidate.checks, *([candidate.robust] if candidate.robust else [])]:
+            for checks in candidate.verifications:
                 label = "over all tolerances" if checks is candidate.robust else checks.label
                 rows.append((candidate.name, label, verdict(checks).text))
                 marks.append("" if checks.passed else "red")
                 if everything:
                     print_checks(checks, everything)
+            for label in candidate.left_out:
+                rows.append((candidate.name, label, "left out: its schedule does not cover this point"))
+                marks.append("red")
         print_table(f"{description.name}: {len(result.candidates)} controllers", ("controller", "at", "verdict"), rows, marks)
         click.echo(f"Most checks are met by {result.best.name}. Report: {report}")
     sys.exit(0 if result.passed else 1)

@@ -56,7 +56,7 @@ def synthesize(
 ) -> None:
     """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.stages.plants import plant_at
+    from ambrose.evaluation import plant_at
     from ambrose.synthesis.controller_file import write_controller
     from ambrose.synthesis.design import design
     from ambrose.synthesis.options import DesignOptions

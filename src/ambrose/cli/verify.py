@@ -18,30 +18,21 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prog
 @AS_JSON
 def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all its tolerances."""
-    from ambrose.core.checks import invalid
-    from ambrose.stages.plants import full_plants
-    from ambrose.stages.proof import over_tolerances, verification
-    from ambrose.synthesis.controller_file import match_controller, read_controller
+    from ambrose.evaluation import verify_controller
+    from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)
-    file = read_controller(path)
-    controller = file.law
+    controller = read_controller(path)
     with progress_shown(as_json) as progress:
-        plants = full_plants(description)
-        if file.scheduled is not None:
-            low, high = file.scheduled.range
-            plants = tuple(plant for plant in plants if low <= plant.point.speed <= high)
-            if not plants:
-                raise invalid(
-                    "the scheduled range", f"{low:g} to {high:g} rad/s", "one with an operating point of the machine in it",
-                    "design over the machine's own speeds",
-                )  # fmt: skip
-        points = verification(plants, controller, progress)
-        over_box = over_tolerances(plants[0], match_controller(controller, plants[0]), points[0].stable, progress)
+        result = verify_controller(description, controller, progress=progress)
+    box = result.tolerances
     if as_json:
-        found = {"points": [r.to_dict() for r in points], "robust": over_box.to_dict() if over_box else None}
-        click.echo(json.dumps({"machine": description.name, **found}))
+        points = {"points": [checks.to_dict() for checks in result.points], "robust": box.to_dict() if box else None}
+        left_out = {"left_out": list(result.left_out)} if result.left_out else {}
+        click.echo(json.dumps({"machine": description.name, **points, **left_out}))
     else:
-        for result in [*points, *([over_box] if over_box else [])]:
-            print_checks(result, everything)
-    sys.exit(0 if all(r.passed for r in points) and (over_box is None or over_box.passed) else 1)
+        for checks in [*result.points, *([box] if box else [])]:
+            print_checks(checks, everything)
+        for label in result.left_out:
+            click.echo(f"{label}: left out, the schedule does not cover this operating point")
+    sys.exit(0 if result.passed else 1)

@@ -11,7 +11,7 @@ from ambrose.identification.result import LoopIdentification
 from ambrose.report import tables, units
 from ambrose.report.identification.figures import change_figure
 from ambrose.report.identification.tables import findings_table, parameters_table
-from ambrose.report.page import Cell, Figure, Section, Table
+from ambrose.report.page import Cell, Figure, Row, Section, Table
 from ambrose.simulation.trace import Trace
 
 _WORDS = (
@@ -39,16 +39,16 @@ def commissioning_section(
 
     from_code: whether the rig ran compiled code (otherwise its law in Python).
     """
-    found = [
+    shown = [
         _rig_table(reference, commissioned, points, "compiled C code" if from_code else "its law in Python"),
         tables.named_table("The code", deployed, ("What", "")),
         _verdict(checked),
     ]
-    found.append(parameters_table(checked.result))
+    shown.append(parameters_table(checked.result))
     if checked.doubts:
-        found.append(findings_table(checked.doubts))
+        shown.append(findings_table(checked.doubts))
     figures = (Figure("What the record changed", change_figure(checked.result), _CHANGE),)
-    return Section("Commissioned on the rig", _WORDS, figures, tuple(found), True)
+    return Section("Commissioned on the rig", _WORDS, figures, tuple(shown), True)
 
 
 def _verdict(checked: LoopIdentification) -> Table:
@@ -59,7 +59,7 @@ def _verdict(checked: LoopIdentification) -> Table:
 
 
 def _rig_table(reference: Candidate, commissioned: Candidate, points: Sequence[str], program: str) -> Table:
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[Row] = []
     for point in points:
         pair = [_on_the_rig(candidate, point) for candidate in (reference, commissioned)]
         if any(trace is not None for trace in pair):

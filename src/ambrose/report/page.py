@@ -6,7 +6,7 @@
 The nouns are generic; a study fills them as it likes:
     Report    title, machine, sections, verdicts (label, passed, text), facts (name, text) for the head
     Section   title, text (paragraphs separated by an empty line), figures, tables
-    Figure    a plotly figure (plots.figure, plots.rotor_drawing) and a caption that says what to look at
+    Figure    a plotly figure (plots.figure, rotor_drawing.machine_drawing) and a caption that says what to look at
     Table     title, columns, rows of text or Cell; Cell("4.1", "fail") carries a verdict as colour AND symbol
 ``verification.verification_report`` builds the standard report of a verified loop from Checks, ``verification.curve_figures``
 the figures of many curves, ``traces.trace_curves`` the curves of a simulation, ``tables`` the tables. All text is plain text:
@@ -52,6 +52,14 @@ class Cell:
         return MARKS[self.mark]
 
 
+Row = tuple[str | Cell, ...]
+
+
+def numbers(*texts: str) -> tuple[Cell, ...]:
+    """Right-aligned cells."""
+    return tuple(Cell(text, "number") for text in texts)
+
+
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table with its heading; every row as long as ``columns``; ``note`` stands beneath it. Raises InvalidInput.
@@ -62,7 +70,7 @@ class Table:
 
     title: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[str | Cell, ...], ...]
+    rows: tuple[Row, ...]
     note: str = ""
     widths: tuple[int, ...] = ()
     groups: tuple[tuple[str, int], ...] = ()
@@ -88,8 +96,7 @@ class Table:
     @property
     def starts(self) -> tuple[int, ...]:
         """The columns at which a group begins, the first one left out."""
-        found = [sum(span for _, span in self.groups[:i]) for i in range(1, len(self.groups))]
-        return tuple(found)
+        return tuple(sum(span for _, span in self.groups[:i]) for i in range(1, len(self.groups)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

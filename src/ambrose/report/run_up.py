@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
+from ambrose.evaluation import RunUp
 from ambrose.report import theme, units
 from ambrose.report.figures.panels import Panel, panel_figure
-from ambrose.report.page import Cell, Figure, Section, Table
+from ambrose.report.page import Cell, Figure, Row, Section, Table, numbers
 from ambrose.simulation.run_up import Step
 from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Curve
@@ -21,33 +21,16 @@ _WORDS = (
 )
 
 
-class RunUp(Protocol):
-    """What the section needs of one controller's run-up."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def linear(self) -> Trace: ...
-    @property
-    def rig(self) -> Trace: ...
-    @property
-    def linear_steps(self) -> tuple[Step, ...]: ...
-    @property
-    def rig_steps(self) -> tuple[Step, ...]: ...
-
-
 def run_up_section(runs: Sequence[RunUp], limit: float | None) -> Section:
     """runs: one per controller, in order; limit [s]: the settling time asked for (None: no verdict)."""
-    return Section("Run-up", _WORDS, (_figure(runs),), (_table(runs, limit),))
+    return Section("Run-up", _WORDS, (run_up_figure(runs),), (_table(runs, limit),))
 
 
 def _table(runs: Sequence[RunUp], limit: float | None) -> Table:
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[Row] = []
     for k, step in enumerate(runs[0].linear_steps):
-        cells = [_settling(found[k], limit) for run in runs for found in (run.linear_steps, run.rig_steps) if k < len(found)]
-        rows.append(
-            (Cell(units.quantity(step.start, "s"), "number"), Cell(units.quantity(step.speed, "rad/s"), "number"), *cells)
-        )
+        cells = [_settling(steps[k], limit) for run in runs for steps in (run.linear_steps, run.rig_steps) if k < len(steps)]
+        rows.append((*numbers(units.quantity(step.start, "s"), units.quantity(step.speed, "rad/s")), *cells))
     columns = ("Step at", "Speed", *("Linear", "Rig") * len(runs))
     groups = (("", 2), *((f"{run.name}, settles in", 2) for run in runs))
     note = "" if limit is None else f"Asked for: {units.quantity(limit, 's')}."
@@ -60,7 +43,8 @@ def _settling(step: Step, limit: float | None) -> Cell:
     return Cell(units.quantity(step.settling, "s"), "fail" if limit is not None and step.settling > limit else "number")
 
 
-def _figure(runs: Sequence[RunUp]) -> Figure:
+def run_up_figure(runs: Sequence[RunUp]) -> Figure:
+    """The first and the last 100 ms on the linear loop and on the rig, the controllers overlaid."""
     names = [run.name for run in runs]
     last = min(run.linear.record.time[-1] for run in runs)
     rows = []

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.report import units
-from ambrose.report.page import Cell, Table, Verdict
+from ambrose.report.page import Cell, Row, Table, Verdict, numbers
 from ambrose.verification.checks import Check, Checks
 
 _WIDEST = 6  # operating points side by side in one table
@@ -70,18 +70,15 @@ def _value_and_limit(check: Check, *, level: bool = True) -> tuple[str, str]:
 
 def checks_table(checks: Checks) -> Table:
     """Every check at one operating point: value, limit, verdict, zone, standard and clause, detail."""
-    rows = []
+    rows: list[Row] = []
     for check in checks.checks:
         value, limit = _value_and_limit(check)
         title, detail = units.prose(check.title), units.prose(check.detail)
-        words = Cell("information", "muted") if check.passed is None else _verdict_cell(check.passed)
-        rows.append((title, Cell(value, "number"), Cell(limit, "number"), words, check.zone or "", check.source, detail))
+        marks = {None: Cell("information", "muted"), True: Cell("pass", "pass"), False: Cell("fail", "fail")}
+        words = marks[check.passed]
+        rows.append((title, *numbers(value, limit), words, check.zone or "", check.source, detail))
     columns = ("Quantity", "Value", "Limit", "Verdict", "Zone", "Standard, clause", "Where or why")
     return Table(checks.label, columns, tuple(rows), " ".join(checks.notes), (23, 11, 10, 9, 4, 16, 27))
-
-
-def _verdict_cell(passed: bool) -> Cell:
-    return Cell("pass", "pass") if passed else Cell("fail", "fail")
 
 
 def overview_tables(verifications: Sequence[Checks]) -> tuple[Table, ...]:
@@ -98,21 +95,20 @@ def overview_tables(verifications: Sequence[Checks]) -> tuple[Table, ...]:
 def _judged(verifications: Sequence[Checks]) -> list[str]:
     """The names of the checks that have a verdict somewhere (of all checks where none has)."""
     every = [check for checks in verifications for check in checks.checks]
-    return list(
-        dict.fromkeys(check.name for check in every if check.passed is not None) or dict.fromkeys(c.name for c in every)
-    )
+    judged = [check for check in every if check.passed is not None]
+    return list(dict.fromkeys(check.name for check in judged or every))
 
 
 def _overview_table(verifications: Sequence[Checks], names: Sequence[str], part: int) -> Table:
     stable = (Cell("stable", "pass") if checks.stable else Cell("unstable", "fail") for checks in verifications)
     rows: list[tuple[str | Cell, ...]] = [("Stability", Cell("", "number"), *stable)]
     for name in names:
-        found = [next((check for check in checks.checks if check.name == name), None) for checks in verifications]
-        first = next((check for check in found if check is not None), None)
-        limits = {_value_and_limit(check)[1] for check in found if check is not None}
+        matches = [next((check for check in checks.checks if check.name == name), None) for checks in verifications]
+        first = next((check for check in matches if check is not None), None)
+        limits = {_value_and_limit(check)[1] for check in matches if check is not None}
         if first is None:
             continue
-        cells = (_overview_cell(check, with_limit=len(limits) > 1) for check in found)
+        cells = (_overview_cell(check, with_limit=len(limits) > 1) for check in matches)
         rows.append((units.prose(first.title), Cell(limits.pop() if len(limits) == 1 else "", "number"), *cells))
     columns = ("Quantity", "Limit", *(checks.label for checks in verifications))
     note = "✓ pass, ✗ fail, – no limit. Quantities without any limit are in the detailed tables."
@@ -131,18 +127,11 @@ def _overview_cell(check: Check | None, *, with_limit: bool) -> Cell:
 
 def operating_points_table(points: Sequence[OperatingPoint]) -> Table:
     """Speed, seal pressure and bias current of the operating points."""
-    rows = []
+    rows: list[Row] = []
     for point in points:
         speed = f"{units.number(point.speed * units.RPM, 5)} rpm ({units.quantity(point.speed, 'rad/s')})"
         bias = "machine's" if point.bias_current is None else units.quantity(point.bias_current, "A")
-        rows.append(
-            (
-                point.label,
-                Cell(speed, "number"),
-                Cell(units.quantity(point.seal_pressure, "Pa"), "number"),
-                Cell(bias, "number"),
-            )
-        )
+        rows.append((point.label, *numbers(speed, units.quantity(point.seal_pressure, "Pa"), bias)))
     columns = ("Operating point", "Speed", "Seal pressure difference", "Bias current")
     return Table("Operating points", columns, tuple(rows))
 

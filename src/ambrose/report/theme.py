@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,6 +110,21 @@ def dress(figure: Any, height: int, *, legend: bool) -> Any:
     figure.update_xaxes(**axis)
     figure.update_yaxes(**axis)
     return figure
+
+
+def heading(figure: Any, place: Mapping[str, int], text: str, size: int = 13, **annotation: Any) -> None:
+    """Words (plotly's HTML) above the upper left corner of a plot area; place: {"row": ..., "col": ...}."""
+    figure.add_annotation(
+        xref="x domain", yref="y domain", x=0, y=1, xanchor="left", yanchor="bottom", showarrow=False, text=text,
+        font={"size": size, "color": INK}, **annotation, **place,
+    )  # fmt: skip
+
+
+def guide(figure: Any, place: Mapping[str, int], x: Any, y: Any, **line: Any) -> None:
+    """A line that is no data: without entry in the legend and without hover."""
+    import plotly.graph_objects as go
+
+    figure.add_trace(go.Scatter(x=x, y=y, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
 
 
 def decades(low: float, high: float) -> dict[str, Any]:

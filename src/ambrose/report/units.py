@@ -42,6 +42,11 @@ def scale(unit: str, magnitude: float = 0.0) -> tuple[float, str]:
     return factor, name
 
 
+def coefficient_scale(letter: str) -> tuple[float, str]:
+    """Factor and unit in which a coefficient K, k, C, c of a seal is shown: what seals have."""
+    return (1e-3, "kN/m") if letter in "Kk" else (1.0, "N s/m")
+
+
 def number(value: float, digits: int = 3) -> str:
     """A number with that many significant digits: 0.0312, 4.1, 6 905, 1.2×10⁻⁷; never 1e-07."""
     if math.isnan(value):

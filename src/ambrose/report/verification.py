@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from numpy.typing import ArrayLike
-
 from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.captions import caption
-from ambrose.report.figures.plots import figure, rotor_drawing
+from ambrose.report.figures.plots import figure
+from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Figure, Report, Section
 from ambrose.verification.checks import Checks, Curve
 
@@ -20,9 +19,6 @@ def verification_report(
     machine: Machine,
     verifications: Sequence[Checks],
     *,
-    node_positions: ArrayLike,
-    shapes: ArrayLike | None = None,
-    frequencies: ArrayLike | None = None,
     models: Sequence[tuple[str, str]] = (),
     responses: Labelled = (),
     comparison: Labelled = (),
@@ -34,17 +30,16 @@ def verification_report(
     """The report of one machine and controller at several operating points.
 
     verifications: one Checks per operating point, labelled as in ``machine.operation``; their curves of the same name share a
-    figure. node_positions (n,) [m], shapes (n, k), frequencies (k,) [rad/s]: see plots.rotor_drawing. models: (name, size in
-    words) such as ("full model", "320 states"). responses: (operating point, Curve) pairs of time responses; comparison:
-    (model, Curve) pairs, the reference model first; over_speed: (operating point, Curve) pairs of the Campbell map; pairs
-    whose curves share a name share a figure. facts: (name, text) for
-    the head, e.g. the controller. date: ISO date, today if empty. Raises InvalidInput.
+    figure. models: (name, size in words) such as ("full model", "320 states"). responses: (operating point, Curve) pairs of
+    time responses; comparison: (model, Curve) pairs, the reference model first; over_speed: (operating point, Curve) pairs of
+    the Campbell map; pairs whose curves share a name share a figure. facts: (name, text) for the head, e.g. the controller.
+    date: ISO date, today if empty. Raises InvalidInput.
     """
     order = [checks.label for checks in verifications]
     loops = [(checks.label, curve) for checks in verifications for curve in checks.curves]
     sections = [
         _overview(machine, verifications),
-        machine_section(machine, node_positions, shapes, frequencies, models),
+        machine_section(machine, models),
     ]
     if loops:
         text = (
@@ -68,46 +63,36 @@ def verification_report(
 
 def curve_figures(curves: Labelled, order: Sequence[str], *, overlay: bool = False) -> tuple[Figure, ...]:
     """One figure for all curves of the same name, in the order of first appearance."""
-    found = []
+    figures = []
     for name in dict.fromkeys(curve.name for _, curve in curves):
         same = [(label, curve) for label, curve in curves if curve.name == name]
         words = "" if overlay else caption(same[0][1])
-        found.append(Figure(units.prose(same[0][1].title), figure(same, order=order, overlay=overlay), words))
-    return tuple(found)
+        figures.append(Figure(units.prose(same[0][1].title), figure(same, order=order, overlay=overlay), words))
+    return tuple(figures)
 
 
 def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
     wanted = {checks.label for checks in verifications}
     points = [point for point in machine.operation.points if point.label in wanted]
-    found = [*tables.overview_tables(verifications)]
+    shown = [*tables.overview_tables(verifications)]
     if points:
-        found.append(tables.operating_points_table(points))
-    return Section("Overview", "", (), tuple(found))
+        shown.append(tables.operating_points_table(points))
+    return Section("Overview", "", (), tuple(shown))
 
 
-def machine_section(
-    machine: Machine,
-    node_positions: ArrayLike,
-    shapes: ArrayLike | None,
-    frequencies: ArrayLike | None,
-    models: Sequence[tuple[str, str]],
-) -> Section:
-    """The rotor drawing, the stations, the sizes of the models and what was chosen; arguments as for the whole report."""
+def machine_section(machine: Machine, models: Sequence[tuple[str, str]]) -> Section:
+    """The rotor drawing, the stations, the sizes of the models and what was chosen; models: as for the whole report."""
     words = (
         "To scale: shaft, bores (dashed), laminations that add mass but no stiffness (hatched), discs as the cylinder with "
         "their mass and inertias. Symbols at their true positions: bearings, sensors, seals, couplings; dots on the axis "
-        "are finite-element nodes."
+        "are finite-element nodes. Beneath: free-free mode shapes at standstill, with what bearings (squares), sensors "
+        "(circles) and seals (diamonds) see of them. A bearing and its sensor on opposite sides of a zero need a phase "
+        "reversal of the controller at that mode."
     )
-    if shapes is not None:
-        words += (
-            " Beneath: free-free mode shapes at standstill, with what bearings (squares), sensors (circles) and seals "
-            "(diamonds) see of them. A bearing and its sensor on opposite sides of a zero need a phase reversal of the "
-            "controller at that mode."
-        )
-    drawing = Figure("Rotor and free-free modes", rotor_drawing(machine, node_positions, shapes, frequencies), words)
-    found = [tables.stations_table(machine)]
+    drawing = Figure("Rotor and free-free modes", machine_drawing(machine), words)
+    shown = [tables.stations_table(machine)]
     if models:
-        found.append(tables.named_table("Models", models, ("Model", "Size")))
+        shown.append(tables.named_table("Models", models, ("Model", "Size")))
     if machine.assumed:
-        found.append(tables.assumed_table(machine))
-    return Section("Machine", "", (drawing,), tuple(found))
+        shown.append(tables.assumed_table(machine))
+    return Section("Machine", "", (drawing,), tuple(shown))

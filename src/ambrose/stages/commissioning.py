@@ -23,7 +23,7 @@ from ambrose.deployment.c.compiler import has_compiler
 from ambrose.deployment.discretisation.deployment import Deployment, deploy, unmet_limits
 from ambrose.deployment.pipeline import SAMPLE_TIME, machine_limits
 from ambrose.deployment.provenance import provenance_lines
-from ambrose.evaluation import Candidate
+from ambrose.evaluation import Candidate, Deployed, evaluate, full_plants
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.machine.atomic_write import write_text
@@ -32,11 +32,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
-from ambrose.simulation.trace import Trace
 from ambrose.stages.control import resume_or_design
-from ambrose.stages.plants import full_plants
-from ambrose.stages.proof import over_tolerances, verification
-from ambrose.stages.trials import SCENARIOS, experiment, simulation
 from ambrose.synthesis.controller_file import read_controller
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.problem import design_tolerances
@@ -92,6 +88,16 @@ class Commissioning:
             rows.insert(3, ("Limits that the sampled loop misses", "; ".join(unmet_limits(deployed)) or "none"))
         return tuple(rows)
 
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data: the identification, the sampled loop, what ran on the rig."""
+        return {
+            "identification": self.identification.to_dict(),
+            "sampled": [checks.to_dict() for checks in (*self.deployment.checks, *self.deployment.box)],
+            "files": [str(path) for path in self.files],
+            "compiled": self.from_code,
+            "rig": {label: trace.outcome for label, trace in self.candidate.traces if "rig" in trace.scenario},
+        }
+
 
 def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path, progress: Progress) -> Commissioning:
     """Everything under ``directory``: record.h5, identified.toml, identified.html, controller.json and the code.
@@ -112,7 +118,9 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     synthesis = resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
     deployment, program, files = compile_controller(known, directory, progress)
     law, apart = read_running_law(program, deployment)
-    candidate = examined(plants, known, synthesis, delayed(law, deployment.delay), program, progress)
+    running = Deployed(delayed(law, deployment.delay), program, plants)
+    tolerances = design_tolerances(known[0].machine)
+    candidate = evaluate(NAME, synthesis, known, progress, deployed=running, tolerances=tolerances)
     return Commissioning(identification, candidate, deployment, files, apart)
 
 
@@ -168,28 +176,6 @@ def read_running_law(program: CompiledBlock | StateSpace, deployment: Deployment
     law = read_law(program)
     pairs = [(getattr(law, letter), getattr(program.system, letter)) for letter in "ABCD"]
     return law, max(float(np.abs(found - meant).max() / np.abs(meant).max()) for found, meant in pairs if meant.any())
-
-
-def examined(
-    plants: tuple[Plant, ...],
-    known: tuple[Plant, ...],
-    synthesis: Synthesis,
-    running: StateSpace,
-    program: Any,
-    progress: Progress,
-) -> Candidate:
-    """What ``running`` (sampled, with its delay) does is verified on the identified machine ``known`` point by point; over the
-    tolerances the proof is of the continuous controller. The program runs the rig, which is the machine of ``plants``."""
-    checks = verification(known, running, progress)
-    wide = design_tolerances(known[0].machine)
-    over_box = over_tolerances(known[0], synthesis.controller, synthesis.certificate.stable, progress, wide)
-    traces: list[tuple[str, Trace]] = []
-    for plant, model in zip(plants, known, strict=True):
-        label = plant.point.label
-        traces += [(label, simulation(model, synthesis.controller, name)) for name in SCENARIOS]
-        progress(f"the C code on the virtual rig at {label}")
-        traces.append((label, experiment(plant, program, SCENARIOS[-1])))
-    return Candidate(NAME, synthesis, checks, over_box, tuple(traces))
 
 
 def _sample_time(machine: Machine) -> float:

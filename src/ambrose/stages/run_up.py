@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from ambrose.evaluation import Candidate
+from ambrose.evaluation import Candidate, RunUp
 from ambrose.plant.model import Plant
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.run_up import Step, spin_up, steps
+from ambrose.simulation.run_up import spin_up, steps
 from ambrose.simulation.scenario import load_scenario
-from ambrose.simulation.trace import Trace
 
 SCENARIO = "spin-up-steps"  # P3: 20 to 300 Hz in 1 s, a step of force or set point every 50 ms
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunUp:
-    """One controller on the way up: linear and on the rig, with what followed each step."""
-
-    name: str
-    linear: Trace
-    rig: Trace
-    linear_steps: tuple[Step, ...]
-    rig_steps: tuple[Step, ...]
 
 
 def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress) -> tuple[RunUp, ...]:
@@ -34,7 +21,7 @@ def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress)
     schedules = [c.synthesis.scheduled for c in candidates if c.synthesis.scheduled is not None]
     if not any(s.range[0] <= low * (1 + 1e-9) and high <= s.range[1] * (1 + 1e-9) for s in schedules):
         return ()
-    found = []
+    runs = []
     for candidate in candidates:
         if candidate.synthesis.method not in {"lpv", "mu"}:  # the scheduled one, and the fixed one that is robust
             continue
@@ -43,5 +30,5 @@ def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress)
         linear = spin_up(plant, law, scenario)
         rig = virtual_rig.run(plant.machine, law, scenario, point=plant.point)
         y = plant.named("y")
-        found.append(RunUp(candidate.name, linear, rig, steps(linear, scenario, y), steps(rig, scenario, y)))
-    return tuple(found)
+        runs.append(RunUp(candidate.name, linear, rig, steps(linear, scenario, y), steps(rig, scenario, y)))
+    return tuple(runs)

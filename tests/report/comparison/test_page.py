@@ -12,7 +12,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.evaluation import points_of
+from ambrose.evaluation import SCENARIOS, Candidate, points_of, simulate_linear
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
@@ -20,10 +20,9 @@ from ambrose.report import page as document
 from ambrose.report import theme, units
 from ambrose.report.comparison import figures as comparison_figures
 from ambrose.report.comparison import tables as comparison_tables
-from ambrose.report.comparison.page import Candidate, comparison_report
+from ambrose.report.comparison.page import comparison_report
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Cell, Report, Section, Table
-from ambrose.stages.trials import SCENARIOS, simulation
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
@@ -33,7 +32,6 @@ from ambrose.verification import nominal, robust
 from ambrose.verification.checks import Check, Checks, Curve
 
 POINTS = ("zero pressure", "nominal pressure", "twice nominal pressure")
-NODES = np.linspace(0.0, 0.86, 40)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +54,9 @@ def candidates(rig: Machine) -> list[Candidate]:
             synthesis,
             tuple(nominal.check(plant, synthesis.controller) for plant in plants),
             robust.check(plants[0], synthesis.controller),
-            tuple((p.point.label, simulation(p, synthesis.controller, scenario)) for p in plants for scenario in SCENARIOS),
+            tuple(
+                (p.point.label, simulate_linear(p, synthesis.controller, scenario)) for p in plants for scenario in SCENARIOS
+            ),
         )
         for name, synthesis in made.items()
     ]
@@ -64,7 +64,7 @@ def candidates(rig: Machine) -> list[Candidate]:
 
 @pytest.fixture(scope="module")
 def report(rig: Machine, candidates: list[Candidate]) -> Report:
-    return comparison_report(rig, candidates, node_positions=NODES, facts=[("Purpose", "test")], date="2031-02-03")
+    return comparison_report(rig, candidates, facts=[("Purpose", "test")], date="2031-02-03")
 
 
 @pytest.fixture(scope="module")
@@ -315,7 +315,7 @@ def test_page_is_whole_light_and_escaped(rig: Machine, candidates: list[Candidat
     assert page.count("<details>") == page.count("</details>") == 3 * 4
     assert '<th colspan="3" scope="colgroup">zero pressure</th>' in page
     named = [replace(candidates[0], name="<b>&PID"), candidates[1]]
-    made = comparison_report(rig, named, node_positions=NODES)
+    made = comparison_report(rig, named)
     path = document.write(made, tmp_path / "page.html")
     text = path.read_text(encoding="utf-8")
     assert "<b>&PID" not in text
@@ -335,7 +335,7 @@ def test_mu_iterations_are_listed(report: Report, candidates: list[Candidate]) -
 
 
 def test_a_single_candidate_gets_the_verification_report(rig: Machine, candidates: list[Candidate]) -> None:
-    made = comparison_report(rig, candidates[:1], node_positions=NODES, title="One")
+    made = comparison_report(rig, candidates[:1], title="One")
     titles = [part.title for part in made.sections]
     assert titles == ["Overview", "Machine", "Closed loop", "Time responses", "Over the tolerances", "All checks in detail"]
     assert [verdict.passed for verdict in made.verdicts] == [True, False, False, False]
@@ -348,7 +348,7 @@ def test_maps_over_speed_and_models_have_their_sections(rig: Machine, candidates
     campbell = Curve("campbell", "Campbell map", "speed", speed, speed[None] + 50, ("mode",), "rad/s", "rad/s")
     gain = Curve("g", "Gain", "frequency", speed + 1, np.ones((1, 5)), ("max",), "rad/s", "m/A")
     made = comparison_report(
-        rig, candidates[:2], node_positions=NODES, comparison=[("full", gain), ("reduced", gain)],
+        rig, candidates[:2], comparison=[("full", gain), ("reduced", gain)],
         over_speed=[("PID", campbell), ("H-infinity", campbell)],
     )  # fmt: skip
     over = section(made, "Over speed")
@@ -358,9 +358,9 @@ def test_maps_over_speed_and_models_have_their_sections(rig: Machine, candidates
 
 def test_names_that_do_not_tell_apart_are_refused(rig: Machine, candidates: list[Candidate]) -> None:
     with pytest.raises(InvalidInput, match="one name each"):
-        comparison_report(rig, [candidates[0], candidates[0]], node_positions=NODES)
+        comparison_report(rig, [candidates[0], candidates[0]])
     with pytest.raises(InvalidInput, match="one name each"):
-        comparison_report(rig, [], node_positions=NODES)
+        comparison_report(rig, [])
     with pytest.raises(InvalidInput, match="no checks"):
         replace(candidates[0], checks=())
     with pytest.raises(InvalidInput, match="two verifications labelled 'nominal pressure'"):

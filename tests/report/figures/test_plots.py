@@ -14,7 +14,7 @@ from ambrose.machine.machine import Machine
 from ambrose.report import theme
 from ambrose.report.figures import plots
 from ambrose.report.figures.poles import pole_figure
-from ambrose.report.figures.rotor_drawing import equivalent_cylinder
+from ambrose.report.figures.rotor_drawing import equivalent_cylinder, rotor_drawing
 from ambrose.verification.checks import Checks, Curve
 
 TWO_PI = 2 * np.pi
@@ -189,7 +189,7 @@ def test_mixed_quantities_are_refused() -> None:
 
 def test_rotor_drawing_is_to_scale_and_complete(machine: Machine, shapes: tuple[np.ndarray, np.ndarray]) -> None:
     nodes = np.linspace(0, machine.length, 40)
-    figure = plots.rotor_drawing(machine, nodes, *shapes)
+    figure = rotor_drawing(machine, nodes, *shapes)
     assert figure.layout.yaxis.scaleanchor == "x"
     corners = {(min(t.x), max(t.x), max(t.y)) for t in figure.data if t.fill == "toself"}
     for section in machine.shaft:
@@ -215,4 +215,4 @@ def test_a_disc_is_the_cylinder_with_its_mass_and_inertias() -> None:
 
 def test_shapes_of_the_wrong_length_are_refused(machine: Machine) -> None:
     with pytest.raises(InvalidInput, match="shapes"):
-        plots.rotor_drawing(machine, np.linspace(0, 0.86, 40), np.ones((39, 2)))
+        rotor_drawing(machine, np.linspace(0, 0.86, 40), np.ones((39, 2)))

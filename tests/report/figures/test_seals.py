@@ -99,15 +99,3 @@ def test_coefficients_over_pressure_with_their_line():
     assert straight.x[-1] > 2.04
     assert figure.layout.shapes[0].x0 == pytest.approx(2.04)
     assert len(named(figure, "true line, 95 %")) == 1
-
-
-def test_measured_under_modelled_time_responses():
-    t = np.arange(100) * 1e-3
-    y = 1e-6 * np.sin(200 * t)[None] * np.array([[1.0], [2.0]])
-    figure = seal_figures.overlay_figure({"0.95 bar": (t, y, 0.9 * y)}, ["A_zeta", "A_eta"], drive=(0.05, 0.06))
-    measured, modelled = named(figure, "measured"), named(figure, "identified model")
-    assert len(measured) == len(modelled) == 2
-    np.testing.assert_allclose(measured[1].y, 2 * np.sin(200 * t), atol=1e-6)
-    np.testing.assert_allclose(modelled[0].y, 0.9 * measured[0].y, atol=1e-6)
-    np.testing.assert_allclose(measured[0].x[-1], 99, rtol=1e-6)
-    assert figure.layout.shapes[0].x0 == 50

@@ -14,8 +14,8 @@ from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.captions import caption
 from ambrose.report.figures.panels import Panel, panel_figure
-from ambrose.report.figures.traces import trace_curves
 from ambrose.report.page import Figure
+from ambrose.report.record.curves import trace_curves
 from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Checks, Curve
 
@@ -35,15 +35,15 @@ _BEFORE, _AFTER = 0.06, 0.25  # the last one has settled into that band, and so 
 def loop_figures(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Figure, ...]:
     """Output sensitivity, compliance and unbalance orbit: one panel per candidate, the operating points overlaid."""
     style = theme.styles(points)
-    found = []
+    figures = []
     for name, check in _LOOPS:
         panels = [_loop_panel(candidate, points, name, check) for candidate in candidates]
         curves = [curve for panel in panels for _, curve in panel.curves]
         if curves:
             picture, hidden = panel_figure(_wrapped(panels), style, mark_peaks=True)
             words = f"{caption(curves[0])} Above each panel: its peaks, as in the tables."
-            found.append(Figure(_title(curves[0]), picture, _with(words, hidden)))
-    return tuple(found)
+            figures.append(Figure(_title(curves[0]), picture, _with(words, hidden)))
+    return tuple(figures)
 
 
 def _loop_panel(candidate: Candidate, points: Sequence[str], name: str, check: str) -> Panel:
@@ -55,8 +55,8 @@ def _loop_panel(candidate: Candidate, points: Sequence[str], name: str, check: s
             notes.append((point, "unstable"))
         elif curve is not None:
             curves.append((point, _first_line(curve)))
-            found = find(checks, check)
-            notes += [(point, units.quantity(found.value, found.unit))] if found is not None else []
+            match = find(checks, check)
+            notes += [(point, units.quantity(match.value, match.unit))] if match is not None else []
     return Panel(candidate.name, tuple(curves), _one_unit(notes))
 
 
@@ -81,17 +81,17 @@ def family_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[F
 
 
 def _family_figure(machine: Machine, boxes: Sequence[tuple[Candidate, Checks]], name: str) -> Figure:
-    found = [(candidate, checks, curve) for candidate, checks in boxes if (curve := _curve(checks, name)) is not None]
-    first = found[0][2]
-    if all(len(curve.labels) == 1 for _, _, curve in found):
+    families = [(candidate, checks, curve) for candidate, checks in boxes if (curve := _curve(checks, name)) is not None]
+    first = families[0][2]
+    if all(len(curve.labels) == 1 for _, _, curve in families):
         style = theme.candidate_styles([candidate.name for candidate, _ in boxes])
-        panel = Panel("", tuple((candidate.name, curve) for candidate, _, curve in found))
+        panel = Panel("", tuple((candidate.name, curve) for candidate, _, curve in families))
         picture, hidden = panel_figure([[panel]], style, mark_peaks=True)
         return Figure(_title(first), picture, _with("The controllers overlaid.", hidden))
-    longest = max((curve.labels for _, _, curve in found), key=len)
+    longest = max((curve.labels for _, _, curve in families), key=len)
     shown = _family_labels(machine, longest)
     panels = []
-    for candidate, checks, curve in found:
+    for candidate, checks, curve in families:
         lines = tuple((shown.get(label, label), _line(curve, label)) for label in curve.labels)
         panels.append(Panel(candidate.name, lines, (("", _family_note(checks, name, longest, curve.labels)),)))
     style = theme.family_styles([shown[label] for label in longest])
@@ -101,7 +101,7 @@ def _family_figure(machine: Machine, boxes: Sequence[tuple[Candidate, Checks]], 
         if label not in style
     }
     picture, hidden = panel_figure(_wrapped(panels), style, mark_peaks=True)
-    words = f"{caption(first)} Lines that are missing belong to unstable loops. Model: {found[0][1].label}."
+    words = f"{caption(first)} Lines that are missing belong to unstable loops. Model: {families[0][1].label}."
     return Figure(_title(first), picture, _with(words, hidden))
 
 
@@ -119,11 +119,11 @@ def _family_labels(machine: Machine, labels: Sequence[str]) -> dict[str, str]:
     relative = {item.parameter: item.relative for item in machine.tolerances}
     shown = {}
     for label in labels:
-        found = _DELTA.match(label)
-        if found is None:
+        match = _DELTA.match(label)
+        if match is None:
             shown[label] = label
             continue
-        parameter, delta = found[1], float(found[2])
+        parameter, delta = match[1], float(match[2])
         width = relative.get(parameter)
         words = "nominal" if delta == 0 else f"{delta:+g} tolerance" if width is None else f"{100 * width * delta:+.3g}\u00a0%"
         shown[label] = f"{parameter} {words}".replace("-", "−")
@@ -177,24 +177,24 @@ def time_figures(machine: Machine, candidates: Sequence[Candidate], points: Sequ
 
 
 def _time_figure(
-    candidates: Sequence[Candidate], points: Sequence[str], found: Sequence[tuple[Candidate, str, Trace, Curve]]
+    candidates: Sequence[Candidate], points: Sequence[str], responses: Sequence[tuple[Candidate, str, Trace, Curve]]
 ) -> Figure:
-    first = found[0][3]
-    axes = tuple(dict.fromkeys(label for *_, curve in found for label in curve.labels))
-    labels = [*points, *(point for _, point, _, _ in found)]
+    first = responses[0][3]
+    axes = tuple(dict.fromkeys(label for *_, curve in responses for label in curve.labels))
+    labels = [*points, *(point for _, point, _, _ in responses)]
     rows = []
     for i, axis in enumerate(axes):
         row = []
         for candidate in candidates:
-            mine = sorted((item for item in found if item[0] is candidate), key=lambda item: labels.index(item[1]))
+            mine = sorted((item for item in responses if item[0] is candidate), key=lambda item: labels.index(item[1]))
             lines = tuple((point, _line(curve, axis)) for _, point, _, curve in mine if axis in curve.labels)
             notes = tuple((point, _ending(trace)) for _, point, trace, _ in mine if trace.outcome != "completed")
             row.append(Panel(candidate.name if i == 0 else "", lines, notes if i == 0 else (), units.axis_name(axis)))
         rows.append(row)
-    calm = tuple((point, curve) for _, point, trace, curve in found if trace.outcome == "completed")
+    calm = tuple((point, curve) for _, point, trace, curve in responses if trace.outcome == "completed")
     span = _lively(calm)
     picture, hidden = panel_figure(rows, theme.styles(labels), height=96, view=calm, span=span)
-    whole = max(float(curve.x[-1]) for *_, curve in found)
+    whole = max(float(curve.x[-1]) for *_, curve in responses)
     words = caption(first)
     if span is not None and span[1] - span[0] < 0.99 * whole:
         shown = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"

@@ -1,7 +1,7 @@
 """Several controllers for one machine on one page, so that a reader can choose: who passes where, the quantities that decide
 side by side, the curves in panels with common axes, the gains, the time responses, and everything else behind them.
 
-    comparison_report(machine, [Candidate("PID", synthesis, checks, robust, traces), ...], node_positions=rotor.positions)
+    comparison_report(machine, [Candidate("PID", synthesis, checks, robust, traces), ...])
 
 Operating points keep their colour and dash wherever they are drawn; controllers stand in panels of their own, or have other
 colours where they are overlaid.
@@ -12,15 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from numpy.typing import ArrayLike
-
 from ambrose.evaluation import Candidate, points_of
 from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.comparison import figures
 from ambrose.report.comparison import tables as comparison_tables
-from ambrose.report.figures.traces import trace_curves
-from ambrose.report.page import Cell, Report, Section, Table
+from ambrose.report.page import Cell, Report, Row, Section, Table, numbers
+from ambrose.report.record.curves import trace_curves
 from ambrose.report.verification import Labelled, curve_figures, machine_section, verification_report
 
 __all__ = ["Candidate", "comparison_report"]
@@ -39,32 +37,27 @@ def comparison_report(
     machine: Machine,
     candidates: Sequence[Candidate],
     *,
-    node_positions: ArrayLike,
-    shapes: ArrayLike | None = None,
-    frequencies: ArrayLike | None = None,
     models: Sequence[tuple[str, str]] = (),
     comparison: Labelled = (),
     over_speed: Labelled = (),
     facts: Sequence[tuple[str, str]] = (),
-    more: Sequence[Section] = (),
+    extra: Sequence[Section] = (),
     title: str = "Comparison of controllers",
     date: str = "",
 ) -> Report:
     """The report of one machine and several controllers; of a single one the verification report.
 
-    candidates: in the order of the columns, with a name each; their operating points are matched by label. node_positions (n,)
-    [m], shapes (n, k), frequencies (k,) [rad/s], models, comparison, facts, date: as for ``verification_report``. over_speed:
-    (candidate or operating point, Curve) pairs of maps over speed, one figure each; more: sections of other stages, before the
-    machine's. Raises InvalidInput for no candidates or
-    names that do not tell them apart.
+    candidates: in the order of the columns, with a name each; their operating points are matched by label. models,
+    comparison, facts, date: as for ``verification_report``. over_speed: (candidate or operating point, Curve) pairs of maps
+    over speed, one figure each; extra: sections of other stages, before the machine's. Raises InvalidInput for no candidates
+    or names that do not tell them apart.
     """
     points = points_of(machine, candidates)
     if len(candidates) == 1:
         only = candidates[0]
         report = verification_report(
             machine, [checks for point in points if (checks := only.at(point)) is not None],
-            node_positions=node_positions, shapes=shapes, frequencies=frequencies, models=models,
-            responses=[(point, curve) for point, trace in only.traces for curve in trace_curves(trace, machine)],
+            models=models, responses=[(point, curve) for point, trace in only.traces for curve in trace_curves(trace, machine)],
             comparison=comparison, over_speed=over_speed, facts=facts, title=title, date=date,
         )  # fmt: skip
         return _with_box(report, machine, only)
@@ -80,8 +73,8 @@ def comparison_report(
             "Linear model: valid while currents and displacements stay inside their limits. The panels of a figure share axes."
         )
         sections.append(Section("Time responses", words, responses))
-    sections += [*_over_speed(over_speed), *more]
-    sections.append(machine_section(machine, node_positions, shapes, frequencies, models))
+    sections += [*_over_speed(over_speed), *extra]
+    sections.append(machine_section(machine, models))
     sections += _models(comparison)
     sections.append(_details(candidates, points))
     verdicts = comparison_tables.verdicts_of(candidates, points)
@@ -102,13 +95,13 @@ def _with_box(report: Report, machine: Machine, candidate: Candidate) -> Report:
 
 
 def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
-    found = [comparison_tables.verdict_table(candidates, points), comparison_tables.glance_table(machine, candidates, points)]
+    shown = [comparison_tables.verdict_table(candidates, points), comparison_tables.glance_table(machine, candidates, points)]
     if len(points) > 1:
-        found += comparison_tables.point_tables(candidates, points)
+        shown += comparison_tables.point_tables(candidates, points)
     known = [point for label in points for point in machine.operation.points if point.label == label]
     if known:
-        found.append(tables.operating_points_table(known))
-    return Section("At a glance", "", (), tuple(found))
+        shown.append(tables.operating_points_table(known))
+    return Section("At a glance", "", (), tuple(shown))
 
 
 def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
@@ -120,24 +113,22 @@ def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
 
 
 def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
-    rows = []
+    rows: list[Row] = []
     for candidate in candidates:
         made = candidate.synthesis
         order = Cell(str(made.controller.n_states), "number")
         rows.append((candidate.name, made.method, order, made.verdict, made.certificate.plant, " ".join(made.notes)))
     columns = ("Controller", "Method", "Order", "Status", "Certified on", "Notes")
-    found = [Table("How they were made", columns, tuple(rows))]
-    found += [_history(candidate) for candidate in candidates if any("mu_mixed" in row for row in candidate.synthesis.history)]
-    return Section("Controllers", "", figures.gain_figures(machine, candidates), tuple(found))
+    shown = [Table("How they were made", columns, tuple(rows))]
+    shown += [_history(candidate) for candidate in candidates if any("mu_mixed" in row for row in candidate.synthesis.history)]
+    return Section("Controllers", "", figures.gain_figures(machine, candidates), tuple(shown))
 
 
 def _history(candidate: Candidate) -> Table:
     """What each iteration of a mu synthesis reached."""
     history = candidate.synthesis.history
     known = [(key, words) for key, words in _HISTORY if any(key in row for row in history)]
-    rows = tuple(
-        tuple(Cell(units.number(float(row[key]), 4) if key in row else "", "number") for key, _ in known) for row in history
-    )
+    rows = tuple(numbers(*(units.number(float(row[key]), 4) if key in row else "" for key, _ in known)) for row in history)
     return Table(f"{candidate.name}: what each iteration reached", tuple(words for _, words in known), rows)
 
 
@@ -146,12 +137,12 @@ def _over_speed(over_speed: Labelled) -> list[Section]:
         return []
     words = "The closed loop assembled anew at every speed; where a mode meets the line of the speed, unbalance drives it."
     labels = list(dict.fromkeys(label for label, _ in over_speed))
-    found = [
+    pictures = [
         replace(figure, title=figure.title + (f", {label}" if len(labels) > 1 else ""))
         for label in labels
         for figure in curve_figures([pair for pair in over_speed if pair[0] == label], (label,))
     ]
-    return [Section("Over speed", words, tuple(found))]
+    return [Section("Over speed", words, tuple(pictures))]
 
 
 def _models(comparison: Labelled) -> list[Section]:
@@ -163,13 +154,13 @@ def _models(comparison: Labelled) -> list[Section]:
 
 def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
     """Every check of every candidate, folded."""
-    found = []
+    shown = []
     for candidate in candidates:
         ordered = [checks for point in points if (checks := candidate.at(point)) is not None]
         for checks in [*ordered, *([candidate.robust] if candidate.robust is not None else [])]:
             where, words = checks.label, tables.verdict(checks).text.partition(";")[0]
             if checks is candidate.robust:  # "stable" would be said of the nominal loop only
                 where, words = f"whole tolerance box ({checks.label})", words.removeprefix("stable, ")
-            found.append(replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}"))
+            shown.append(replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}"))
     words = "Click on a line to unfold its table; paper shows those that are open."
-    return Section("All checks in detail", words, (), tuple(found), folded=True)
+    return Section("All checks in detail", words, (), tuple(shown), folded=True)

@@ -11,11 +11,10 @@ from ambrose.evaluation import Candidate, find
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.report import units
-from ambrose.report.page import Cell, Table, Verdict
+from ambrose.report.page import Cell, Row, Table, Verdict
 from ambrose.report.tables import RELATION, place, reason, verdict
 from ambrose.verification.checks import Check, Checks
 
-Row = tuple[str | Cell, ...]
 Better = Callable[..., Any]  # min or max
 
 _WIDEST = 9  # columns of values side by side in one table
@@ -57,12 +56,14 @@ def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple
 def _line(candidate: Candidate, points: Sequence[str]) -> str:
     groups: dict[str, list[str]] = {"unstable at": [], "fails at": [], "passes at": []}
     for point in points:
-        found = candidate.at(point)
-        if found is not None:
-            groups["unstable at" if not found.stable else "passes at" if found.passed else "fails at"].append(point)
+        checks = candidate.at(point)
+        if checks is not None:
+            groups["unstable at" if not checks.stable else "passes at" if checks.passed else "fails at"].append(point)
     words = [f"{what} {_listed(labels)}" for what, labels in groups.items() if labels]
     if not groups["unstable at"] and not groups["fails at"]:
         words = [f"passes every check at {_listed(groups['passes at'])}"]
+    if candidate.left_out:
+        words.append(f"not covered by its schedule: {_listed(candidate.left_out)}")
     if candidate.robust is not None:
         words.append(f"{'passes' if candidate.robust.passed else 'fails'} over the tolerances")
     return "; ".join(words)
@@ -95,8 +96,8 @@ def _verdict_cell(checks: Checks | None) -> Cell:
     if not failed:
         return Cell("passes", "pass", detail=f"all {len(judged)} checks" if judged else "no limits were given")
     reasons = "; ".join(reason(check) for check in failed[:_MOST_REASONS])
-    more = f"; and {len(failed) - _MOST_REASONS} more" if len(failed) > _MOST_REASONS else ""
-    return Cell(reasons + more, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass")
+    rest = f"; and {len(failed) - _MOST_REASONS} more" if len(failed) > _MOST_REASONS else ""
+    return Cell(reasons + rest, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass")
 
 
 def _box_cell(checks: Checks | None) -> Cell:
@@ -155,10 +156,10 @@ def point_tables(candidates: Sequence[Candidate], points: Sequence[str]) -> tupl
 
 
 def _point_table(candidates: Sequence[Candidate], points: Sequence[str], names: Sequence[tuple[str, Better]]) -> Table:
-    found = [[candidate.at(point) for candidate in candidates] for point in points]
-    rows: list[Row] = [("Stability", "", *(_stability_cell(checks) for group in found for checks in group))]
+    grouped = [[candidate.at(point) for candidate in candidates] for point in points]
+    rows: list[Row] = [("Stability", "", *(_stability_cell(checks) for group in grouped for checks in group))]
     for name, better in names:
-        groups = [[_entry(checks, name) for checks in group] for group in found]
+        groups = [[_entry(checks, name) for checks in group] for group in grouped]
         cells = _row([entry for group in groups for entry in group], better, group=len(candidates))
         rows.append(cells)
     title = "At every operating point" if len(points) > 1 else f"At {points[0]}"
@@ -250,9 +251,9 @@ def _best(checks: Sequence[Check | None], shown: Sequence[str], better: Better) 
 
 def _names(every: Sequence[Checks], chosen: Mapping[str, Better]) -> list[tuple[str, Better]]:
     """The chosen quantities that were evaluated, then every other one that fails somewhere."""
-    found = {check.name: check for checks in every for check in checks.checks}
+    evaluated = {check.name: check for checks in every for check in checks.checks}
     failed = {check.name: check for checks in every for check in checks.checks if check.passed is False}
-    result: list[tuple[str, Better]] = [(name, better) for name, better in chosen.items() if name in found]
+    result: list[tuple[str, Better]] = [(name, better) for name, better in chosen.items() if name in evaluated]
     for name, check in failed.items():
         if name not in chosen and name not in _IMPLIED:
             result.append((name, max if check.relation in {">", ">="} else min))
@@ -266,7 +267,7 @@ def _heading(text: str, candidates: Sequence[Candidate]) -> Row:
 def _stability_row(candidates: Sequence[Candidate], points: Sequence[str]) -> Row:
     cells = []
     for candidate in candidates:
-        bad = [point for point in points if (found := candidate.at(point)) is not None and not found.stable]
+        bad = [point for point in points if (checks := candidate.at(point)) is not None and not checks.stable]
         everywhere = "" if len(candidate.checks) == 1 else "everywhere"
         cells.append(
             Cell("unstable", "fail", detail=f"at {_listed(bad)}") if bad else Cell("stable", "pass", detail=everywhere)
@@ -298,8 +299,8 @@ def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
     title = "Peak of mixed µ of the weighted loop, upper bound (below 1: robust performance)"
     if not any(check is not None for check in checks):
         margins = [candidate.synthesis.certificate.margins for candidate in candidates]
-        uppers = [found.get("mu_mixed", math.nan) for found in margins]
-        lowers = [found.get("mu_mixed_lower", math.nan) for found in margins]
+        uppers = [values.get("mu_mixed", math.nan) for values in margins]
+        lowers = [values.get("mu_mixed_lower", math.nan) for values in margins]
         details = [f"lower bound {units.number(lower)}" if math.isfinite(lower) else "" for lower in lowers]
     if all(math.isnan(upper) for upper in uppers):
         return []
@@ -308,12 +309,14 @@ def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
 
 def _controller_rows(candidates: Sequence[Candidate]) -> list[Row]:
     made = [candidate.synthesis for candidate in candidates]
-    orders = [float(found.controller.n_states) for found in made]
+    orders = [float(synthesis.controller.n_states) for synthesis in made]
     factor, unit = units.scale("rad/s")
-    fastest = [found.certificate.fastest_pole * factor for found in made]
+    fastest = [synthesis.certificate.fastest_pole * factor for synthesis in made]
     gammas = [
-        Cell(units.number(found.gamma), detail=found.method) if math.isfinite(found.gamma) else Cell("none", "muted")
-        for found in made
+        Cell(units.number(synthesis.gamma), detail=synthesis.method)
+        if math.isfinite(synthesis.gamma)
+        else Cell("none", "muted")
+        for synthesis in made
     ]
     return [
         ("Order (number of states)", "", *_numbers(orders, better=min)),

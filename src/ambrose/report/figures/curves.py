@@ -173,15 +173,11 @@ def mark_peak(figure: Any, place: dict[str, int], x: np.ndarray, y: np.ndarray, 
 
 def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> None:
     """On a map over speed: the synchronous line (frequency = speed) and the names of the lines at their right ends."""
-    import plotly.graph_objects as go
-
     place = {"row": panel.row, "col": panel.column}
     first = curves[0][1]
     high = min(axes.x_range[1] / 60, axes.y_range[1])
     low = min(axes.x_range[0] / 60, high)
-    line = {"color": theme.MUTED, "width": 1, "dash": "2px,3px"}
-    ends = {"x": [low * 60, high * 60], "y": [low, high]}
-    figure.add_trace(go.Scatter(**ends, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
+    theme.guide(figure, place, [low * 60, high * 60], [low, high], color=theme.MUTED, width=1, dash="2px,3px")
     figure.add_annotation(
         x=high * 33, y=high * 0.55, text="1× speed", showarrow=False, xanchor="left", yanchor="top", xshift=5,
         font={"size": 12, "color": theme.MUTED}, **place,
@@ -245,8 +241,5 @@ def _panel_title(figure: Any, panel: Panel, axes: Axes, *, many: bool) -> None:
     words = [theme.plain(units.axis_name(panel.names[0]))] if many else []
     if axes.y_unit:
         words.append(f"[{axes.y_unit}]")
-    figure.add_annotation(
-        xref="x domain", yref="y domain", x=0, y=1, xanchor="left", yanchor="bottom", yshift=1, showarrow=False,
-        text=f"<b>{words[0]}</b> {' '.join(words[1:])}" if many else " ".join(words),
-        font={"size": 13, "color": theme.INK}, row=panel.row, col=panel.column,
-    )  # fmt: skip
+    text = f"<b>{words[0]}</b> {' '.join(words[1:])}" if many else " ".join(words)
+    theme.heading(figure, {"row": panel.row, "col": panel.column}, text, yshift=1)

@@ -10,6 +10,8 @@ from ambrose.report import theme, units
 from ambrose.report.figures.axes import Axes
 from ambrose.verification.checks import Curve
 
+BEYOND = "beyond the view: "
+
 
 def limit_levels(curves: Sequence[tuple[str, Curve]], axes: Axes) -> list[tuple[float, str]]:
     """Every level once (shown unit), with the names of all limits that lie there: "zone A/B, required 3"."""
@@ -37,16 +39,12 @@ def draw_limits(
 
     place: {"row": ..., "col": ...} of the plot area; size: its approximate width and height [px].
     """
-    import plotly.graph_objects as go
-
     low, high = (math.log10(v) for v in axes.y_range) if axes.log_y else axes.y_range
     taken: list[tuple[float, float, float]] = []  # height [px], left and right end (fractions of the width) of the names so far
     for level, words in levels:
         if not axes.y_range[0] <= level <= axes.y_range[1]:
             continue
-        line = {"color": theme.LIMIT, "width": 1.2, "dash": "1.5px,2px"}
-        ends = {"x": list(axes.x_range), "y": [level, level]}
-        figure.add_trace(go.Scatter(**ends, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
+        theme.guide(figure, place, list(axes.x_range), [level, level], color=theme.LIMIT, width=1.2, dash="1.5px,2px")
         if not named:
             continue
         y = math.log10(level) if axes.log_y else level
@@ -68,4 +66,4 @@ def beyond(curves: Sequence[tuple[str, Curve]], axes: Axes) -> str:
     outside = [item for item in limit_levels(curves, axes) if not axes.y_range[0] <= item[0] <= axes.y_range[1]]
     texts = [words for level, words in outside if level >= 0 or -level not in {other for other, _ in outside}]
     texts += ["some curves"] if axes.cut else []
-    return "beyond the view: " + ", ".join(texts) if texts else ""
+    return BEYOND + ", ".join(texts) if texts else ""

@@ -21,14 +21,14 @@ _ALL, _PEAK, _END = "#c3ccd4", "#d55e00", "#0072b2"
 _NEAR = 2.2  # a touchdown circle up to this many times the largest orbit is drawn
 
 
-def orbit_figure(record: Record, found: Sequence[Station], speed: np.ndarray) -> Any:
+def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -> Any:
     """One panel per station, all to one scale: all samples as a pale cloud, the largest motion, the end of the record.
 
-    found: from stations.stations. speed (k,) [rad/s]. Returns a plotly Figure.
+    places: from stations.stations. speed (k,) [rad/s]. Returns a plotly Figure.
     """
     from plotly.subplots import make_subplots
 
-    shown = tuple(found)[:_MOST]
+    shown = tuple(places)[:_MOST]
     columns = len(shown) if len(shown) in {3, 5} else min(_PER_ROW, max(len(shown), 3))
     rows = math.ceil(len(shown) / columns)
     reach = 1.08 * max(float(station.radius.max()) for station in shown) or 1e-6
@@ -101,11 +101,8 @@ def _panel(
         share = float(station.radius.max()) / station.gap
         words += f" · {percent(share)} of gap"
     where = "sensor" if station.at_sensor else "bearing" if station.bearing else ""
-    figure.add_annotation(
-        xref="x domain", yref="y domain", x=0, y=1, xanchor="left", yanchor="bottom", showarrow=False, align="left",
-        text=f"<b>{theme.plain(' '.join(filter(None, (where, units.axis_name(station.name)))))}</b> [{unit}]<br>{words}",
-        font={"size": 12, "color": theme.INK}, **place,
-    )  # fmt: skip
+    name = theme.plain(" ".join(filter(None, (where, units.axis_name(station.name)))))
+    theme.heading(figure, place, f"<b>{name}</b> [{unit}]<br>{words}", 12, align="left")
 
 
 def percent(share: float) -> str:
@@ -115,14 +112,10 @@ def percent(share: float) -> str:
 
 def _own_axes(figure: Any, station: Station, place: dict[str, int], bound: float) -> None:
     """The actuator axes as faint lines through the centre, named at their ends."""
-    import plotly.graph_objects as go
-
     for i, name in enumerate("ζη"):
         angle = station.angle + i * np.pi / 2
         end = np.array([np.cos(angle), np.sin(angle)]) * bound / max(abs(np.cos(angle)), abs(np.sin(angle)))
-        ends = {"x": [-end[0], end[0]], "y": [-end[1], end[1]]}
-        line = {"color": theme.FAINT, "width": 1.2}
-        figure.add_trace(go.Scatter(**ends, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
+        theme.guide(figure, place, [-end[0], end[0]], [-end[1], end[1]], color=theme.FAINT, width=1.2)
         figure.add_annotation(
             x=0.9 * end[0], y=0.9 * end[1], text=name, showarrow=False, font={"size": 12, "color": theme.MUTED},
             xshift=(-9, 9)[i] * np.sin(angle), yshift=(9, -9)[i] * np.cos(angle), **place,

@@ -1,8 +1,7 @@
-"""All pictures of the package, as plotly figures.
+"""Curves as plotly figures, whatever their kind.
 
     figure([("standstill", curve), ("nominal seal", curve)])       any Curve of ambrose.verification.checks, overlaid
     figure([("full", curve), ("8 states", curve)], overlay=True)   "is it the same?": the first broad and pale, the rest on top
-    rotor_drawing(machine, node_positions, shapes, frequencies)    the rotor to scale, free-free shapes beneath
 
 Give the same ``order`` (all operating points of a report) to every figure and a label has one colour, dash and symbol
 throughout. Figures convert from SI to the units of the page; they are never downsampled, and a view that hides part of the
@@ -20,10 +19,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.report import theme
 from ambrose.report.figures.curves import line_figure
 from ambrose.report.figures.poles import pole_figure
-from ambrose.report.figures.rotor_drawing import rotor_drawing
 from ambrose.verification.checks import Curve
-
-__all__ = ["figure", "rotor_drawing"]
 
 _KINDS = ("frequency", "speed", "time", "poles")
 
@@ -51,12 +47,12 @@ def _check(curves: Sequence[tuple[str, Curve]]) -> None:
     for label, curve in curves:
         here = f"curve {curve.name} at {label}"
         if (curve.kind, curve.x_unit, curve.y_unit) != (first.kind, first.x_unit, first.y_unit):
-            found = f"{curve.kind} in {curve.y_unit or '-'} over {curve.x_unit}"
+            given = f"{curve.kind} in {curve.y_unit or '-'} over {curve.x_unit}"
             wanted = f"{first.kind} in {first.y_unit or '-'} over {first.x_unit} like the first one"
-            raise invalid(here, found, wanted, "put different quantities into different figures")
+            raise invalid(here, given, wanted, "put different quantities into different figures")
         shape = (len(curve.labels), len(curve.x))
         if np.shape(curve.y) != shape or np.iscomplexobj(curve.y):
-            found = f"of shape {np.shape(curve.y)}{' and complex' if np.iscomplexobj(curve.y) else ''}"
+            given = f"of shape {np.shape(curve.y)}{' and complex' if np.iscomplexobj(curve.y) else ''}"
             raise invalid(
-                f"y of {here}", found, f"real, of shape {shape} (lines, points)", "give magnitudes, one row per label"
+                f"y of {here}", given, f"real, of shape {shape} (lines, points)", "give magnitudes, one row per label"
             )

@@ -25,13 +25,13 @@ _HEIGHT = 300  # [px]
 _NEAR = 2.2  # a touchdown circle up to this many times the largest orbit is drawn
 
 
-def rotor_animation(record: Record, found: Sequence[Station], machine: Machine, speed: np.ndarray) -> Any:
-    """A plotly Figure with frames, and the buttons that play them; speed (k,) [rad/s]. found: from stations.stations."""
+def rotor_animation(record: Record, places: Sequence[Station], machine: Machine, speed: np.ndarray) -> Any:
+    """A plotly Figure with frames, and the buttons that play them; speed (k,) [rad/s]. places: from stations.stations."""
     import plotly.graph_objects as go
 
-    ordered = sorted(found, key=lambda station: station.position)
-    centre = largest(tuple(found))[1]
-    part = window(record, tuple(found), speed, centre)
+    ordered = sorted(places, key=lambda station: station.position)
+    centre = largest(tuple(places))[1]
+    part = window(record, tuple(places), speed, centre)
     magnified = _SIZE * machine.length / max(1e-9, *(float(station.radius[part].max()) for station in ordered))
     moments = np.unique(np.linspace(part.start, part.stop - 1, _FRAMES).astype(int))
     paths = [_seen(station, part, magnified) for station in ordered]
@@ -80,10 +80,9 @@ def _colour(station: Station) -> str:
 
 def _still(figure: Any, ordered: Sequence[Station], paths: Sequence[np.ndarray], machine: Machine, magnified: float) -> None:
     """What does not move: the centre line, the orbits, the touchdown circles, the names."""
-    import plotly.graph_objects as go
 
     def add(x: Any, y: Any, **line: Any) -> None:
-        figure.add_trace(go.Scatter(x=drawn(x), y=drawn(y), mode="lines", line=line, showlegend=False, hoverinfo="skip"))
+        theme.guide(figure, {}, drawn(x), drawn(y), **line)
 
     add([0, machine.length], [0, 0], color=theme.MUTED, width=1, dash="12px,3px,3px,3px")
     turn = np.linspace(0, 2 * np.pi, 121)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_shape
 from ambrose.machine.description import Disc
 from ambrose.machine.machine import Machine
+from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.report import theme, units
 
 _PIXELS = 800  # width of the plot area that the height is computed for [px]
@@ -33,6 +34,14 @@ class Station:
     name: str
     position: float
     reach: float
+
+
+def machine_drawing(machine: Machine, bending_modes: int = 2) -> Any:
+    """The rotor of a machine with its free-free modes, from its finite elements. Returns a plotly Figure."""
+    rotor = finite_element_rotor(machine)
+    modes = free_modes(rotor, bending_modes)
+    plane = slice(0, None, 2)  # the modes come in x/y pairs; the drawing shows x
+    return rotor_drawing(machine, rotor.positions, modes.shapes[0::4, plane], modes.frequencies[plane])
 
 
 def rotor_drawing(
@@ -128,11 +137,11 @@ def _radius_at(machine: Machine, position: float) -> float:
 
 def _stations(machine: Machine, pixel: float) -> list[Station]:
     """All named places, bearings first; the reach of the symbols is chosen on the page, not on the machine."""
-    found = [("bearing", b.name, b.position, 30.0) for b in machine.bearings]
-    found += [("sensor", s.bearing, s.position, 17.0) for s in machine.sensors]
-    found += [("seal", s.name, s.position, 18.0) for s in machine.seals]
-    found += [("coupling", c.name, c.position, 26.0) for c in machine.couplings]
-    stations = [Station(k, n, p * 1e3, _radius_at(machine, p * 1e3) + 4 * pixel + r * pixel) for k, n, p, r in found]
+    known = [("bearing", b.name, b.position, 30.0) for b in machine.bearings]
+    known += [("sensor", s.bearing, s.position, 17.0) for s in machine.sensors]
+    known += [("seal", s.name, s.position, 18.0) for s in machine.seals]
+    known += [("coupling", c.name, c.position, 26.0) for c in machine.couplings]
+    stations = [Station(k, n, p * 1e3, _radius_at(machine, p * 1e3) + 4 * pixel + r * pixel) for k, n, p, r in known]
     for disc in machine.discs:
         size = equivalent_cylinder(disc)
         reach = max(_radius_at(machine, disc.position * 1e3), size[0] * 1e3 if size else 0.0) + (0 if size else 10 * pixel)
@@ -181,10 +190,7 @@ def _has_size(machine: Machine, name: str) -> bool:
 
 
 def _line(figure: Any, x: Sequence[float], y: Sequence[float], colour: str, width: float = 1.3) -> None:
-    import plotly.graph_objects as go
-
-    line = {"color": colour, "width": width}
-    figure.add_trace(go.Scatter(x=list(x), y=list(y), mode="lines", line=line, hoverinfo="skip", showlegend=False))
+    theme.guide(figure, {}, list(x), list(y), color=colour, width=width)
 
 
 def _filled(figure: Any, x: Sequence[float], y: Sequence[float], colour: str) -> None:
@@ -226,9 +232,8 @@ def _centre_line(figure: Any, nodes: np.ndarray, length: float) -> None:
     """The axis of rotation and the finite-element nodes on it."""
     import plotly.graph_objects as go
 
-    line = {"color": theme.MUTED, "width": 0.8, "dash": "12px,3px,2px,3px"}
     ends = [-0.03 * length, 1.03 * length]
-    figure.add_trace(go.Scatter(x=ends, y=[0, 0], mode="lines", line=line, hoverinfo="skip", showlegend=False))
+    theme.guide(figure, {}, ends, [0, 0], color=theme.MUTED, width=0.8, dash="12px,3px,2px,3px")
     figure.add_trace(
         go.Scatter(
             x=nodes, y=np.zeros(nodes.size), mode="markers", marker={"size": 4, "color": theme.INK}, showlegend=False,
@@ -263,8 +268,8 @@ def _shapes(
     import plotly.graph_objects as go
 
     order = np.argsort(nodes)
-    seen = [station for station in stations if station.kind in {"bearing", "sensor", "seal"}]
-    for station in seen if modes.size else []:
+    sensed = [station for station in stations if station.kind in {"bearing", "sensor", "seal"}]
+    for station in sensed if modes.size else []:
         line = {"color": theme.FAINT, "width": 1}
         at = station.position
         figure.add_shape(type="line", xref="x", yref="paper", x0=at, x1=at, y0=0, y1=high, line=line, layer="below")
@@ -281,7 +286,7 @@ def _shapes(
                 fill="tozeroy", fillcolor="rgba(102,113,123,0.13)", hovertemplate="%{x:.0f} mm: %{y:.3f}<extra></extra>",
             )
         )  # fmt: skip
-        for station in seen:
+        for station in sensed:
             there = float(np.interp(station.position, nodes[order], shape))
             symbol = {"bearing": "square", "sensor": "circle-open", "seal": "diamond"}[station.kind]
             marker = {

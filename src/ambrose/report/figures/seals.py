@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,18 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.parameters import COVERAGE
 from ambrose.identification.seal.regression import Line
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit
 from ambrose.report import theme, units
+from ambrose.report.figures.bode import phase
 
-_UNITS = {"K": "N/m", "k": "N/m", "C": "N s/m", "c": "N s/m"}
 _NAMES = {
     "K": "K, direct stiffness", "k": "k, cross-coupled stiffness", "C": "C, direct damping", "c": "c, cross-coupled damping",
 }  # fmt: skip
 _MEASURED, _BAND = "#0072b2", "rgba(0,114,178,0.22)"
 _CONFIDENCE, _PREDICTION = "rgba(0,114,178,0.30)", "rgba(0,114,178,0.12)"
 _TRUTH = theme.Style(theme.INK, "2px,3px", "x", 1.4)
-_SPREAD = 1.96  # standard deviations of an error bar: 95 %
 
 Truth = Callable[[float], np.ndarray]  # pressure [Pa] -> K, k, C, c
 
@@ -71,7 +70,7 @@ def response_figure(
 
 def _measured(figure: Any, item: Frf, factor: float, column: int, points: bool) -> None:
     f, value = item.omega / units.TWO_PI, item.values[:, 0, 0]
-    size, angle = np.abs(value), _angle(value)
+    size, angle = np.abs(value), phase(value)
     half = item.radius()[:, 0, 0]
     slack = np.degrees(np.arcsin(np.minimum(half / np.maximum(size, 1e-300), 1.0)))
     _fill(figure, f, np.maximum(size - half, 1e-3 * size) * factor, (size + half) * factor, _BAND, 1, column)
@@ -89,8 +88,8 @@ def _modelled(
     f, value = model.omega / units.TWO_PI, model.values[:, 0, 0]
     shown = not any(trace.name == theme.plain(label) and trace.showlegend for trace in figure.data)
     _line(figure, f, np.abs(value) * factor, label, look, 1, column, shown=shown)
-    near = _angle(item.values[:, 0, 0])
-    angle = _angle(value)
+    near = phase(item.values[:, 0, 0])
+    angle = phase(value)
     if len(angle) == len(near):
         angle = angle + 360 * np.round((near - angle) / 360)  # the branch of the measured phase
     _line(figure, f, angle, label, look, 2, column)
@@ -104,7 +103,7 @@ def _response_axes(figure: Any, measured: Mapping[str, Frf], sizes: Sequence[np.
     f = np.concatenate([item.omega for item in measured.values()]) / units.TWO_PI
     figure.update_xaxes(**theme.decades(float(f.min()), float(f.max())))
     figure.update_xaxes(title_text="Frequency [Hz]", row=4)
-    angles = np.concatenate([_angle(item.values[:, 0, 0]) for item in measured.values()])
+    angles = np.concatenate([phase(item.values[:, 0, 0]) for item in measured.values()])
     turn = [90 * np.floor(float(angles.min()) / 90), 90 * np.ceil(float(angles.max()) / 90)]
     for column in range(1, len(measured) + 1):
         figure.update_yaxes(**theme.decades(low, high), row=1, col=column)
@@ -131,7 +130,7 @@ def frequency_figure(
     style = theme.styles(labels)
     for number, letter in enumerate(COEFFICIENTS):
         place = {"row": number // 2 + 1, "col": number % 2 + 1}
-        factor, unit = _shown(letter)
+        factor, unit = units.coefficient_scale(letter)
         shift = np.linspace(-0.6, 0.6, len(labels)) if len(labels) > 1 else np.zeros(1)
         if fit.systematic.any():
             one = fit.at(float(fit.pressures[0]))
@@ -142,7 +141,7 @@ def frequency_figure(
             one = fit.at(pressure)
             values, deviations = one.column(letter)
             f = one.frequency / units.TWO_PI
-            bars = _SPREAD * deviations * factor
+            bars = COVERAGE * deviations * factor
             _points(figure, f + move, values * factor, bars, label, style[label], unit, place, shown=number == 0)
             ends = np.array([0.0, f.max()])
             if constants is not None:
@@ -176,7 +175,7 @@ def pressure_figure(
     span = np.linspace(0.0, top, 60)
     for number, letter in enumerate(COEFFICIENTS):
         row, column = number // 2 + 1, number % 2 + 1
-        factor, unit = _shown(letter)
+        factor, unit = units.coefficient_scale(letter)
         first = number == 0
         if letter in lines:
             line = lines[letter]
@@ -194,8 +193,8 @@ def pressure_figure(
             _line(figure, span * factor_x, values, "truth", _TRUTH, row, column, shown=first)
         values, deviations = fit.column(letter)
         look = theme.Style(_MEASURED, "solid", "circle", 1.5)
-        _points(figure, fit.pressure * factor_x, values * factor, _SPREAD * deviations * factor, "identified, 95 %", look, unit,
-                {"row": row, "col": column}, shown=first)  # fmt: skip
+        place, bars = {"row": row, "col": column}, COVERAGE * deviations * factor
+        _points(figure, fit.pressure * factor_x, values * factor, bars, "identified, 95 %", look, unit, place, shown=first)
         if nominal is not None:
             mark = {"line_dash": "dash", "line_color": theme.MUTED, "line_width": 1.2}
             figure.add_vline(x=nominal * factor_x, row=row, col=column, **mark)
@@ -206,51 +205,11 @@ def pressure_figure(
     return figure
 
 
-def overlay_figure(
-    panels: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
-    axes: Sequence[str],
-    *,
-    drive: tuple[float, float] | None = None,
-) -> Any:
-    """Measured (pale) and modelled displacements over time: a row per panel, a column per axis, all to one scale.
-
-    panels: title -> time (k,) [s], measured (p, k) [m], modelled (p, k) [m]; axes: p names. drive [s]: shaded, when the
-    disturbance acts.
-    """
-    from plotly.subplots import make_subplots
-
-    figure = make_subplots(
-        rows=len(panels), cols=len(axes), shared_xaxes=True, shared_yaxes=True, horizontal_spacing=0.02, vertical_spacing=0.05,
-        subplot_titles=[f"<b>{units.axis_name(axis)}</b>" for axis in axes],
-    )  # fmt: skip
-    largest = max(float(np.abs(item[1]).max()) for item in panels.values())
-    factor, unit = units.scale("m", largest)
-    for (row, (title, (time, measured, modelled))), (column, _) in product(enumerate(panels.items(), 1), enumerate(axes, 1)):
-        first = row == column == 1
-        i = column - 1
-        pale, dark = theme.Style("#a9bccb", "solid", "x", 1.2), theme.Style(theme.INK, "solid", "x", 1.3)
-        _line(figure, 1e3 * time, measured[i] * factor, "measured", pale, row, column, shown=first)
-        _line(figure, 1e3 * time, modelled[i] * factor, "identified model", dark, row, column, shown=first)
-        if drive is not None:
-            figure.add_vrect(x0=1e3 * drive[0], x1=1e3 * drive[1], fillcolor=theme.FAINT, line_width=0, layer="below",
-                             row=row, col=column)  # fmt: skip
-        if column == 1:
-            figure.update_yaxes(title_text=f"{theme.plain(title)} [{unit}]", row=row, col=1)
-    theme.dress(figure, 190 * len(panels), legend=True)
-    figure.update_xaxes(title_text="Time [ms]", row=len(panels))
-    return figure
-
-
 def _four_panels() -> Any:
     from plotly.subplots import make_subplots
 
     titles = [f"<b>{_NAMES[letter]}</b>" for letter in COEFFICIENTS]
     return make_subplots(rows=2, cols=2, subplot_titles=titles, shared_xaxes=True, horizontal_spacing=0.1, vertical_spacing=0.1)
-
-
-def _shown(letter: str) -> tuple[float, str]:
-    """Stiffness in kN/m, damping in N s/m: what seals have."""
-    return (1e-3, "kN/m") if _UNITS[letter] == "N/m" else (1.0, "N s/m")
 
 
 def _view(fit: SealFit, letter: str, factor: float) -> list[float]:
@@ -259,12 +218,6 @@ def _view(fit: SealFit, letter: str, factor: float) -> list[float]:
     low, high = min(low, 0.0), max(high, 0.0)
     margin = 0.08 * (high - low)
     return [low - margin, high + margin]
-
-
-def _angle(value: np.ndarray) -> np.ndarray:
-    """The phase [°], unwrapped, begun within -270 to 90: what begins around -180 on all axes stands on one side."""
-    angle = np.degrees(np.unwrap(np.angle(value)))
-    return angle - 360.0 * np.ceil((angle[0] - 90.0) / 360.0) if len(angle) else angle
 
 
 def _line(

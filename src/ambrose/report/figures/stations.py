@@ -47,7 +47,7 @@ def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
     places = [(pair, "q", False) for pair in _pairs(ports(machine))]
     if not any(f"q_{port.name}" in record.signals for (port, _), _, _ in places if _name(port) in gaps):
         places = [(pair, "y", True) for pair in _pairs(sensor_ports(machine))] + places
-    found = []
+    result = []
     for (first, second), kind, sensor in places:
         names = (f"{kind}_{first.name}", f"{kind}_{second.name}")
         if not all(name in record.signals for name in names):
@@ -55,13 +55,13 @@ def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
         u, v = record[names[0]], record[names[1]]
         c, s = np.cos(first.direction), np.sin(first.direction)
         name = _name(first)
-        found.append(
+        result.append(
             Station(name, first.position, c * u - s * v, s * u + c * v, first.direction, gaps.get(name), name in gaps, sensor)
         )
-    if not found:
+    if not result:
         wanted = f"y_{machine.axes[0]} and y_{machine.axes[1]}"
         raise InvalidInput(f"the record of {record.machine} holds no displacements in two directions; it needs {wanted}")
-    return tuple(found)
+    return tuple(result)
 
 
 def rotor_speed(record: Record, scenario: Scenario | None = None) -> np.ndarray:
@@ -74,27 +74,27 @@ def rotor_speed(record: Record, scenario: Scenario | None = None) -> np.ndarray:
     return np.full(record.values.shape[1], record.point.speed)
 
 
-def window(record: Record, found: tuple[Station, ...], speed: np.ndarray, centre: int) -> slice:
+def window(record: Record, places: tuple[Station, ...], speed: np.ndarray, centre: int) -> slice:
     """The samples of three revolutions (at standstill: of three periods of the strongest motion) around a sample."""
     k = len(speed)
     frequency = abs(float(speed[centre])) / (2 * np.pi)
     if frequency <= 0:
-        frequency = _strongest(record, found, centre)
+        frequency = _strongest(record, places, centre)
     length = int(np.clip(_PERIODS * record.sample_rate_hz / max(frequency, 1e-9), min(_FEWEST, k), k))
     start = int(np.clip(centre - length // 2, 0, k - length))
     return slice(start, start + length)
 
 
-def largest(found: tuple[Station, ...]) -> tuple[Station, int]:
+def largest(places: tuple[Station, ...]) -> tuple[Station, int]:
     """The station and the sample of the largest displacement in a bearing (anywhere, where no bearing is known)."""
-    known = [station for station in found if station.bearing] or list(found)
+    known = [station for station in places if station.bearing] or list(places)
     station = max(known, key=lambda item: float(item.radius.max()))
     return station, int(station.radius.argmax())
 
 
-def _strongest(record: Record, found: tuple[Station, ...], centre: int) -> float:
+def _strongest(record: Record, places: tuple[Station, ...], centre: int) -> float:
     """Frequency [Hz] of the strongest motion around a sample."""
-    station = largest(found)[0]
+    station = largest(places)[0]
     half = min(2048, len(station.x) // 2)
     if half < _FEWEST // 2:
         return 0.0

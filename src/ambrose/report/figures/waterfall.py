@@ -24,12 +24,12 @@ _RESONANCE = 1.6  # windows per square root of the sweep rate
 _COLOURS = ((0.0, "#ffffff"), (0.3, "#dbe9f4"), (0.55, "#86b8da"), (0.8, "#1f6fae"), (1.0, "#1c1233"))
 
 
-def waterfall_figure(record: Record, found: Sequence[Station], speed: np.ndarray) -> Any:
+def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -> Any:
     """Amplitude [m] over time and frequency at the bearings (else at the first two stations); speed (k,) [rad/s].
 
     Returns a plotly Figure; None where the record is too short for a spectrum.
     """
-    shown = [station for station in found if station.bearing][:2] or list(found)[:2]
+    shown = [station for station in places if station.bearing][:2] or list(places)[:2]
     turns = speed / (2 * np.pi)
     length = _window(record, turns)
     if len(speed) < 2 * _SHORTEST or length < _SHORTEST:
@@ -115,11 +115,8 @@ def _draw(
         )  # fmt: skip
         _speed_lines(figure, place, record, turns, reach, seconds)
         where = "sensor" if station.at_sensor else "bearing" if station.bearing else ""
-        figure.add_annotation(
-            xref="x domain", yref="y domain", x=0, y=1, xanchor="left", yanchor="bottom", showarrow=False,
-            text=f"<b>{theme.plain(' '.join(filter(None, (where, units.axis_name(station.name)))))}</b> [Hz]",
-            font={"size": 13, "color": theme.INK}, **place,
-        )  # fmt: skip
+        name = theme.plain(" ".join(filter(None, (where, units.axis_name(station.name)))))
+        theme.heading(figure, place, f"<b>{name}</b> [Hz]")
     theme.dress(figure, total, legend=False)
     high = np.log10(top * factor)
     ticks = np.arange(np.ceil(high - _DECADES), np.floor(high) + 1)
@@ -141,20 +138,12 @@ def _draw(
 
 def _speed_lines(figure: Any, place: dict[str, int], record: Record, turns: np.ndarray, reach: float, seconds: float) -> None:
     """1x and 2x the speed, forward, and 1x backward."""
-    import plotly.graph_objects as go
-
     if not np.any(turns):
         return
     at = np.unique(np.linspace(0, len(turns) - 1, 200).astype(int))
     for order, dash in ((1, "7px,4px"), (2, "2px,3px"), (-1, "7px,4px")):
         y = np.where(np.abs(order * turns[at]) <= reach, order * turns[at], np.nan)
-        line = {"color": "#d55e00", "width": 1.1, "dash": dash}
-        figure.add_trace(
-            go.Scatter(
-                x=drawn(record.time[at] * seconds), y=drawn(y), mode="lines", line=line, showlegend=False, hoverinfo="skip"
-            ),
-            **place,
-        )
+        theme.guide(figure, place, drawn(record.time[at] * seconds), drawn(y), color="#d55e00", width=1.1, dash=dash)
         end = int(np.flatnonzero(np.isfinite(y))[-1])
         figure.add_annotation(
             x=float(record.time[at[end]] * seconds), y=float(y[end]), text=f"{order}×".replace("-", "−"), showarrow=False,

@@ -79,5 +79,5 @@ def _model(machine: Machine, checked: LoopIdentification, theta: np.ndarray, mea
 def _visible(measured: frf.Frf) -> frf.Frf:
     """The lines up to the last at which every axis still responds within some decades of its largest."""
     sizes = np.abs(np.diagonal(measured.values, axis1=1, axis2=2))
-    seen = np.flatnonzero((sizes > sizes.max(axis=0) / 10**_DECADES).all(axis=1))
-    return measured.between(float(measured.omega[0]), float(measured.omega[seen[-1] if len(seen) else -1]))
+    visible = np.flatnonzero((sizes > sizes.max(axis=0) / 10**_DECADES).all(axis=1))
+    return measured.between(float(measured.omega[0]), float(measured.omega[visible[-1] if len(visible) else -1]))

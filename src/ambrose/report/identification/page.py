@@ -91,7 +91,7 @@ def identification_report(
     ]
     if seal is not None:
         tables = (seal_table(seal), *((seal_lines_table(seal),) if len(seal.pressures) > 2 else ()))
-        sections.append(Section("Seal", "", (_seal_figure(seal),), tables))
+        sections.append(Section("Seal", "", (seal_figure(seal),), tables))
     if checked.doubts:
         sections.insert(0, Section("What makes this doubtful", "", (), (findings_table(checked.doubts),)))
     if checked.residual is not None:
@@ -110,7 +110,8 @@ def identification_report(
     )  # fmt: skip
 
 
-def _seal_figure(fit: SealFit) -> Figure:
+def seal_figure(fit: SealFit) -> Figure:
+    """K, k, C, c over pressure, with the regression lines from three pressures on."""
     rows = fit if np.isnan(fit.frequency).all() else averaged(fit)
     lines = {letter: line(rows, letter) for letter in COEFFICIENTS} if len(rows.pressures) > 2 else {}
     return Figure(f"Seal {units.axis_name(fit.seal)}: coefficients against pressure", pressure_figure(rows, lines), _SEAL)
@@ -125,9 +126,9 @@ def _comparisons(machine: Machine, checked: LoopIdentification) -> list[Figure]:
         figures.append(Figure(f"Time{where}", picture, _TIME + words))
         picture, words = residual_figure(piece)
         figures.append(Figure(f"Residual over the record{where}", picture, " ".join(part for part in (_WHOLE, words) if part)))
-    found = frf_figure(machine, checked)
-    if found is not None:
-        figures.append(Figure("Frequency response of the plant", found[0], _FRF + found[1]))
+    response = frf_figure(machine, checked)
+    if response is not None:
+        figures.append(Figure("Frequency response of the plant", response[0], _FRF + response[1]))
     return figures
 
 

@@ -16,8 +16,8 @@ from ambrose.identification.result import StaticIdentification
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.agreement import Agreement
 from ambrose.report import theme, units
-from ambrose.report.identification.tables import compared_table, findings_table, fixed, repeats_table
-from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict
+from ambrose.report.identification.tables import compared_table, findings_table, fixed, plus_minus, repeats_table
+from ambrose.report.page import Figure, Report, Row, Section, Table, Verdict, numbers
 
 _LINEAR = 0.01  # probability below which the straight line is rejected
 _FIGURE = (
@@ -67,24 +67,21 @@ def static_report(checked: StaticIdentification, *, compared: Sequence[Agreement
 
 def static_table(checked: StaticIdentification) -> Table:
     """K_i of every axis: the machine's, the line over the loads, the slope at rest."""
-    result, rows = checked.result, []
+    result = checked.result
+    rows: list[Row] = []
     for i, path in enumerate(result.paths):
         value, half = float(result.values[i]), COVERAGE * float(result.standard_deviations[i])
         rest, rest_half = float(result.at_rest[i]), COVERAGE * float(result.at_rest_deviations[i])
         own = float(result.start[i])
-        rows.append(
-            (
-                path,
-                Cell(units.quantity(own, "N/A", 4), "number"),
-                Cell(f"{fixed(value, half)} ± {units.number(half, 2)} N/A", "number"),
-                Cell(f"{fixed(100 * (value / own - 1), 100 * half / own)} %", "number"),
-                Cell(f"{fixed(rest, rest_half)} ± {units.number(rest_half, 2)} N/A", "number"),
-                Cell(f"{units.number(100 * float(result.stiffness_share[i]), 2)} %", "number"),
-                Cell(
-                    f"{units.number(100 * (value / rest - 1), 2)} %" if result.linearity[i] < _LINEAR else "straight", "number"
-                ),
-            )
+        cells = numbers(
+            units.quantity(own, "N/A", 4),
+            plus_minus(value, half, "N/A"),
+            f"{fixed(100 * (value / own - 1), 100 * half / own)} %",
+            plus_minus(rest, rest_half, "N/A"),
+            f"{units.number(100 * float(result.stiffness_share[i]), 2)} %",
+            f"{units.number(100 * (value / rest - 1), 2)} %" if result.linearity[i] < _LINEAR else "straight",
         )
+        rows.append((path, *cells))
     note = (
         "Line: slope over these loads, which goes into the machine file, with 95 %. At rest: slope of a cubic at the unloaded "
         "working point, which small motion sees. By displacement: share of the magnet's force that K_s makes; K_i is as wrong "
@@ -96,7 +93,8 @@ def static_table(checked: StaticIdentification) -> Table:
 
 def levels_table(result: StaticLoad) -> Table:
     """Every level: loads, displacement and current of every axis."""
-    levels, rows = result.levels, []
+    levels = result.levels
+    rows: list[Row] = []
     for j in range(len(levels.loads)):
         loads = ", ".join(f"{units.number(float(load), 3)} N" for load in levels.loads[j])
         moved = ", ".join(units.number(1e6 * float(y), 2) for y in levels.displacement[j])

@@ -12,37 +12,29 @@ from ambrose.identification.seal.result import COEFFICIENTS, SealFit, line
 from ambrose.identification.validation.agreement import Agreement
 from ambrose.identification.validation.repeatability import Repeats
 from ambrose.report import units
-from ambrose.report.page import Cell, Table
+from ambrose.report.page import Cell, Row, Table, numbers
 
 _UNSURE = 0.1  # half-width over value that is marked
 
 
 def parameters_table(result: ParameterEstimate) -> Table:
     """Parameter, start, value, 95 % interval, relative standard deviation."""
-    rows = []
+    rows: list[Row] = []
     for path, start, value, deviation in zip(
         result.paths, result.start, result.values, result.standard_deviations, strict=True
     ):
         unit, half = unit_of(path), COVERAGE * float(deviation)
         relative = half / abs(value) if value else math.inf
         change = f"{fixed(100 * (value / start - 1), 100 * half / abs(start))} %" if start else ""
-        rows.append(
-            (
-                Cell(path),
-                Cell(units.quantity(start, unit, 4), "number"),
-                Cell(f"{_value(value, half, unit)}", "number"),
-                Cell(_interval(value, half, unit), "number"),
-                Cell(f"{units.number(100 * float(deviation) / abs(value), 2)} %" if value else "", "number"),
-                Cell(change, "fail" if relative > 1 else "number"),
-            )
-        )
+        spread = f"{units.number(100 * float(deviation) / abs(value), 2)} %" if value else ""
+        cells = numbers(units.quantity(start, unit, 4), _value(value, half, unit), _interval(value, half, unit), spread)
+        rows.append((path, *cells, Cell(change, "fail" if relative > 1 else "number")))
     note = (
         "95 % interval: 1.96 standard deviations from the colour of the residuals (sandwich covariance); it covers noise, not "
         "what was taken as known: mass +1 % moves K_i and K_s by +0.9 %, controller gain +1 % moves K_s by +2 %."
     )
-    return Table(
-        "Parameters", ("Parameter", "Start", "Value", "95 % interval", "Std. dev.", "Change"), tuple(rows), note
-    )  # fmt: skip
+    columns = ("Parameter", "Start", "Value", "95 % interval", "Std. dev.", "Change")
+    return Table("Parameters", columns, tuple(rows), note)
 
 
 def fit_table(result: ParameterEstimate) -> Table:
@@ -58,13 +50,11 @@ def fit_table(result: ParameterEstimate) -> Table:
 def residual_tests_table(result: ParameterEstimate) -> Table:
     """Does a residual still follow an excitation, the worst first."""
     ordered = sorted(result.tests, key=lambda test: -abs(test.correlation) / test.limit)
-    rows = [
+    rows: list[Row] = [
         (
             units.axis_name(test.signal),
             units.prose(test.excitation),
-            Cell(units.number(test.correlation, 2), "number"),
-            Cell(units.number(test.limit, 2), "number"),
-            Cell(str(test.lag), "number"),
+            *numbers(units.number(test.correlation, 2), units.number(test.limit, 2), str(test.lag)),
             Cell("within" if test.passed else "beyond", "pass" if test.passed else "fail"),
         )
         for test in ordered
@@ -89,19 +79,12 @@ def findings_table(findings: Sequence[Finding]) -> Table:
 
 def repeats_table(repeats: Repeats) -> Table:
     """Mean, interval of the mean and scatter over repeated experiments, beside the scatter that each one states."""
-    rows = []
+    rows: list[Row] = []
     for i, path in enumerate(repeats.paths):
         unit, mean, half = unit_of(path), float(repeats.mean[i]), float(repeats.half_width[i])
         stated = 100 * float(repeats.predicted[i]) / abs(mean) if mean else math.nan
-        rows.append(
-            (
-                path,
-                Cell(_value(mean, half, unit), "number"),
-                Cell(_interval(mean, half, unit), "number"),
-                Cell(f"{units.number(float(repeats.rsd[i]), 2)} %", "number"),
-                Cell(f"{units.number(stated, 2)} %", "number"),
-            )
-        )
+        scatter = (f"{units.number(share, 2)} %" for share in (float(repeats.rsd[i]), stated))
+        rows.append((path, *numbers(_value(mean, half, unit), _interval(mean, half, unit), *scatter)))
     note = (
         f"{repeats.count} records, each identified alone. Interval of the mean: Student's t. RSD: scatter of one record over "
         "the mean; where it is far above what the single records state, something else than noise changes between them."
@@ -112,13 +95,13 @@ def repeats_table(repeats: Repeats) -> Table:
 
 def seal_table(fit: SealFit) -> Table:
     """K, k, C, c at every pressure with their 95 % intervals."""
-    rows = []
+    rows: list[Row] = []
     for i, pressure in enumerate(fit.pressure.tolist()):
         cells = [Cell(units.quantity(pressure, "Pa", 4))]
         for j, letter in enumerate(COEFFICIENTS):
-            value, half = float(fit.values[i, j]), COVERAGE * float(fit.deviations[i, j])
-            factor, unit = (1e-3, "kN/m") if letter in "Kk" else (1.0, "N s/m")
-            cells.append(Cell(f"{fixed(value * factor, half * factor)} ± {units.number(half * factor, 2)} {unit}", "number"))
+            factor, unit = units.coefficient_scale(letter)
+            half = COVERAGE * float(fit.deviations[i, j]) * factor
+            cells += numbers(plus_minus(float(fit.values[i, j]) * factor, half, unit))
         rows.append(tuple(cells))
     note = "95 % interval of what noise leaves open, all else as identified. K and c, and k and C, act alike at one frequency."
     columns = ("Pressure", *COEFFICIENTS)
@@ -127,23 +110,17 @@ def seal_table(fit: SealFit) -> Table:
 
 def seal_lines_table(fit: SealFit) -> Table:
     """The regression lines over pressure."""
-    rows = []
+    rows: list[Row] = []
     for letter in COEFFICIENTS:
         one = line(fit, letter)
-        factor, unit = (1e-3, "kN/m") if letter in "Kk" else (1.0, "N s/m")
+        factor, unit = units.coefficient_scale(letter)
         bar, top = units.scale("Pa")[0], float(fit.pressure.max())
         half, times = float(one.confidence(0.0)), float(one.confidence(0.0) / one.deviation(0.0))
         slope = float(one.covariance[1, 1]) ** 0.5 * times / bar * factor
         width = float(max(one.prediction(0.0), one.prediction(top))) * factor
-        rows.append(
-            (
-                letter,
-                Cell(_plus_minus(one.intercept * factor, half * factor, unit), "number"),
-                Cell(_plus_minus(one.slope / bar * factor, slope, f"{unit} per {units.scale('Pa')[1]}"), "number"),
-                Cell(f"{units.number(width, 2)} {unit}", "number"),
-                Cell(units.number(one.scatter, 2), "number"),
-            )
-        )
+        intercept = plus_minus(one.intercept * factor, half * factor, unit)
+        rise = plus_minus(one.slope / bar * factor, slope, f"{unit} per {units.scale('Pa')[1]}")
+        rows.append((letter, *numbers(intercept, rise, f"{units.number(width, 2)} {unit}", units.number(one.scatter, 2))))
     note = (
         "95 % by Student's t. Next: half-width of the band for a further measurement, at its widest up to the highest pressure "
         "measured; the machine file's tolerance is this band over all operating points. Scatter: of the points about the line "
@@ -153,32 +130,26 @@ def seal_lines_table(fit: SealFit) -> Table:
     return Table(f"Seal {units.axis_name(fit.seal)}: lines over pressure", columns, tuple(rows), note)
 
 
-def _plus_minus(value: float, half: float, unit: str) -> str:
+def plus_minus(value: float, half: float, unit: str) -> str:
+    """ "3.10 ± 0.04 kN/m", all in the shown unit."""
     return f"{fixed(value, half)} ± {units.number(half, 2)} {unit}"
 
 
 def compared_table(rows: Sequence[Agreement]) -> Table:
     """What was found beside what another method had found."""
-    cells = []
+    cells: list[Row] = []
     for row in rows:
         unit = unit_of(row.path)
         difference = f"{units.number(row.difference, 2)} ± {units.number(row.difference_half_width, 2)} %" if row.other else ""
-        cells.append(
-            (
-                row.path,
-                Cell(_value(row.value, row.half_width, unit), "number"),
-                Cell(_value(row.other, row.other_half_width, unit), "number"),
-                Cell(difference, "number"),
-                Cell(("noise" if row.agree else "more than noise") if row.other_half_width else "the other states no interval"),
-            )
-        )
+        pair = (_value(row.value, row.half_width, unit), _value(row.other, row.other_half_width, unit))
+        why = ("noise" if row.agree else "more than noise") if row.other_half_width else "the other states no interval"
+        cells.append((row.path, *numbers(*pair, difference), why))
     note = (
         "Difference with its 95 % half-width from both intervals. Beyond noise it is one of methods: chord over loads against "
         "tangent at small motion, or a model that is wrong in one of them."
     )
-    return Table(
-        "Beside the other file", ("Parameter", "Found", "Other file", "Difference", "Explained by"), tuple(cells), note
-    )
+    columns = ("Parameter", "Found", "Other file", "Difference", "Explained by")
+    return Table("Beside the other file", columns, tuple(cells), note)
 
 
 def _value(value: float, half: float, unit: str) -> str:

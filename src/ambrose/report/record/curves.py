@@ -6,50 +6,53 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report.figures.stations import Station
+from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Curve
 
 _BINS = 1000  # of a thinned curve, each with its lowest and highest value
 _DRIVEN = (("e", "Current excitation"), ("r", "Reference"), ("d", "Output disturbance"), ("f", "Applied forces"))
+_KINDS = {"y": ("displacement", "m"), "i": ("current", "A"), "u": ("controller output", "A")}
 
 
-def radius_curve(record: Record, found: Sequence[Station], machine: Machine) -> Curve:
+def radius_curve(record: Record, places: Sequence[Station], machine: Machine) -> Curve:
     """Distance of the shaft's centre from the middle of every bearing (of every station, where no bearing is known)."""
-    shown = [station for station in found if station.bearing] or list(found)
+    shown = [station for station in places if station.bearing] or list(places)
     values = np.array([station.radius for station in shown])
     labels = tuple(station.name for station in shown)
-    limits = _limits("touchdown gap", [station.gap for station in shown], both=False)
+    limits = tightest("touchdown gap", [station.gap for station in shown])[:1]
     return _curve(record, "radius", "Distance from the middle of the bearing", values, labels, "m", limits)
 
 
 def signal_curves(record: Record, machine: Machine) -> list[Curve]:
     """Currents against their limit, magnet forces, what was driven, and what varied of the operating point."""
-    found: list[Curve | None] = []
+    curves: list[Curve | None] = []
     currents = [bearing.max_current for bearing in machine.bearings]
     forces = [bearing.max_force for bearing in machine.bearings]
     for kind, title, unit, limits in (
-        ("u", "Controller output", "A", _limits("largest control current", currents)),
-        ("i", "Control currents in the coils", "A", _limits("largest control current", currents)),
-        ("f_magnet", "Magnet forces", "N", _limits("largest force", forces)),
+        ("u", "Controller output", "A", tightest("largest control current", currents)),
+        ("i", "Control currents in the coils", "A", tightest("largest control current", currents)),
+        ("f_magnet", "Magnet forces", "N", tightest("largest force", forces)),
         ("y", "Displacements at the sensors", "m", ()),
     ):
         names = [name for axis in machine.axes if (name := f"{kind}_{axis}") in record.signals]
-        found.append(_signals(record, kind, title, names, unit, limits))
+        curves.append(_signals(record, kind, title, names, unit, limits))
     for kind, title in _DRIVEN:
         names = [n for n in record.signals if n.startswith(f"{kind}_") and not n.startswith("f_magnet_") and record[n].any()]
         unit = record.units[record.signals.index(names[0])] if names else ""
-        found.append(_signals(record, kind, title, names, unit, (), whole=True))
+        curves.append(_signals(record, kind, title, names, unit, (), whole=True))
     for kind, title in (("p", "Seal pressure"), ("speed", "Rotor speed")):
         names = [n for n in record.signals if n.partition("_")[0] == kind and np.ptp(record[n]) > 0]
-        found.append(_signals(record, kind, title, names, "Pa" if kind == "p" else "rad/s", (), whole=True))
-    return [curve for curve in found if curve is not None]
+        curves.append(_signals(record, kind, title, names, "Pa" if kind == "p" else "rad/s", (), whole=True))
+    return [curve for curve in curves if curve is not None]
 
 
 def zoomed_curves(record: Record, machine: Machine, part: slice) -> list[tuple[str, Curve]]:
     """Controller outputs and coil currents in these samples, as (label, Curve) pairs for one figure."""
-    limits = _limits("largest control current", [bearing.max_current for bearing in machine.bearings])
+    limits = tightest("largest control current", [bearing.max_current for bearing in machine.bearings])
     pairs = []
     for kind, label in (("u", "controller output"), ("i", "coil current")):
         names = [name for axis in machine.axes if (name := f"{kind}_{axis}") in record.signals]
@@ -107,9 +110,32 @@ def _curve(
     return Curve(f"record.{kind}", title, "time", time, shown, labels, "s", unit, limits)
 
 
-def _limits(words: str, values: Sequence[float | None], *, both: bool = True) -> tuple[tuple[str, float], ...]:
-    """The tightest one, on both sides."""
+def trace_curves(trace: Trace, machine: Machine, kinds: Sequence[str] = ("y", "i")) -> tuple[Curve, ...]:
+    """The signals of a trace at the control axes, grouped: "y" displacements [m], "i" currents, "u" controller output [A].
+
+    The curves are named "<scenario>.<kind in words>", so that traces of one scenario at several operating points share
+    figures, and carry the touchdown gap or the largest control current of the bearings as limits. Kinds that the record does
+    not hold are left out. Raises InvalidInput for an unknown kind.
+    """
+    curves = []
+    gaps = tightest("touchdown gap", [bearing.touchdown_gap for bearing in machine.bearings])
+    currents = tightest("largest control current", [bearing.max_current for bearing in machine.bearings])
+    for kind in kinds:
+        if kind not in _KINDS:
+            raise InvalidInput(f"the kind of signal is {kind!r}, but must be one of y, i, u")
+        words, unit = _KINDS[kind]
+        names = tuple(name for axis in machine.axes if (name := f"{kind}_{axis}") in trace.record.signals)
+        if names:
+            values = trace.record.select(names).values
+            title = f"{trace.scenario}: {words}"
+            labels = tuple(name.removeprefix(f"{kind}_") for name in names)
+            limits = gaps if kind == "y" else currents
+            name = f"{trace.scenario}.{words.replace(' ', '_')}"
+            curves.append(Curve(name, title, "time", trace.record.time, values, labels, "s", unit, limits))
+    return tuple(curves)
+
+
+def tightest(words: str, values: Sequence[float | None]) -> tuple[tuple[str, float], ...]:
+    """The smallest of several limits, on both sides; none where none is known."""
     known = [value for value in values if value is not None]
-    if not known:
-        return ()
-    return ((words, min(known)), (words, -min(known))) if both else ((words, min(known)),)
+    return ((words, min(known)), (words, -min(known))) if known else ()

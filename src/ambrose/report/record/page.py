@@ -64,21 +64,21 @@ def record_report(
     """
     trace = source if isinstance(source, Trace) else None
     record = source.record if isinstance(source, Trace) else source
-    found, speed = stations(record, machine), rotor_speed(record, scenario)
+    places, speed = stations(record, machine), rotor_speed(record, scenario)
     label = record.point.label or "record"
     motion = [
-        _over_time(radius_curve(record, found, machine), label),
-        Figure("Orbits", orbit_figure(record, found, speed), _ORBITS),
+        _over_time(radius_curve(record, places, machine), label),
+        Figure("Orbits", orbit_figure(record, places, speed), _ORBITS),
     ]
-    spectra = waterfall_figure(record, found, speed)
+    spectra = waterfall_figure(record, places, speed)
     if spectra is not None:
         motion.append(Figure("Waterfall: whirl over time and frequency", spectra, _WATERFALL))
-    if len(found) > 1:
-        motion.append(Figure("The rotor in motion", rotor_animation(record, found, machine, speed), _MOTION))
+    if len(places) > 1:
+        motion.append(Figure("The rotor in motion", rotor_animation(record, places, machine, speed), _MOTION))
     curves = {curve.name: _over_time(curve, label) for curve in signal_curves(record, machine)}
     first = "record.u" if "record.u" in curves else "record.i"
     effort = [curves.pop(name) for name in (first, "record.f_magnet") if name in curves]
-    near = zoomed_curves(record, machine, window(record, found, speed, largest(found)[1]))
+    near = zoomed_curves(record, machine, window(record, places, speed, largest(places)[1]))
     if near:
         effort.insert(1, Figure("Currents around the largest motion", figure(near), _NEAR))
     sections = (
@@ -86,7 +86,7 @@ def record_report(
         Section("Currents and forces", "", tuple(effort)),
         Section("Everything else", "", tuple(curves.values()), (signals_table(record),)),
     )
-    verdicts = record_verdicts(record, machine, found, trace)
+    verdicts = record_verdicts(record, machine, places, trace)
     name = trace.scenario if trace is not None else dict(record.notes).get("scenario", "")
     return Report(
         title or (f"Record of a run: {name}" if name else "Record of a run"),

@@ -11,7 +11,7 @@ from ambrose.machine.record.record import Record
 from ambrose.report import units
 from ambrose.report.figures.orbits import percent
 from ambrose.report.figures.stations import Station
-from ambrose.report.page import Cell, Table, Verdict
+from ambrose.report.page import Cell, Row, Table, Verdict, numbers
 from ambrose.simulation.trace import Trace
 
 _AT_LIMIT = 0.999
@@ -22,7 +22,7 @@ _KINDS = (
 )  # fmt: skip
 
 
-def record_verdicts(record: Record, machine: Machine, found: Sequence[Station], trace: Trace | None) -> tuple[Verdict, ...]:
+def record_verdicts(record: Record, machine: Machine, places: Sequence[Station], trace: Trace | None) -> tuple[Verdict, ...]:
     """The outcome of a simulation, the clearance, currents and forces against their limits; those that can be judged."""
     verdicts = []
     if trace is not None:
@@ -31,7 +31,7 @@ def record_verdicts(record: Record, machine: Machine, found: Sequence[Station], 
         verdicts.append(Verdict("Outcome", None, units.prose(outcome)))
     if dict(record.notes).get("complete") == "false":
         verdicts.append(Verdict("Record", None, "the run was interrupted; the record ends before its time"))
-    judged = [station for station in found if station.gap is not None]
+    judged = [station for station in places if station.gap is not None]
     first = _free_since(record, judged)
     verdicts += _clearance(record, judged, first)
     kind, title = ("u", "Controller output") if f"u_{machine.axes[0]}" in record.signals else ("i", "Control current")
@@ -106,7 +106,7 @@ def _moment(record: Record, sample: int) -> str:
 
 def signals_table(record: Record) -> Table:
     """Mean, deviation and extremes of every signal."""
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[Row] = []
     left = list(record.signals)
     for kind, title in _KINDS:
         names = [name for name in left if not kind or name.startswith(f"{kind}_")]
@@ -117,7 +117,6 @@ def signals_table(record: Record) -> Table:
             unit, values = record.units[record.signals.index(name)], record[name]
             factor, shown = units.scale(unit, float(np.abs(values).max()))
             figures = (values.mean(), values.std(), values.min(), values.max())
-            cells = (Cell(units.number(float(value) * factor), "number") for value in figures)
-            rows.append((units.axis_name(name), shown, *cells))
+            rows.append((units.axis_name(name), shown, *numbers(*(units.number(float(value) * factor) for value in figures))))
     columns = ("Signal", "Unit", "Mean", "Standard deviation", "Lowest", "Highest")
     return Table("Signals", columns, tuple(rows), "", (28, 10, 14, 20, 14, 14))

@@ -8,7 +8,7 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
-from ambrose.report.figures.traces import trace_curves
+from ambrose.report.record.curves import trace_curves
 from ambrose.simulation.trace import Trace
 
 
