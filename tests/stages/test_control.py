@@ -48,7 +48,7 @@ def designs(monkeypatch, first):
     """The designs that were asked for, none of them made."""
     asked = []
 
-    def stand_in(plant, method, options, **rest):
+    def stand_in(plant, method, *, options, progress):
         asked.append((method, options))
         return first[0]
 

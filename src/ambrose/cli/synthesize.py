@@ -85,7 +85,7 @@ def synthesize(
         progress("assembling the plant")
         plant = plant_at(description, point)
         progress(f"designing ({method})")
-        result = design(plant, method, options, progress=progress)
+        result = design(plant, method, options=options, progress=progress)
     write_controller(output, result)
     certificate = result.certificate.to_dict()
     if as_json:

@@ -34,6 +34,6 @@ def resume_or_design(
         if not wrong:
             return kept
         progress(f"{path.name} is not taken up: {wrong}; designing it anew")
-    synthesis = design(plant, method, options, progress=progress)
+    synthesis = design(plant, method, options=options, progress=progress)
     write_controller(path, synthesis)
     return synthesis
