@@ -35,9 +35,11 @@ OUTPUTS = DOCS / "outputs.json"
 FILES = {  # name -> the command that makes it; made once and copied
     "pid.json": "ambrose synthesize seal-rig --method pid -o pid.json",
     "hinf.json": "ambrose synthesize seal-rig --method hinf -o hinf.json",
+    "controller.json": "ambrose synthesize seal-rig --method pid -o controller.json",
     "prbs.h5": "ambrose simulate seal-rig --controller pid.json --scenario prbs -o prbs.h5",
+    "loads.h5": "ambrose simulate seal-rig --controller pid.json --scenario static-loads-both -o loads.h5",
 }
-_NEEDS = {"prbs.h5": ["pid.json"]}
+_NEEDS = {"prbs.h5": ["pid.json"], "loads.h5": ["pid.json"]}
 _BLOCK = re.compile(
     r"^<!-- (?P<mark>files|python|run): ?(?P<note>.*?)-->|^```(?P<kind>\w+)(?P<rest>[^\n]*)\n(?P<text>.*?)^```$",
     re.DOTALL | re.MULTILINE,
@@ -47,12 +49,13 @@ _SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 @dataclass(frozen=True)
 class Block:
-    """A piece of a page. kind: python, console or files; mark: "", "stored" or "no"; line: where it stands."""
+    """A piece of a page. kind: python, console, files or file (of that title); mark: "", "stored" or "no"; line: its place."""
 
     kind: str
     text: str
     mark: str
     line: int
+    title: str = ""
 
 
 class Differs(AssertionError):
@@ -75,7 +78,10 @@ def blocks(text):
         if match["mark"]:
             result.append(Block(match["mark"], match["note"].strip(), "", line))
             continue
-        if match["kind"] in ("python", "console"):
+        title = re.search(r'title="([^"]+)"', match["rest"])
+        if title:
+            result.append(Block("file", match["text"], mark, line, title[1]))
+        elif match["kind"] in ("python", "console"):
             result.append(Block(match["kind"], match["text"], mark, line))
         mark = ""
     return result
@@ -107,7 +113,7 @@ def run_page(name, cache):
         return 0
     namespace, done = {"__name__": "__main__"}, 0
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        for block in parts:
+        for block in sorted(parts, key=lambda block: block.kind != "file"):
             if block.mark == "no":
                 continue
             try:
@@ -124,6 +130,8 @@ def run_block(block, namespace, cache):
     if block.kind == "files":
         for name in block.text.split():
             shutil.copy(make_file(name, cache), name)
+    elif block.kind == "file":
+        Path(block.title).write_text(block.text, encoding="utf-8")
     elif block.kind == "python":
         with contextlib.redirect_stdout(io.StringIO()):
             exec(compile(block.text, f"line {block.line}", "exec", dont_inherit=True), namespace)
@@ -147,7 +155,7 @@ def compare(command, printed, status, output):
 
 def run_command(command):
     """(exit status, standard output; the message of a refusal). Standard error holds progress, which pages do not show."""
-    words = shlex.split(command)
+    words = shlex.split(command, comments=True)
     if words[0] == "ambrose":
         from ambrose.cli import main
 
@@ -174,6 +182,13 @@ def make_file(name, cache):
         if status not in (0, 1):
             raise Differs(f"{FILES[name]}: {output}")
     return path
+
+
+def quoted_commands(text):
+    """Every `ambrose ...` of a page, shown as a block, in a table or in a sentence."""
+    shown = [command for block in blocks(text) if block.kind == "console" for command, _ in commands(block.text)]
+    words = re.findall(r"`(ambrose [a-z][^`\n]*)`", text) + re.findall(r"^ *(ambrose [a-z].*)$", text, re.MULTILINE)
+    return [command for command in shown + words if command.startswith("ambrose ") and "..." not in command]
 
 
 def stored_commands():

@@ -6,6 +6,7 @@ A study that lies already in $AMBROSE_STUDIES/<machine>-study is read instead of
 
 import json
 import os
+import re
 import tempfile
 from pathlib import Path
 
@@ -24,19 +25,24 @@ ROBUST = {
 
 
 def ambrose(*arguments, folder=None):
-    """What a command prints with --json, run in this process. Raises RuntimeError with its message where it refuses."""
+    """What a command prints with --json. Raises RuntimeError with its message where it refuses."""
+    return json.loads(run(*arguments, "--json", folder=folder).stdout)
+
+
+def run(*arguments, folder=None):
+    """A command run in this process, in a folder of its own unless one is given. Raises RuntimeError where it refuses."""
     from ambrose.cli import main
 
     before = Path.cwd()
     with tempfile.TemporaryDirectory() as scratch:
         os.chdir(folder or scratch)
         try:
-            done = CliRunner().invoke(main, [*map(str, arguments), "--json"])
+            done = CliRunner().invoke(main, [str(argument) for argument in arguments])
         finally:
             os.chdir(before)
     if done.exit_code not in (0, 1) or (done.exception and not isinstance(done.exception, SystemExit)):
         raise RuntimeError(f"ambrose {' '.join(map(str, arguments))}: {done.stderr or done.exception}")
-    return json.loads(done.stdout)
+    return done
 
 
 def check(machine):
@@ -118,7 +124,7 @@ def value_of(checks, name):
     return value if isinstance(value, int | float) else "unstable"
 
 
-def lowest(machine="seal-rig"):
+def sampled_designs(machine="seal-rig"):
     """Designs for the sampled loop: states and worst sensitivity at each pressure, as the header of the C code states it."""
     designs = {
         "mu": ["mu"],
@@ -139,6 +145,12 @@ def lowest(machine="seal-rig"):
             _, _, peak = header.partition(f"Verified   {label}: stable, sensitivity peak ")
             figures[f"{name}.{point}"] = float(peak.split("\n")[0].rstrip("."))
     return figures
+
+
+def lowering():
+    """docs/integrator.md: the worst sampled sensitivity at every order that --loss tries, as its progress shows it."""
+    progress = run("synthesize", "seal-rig", "--method", "mu", "--rate-hz", "10000", "--loss", "5").stderr
+    return {f"{how}{order}": float(worst) for order, how, worst in re.findall(r"order (\d+), (\w+): ([\d.]+)", progress)}
 
 
 def gas_seal():
@@ -173,5 +185,6 @@ QUICK = {
 SLOW = {
     "study": lambda: study("seal-rig"),
     "study_turboexpander": lambda: study("turboexpander"),
-    "sampled": lowest,
+    "sampled": sampled_designs,
+    "lowering": lowering,
 }

@@ -3,23 +3,19 @@
 import numpy as np
 from scipy.optimize import brentq
 
-from ambrose import load_machine
+import ambrose as amb
 from ambrose.core.statespace import spectral_abscissa
-from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import reduce
-from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis.pid import pid_controller
 
-machine = load_machine("seal-rig")
-full = assemble(machine)
-small = reduce(full)
-controller = pid_controller(machine.controller, machine)
+machine = amb.load_machine("seal-rig")
+full = amb.assemble(machine)
+small = amb.reduce(full, 0)
+controller = amb.design(machine, "pid").controller
 
 
 def abscissa(plant, delta):
     """Largest real part of the closed-loop poles [rad/s] with k at (1 + delta) times its nominal value."""
-    return spectral_abscissa(closed_loop(perturbed(plant, {"seal.center.k": delta}), controller))
+    return spectral_abscissa(closed_loop(amb.perturbed(plant, {"seal.center.k": delta}), controller))
 
 
 limit = brentq(lambda delta: abscissa(small, delta), 0.0, 1.0, xtol=1e-6)

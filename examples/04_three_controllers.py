@@ -1,16 +1,18 @@
 """PID, H-infinity and mu of similar gain on the seal rig: which one holds over the whole pressure range?"""
 
-from ambrose import load_machine
-from ambrose.plant.assemble import assemble
-from ambrose.synthesis.design import design
-from ambrose.verification import robust
+import ambrose as amb
 
-plant = assemble(load_machine("seal-rig"))
-syntheses = {method: design(plant, method) for method in ("pid", "hinf", "mu")}  # designed on 8 rotor states ...
-verdicts = {method: robust.check(plant, result.controller) for method, result in syntheses.items()}  # ... judged on 320
+machine = amb.load_machine("seal-rig")
+syntheses = {method: amb.design(machine, method) for method in ("pid", "hinf", "mu")}  # designed on 8 rotor states ...
+verdicts = {method: amb.verify(machine, result, points="nominal") for method, result in syntheses.items()}  # ... judged on 320
+
+
+def picture():
+    return amb.plot(verdicts["mu"])
+
 
 if __name__ == "__main__":
-    for method, checks in verdicts.items():
-        margin, worst = checks["robust.stability.margin"], checks["robust.sensitivity.worst"]
+    for method, verdict in verdicts.items():
+        margin, worst = verdict.tolerances["robust.stability.margin"], verdict.tolerances["robust.sensitivity.worst"]
         states = syntheses[method].controller.n_states
         print(f"{method:5} {states:2} states, stable up to {margin.value:.2f} tolerances of k, worst S_o {worst.value:.2f}")

@@ -2,34 +2,32 @@
 
 import numpy as np
 
-from ambrose import GeneralizedPlant, StateSpace
-from ambrose.core.lft import RealBlock, lft
+import ambrose as amb
+from ambrose.core.lft import lft
 from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.statespace import connect
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import with_performance_block
 from ambrose.synthesis.weights import performance_weight
 
 # x'' = (1 + 0.5 delta) x + u + w1, scaled: one unit of time is 1/sqrt(k_s/m), one of length the acceptable error.
-mass = StateSpace(
+mass = amb.StateSpace(
     [[0, 1], [1, 0]], [[0, 0, 0], [1, 1, 1]], [[0.5, 0], [1, 0]], np.zeros((2, 3)), ["w_k", "w1", "u"], ["z_k", "x"]
 )
 weight = performance_weight(peak=3.0, bandwidth=0.05)  # input "err", output "z1" below
-weight = StateSpace(weight.A, weight.B, weight.C, weight.D, ["e"], ["z1"])
-effort = StateSpace([], np.zeros((0, 1)), np.zeros((1, 0)), [[0.2]], ["v"], ["z2"])
+weight = amb.StateSpace(weight.A, weight.B, weight.C, weight.D, ["e"], ["z1"])
+effort = amb.StateSpace([], np.zeros((0, 1)), np.zeros((1, 0)), [[0.2]], ["v"], ["z2"])
 system = connect(
     [mass, weight, effort],
     inputs=["w_k", "w1", "w2", "u"],
     outputs=["z_k", "z1", "z2", "err"],
     sums={"err": ["-x", "-w2"], "e": ["err"], "v": ["u"]},
 )
-problem = GeneralizedPlant(
-    system, w=["w_k", "w1", "w2"], u=["u"], z=["z_k", "z1", "z2"], y=["err"], blocks=[RealBlock("stiffness")]
+problem = amb.GeneralizedPlant(
+    system, w=["w_k", "w1", "w2"], u=["u"], z=["z_k", "z1", "z2"], y=["err"], blocks=[amb.RealBlock("stiffness")]
 )
 
-nominal = GeneralizedPlant(system, w=["w1", "w2"], u=["u"], z=["z1", "z2"], y=["err"])
-results = {"H-infinity": hinf_synthesis(nominal), "mu": mu_synthesis(problem, order=1)}
+nominal = amb.GeneralizedPlant(system, w=["w1", "w2"], u=["u"], z=["z1", "z2"], y=["err"])
+results = {"H-infinity": amb.hinf_synthesis(nominal), "mu": amb.mu_synthesis(problem, order=1)}
 analysis = with_performance_block(problem)
 peaks = {
     name: mu_peak(lft(problem, result.controller), analysis.blocks, np.geomspace(1e-3, 1e3, 200))

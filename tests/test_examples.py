@@ -18,11 +18,11 @@ def example(name):
 
 
 def test_machine_to_verdict():
-    verdicts = example("01_machine_to_verdict.py")["verdicts"]
-    assert [checks.stable for checks in verdicts.values()] == [True, True, False]  # nominal, zero, twice nominal pressure
-    peak = verdicts["nominal pressure"]["sensitivity.output.max"]
+    verdict = example("01_machine_to_verdict.py")["verdict"]
+    assert [checks.stable for checks in verdict.points] == [True, True, False]  # nominal, zero, twice nominal pressure
+    peak = verdict["nominal pressure"]["sensitivity.output.max"]
     assert peak.zone == "D"
-    assert verdicts["zero pressure"].passed
+    assert verdict["zero pressure"].passed
 
 
 def test_own_rotor():
@@ -42,9 +42,10 @@ def test_seal_pressure():
 
 def test_three_controllers():
     verdicts = example("04_three_controllers.py")["verdicts"]
-    margin = {method: checks["robust.stability.margin"].value for method, checks in verdicts.items()}
+    margin = {method: verdict.tolerances["robust.stability.margin"].value for method, verdict in verdicts.items()}
     assert margin["pid"] < 1 < margin["hinf"] < margin["mu"]
-    assert verdicts["mu"]["robust.sensitivity.worst"].value < verdicts["hinf"]["robust.sensitivity.worst"].value
+    worst = {method: verdict.tolerances["robust.sensitivity.worst"].value for method, verdict in verdicts.items()}
+    assert worst["mu"] < worst["hinf"]
 
 
 def test_own_uncertain_plant():

@@ -1,7 +1,23 @@
 """Every code block of README.md and docs/ runs as printed, and what is stored of slow commands is what the pages show."""
 
+import shlex
+
+import click
 import pytest
-from docs_build.blocks import Differs, blocks, commands, compare, pages, run_block, run_page, stored_commands, stored_outputs
+from docs_build.blocks import (
+    Differs,
+    blocks,
+    commands,
+    compare,
+    pages,
+    quoted_commands,
+    run_block,
+    run_page,
+    stored_commands,
+    stored_outputs,
+)
+
+from ambrose.cli import main
 
 
 @pytest.mark.parametrize("name", [name for name, path in pages().items() if blocks(path.read_text(encoding="utf-8"))])
@@ -19,6 +35,19 @@ def test_blocks_that_are_not_run_say_why(name):
         if line.startswith("<!-- run:"):
             mark, _, reason = line.removeprefix("<!-- run:").removesuffix("-->").strip().partition(",")
             assert mark == "stored" or (mark == "no" and reason), f"{name}: {line}"
+
+
+@pytest.mark.parametrize("name", pages())
+def test_every_command_and_its_options_exist(name):
+    """Also where a command stands in a sentence or is not run."""
+    for quoted in quoted_commands(pages()[name].read_text(encoding="utf-8")):
+        _, word, *arguments = shlex.split(quoted.replace("|", " "), comments=True)
+        assert word in main.commands, f"{name}: {quoted}"
+        command = main.commands[word]
+        try:
+            command.make_parser(click.Context(command, resilient_parsing=True)).parse_args(arguments)
+        except click.NoSuchOption as error:
+            raise AssertionError(f"{name}: {quoted}: {error.message}") from error
 
 
 def test_blocks_and_marks():

@@ -18,7 +18,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "records.md").read_text()
 
 
 def block(kind: str, word: str) -> str:
-    return next(text for text in re.findall(rf"```{kind}\n(.*?)```", PAGE, re.DOTALL) if word in text)
+    return next(text for text in re.findall(rf"```{kind}[^\n]*\n(.*?)```", PAGE, re.DOTALL) if word in text)
 
 
 @pytest.fixture
