@@ -24,7 +24,7 @@ _HOME = {  # public name -> module; imported on first use, so that ``import ambr
     "Synthesis": "synthesis.result",
     "Verification": "verification.verification",
     "Trace": "simulation.trace",
-    "Identification": "identification.pipeline",
+    "Identification": "identification.result",
     "ExportOptions": "deployment.pipeline",
     "Study": "workflow",
     "hinf_synthesis": "synthesis.hinf.synthesis",

@@ -15,15 +15,15 @@ operating point its label, the beginning of it, or an ``OperatingPoint``. Everyt
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ambrose.core.checks import InvalidInput
 
 if TYPE_CHECKING:
-    from ambrose.deployment.pipeline import Delivery, ExportOptions
-    from ambrose.identification.pipeline import Identification
+    from ambrose.deployment.pipeline import Delivery, ExportOptions, Target
+    from ambrose.identification.result import Identification
     from ambrose.machine.description import OperatingPoint
     from ambrose.machine.machine import Machine
     from ambrose.plant.model import Plant
@@ -73,56 +73,53 @@ def design(
     method: str = "mu",
     *,
     point: OperatingPoint | str | None = None,
-    rate: float | None = None,
-    delay_samples: int = 1,
-    order: int | None = None,
-    loss: float | None = None,
-    bending_modes: int = 0,
-    speeds: tuple[float, float] | None = None,
     progress: Progress = _quiet,
+    **options: Any,
 ) -> Synthesis:
     """A controller: designed on the reduced plant of one operating point, certified on the full one.
 
     method: "pid" (the machine's reference controller), "hinf", "mu" (D-K iteration over the tolerances), "polish" (mu refined
-    at fixed order) or "lpv" (scheduled over ``speeds``, lowest and highest [rad/s]). rate [Hz]: the loop that it is for runs
-    sampled, ``delay_samples`` late; order: states of the polished controller; loss: with a rate, lower the order until the
-    worst sampled sensitivity has risen by this share. A controller that does not hold the full plant comes back with status
-    "unstable". Raises InvalidInput.
+    at fixed order) or "lpv" (scheduled over speed). point: of the machine (None: the one that designs are made for). options,
+    see ``synthesis.options.DesignOptions``: rate [Hz] and delay_samples of the sampled loop that it is for; order of the
+    polished controller; loss, with a rate: lower the order until the worst sampled sensitivity has risen by this share;
+    bending_modes; match_reference; speeds, lowest and highest [rad/s]. A controller that does not hold the full plant comes
+    back with status "unstable". Raises InvalidInput.
     """
+    from ambrose.plant.model import Plant as PlantType
     from ambrose.synthesis.design import design as designed
 
-    return designed(
-        _plant_of(machine, point), method, rate=rate, delay_samples=delay_samples, order=order, loss=loss,
-        bending_modes=bending_modes, speeds=speeds, progress=progress,
-    )  # fmt: skip
+    if not isinstance(machine, PlantType):
+        machine = assemble(machine, point)
+    elif point is not None:
+        raise InvalidInput(f"the plant is at {machine.point.label!r} already; give the machine to choose another point")
+    return designed(machine, method, progress=progress, **options)
 
 
 def verify(
     machine: Machine | Plant | str,
     controller: Any,
     *,
-    points: Iterable[OperatingPoint | str] | None = None,
+    points: Sequence[OperatingPoint | str] | OperatingPoint | str | None = None,
     tolerances: bool = True,
+    rate: float | None = None,
     progress: Progress = _quiet,
 ) -> Verification:
-    """The controller judged on the full plant: at every operating point (or ``points``), over all tolerances at the first.
+    """The controller judged on the full plant: at every operating point, and over all tolerances at the first.
 
-    A Plant: at its operating point. Raises InvalidInput where the controller is not one for this machine.
+    points: of the machine, one or several (None: all, the one that designs are made for first). rate [Hz]: as it runs, sampled
+    by Tustin's map and one sample late. Points that a schedule does not cover are listed as left out, and the verification is
+    not passed. Raises InvalidInput where the controller is not one for this machine.
     """
     from ambrose.evaluation import verify_controller
-    from ambrose.machine.parameters import operating_point
     from ambrose.plant.model import Plant as PlantType
 
-    law = law_of(controller)
-    if isinstance(machine, PlantType):
-        return verify_controller((machine,), law, tolerances=tolerances, progress=progress)
-    description = machine_of(machine)
-    labels = None if points is None else tuple(operating_point(description, point) for point in _listed(points))
-    return verify_controller(_plants(description, labels), law, tolerances=tolerances, progress=progress)
+    place = machine if isinstance(machine, PlantType) else machine_of(machine)
+    several = None if points is None else list(points) if isinstance(points, list | tuple) else [points]
+    return verify_controller(place, law_of(controller), several, tolerances=tolerances, rate=rate, progress=progress)
 
 
 def simulate(
-    machine: Machine | str,
+    machine: Machine | Plant | str,
     controller: Any,
     scenario: Any = "levitation",
     *,
@@ -132,44 +129,34 @@ def simulate(
 ) -> Trace:
     """A scenario on the nonlinear virtual rig (``linear``: on the linear loop): its record and its outcome.
 
-    scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the loop runs before anything happens
-    (None: the scenario's own, else the nominal one). options: as for ``simulation.virtual_rig.run``: seed, bending_modes, path,
-    second, progress. Raises InvalidInput.
+    scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine runs (None: the nominal
+    one). options: as for ``simulation.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
     from ambrose.evaluation import simulate_scenario
-    from ambrose.machine.parameters import operating_point
+    from ambrose.plant.model import Plant as PlantType
 
-    description = machine_of(machine)
-    where = None if point is None else operating_point(description, point)
-    return simulate_scenario(description, law_of(controller), scenario, point=where, linear=linear, **options)
+    place = machine if isinstance(machine, PlantType) else machine_of(machine)
+    return simulate_scenario(place, law_of(controller), scenario, point=point, linear=linear, **options)
 
 
-def identify(
-    machine: Machine | str,
-    records: Any,
-    controller: Any = None,
-    *,
-    method: str = "closed-loop",
-    unknown: Sequence[str] = (),
-    **options: Any,
-) -> Identification:
-    """What closed-loop records tell about the machine: checked records, fitted parameters with intervals, the machine updated.
+def identify(machine: Machine | str, records: Any, controller: Any = None, **options: Any) -> Identification:
+    """What closed-loop records tell about the machine: records checked, parameters with intervals, the machine updated.
 
-    records: a Record, a path, or several. controller: the one that ran (methods "closed-loop" and "youla"). unknown: parameters
-    as the tolerances name them, "*" for every name or axis; none: what the machine file marks as uncertain, K_i and K_s of
-    every axis, the amplifiers' lag. Raises InvalidInput, naming what is wrong with a record that cannot be believed.
+    records: a Record, a path, or several. controller: the one that ran. options, see ``identification.pipeline.identify``:
+    method "closed-loop", "youla" or "static"; unknown, parameters as the tolerances name them with "*" for every name or axis;
+    start; repeats; seal_form "line" or "table"; seal; progress. Raises InvalidInput that names what is wrong with a record.
     """
     from ambrose.identification.pipeline import identify as identified
 
     law = None if controller is None else law_of(controller)
-    return identified(machine_of(machine), records, law, method=method, unknown=tuple(unknown), **options)
+    return identified(machine_of(machine), records, law, **options)
 
 
 def export(
     controller: Any,
     directory: str | os.PathLike[str],
     *,
-    to: str,
+    to: Target,
     machine: Machine | str | None = None,
     options: ExportOptions | None = None,
 ) -> Delivery:
@@ -179,7 +166,10 @@ def export(
     the sampled loop does not hold the machine.
     """
     from ambrose.deployment.pipeline import export as exported
+    from ambrose.synthesis.controller_file import read_controller
 
+    if isinstance(controller, str | os.PathLike):
+        controller = read_controller(controller)
     description = None if machine is None else machine_of(machine)
     return exported(controller, Path(directory), to=to, machine=description, options=options)
 
@@ -191,14 +181,14 @@ def study(machine: Machine | str, directory: str | os.PathLike[str] = "study", *
     return studied(machine_of(machine), Path(directory), progress)
 
 
-def plot(item: Any, **options: Any) -> Any:
-    """A plotly figure of a machine, plant, controller, verification, trace, record, identification, response or study.
+def plot(item: Any) -> Any:
+    """A plotly figure: of a machine, plant, controller, verification, trace, record, identification, response or study.
 
     Raises InvalidInput for anything else.
     """
     from ambrose.report.plot import plot as plotted
 
-    return plotted(item, **options)
+    return plotted(item)
 
 
 def machine_of(machine: Any) -> Machine:
@@ -209,43 +199,16 @@ def machine_of(machine: Any) -> Machine:
 
 
 def law_of(controller: Any) -> Any:
-    """What runs: of a Synthesis its law, else the system itself. Raises InvalidInput for what is no controller."""
-    from ambrose.core.statespace import StateSpace
+    """What runs: of a Synthesis or a controller file its law, else the system itself. Raises InvalidInput for anything else."""
+    from ambrose.core.scheduled import ScheduledSystem
+    from ambrose.core.statespace import as_statespace
+    from ambrose.simulation.control_program import ControlProgram
     from ambrose.synthesis.controller_file import read_controller
-    from ambrose.synthesis.result import Synthesis
 
     if isinstance(controller, str | os.PathLike):
         controller = read_controller(controller)
-    if isinstance(controller, Synthesis):
+    if hasattr(controller, "law"):
         return controller.law
-    if all(hasattr(controller, letter) for letter in "ABCD"):
-        return controller if isinstance(controller, StateSpace) else StateSpace(controller)
-    if hasattr(controller, "at") or hasattr(controller, "step"):
-        return controller  # a schedule, or a program such as compiled code
-    raise _no("controller", controller, "a Synthesis, a StateSpace, the path of a controller file, or a system with A, B, C, D")
-
-
-def _plant_of(machine: Any, point: Any) -> Plant:
-    from ambrose.plant.model import Plant as PlantType
-
-    if not isinstance(machine, PlantType):
-        return assemble(machine, point)
-    if point is not None:
-        raise InvalidInput(
-            f"a plant is at its operating point already ({machine.point.label}); give the machine to choose another"
-        )
-    return machine
-
-
-def _plants(machine: Machine, points: Any) -> tuple[Plant, ...]:
-    from ambrose.stages.plants import full_plants
-
-    return full_plants(machine) if points is None else tuple(assemble(machine, point) for point in points)
-
-
-def _listed(points: Any) -> list[Any]:
-    return [points] if isinstance(points, str) or not isinstance(points, Iterable) else list(points)
-
-
-def _no(what: str, item: Any, meant: str) -> InvalidInput:
-    return InvalidInput(f"{what} is {type(item).__name__}, but must be {meant}; give one of these")
+    if isinstance(controller, ScheduledSystem | ControlProgram) or (callable(controller) and not hasattr(controller, "A")):
+        return controller
+    return as_statespace(controller)

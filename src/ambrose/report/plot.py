@@ -21,7 +21,8 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, poles, select
 from ambrose.evaluation import Candidate, RunUp, plant_gain, points_of
 from ambrose.identification.frf.spectral import Frf
-from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.result import Identification
 from ambrose.identification.seal.result import SealFit, averaged
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.youla.identify import ResidualIdentification
@@ -221,8 +222,13 @@ def _record(record: Record) -> Any:
 
 
 @plot.register
-def _identification(result: Identification) -> Any:
+def _estimate(result: ParameterEstimate) -> Any:
     return _titled(change_figure(result), f"{len(result.paths)} parameters of {result.machine}, 95 % intervals")
+
+
+@plot.register
+def _identification(identification: Identification) -> Any:
+    return plot(identification.result)
 
 
 @plot.register
