@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, invalid
 
 if TYPE_CHECKING:
     from ambrose.deployment.pipeline import Delivery, ExportOptions, Target
@@ -64,7 +64,7 @@ def reduce(plant: Plant, bending_modes: int | None = None) -> Plant:
     from ambrose.plant.reduce import reduce as reduced
 
     if not isinstance(plant, PlantType):
-        raise _no("plant", plant, "what assemble() gives")
+        raise invalid("plant", type(plant).__name__, "a Plant", "assemble(machine, point) gives one")
     return reduced(plant, default_bending_modes(plant) if bending_modes is None else bending_modes)
 
 
