@@ -298,7 +298,7 @@ class TestShownAtAPrompt:
 
     def test_without_pandas_the_remedy_is_said(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "pandas", None)
-        with pytest.raises(InvalidInput, match="pip install pandas"):
+        with pytest.raises(InvalidInput, match="needs pandas"):
             synthesis(random_controller(1)).to_frame()
 
     def test_an_unknown_status_is_refused(self):

@@ -10,7 +10,11 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis import design as module
 from ambrose.synthesis.design import design
+from ambrose.synthesis.fixed_order.polish import polish_synthesis
+from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.loop_delay import loop_delay
+from ambrose.synthesis.lpv.synthesis import lpv_synthesis
+from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_synthesis
 
@@ -51,6 +55,28 @@ def test_bad_arguments_are_named_in_one_sentence(name, plant):
 def test_a_machine_is_no_plant():
     with pytest.raises(InvalidInput, match=r"plant is Machine, but must be a Plant; assemble\(machine, point\) gives one"):
         design(load_machine("seal-rig"), "pid")
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        hinf_synthesis,
+        mu_synthesis,
+        lambda item: polish_synthesis(item, None),
+        lambda item: lpv_synthesis([item, item], [0.0, 1.0]),
+        lambda item: lpv_synthesis(lambda p: item, [0.0, 1.0]),
+    ],
+)
+@pytest.mark.parametrize("item", [3, None, "seal-rig"])
+def test_what_is_no_generalized_plant_is_named(call, item):
+    """An AttributeError before."""
+    with pytest.raises(InvalidInput, match=f"plant is {type(item).__name__}, but must be a GeneralizedPlant"):
+        call(item)
+
+
+def test_plants_of_a_schedule_that_are_no_list():
+    with pytest.raises(InvalidInput, match="plants is int, but must be a list, or a function"):
+        lpv_synthesis(3, [0.0, 1.0])
 
 
 def test_a_result_says_what_it_was_asked_for(plant):

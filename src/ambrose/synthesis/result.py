@@ -9,8 +9,8 @@ from enum import StrEnum
 from typing import Any
 
 from ambrose import __version__
-from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.presentation import Presented, to_plain
+from ambrose.core.checks import invalid
+from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.weights import Weights
@@ -148,11 +148,8 @@ class Synthesis(Presented):
 
     def to_frame(self) -> Any:
         """The history as a pandas DataFrame, a row for each iteration. Raises InvalidInput without pandas."""
-        try:
-            import pandas
-        except ImportError as error:
-            raise InvalidInput("to_frame() needs pandas, which is not installed; run: pip install pandas") from error
-        return pandas.DataFrame(list(self.history))
+        names = dict.fromkeys(name for row in self.history for name in row)
+        return data_frame({name: [row.get(name, math.nan) for row in self.history] for name in names})
 
 
 def matrices(system: StateSpace) -> dict[str, Any]:

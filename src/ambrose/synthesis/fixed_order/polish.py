@@ -24,6 +24,7 @@ from ambrose.synthesis.certificate import fastest_pole
 from ambrose.synthesis.fixed_order.cost import Cost, Form, block_form
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
+from ambrose.synthesis.hinf.scaling import check_plant
 from ambrose.synthesis.mu.d_step import design_grid
 from ambrose.synthesis.problem import PERFORMANCE, with_performance_block
 from ambrose.synthesis.result import Certificate, Status, Synthesis
@@ -127,7 +128,7 @@ class _Job:
         time_limit: float,
         progress: Callable[[str], None] | None,
     ) -> _Job:
-        blocks = [b for b in plant.blocks if not (isinstance(b, FullBlock) and b.name == PERFORMANCE)]
+        blocks = [b for b in check_plant(plant).blocks if not (isinstance(b, FullBlock) and b.name == PERFORMANCE)]
         if not blocks or not all(isinstance(b, RealBlock) for b in blocks):
             found = ", ".join(type(b).__name__ for b in blocks) or "none"
             raise invalid("the plant's blocks", found, "real parameters, one at least", "complex blocks need mu_synthesis")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -83,6 +84,13 @@ class ScaledPlant:
             D12=np.vstack([self.D12, rows[:, n:]]),
             D21=np.hstack([self.D21, columns[n:]]),
         )
+
+
+def check_plant(plant: Any) -> GeneralizedPlant:
+    """``plant``, after refusing what is no generalized plant. Raises InvalidInput."""
+    if not isinstance(plant, GeneralizedPlant):
+        raise invalid("plant", type(plant).__name__, "a GeneralizedPlant", "GeneralizedPlant(system, w, u, z, y) makes one")
+    return plant
 
 
 def scale_plant(plant: GeneralizedPlant) -> ScaledPlant:

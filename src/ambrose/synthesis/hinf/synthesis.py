@@ -22,7 +22,7 @@ from ambrose.synthesis.hinf.riccati import (
     normal_form,
     search_gamma,
 )
-from ambrose.synthesis.hinf.scaling import ScaledPlant, original_controller, scale_plant
+from ambrose.synthesis.hinf.scaling import ScaledPlant, check_plant, original_controller, scale_plant
 from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
@@ -60,7 +60,7 @@ def hinf_synthesis(
         raise invalid("tolerance", tolerance, "between 1e-10 and 1", "1e-3 suits most uses")
     if method not in ("riccati", "lmi"):
         raise invalid("method", repr(method), '"riccati" or "lmi"', "leave it out for the Riccati equations")
-    job = _Job(plant, backoff, tolerance, TimeLimit(time_limit), progress)
+    job = _Job(check_plant(plant), backoff, tolerance, TimeLimit(time_limit), progress)
     scaled = scale_plant(plant)
     assumptions = check_assumptions(scaled)
     design = _by_riccati if method == "riccati" else _by_lmi

@@ -21,7 +21,7 @@ from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.scheduled import ScheduledSystem, check_grid, interval_points
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.hinf.riccati import normal_form, search_gamma
-from ambrose.synthesis.hinf.scaling import ScaledPlant, original_matrices
+from ambrose.synthesis.hinf.scaling import ScaledPlant, check_plant, original_matrices
 from ambrose.synthesis.lpv.controller import Factors, controller, factors
 from ambrose.synthesis.lpv.family import Family, scaled_family
 from ambrose.synthesis.lpv.inequalities import Shape, Varying, smallest_gamma, well_conditioned
@@ -73,9 +73,11 @@ def lpv_synthesis(
         check_positive(rate, "rate", f"give the fastest change in {unit}/s, or None for arbitrarily fast changes")
     if varying not in ("R", "S") or not isinstance(degree, int) or not 1 <= degree <= 4:
         raise invalid("varying, degree", f"{varying!r}, {degree}", '"R" or "S" and 1 to 4', "leave them out")
+    if not callable(plants) and not isinstance(plants, list | tuple):
+        raise invalid("plants", type(plants).__name__, "a list, or a function of the parameter", "give one for each grid point")
     if not callable(plants) and len(plants) != len(values):
         raise invalid("the number of plants", len(plants), f"{len(values)}, one per grid point", "give one for each")
-    plant_at = plants if callable(plants) else between(plants, values)
+    plant_at = plants if callable(plants) else between([check_plant(plant) for plant in plants], values)
     job = _Job(plant_at, rate, varying if rate is not None else "none", degree, backoff, points_between, parameter, unit,
                check_positive(time_limit, "time_limit", "give seconds"), progress)  # fmt: skip
     for _ in range(_REFINED + 1):
@@ -125,7 +127,7 @@ class _Design:
 
 def _design(job: _Job, values: np.ndarray) -> _Design:
     """Both passes on one grid, at growing back-offs until the controller passes its verification at the grid points."""
-    plants = [job.plant_at(float(value)) for value in values]
+    plants = [check_plant(job.plant_at(float(value))) for value in values]
     family = scaled_family(plants, values)
     pointwise = np.array([_optimum(plant, family, value) for plant, value in zip(family.plants, values, strict=True)])
     job.say(f"{len(values)} points, {family.n} states; the largest pointwise H-infinity value is {pointwise.max():.6g}")

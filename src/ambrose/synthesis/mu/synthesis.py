@@ -22,6 +22,7 @@ from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.synthesis.certificate import generalized_certificate
+from ambrose.synthesis.hinf.scaling import check_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import RealRational
 from ambrose.synthesis.mu.d_step import (
@@ -134,7 +135,7 @@ class _Job:
             raise invalid("structure", repr(structure), '"scalar" or "full"', "it says how repeated blocks are scaled")
         check_positive(fit_tolerance, "fit_tolerance", "0.02 suits most problems")
         clock = TimeLimit(time_limit)
-        if not plant.blocks:
+        if not check_plant(plant).blocks:
             raise InvalidInput("the plant has no blocks; without uncertainty hinf_synthesis is the method")
         complete = plant
         if len(plant.w) > plant.n_w_blocks or len(plant.z) > plant.n_z_blocks:
