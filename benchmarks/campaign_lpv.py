@@ -17,7 +17,7 @@ import numpy as np
 from ambrose import load_machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import named_controller
+from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.run_up import spin_up, steps
@@ -78,7 +78,7 @@ def _peaks(plant: Plant, controller: Any, hz: float) -> tuple[float, float, floa
     """Peak of the largest singular value of S_o, of its largest diagonal entry, and its crossing of 1 [Hz]."""
     here = assemble(plant.machine, replace(plant.point, speed=HZ * hz))
     omega = HZ * np.geomspace(1, 2000, 1500)
-    S = loop_evaluator(here, named_controller(here, controller))(omega).output_sensitivity()
+    S = loop_evaluator(here, match_controller(controller, here))(omega).output_sensitivity()
     largest = np.linalg.norm(S, 2, axis=(1, 2))
     return float(largest.max()), float(np.abs(np.einsum("kii->ki", S)).max()), float(omega[np.argmax(largest > 1)] / HZ)
 

@@ -23,14 +23,13 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import linear, virtual_rig
 from ambrose.simulation.run_up import Step, spin_up
 from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.simulation.trace import Trace
-from ambrose.synthesis.controller_file import match_controller
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.weights import machine_weights
 from ambrose.verification import campbell, nominal, robust

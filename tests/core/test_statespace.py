@@ -1,5 +1,6 @@
 """Interconnections against their algebra in the frequency domain, evaluated by plain dense solves."""
 
+import json
 import pickle
 from dataclasses import FrozenInstanceError, replace
 
@@ -19,6 +20,7 @@ from ambrose.core.statespace import (
     connect,
     feedback,
     is_stable,
+    match_signals,
     parallel,
     poles,
     rename,
@@ -99,6 +101,32 @@ class TestConstruction:
             StateSpace(*arguments)
 
 
+class TestMatchSignals:
+    def test_the_same_names_in_another_order(self):
+        system = rename(random_system(1), ["a", "b"], ["x", "y", "z"])
+        turned = select(system, ["b", "a"], ["z", "x", "y"])
+        back = match_signals(turned, ["a", "b"], ["x", "y", "z"])
+        assert all(np.array_equal(getattr(back, letter), getattr(system, letter)) for letter in "ABCD")
+        assert (back.inputs, back.outputs) == (system.inputs, system.outputs)
+
+    def test_other_names_go_by_place_each_side_for_itself(self):
+        system = rename(random_system(1), ["b", "a"], ["y1", "y2", "y3"])
+        back = match_signals(system, ["a", "b"], ["x", "y", "z"])
+        assert (back.inputs, back.outputs) == (("a", "b"), ("x", "y", "z"))
+        np.testing.assert_array_equal(back.D, system.D[:, ::-1])
+        with pytest.raises(InvalidInput, match="number of inputs names"):
+            match_signals(system, ["a"], ["x", "y", "z"])
+
+
+def test_a_system_shows_itself_and_gives_plain_data():
+    system = rename(random_system(1, dt=2e-4), ["a", "b"], ["x", "y", "z"])
+    assert "<td>sampled, dt = 0.0002 s</td>" in system._repr_html_()
+    plain = json.loads(json.dumps(system.to_dict()))
+    again = StateSpace(**plain)
+    assert all(np.array_equal(getattr(again, letter), getattr(system, letter)) for letter in "ABCD")
+    assert (again.inputs, again.outputs, again.dt) == (system.inputs, system.outputs, system.dt)
+
+
 class TestPythonControl:
     @pytest.mark.parametrize("dt", [None, 2e-4])
     def test_round_trip(self, dt):
@@ -115,6 +143,19 @@ class TestPythonControl:
         assert poles(feedback(theirs, control.ss([], [], [], [[2.0]]))) == pytest.approx([-3.0])
         assert connect([theirs], ["u[0]"], ["y[0]"]).n_states == 1
 
+    @pytest.mark.parametrize("dt", [None, 2e-4])
+    def test_one_argument(self, dt):
+        ours = rename(random_system(1, dt=dt), ["a", "b"], ["x", "y", "z"])
+        for other in (ours, ours.to_control()):
+            back = StateSpace(other)
+            assert all(np.array_equal(getattr(back, letter), getattr(ours, letter)) for letter in "ABCD")
+            assert (back.inputs, back.outputs, back.dt) == (ours.inputs, ours.outputs, dt)
+        renamed = StateSpace(ours.to_control(), inputs=["c", "d"], dt=1e-3)
+        assert (renamed.inputs, renamed.outputs, renamed.dt) == (("c", "d"), ours.outputs, 1e-3)
+        for lacking in ((3,), (np.eye(2), np.eye(2)), ("a string",)):
+            with pytest.raises(InvalidInput, match="matrices A, B, C and D, or one system"):
+                StateSpace(*lacking)
+
     def test_other_things(self):
         assert as_statespace(scipy.signal.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])).dt is None
         assert as_statespace([[1, 2]]).D.tolist() == [[1.0, 2.0]]
@@ -122,7 +163,7 @@ class TestPythonControl:
             as_statespace(control.tf([1], [1, 1]))
         with pytest.raises(InvalidInput, match="dt is True"):
             as_statespace(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], True))
-        with pytest.raises(InvalidInput, match="not numeric"):
+        with pytest.raises(InvalidInput, match="the system is 'a string', but must be something with matrices"):
             as_statespace("a string")
 
 

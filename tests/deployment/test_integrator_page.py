@@ -14,8 +14,8 @@ from ambrose.deployment.c.code import generate
 from ambrose.deployment.c.compiler import has_compiler
 from ambrose.deployment.discretisation.deployment import deploy
 from ambrose.plant.assemble import assemble
+from ambrose.plant.control_program import ControlProgram
 from ambrose.plant.reduce import reduce
-from ambrose.simulation.control_program import ControlProgram
 from ambrose.synthesis.controller_file import write_controller
 from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_synthesis

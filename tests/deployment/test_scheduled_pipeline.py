@@ -24,8 +24,8 @@ from ambrose.deployment.discretisation import deployment as scheduled_deploy
 from ambrose.deployment.discretisation.deployment import deploy_scheduled, sensitivity_peak
 from ambrose.deployment.pipeline import ExportOptions, export, machine_limits
 from ambrose.plant.assemble import assemble
+from ambrose.plant.control_program import ControlProgram, ScheduledProgram
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.control_program import ControlProgram, ScheduledProgram
 from ambrose.simulation.rig.controller import sample_time
 from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.controller_file import read_controller, write_controller

@@ -22,7 +22,7 @@ from ambrose.identification.pipeline import Provenance, identify
 from ambrose.machine.record.files import write_record
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, named_controller
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_controller
 
@@ -38,7 +38,7 @@ def setting():
     bearings = tuple(replace(b, negative_stiffness=tuple(1.1 * k for k in b.negative_stiffness)) for b in machine.bearings)
     plant = free_mode_reduction(assemble(replace(machine, bearings=bearings)), 1)
     controller = pid_controller(machine.controller, machine)
-    whole = closed_loop(plant, c2d(named_controller(plant, controller), DT, "tustin", delay=DT))
+    whole = closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT))
     e = np.stack([0.1 * excitation.prbs(9, 10, 6000, shift=127 * i) for i in range(4)])
     names = [[f"{kind}_{axis}" for axis in plant.axes] for kind in "yue"]
     values = np.vstack([simulate(select(whole, names[2], names[0] + names[1]), e), e])

@@ -1,5 +1,6 @@
 """The closed loop against the definitions in the loop diagram."""
 
+import control
 import numpy as np
 import pytest
 
@@ -7,9 +8,10 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import StateSpace, poles, select, static_gain
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace, poles, rename, select, static_gain
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import reduce
 
 RNG = np.random.default_rng(4)
@@ -73,3 +75,53 @@ def test_open_loop_is_kept_without_control(plant):
 def test_wrong_size_names_the_axes(plant):
     with pytest.raises(InvalidInput, match="A_zeta"):
         closed_loop(plant, static_gain(np.eye(3)))
+
+
+ERRORS, CURRENTS = ([f"{kind}_{axis}" for axis in ("A_zeta", "A_eta", "B_zeta", "B_eta")] for kind in ("err", "u"))
+
+
+class TestMatching:
+    """Which signal of a controller belongs to which axis."""
+
+    @pytest.fixture
+    def named(self, controller):
+        return rename(controller, ERRORS, CURRENTS)
+
+    @pytest.mark.parametrize("order", [[0, 1, 2, 3], [2, 0, 3, 1], [3, 2, 1, 0]])
+    def test_the_order_of_the_names_is_free(self, plant, named, order):
+        turned = select(named, [ERRORS[k] for k in order], [CURRENTS[k] for k in order[::-1]])
+        for given in (turned, turned.to_control()):
+            matched = match_controller(given, plant)
+            assert all(np.array_equal(getattr(matched, x), getattr(named, x)) for x in "ABCD")
+            assert (list(matched.inputs), list(matched.outputs)) == (ERRORS, CURRENTS)
+
+    def test_any_name_that_ends_in_an_axis_is_one(self, plant, named):
+        turned = select(named, ERRORS[::-1], CURRENTS)
+        other = rename(turned, [name.replace("err_", "error of ctrl_") for name in turned.inputs])
+        np.testing.assert_array_equal(match_controller(other, plant).D, named.D)
+
+    def test_names_without_axes_go_by_place(self, plant, controller, named):
+        np.testing.assert_array_equal(match_controller(controller, plant).B, named.B)
+        theirs = control.ss(controller.A, controller.B, controller.C, controller.D)
+        np.testing.assert_array_equal(match_controller(theirs, plant).B, named.B)
+
+    def test_another_size_is_refused(self, plant, named):
+        with pytest.raises(InvalidInput, match=r"controller's size .* is \(4, 2\), but must be \(4, 4\) for the axes A_zeta"):
+            match_controller(select(named, ERRORS[:2]), plant)
+
+    @pytest.mark.parametrize("axis", ["C_zeta", "A_eta"])
+    def test_other_axes_are_refused(self, plant, named, axis):
+        changed = rename(named, [f"err_{axis}" if name == ERRORS[0] else f"{name[:4]}x{name[3:]}" for name in ERRORS])
+        with pytest.raises(InvalidInput, match=r"err_A_zeta, err_A_eta, .*for another machine: design one for '.*seal.*'"):
+            match_controller(changed, plant)
+
+    def test_a_schedule_is_the_law_at_the_plants_speed(self, plant, named):
+        scheduled = ScheduledSystem([0.0, 100.0], [named, named])
+        for law in (scheduled, lambda speed: named):
+            np.testing.assert_array_equal(match_controller(law, plant).A, named.A)
+        with pytest.raises(InvalidInput, match="between 50 and 100 rad/s"):
+            match_controller(ScheduledSystem([50.0, 100.0], [named, named]), plant)
+
+    def test_other_things_are_refused(self, plant):
+        with pytest.raises(InvalidInput, match="the system is 'pid', but must be something with matrices"):
+            match_controller("pid", plant)

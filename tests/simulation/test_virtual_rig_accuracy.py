@@ -13,7 +13,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import linear, virtual_rig
-from ambrose.simulation.rig.controller import deployed
+from ambrose.simulation.rig.controller import sampled_law
 from ambrose.simulation.rig.equilibrium import standing
 from ambrose.simulation.rig.inputs import plan, stretch
 from ambrose.simulation.rig.state import build, compiled
@@ -57,7 +57,7 @@ def test_energy_without_damping_is_kept():
     rig = build(machine, OperatingPoint(speed=500.0))
     k, p = rig.constants, rig.modes
     task = plan(rig, Scenario("x", 0.5, sample_time=1e-4), 1e-4, 0)
-    law = deployed(pid_controller(PidSettings(gain=(0.0,)), RIG), RIG, 1e-4, 0.0, 1)
+    law = sampled_law(pid_controller(PidSettings(gain=(0.0,)), RIG), RIG, 1e-4, 0.0, 1)
 
     def energy(z):
         q, v = z[: 2 * p].reshape(p, 2), z[2 * p : 4 * p].reshape(p, 2)

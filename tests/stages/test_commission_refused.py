@@ -15,7 +15,7 @@ from ambrose.identification.output_error import closed_loop
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of
-from ambrose.plant.loop import named_controller
+from ambrose.plant.loop import match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.stages.commissioning import identified
 from ambrose.synthesis.pid import pid_controller
@@ -29,7 +29,7 @@ def test_a_fit_that_does_not_converge_ends_the_commissioning(tmp_path, monkeypat
     bearings = tuple(replace(b, negative_stiffness=tuple(1.1 * k for k in b.negative_stiffness)) for b in machine.bearings)
     plant = free_mode_reduction(assemble(replace(machine, bearings=bearings)), 1)
     controller = pid_controller(machine.controller, machine)
-    loop = loop_of(plant, c2d(named_controller(plant, controller), DT, "tustin", delay=DT))
+    loop = loop_of(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT))
     e = np.stack([0.1 * excitation.prbs(9, 10, 6000, shift=127 * i) for i in range(4)])
     names = [[f"{kind}_{axis}" for axis in plant.axes] for kind in "yue"]
     values = np.vstack([simulate(select(loop, names[2], names[0] + names[1]), e), e])

@@ -16,12 +16,12 @@ import pytest
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace, select, static_gain
+from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.machine.description import MagneticBearing, OperatingPoint, Sensor, ShaftSection
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
-from ambrose.synthesis.certificate import match_controller
+from ambrose.plant.loop import match_controller
 from ambrose.synthesis.controller_file import controller_schema, read_controller, write_controller
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
 from ambrose.synthesis.weights import Weights, control_weight, performance_weight, scale_control
@@ -326,31 +326,6 @@ def test_a_pickle_is_not_opened(tmp_path):
 def test_a_missing_file_or_a_folder(tmp_path, name):
     with pytest.raises(InvalidInput, match=r"cannot be read|ordinary file"):
         read_controller(tmp_path / name)
-
-
-class _Loop:
-    """What match_controller asks of a plant."""
-
-    machine, axes = MACHINE, MACHINE.axes
-
-
-class TestMatching:
-    def test_signals_are_put_into_the_plants_order(self):
-        controller = random_controller(3)
-        shuffled = select(controller, INPUTS[::-1], [OUTPUTS[2], *OUTPUTS[:2], OUTPUTS[3]])
-        matched = match_controller(shuffled, _Loop())
-        np.testing.assert_array_equal(matched.D, controller.D)
-        assert (list(matched.inputs), list(matched.outputs)) == (INPUTS, OUTPUTS)
-
-    def test_another_size_is_refused(self):
-        controller = select(random_controller(3), INPUTS[:2], OUTPUTS)
-        with pytest.raises(InvalidInput, match="number of the controller's inputs is 2, but must be 4"):
-            match_controller(controller, _Loop())
-
-    def test_other_axes_are_refused(self):
-        controller = static_gain(np.eye(4), [f"err_{b}_{a}" for b in "CD" for a in ("zeta", "eta")], OUTPUTS)
-        with pytest.raises(InvalidInput, match=r"err_C_zeta.*must be err_A_zeta.*'small'"):
-            match_controller(controller, _Loop())
 
 
 def test_the_hash_follows_the_description():

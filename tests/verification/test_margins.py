@@ -21,7 +21,7 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.machine.description import Requirements
-from ambrose.plant.loop import closed_loop, named_controller
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import reduce
 from ambrose.verification import nominal
 from ambrose.verification.loop_response import frequency_grid, loop_evaluator
@@ -61,7 +61,7 @@ def test_single_mass_with_pd_in_closed_form(single_masses, pd_controller):
 
 def opened(plant, controller, axis):
     """The scalar loop at one axis, cut at the measurement, with the other axes closed, as a state space."""
-    controller = named_controller(plant, controller)
+    controller = match_controller(controller, plant)
     part = select(plant.system, plant.named("u"), plant.named("y"))
     sums = {f"err_{a}": [f"-y_{a}"] for a in plant.axes}
     sums[f"err_{axis}"] = ["cut"]

@@ -25,13 +25,14 @@ measured output is the error e_y, the minus sign sits inside P. The uncertainty 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
-from ambrose.core.statespace import StateSpace, as_statespace, close, rename, select, static_gain
+from ambrose.core.presentation import Presented, to_plain
+from ambrose.core.statespace import StateSpace, append, as_statespace, close, match_signals, rename, select, static_gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +85,8 @@ def _check_count(value: int, name: str) -> None:
         raise invalid(name, repr(value), "a whole number, at least 1", "leave the block out if it is empty")
 
 
-@dataclass(frozen=True, slots=True, eq=False, init=False)
-class GeneralizedPlant:
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
+class GeneralizedPlant(Presented):
     """A StateSpace with its signals parted: disturbances w, controls u, performance outputs z, measurements y.
 
     ``blocks`` is the uncertainty; its inputs are the leading ``w`` and its outputs the leading ``z``. The system is stored with
@@ -126,6 +127,17 @@ class GeneralizedPlant:
             object.__setattr__(self, side, signals)
         object.__setattr__(self, "blocks", blocks)
 
+    def facts(self) -> Mapping[str, Any]:
+        """Its size and its uncertainty."""
+        counts = {f"n_{side}": len(getattr(self, side)) for side in "wuzy"}
+        return {"states": self.system.n_states, **counts, "blocks": [block.name for block in self.blocks]}
+
+    def to_dict(self) -> dict[str, Any]:
+        """The system, its signals and its blocks, ready for JSON."""
+        signals = {side: list(getattr(self, side)) for side in "wuzy"}
+        blocks = [{"kind": type(block).__name__, **asdict(block)} for block in self.blocks]
+        return {"system": self.system.to_dict(), **signals, "blocks": to_plain(blocks)}
+
     @property
     def n_w_blocks(self) -> int:
         return sum(block.n_w for block in self.blocks)
@@ -136,7 +148,8 @@ class GeneralizedPlant:
 
 
 def lft(plant: GeneralizedPlant, controller: Any) -> StateSpace:
-    """The lower LFT F_l(P, K): from w to z with u = K y closed. The controller's signals are matched by place (y in, u out)."""
+    """The lower LFT F_l(P, K): from w to z with u = K y closed. The controller's signals (y in, u out) are matched by name
+    where it has the plant's names, else by place."""
     controller = as_statespace(controller)
     if controller.D.shape != (len(plant.u), len(plant.y)):
         raise invalid(
@@ -145,6 +158,7 @@ def lft(plant: GeneralizedPlant, controller: Any) -> StateSpace:
             str((len(plant.u), len(plant.y))),
             "match u and y",
         )
+    controller = match_signals(controller, plant.y, plant.u)
     return _star(plant.system, controller, list(plant.w), list(plant.z), list(plant.u), list(plant.y))
 
 
@@ -182,8 +196,6 @@ def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.nd
 
 def _star(system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: list[str], y: list[str]) -> StateSpace:
     """Close u = gain y on ``system`` and keep w -> z."""
-    from ambrose.core.statespace import append
-
     inner = rename(gain, [f"from {name}" for name in y], [f"to {name}" for name in u])
     joined = append(system, inner)
     loop = np.zeros((len(joined.inputs), len(joined.outputs)))

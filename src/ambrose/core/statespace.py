@@ -1,14 +1,14 @@
 """Linear time-invariant systems with named signals, and their algebra.
 
 Signals are picked by name; integers never select a channel outside ``core``. All functions return new systems.
-Any argument documented as a *system* may also be a python-control system (anything with A, B, C, D and dt).
+Any argument documented as a *system* may also be a python-control system (a ``ControllerLike``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 import scipy.linalg as sla
@@ -22,18 +22,40 @@ from ambrose.core.checks import (
     check_shape,
     invalid,
 )
+from ambrose.core.presentation import Presented, to_plain
 from ambrose.core.realisation.balancing import balance as balance  # noqa: PLC0414 (re-exported)
 from ambrose.core.realisation.balancing import balance_system
 
 Names = str | Sequence[str]
 
 
+class ControllerLike(Protocol):
+    """Anything that is a linear system: a StateSpace, a python-control or scipy.signal system.
+
+    A (n, n), B (n, m), C (p, n), D (p, m). Its sample time ``dt`` [s] (None or 0: continuous) and its signal names
+    (``inputs``, ``outputs``, or python-control's ``input_labels``, ``output_labels``) are read where it has them.
+    """
+
+    @property
+    def A(self) -> Any: ...
+
+    @property
+    def B(self) -> Any: ...
+
+    @property
+    def C(self) -> Any: ...
+
+    @property
+    def D(self) -> Any: ...
+
+
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class StateSpace:
+class StateSpace(Presented):
     """x' = A x + B u, y = C x + D u; with ``dt`` [s] given, x[k+1] = A x[k] + B u[k].
 
     A (n, n), B (n, m), C (p, n), D (p, m): real arrays, kept read-only. ``inputs`` (m names) and ``outputs`` (p names)
-    default to u1.. and y1... Raises InvalidInput on shapes that do not fit, non-finite entries or repeated names.
+    default to u1.. and y1... ``StateSpace(system)`` takes all of it from a python-control system (a ``ControllerLike``).
+    Raises InvalidInput on shapes that do not fit, non-finite entries or repeated names.
     """
 
     A: np.ndarray
@@ -46,15 +68,23 @@ class StateSpace:
 
     def __init__(
         self,
-        A: ArrayLike,
-        B: ArrayLike,
-        C: ArrayLike,
-        D: ArrayLike,
+        A: ArrayLike | ControllerLike,
+        B: ArrayLike | None = None,
+        C: ArrayLike | None = None,
+        D: ArrayLike | None = None,
         inputs: Sequence[str] | None = None,
         outputs: Sequence[str] | None = None,
         dt: float | None = None,
     ) -> None:
-        A, B, C, D = (np.asarray(check_finite(x, letter)) for x, letter in zip((A, B, C, D), "ABCD", strict=True))
+        given: Any = A
+        if is_system(given):
+            inputs = _names_of(given, "input") if inputs is None else inputs
+            outputs = _names_of(given, "output") if outputs is None else outputs
+            dt = _sample_time_of(given) if dt is None else dt
+            given, B, C, D = given.A, given.B, given.C, given.D
+        if B is None or C is None or D is None:
+            raise InvalidInput("a StateSpace needs its matrices A, B, C and D, or one system that has them")
+        A, B, C, D = (np.asarray(check_finite(x, letter)) for x, letter in zip((given, B, C, D), "ABCD", strict=True))
         A, B, C, D = (np.atleast_2d(x) if x.ndim == 0 else x for x in (A, B, C, D))  # scalars
         D = check_shape(np.atleast_2d(D), "D", "(p, m)")
         p, m = D.shape
@@ -84,6 +114,16 @@ class StateSpace:
         time = "continuous" if self.dt is None else f"dt = {self.dt:g} s"
         return f"StateSpace({self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs, {time})"
 
+    def facts(self) -> Mapping[str, Any]:
+        """Its size, its signals and its sample time."""
+        time = "continuous" if self.dt is None else f"sampled, dt = {self.dt:g} s"
+        return {"states": self.n_states, "inputs": self.inputs, "outputs": self.outputs, "time": time}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Matrices (lists of rows), signal names and sample time, ready for JSON."""
+        fields: dict[str, Any] = to_plain({name: getattr(self, name) for name in self.__dataclass_fields__})
+        return fields
+
     def to_control(self) -> Any:
         """The same system as a ``control.StateSpace`` with signal labels (python-control must be installed)."""
         import control
@@ -106,20 +146,34 @@ def _names(names: Sequence[str] | None, letter: str, count: int, what: str) -> t
     return result
 
 
+def is_system(value: object) -> TypeGuard[ControllerLike]:
+    """Whether it has matrices A, B, C and D."""
+    return all(hasattr(value, letter) for letter in "ABCD")
+
+
+def _names_of(system: ControllerLike, side: str) -> Sequence[str] | None:
+    names = (getattr(system, name, None) for name in (f"{side}_labels", f"{side}s"))  # scipy.signal counts its inputs
+    return next((name for name in names if isinstance(name, list | tuple)), None)
+
+
+def _sample_time_of(system: ControllerLike) -> float | None:
+    dt = getattr(system, "dt", None)
+    if dt is True:
+        raise InvalidInput("the system's dt is True (discrete, unspecified); give the sample time in seconds")
+    return dt or None
+
+
 def as_statespace(system: Any) -> StateSpace:
     """``system`` as a StateSpace: itself, a python-control system, or an array taken as a static gain."""
     if isinstance(system, StateSpace):
         return system
-    if all(hasattr(system, letter) for letter in "ABCD"):
-        dt = getattr(system, "dt", None)
-        if dt is True:
-            raise InvalidInput("the system's dt is True (discrete, unspecified); give the sample time in seconds")
-        return StateSpace(
-            system.A, system.B, system.C, system.D,
-            getattr(system, "input_labels", None), getattr(system, "output_labels", None), dt or None,
-        )  # fmt: skip
+    if is_system(system):
+        return StateSpace(system)
     if hasattr(system, "num") and hasattr(system, "den"):
         raise InvalidInput("a transfer function was given; convert it with control.ss(...) first")
+    if not isinstance(system, np.ndarray | np.generic | list | tuple | int | float):
+        remedy = "give a StateSpace, a python-control system or an array of gains"
+        raise invalid("the system", f"{system!r:.60}", "something with matrices A, B, C and D", remedy)
     return static_gain(system)
 
 
@@ -233,6 +287,20 @@ def rename(
         system.A, system.B, system.C, system.D,
         new(system.inputs, inputs, "input"), new(system.outputs, outputs, "output"), system.dt,
     )  # fmt: skip
+
+
+def match_signals(system: Any, inputs: Sequence[str], outputs: Sequence[str]) -> StateSpace:
+    """The system with its signals in the order of ``inputs`` and ``outputs``, and with these names.
+
+    A side that has the same names in another order is permuted; any other side is taken by place. Raises InvalidInput where
+    the numbers of signals differ.
+    """
+    system = as_statespace(system)
+    for side, names in (("inputs", inputs), ("outputs", outputs)):
+        own = getattr(system, side)
+        if set(names) == set(own) and tuple(names) != own:
+            system = select(system, **{side: names})
+    return rename(system, inputs, outputs)
 
 
 def append(*systems: Any) -> StateSpace:

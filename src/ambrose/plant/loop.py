@@ -1,25 +1,29 @@
-"""The closed loop of core/lft.py's diagram, around a plant and a controller."""
+"""The closed loop of core/lft.py's diagram, around a plant and a controller; how a controller's signals find their axes."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import c2d
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace, as_statespace, connect, rename
+from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, connect, is_system, rename, select
+from ambrose.plant.control_program import ControlProgram
 from ambrose.plant.model import Plant
 
+LawAt = Callable[[float], ControllerLike]  # speed [rad/s] -> the law there; a ScheduledSystem is one
+Law = ControllerLike | LawAt | ControlProgram  # whatever closes a loop: fixed, scheduled over speed, or a running program
 
-def closed_loop(plant: Plant, controller: Any) -> StateSpace:
+
+def closed_loop(plant: Plant, controller: Law) -> StateSpace:
     """Everything that can be asked of the loop, as one system.
 
     Inputs: e_<axis> [A] excitation added to the controller's output, d_<axis> [m] output disturbance, r_<axis> [m] reference,
     f_<port> [N] force. Outputs: y_<axis> [m] measured displacement (d included), u_<axis> [A] controller output,
     i_<axis> [A] coil current, q_<port> [m], qdot_<port> [m/s]. A sampled controller closes the loop around the plant sampled
-    with a zero-order hold. Raises InvalidInput when the controller's size does not match the axes.
+    with a zero-order hold. The controller is matched by ``match_controller``, which raises InvalidInput.
     """
-    controller = named_controller(plant, controller)
+    controller = match_controller(controller, plant)
     system = plant.system if controller.dt is None else c2d(plant.system, controller.dt)
     axes = plant.axes
     return connect(
@@ -35,19 +39,49 @@ def closed_loop(plant: Plant, controller: Any) -> StateSpace:
     )
 
 
-def named_controller(plant: Plant, controller: Any) -> StateSpace:
-    """``controller`` with inputs err_<axis> [m] and outputs u_<axis> [A]; signals are matched by place. A scheduled one is
-    the one at the plant's speed.
+def match_controller(controller: Law, plant: Plant) -> StateSpace:
+    """The controller's law with inputs err_<axis> [m] and outputs u_<axis> [A], in the order of the plant's axes.
 
-    Raises InvalidInput when its size does not fit the plant's control axes.
+    Signals that are named after axes (err_A_zeta, y_A_zeta, u_A_zeta ...) are matched by name, whatever their order; a
+    controller without such names is matched by place. A scheduled law is the one at the plant's speed. Raises InvalidInput
+    where the size does not fit, or the names are those of other axes.
     """
-    controller = as_statespace(controller.at(plant.point.speed) if isinstance(controller, ScheduledSystem) else controller)
-    n = len(plant.axes)
-    if controller.D.shape != (n, n):
-        raise invalid(
-            "the controller's size (outputs, inputs)",
-            controller.D.shape,
-            f"({n}, {n}) for the axes {', '.join(plant.axes)}",
-            "design it for this machine",
-        )
-    return rename(controller, [f"err_{a}" for a in plant.axes], [f"u_{a}" for a in plant.axes])
+    return match_axes(law_at(controller, plant.point.speed), plant.axes, repr(plant.machine.name))
+
+
+def match_axes(controller: ControllerLike, axes: Sequence[str], machine: str = "") -> StateSpace:
+    """``match_controller`` for a fixed law and the axes themselves; machine: in words, for the message."""
+    system = as_statespace(controller)
+    n = len(axes)
+    if system.D.shape != (n, n):
+        requirement = f"({n}, {n}) for the axes {', '.join(axes)}"
+        raise invalid("the controller's size (outputs, inputs)", system.D.shape, requirement, "design it for this machine")
+    into, out = (axis_order(system, side, axes, machine) for side in ("inputs", "outputs"))
+    if into != list(range(n)) or out != list(range(n)):
+        system = select(system, [system.inputs[k] for k in into], [system.outputs[k] for k in out])
+    return rename(system, [f"err_{axis}" for axis in axes], [f"u_{axis}" for axis in axes])
+
+
+def axis_order(controller: StateSpace, side: Literal["inputs", "outputs"], axes: Sequence[str], machine: str = "") -> list[int]:
+    """Which of the controller's inputs or outputs belongs to each axis: by its name, or by place without names of axes.
+
+    Raises InvalidInput where the names are those of other axes.
+    """
+    names, prefix = getattr(controller, side), "err_" if side == "inputs" else "u_"
+    if not any(name.startswith(prefix) or name.endswith(("_zeta", "_eta")) for name in names):
+        return list(range(len(axes)))
+    own = [next((axis for axis in axes if name == axis or name.endswith(f"_{axis}")), None) for name in names]
+    if sorted(map(str, own)) != sorted(axes):
+        remedy = f"this controller is for another machine: design one for {machine or 'this'}, or rename() its signals"
+        raise invalid(f"the controller's {side}", ", ".join(names), ", ".join(prefix + axis for axis in axes), remedy)
+    return [own.index(axis) for axis in axes]
+
+
+def law_at(controller: Law, speed: float) -> StateSpace:
+    """The linear law at a speed [rad/s]: a fixed one, a scheduled one there, a program's between its limits."""
+    if not is_system(controller):
+        if callable(controller):
+            return as_statespace(controller(speed))
+        if isinstance(controller, ControlProgram):
+            return controller.system
+    return as_statespace(controller)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.assemble import bending_modes_of
-from ambrose.plant.loop import closed_loop
+from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import linear
@@ -46,7 +45,7 @@ class Step:
 
 
 def loops_over_speed(
-    plant: Plant, controller: Any, low: float, high: float, *, bending_modes: int = 12, points: int | None = None
+    plant: Plant, controller: Law, low: float, high: float, *, bending_modes: int = 12, points: int | None = None
 ) -> linear.LoopAt:
     """The closed loop as a function of speed [rad/s] from low to high, always in the same states, for ``linear.run``.
 
@@ -95,7 +94,7 @@ def _refined(plant_at: Callable[[float], Plant], low: float, high: float) -> dic
     return members
 
 
-def spin_up(plant: Plant, controller: Any, scenario: Scenario, *, bending_modes: int = 12, points: int | None = None) -> Trace:
+def spin_up(plant: Plant, controller: Law, scenario: Scenario, *, bending_modes: int = 12, points: int | None = None) -> Trace:
     """The scenario's run-up on the linear loop of a full plant; see ``loops_over_speed`` and ``linear.run``.
 
     Raises InvalidInput where the speed does not change.

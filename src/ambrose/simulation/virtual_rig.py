@@ -10,15 +10,22 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.simulation.control_program import ControlProgram, ScheduledProgram
-from ambrose.simulation.rig.controller import ControllerAt, Law, closed_loop_poles, deployed, sample_time, taking_over
+from ambrose.plant.control_program import ControlProgram, ScheduledProgram
+from ambrose.plant.loop import Law, axis_order
+from ambrose.simulation.rig.controller import (
+    SampledLaw,
+    changes_with_speed,
+    closed_loop_poles,
+    sample_time,
+    sampled_law,
+    take_over,
+)
 from ambrose.simulation.rig.equilibrium import (
     fastest_pole,
     levitated,
@@ -43,10 +50,10 @@ _TOLD_EVERY = 2.0  # [s] between two words of progress
 
 def run(
     machine: Machine,
-    controller: Any | ControllerAt,
+    controller: Law,
     scenario: Scenario,
     *,
-    second: Any | None = None,
+    second: Law | None = None,
     point: OperatingPoint | None = None,
     bending_modes: int = 1,
     dt: float | None = None,
@@ -58,8 +65,9 @@ def run(
 ) -> Trace:
     """Run a scenario on the nonlinear machine.
 
-    controller: a StateSpace (or python-control system) from errors [m] to currents [A], axes by place; or, scheduled, a
-    function from speed [rad/s] to one, or a ControlProgram such as compiled C code. Continuous, it is sampled by Tustin's map
+    controller: a StateSpace (or python-control system) from errors [m] to currents [A], its signals matched as in
+    ``plant.loop.match_controller``; or, scheduled, a function from speed [rad/s] to one, always in the same states; or a
+    ControlProgram such as compiled C code. Continuous, it is sampled by Tustin's map
     at the scenario's or the machine's sample time (else 10 kHz); its output, limited to max_current, acts ``computing_delay``
     (0 or 1) samples later. second: takes over without a bump at the scenario's switch_at. point: bias current, speed and seal
     pressure at the start, where the scenario does not say otherwise (None: the nominal one). bending_modes: per plane. dt [s]:
@@ -110,19 +118,20 @@ class _Motion:
 class _Laws:
     """The controllers of a run, as they are deployed."""
 
-    first: Any
-    second: Any | None
+    first: Law
+    second: Law | None
     machine: Machine
     sample: float
     delay: int
 
     @property
     def scheduled(self) -> bool:
-        return any(callable(item) and not hasattr(item, "A") for item in (self.first, self.second))
+        return changes_with_speed(self.first) or changes_with_speed(self.second)
 
-    def at(self, speed: float, switched: bool) -> Law:
+    def at(self, speed: float, switched: bool) -> SampledLaw:
         """The law at a speed [rad/s], before or after the switch."""
-        return deployed(self.second if switched else self.first, self.machine, self.sample, speed, self.delay)
+        controller = self.second if switched and self.second is not None else self.first
+        return sampled_law(controller, self.machine, self.sample, speed, self.delay)
 
 
 def _conditions(task: Plan) -> list[tuple[int, Drive]]:
@@ -179,7 +188,7 @@ def _stretches(
         if law is None or laws.scheduled or number == switch:
             law = laws.at(float(drive.speed[count // 2]), number >= switch)
         if number == switch:
-            motion.x = taking_over(law, *_remembered(recent, motion.held, law.delay))
+            motion.x = take_over(law, *_remembered(recent, motion.held, law.delay))
         if program is None:
             log, errors = _advance(task.rig, law, drive, steps, motion, count)
         else:
@@ -196,7 +205,7 @@ def _stretches(
             progress(f"simulated {number * task.dt:.3g} s of {task.scenario.duration:g} s")
 
 
-def _advance(rig: Rig, law: Law, drive: Drive, steps: int, motion: _Motion, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _advance(rig: Rig, law: SampledLaw, drive: Drive, steps: int, motion: _Motion, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Log (k, columns) and errors (a, k) of a stretch, up to the sample where the state overflowed."""
     a = len(rig.axes)
     log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, a))
@@ -211,11 +220,13 @@ def _advance(rig: Rig, law: Law, drive: Drive, steps: int, motion: _Motion, coun
 
 
 def _stepped(
-    rig: Rig, program: ControlProgram, law: Law, drive: Drive, steps: int, motion: _Motion, count: int
+    rig: Rig, program: ControlProgram, law: SampledLaw, drive: Drive, steps: int, motion: _Motion, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """As ``_advance``, one sample at a time: the program computes what acts at the next one."""
     a = len(rig.axes)
-    silent = Law(np.zeros((0, 0)), np.zeros((0, a)), np.zeros((a, 0)), np.zeros((a, a)), law.limit, 1)
+    into = np.argsort(axis_order(program.system, "inputs", rig.axes))
+    out = axis_order(program.system, "outputs", rig.axes)
+    silent = SampledLaw(np.zeros((0, 0)), np.zeros((0, a)), np.zeros((a, 0)), np.zeros((a, a)), law.limit, 1)
     nothing, work = np.zeros(0), rig.work(0)
     log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, a))
     advance = compiled()[0]
@@ -231,11 +242,11 @@ def _stepped(
             return kept[np.isfinite(kept).all(axis=1)], errors[: k + 1].T
         if scheduled is not None:
             scheduled.schedule(float(drive.speed[k]))
-        motion.held[:] = np.clip(program.step(errors[k]), -law.limit, law.limit)
+        motion.held[:] = np.clip(program.step(errors[k, into])[out], -law.limit, law.limit)
     return log, errors.T
 
 
-def _program(controller: Any, second: Any, computing_delay: int) -> ControlProgram | None:
+def _program(controller: Law, second: Law | None, computing_delay: int) -> ControlProgram | None:
     """The controller, if it is a program. Raises InvalidInput for what the rig cannot do with one."""
     if isinstance(second, ControlProgram):
         raise InvalidInput("the second controller is a program; only the first can be one, so give its law instead")

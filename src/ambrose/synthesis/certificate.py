@@ -18,6 +18,7 @@ from ambrose.core.statespace import (
     StateSpace,
     as_statespace,
     feedback,
+    match_signals,
     poles,
     select,
     series,
@@ -25,7 +26,7 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import named_controller
+from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 from ambrose.synthesis.result import Certificate, Status, Synthesis
 
@@ -126,7 +127,7 @@ def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace,
     """The plant from u to y (sampled like the controller), and the controller."""
     if isinstance(plant, Plant):
         system = select(plant.system, plant.named("u"), plant.named("y"))
-        controller = named_controller(plant, controller)
+        controller = match_controller(controller, plant)
     else:
         system, controller = as_statespace(plant), as_statespace(controller)
         if controller.D.shape != system.D.shape[::-1] or system.D.shape[0] != system.D.shape[1]:
@@ -136,6 +137,10 @@ def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace,
                 f"{system.D.shape[::-1]} and square",
                 "select() the plant's currents and displacements",
             )
+        errors, currents = ([f"{to}_{name.removeprefix(own)}" for name in names] for to, own, names in (
+            ("err", "y_", system.outputs), ("u", "u_", system.inputs),
+        ))  # fmt: skip
+        controller = match_signals(controller, errors, currents)
     if controller.dt is not None and system.dt is None:
         system = c2d(system, controller.dt)
     if controller.dt != system.dt and controller.n_states:
@@ -189,21 +194,3 @@ def continuous_equivalent(system: StateSpace) -> StateSpace:
     return StateSpace(
         A, np.sqrt(2) * B, np.sqrt(2) * C, system.D - C @ system.B, system.inputs, system.outputs
     )  # fmt: skip
-
-
-def match_controller(controller: Any, plant: Plant) -> StateSpace:
-    """``controller`` with its signals in the order of the plant's axes, after comparing them by name; a scheduled one is the
-    one at the plant's speed.
-
-    Raises InvalidInput that names sizes or signals when the controller was made for other axes.
-    """
-    controller = as_statespace(controller.at(plant.point.speed) if isinstance(controller, ScheduledSystem) else controller)
-    wanted = {"inputs": [f"err_{a}" for a in plant.axes], "outputs": [f"u_{a}" for a in plant.axes]}
-    for side, names in wanted.items():
-        have = getattr(controller, side)
-        remedy = f"this controller is for another machine: design one for {plant.machine.name!r}"
-        if len(have) != len(names):
-            raise invalid(f"the number of the controller's {side}", len(have), f"{len(names)} ({', '.join(names)})", remedy)
-        if set(have) != set(names):
-            raise invalid(f"the controller's {side}", ", ".join(have), ", ".join(names), f"rename() them, or {remedy}")
-    return select(controller, wanted["inputs"], wanted["outputs"])

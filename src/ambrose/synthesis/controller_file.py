@@ -28,12 +28,11 @@ from ambrose.core.statespace import StateSpace, as_statespace
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
-from ambrose.synthesis.certificate import match_controller
 from ambrose.synthesis.hinf.scaling import Matrices
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
 from ambrose.synthesis.weights import Weights
 
-__all__ = ["controller_schema", "machine_hash", "match_controller", "read_controller", "write_controller"]
+__all__ = ["controller_schema", "machine_hash", "read_controller", "write_controller"]
 
 FORMAT = "ambrose-controller"
 VERSION = 3  # 1 and 2 told less than a Synthesis says and are refused

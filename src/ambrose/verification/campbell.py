@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import check_shape, invalid
 from ambrose.core.statespace import spectral_abscissa
-from ambrose.plant.loop import closed_loop
+from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import Demand, judge
@@ -40,7 +39,7 @@ class CampbellMap:
         return tuple(f"mode {k + 1}, {direction(row[-1])}" for k, row in enumerate(self.whirl))
 
 
-def campbell(plant_at: Callable[[float], Plant], speeds: np.ndarray, count: int, controller: Any = None) -> CampbellMap:
+def campbell(plant_at: Callable[[float], Plant], speeds: np.ndarray, count: int, controller: Law | None = None) -> CampbellMap:
     """The ``count`` lowest modes that can ring, over ascending speeds (s,) [rad/s], at least two.
 
     plant_at: speed [rad/s] -> Plant; controller: closes the loop at every speed, None for the plant alone (with the magnets'
@@ -64,7 +63,7 @@ def campbell(plant_at: Callable[[float], Plant], speeds: np.ndarray, count: int,
     return CampbellMap(speeds, p.imag, damping_ratio(p), np.array(whirl).T)
 
 
-def _ringing(plant: Plant, controller: Any) -> Modes:
+def _ringing(plant: Plant, controller: Law | None) -> Modes:
     """Every oscillating mode of the plant or of its closed loop."""
     found = modes(plant.system if controller is None else closed_loop(plant, controller), plant.ports)
     keep = found.poles.imag > 0
@@ -130,7 +129,7 @@ def campbell_curves(found: CampbellMap) -> list[Curve]:
     ]  # fmt: skip
 
 
-def speed_stability_check(plant_at: Callable[[float], Plant], speeds: np.ndarray, controller: Any) -> Check:
+def speed_stability_check(plant_at: Callable[[float], Plant], speeds: np.ndarray, controller: Law) -> Check:
     """Stability of the closed loop at every one of ``speeds`` (s,) [rad/s], with the rotor assembled anew."""
     values = np.array([spectral_abscissa(closed_loop(plant_at(float(speed)), controller)) for speed in speeds])
     k = int(np.argmax(values))

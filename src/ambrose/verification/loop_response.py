@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import check_shape, invalid
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.statespace import StateSpace, select
-from ambrose.plant.loop import named_controller
+from ambrose.plant.loop import Law, match_controller
 from ambrose.plant.model import Plant
 
 Matrices = np.ndarray  # (w, p, m) complex: one matrix per frequency
@@ -65,7 +64,7 @@ class LoopResponse:
 Evaluator = Callable[[np.ndarray], LoopResponse]
 
 
-def loop_evaluator(plant: Plant, controller: Any) -> Evaluator:
+def loop_evaluator(plant: Plant, controller: Law) -> Evaluator:
     """A function omega (w,) [rad/s] -> LoopResponse; the Schur forms of plant and controller are kept for all its calls.
 
     A sampled controller acts through the base band of its zero-order hold, K(exp(j w T)) (1 - exp(-j w T)) / (j w T): exact but
@@ -88,7 +87,7 @@ def loop_evaluator(plant: Plant, controller: Any) -> Evaluator:
     return at
 
 
-def loop_at(plant: Plant, controller: Any, omega: float) -> LoopResponse:
+def loop_at(plant: Plant, controller: Law, omega: float) -> LoopResponse:
     """The loop at one frequency [rad/s], by one direct solution: cheaper than an evaluator that is used once."""
     part, controller = _parts(plant, controller)
     dt = controller.dt
@@ -108,14 +107,14 @@ def check_nyquist(omega: np.ndarray, dt: float) -> None:
         raise invalid("the highest frequency", f"{highest:g} rad/s", f"at most {nyquist:g} (Nyquist)", "shorten the grid")
 
 
-def _parts(plant: Plant, controller: Any) -> tuple[StateSpace, StateSpace]:
+def _parts(plant: Plant, controller: Law) -> tuple[StateSpace, StateSpace]:
     """u, f at the bearings -> y, q at the bearings, i; and the controller with the loop's names."""
     part = select(
         plant.system,
         [*plant.named("u"), *plant.bearing_named("f")],
         [*plant.named("y"), *plant.bearing_named("q"), *plant.named("i")],
     )
-    return part, named_controller(plant, controller)
+    return part, match_controller(controller, plant)
 
 
 def _parted(axes: tuple[str, ...], omega: np.ndarray, P: Matrices, K: Matrices) -> LoopResponse:

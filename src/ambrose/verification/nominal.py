@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape, invalid
 from ambrose.machine.description import Requirements
-from ambrose.plant.loop import closed_loop, named_controller
+from ambrose.plant.loop import Law, closed_loop, match_controller
 from ambrose.plant.model import Plant
 from ambrose.verification.campbell import speed_stability_check
 from ambrose.verification.checks import Check, Checks, Curve
@@ -46,7 +45,7 @@ Progress = Callable[[str, float], None]
 
 def check(
     plant: Plant,
-    controller: Any,
+    controller: Law,
     requirements: Requirements | None = None,
     omega: ArrayLike | None = None,
     progress: Progress | None = None,
@@ -63,7 +62,7 @@ def check(
     """
     tell = progress or (lambda stage, fraction: None)
     requirements = plant.machine.requirements if requirements is None else requirements
-    controller = named_controller(plant, controller)
+    controller = match_controller(controller, plant)
     tell("closed-loop poles", 0.0)
     closed = closed_loop(plant, controller)
     found = modes(closed, plant.ports)
@@ -131,7 +130,7 @@ def _notes(plant: Plant, dt: float | None) -> tuple[str, ...]:
 def _assembled(
     plant_at: Callable[[float], Plant],
     plant: Plant,
-    controller: Any,
+    controller: Law,
     requirements: Requirements,
     residual: Unbalance | None,
 ) -> tuple[list[Check], list[Curve]]:

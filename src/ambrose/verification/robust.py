@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,11 +27,12 @@ from ambrose.core.checks import check_shape, invalid
 from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.mu.bounds import mu_peak
-from ambrose.core.statespace import StateSpace, as_statespace, is_stable, select, spectral_abscissa, static_gain
+from ambrose.core.statespace import StateSpace, is_stable, select, spectral_abscissa, static_gain
 from ambrose.core.worst_case.loop import BoxLoop, Sweep, box_loop, corners, default_grid, gains, samples, unstable_poles
 from ambrose.core.worst_case.loop import sweep as box_sweep
 from ambrose.core.worst_case.search import BoxGain, BoxMargin, box_margin, gain_bound, peak_at, proved_margin, worst_gain
 from ambrose.machine.description import Requirements, Tolerance
+from ambrose.plant.loop import Law, law_at, match_axes, match_controller
 from ambrose.plant.model import Plant
 from ambrose.synthesis.problem import design_plant, with_performance_block
 from ambrose.synthesis.weights import Weights
@@ -50,7 +50,7 @@ Progress = Callable[[str, float], None]
 
 def check(
     plant: Plant | GeneralizedPlant,
-    controller: Any,
+    controller: Law,
     tolerances: Sequence[Tolerance] | None = None,
     weights: Weights | None = None,
     *,
@@ -70,13 +70,13 @@ def check(
     machine = plant.machine if isinstance(plant, Plant) else None
     if requirements is None:
         requirements = machine.requirements if machine is not None else Requirements()
-    controller = as_statespace(controller)
+    unit = _unit_problem(plant, tolerances)
+    controller = _matched(controller, plant, unit)
     if controller.dt is not None:
         remedy = "give the continuous controller it was made from; nominal.check takes the sampled one"
         raise invalid("the controller", repr(controller), "continuous", remedy)
     tell("closed loop", 0.0)
     label = _label(plant)
-    unit = _unit_problem(plant, tolerances)
     closed = lft(unit, controller)
     if not is_stable(closed):
         abscissa = spectral_abscissa(closed)
@@ -100,7 +100,7 @@ def check(
     return Checks(label, True, tuple(checks), tuple(curves), tuple(notes))
 
 
-def stability(plant: Plant | GeneralizedPlant, controller: Any, tolerances: Sequence[Tolerance] | None = None) -> Check:
+def stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Check:
     """How many corners and samples of the whole box are unstable: the quick verdict where parameters are many.
 
     Arguments as for ``check``. Raises InvalidInput, and UnstableSystem for a loop that is unstable at its centre.
@@ -125,15 +125,22 @@ def _unit_problem(plant: Plant | GeneralizedPlant, tolerances: Sequence[Toleranc
     return design_plant(plant, Weights(one, one, 1.0, 1.0), tolerances)
 
 
+def _matched(controller: Law, plant: Plant | GeneralizedPlant, unit: GeneralizedPlant) -> StateSpace:
+    """The controller with its signals in the order of the axes of the plant."""
+    if isinstance(plant, Plant):
+        return match_controller(controller, plant)
+    return match_axes(law_at(controller, 0.0), [name.removeprefix("u_") for name in unit.u])
+
+
 def box_loops(
-    plant: Plant | GeneralizedPlant, controller: Any, tolerances: Sequence[Tolerance] | None = None
+    plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None
 ) -> tuple[BoxLoop, BoxLoop, BoxLoop]:
     """S_o, S_i [-] and K S_o [A/m] (up to sign) of a loop with its real parameters pulled out, for ``core.box`` and its search.
 
     plant, tolerances: as for ``check``. Raises InvalidInput, UnstableSystem.
     """
     unit = _unit_problem(plant, tolerances)
-    closed = lft(unit, as_statespace(controller))
+    closed = lft(unit, _matched(controller, plant, unit))
     n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
     w, z = list(unit.w), list(unit.z)
     control = select(closed, w[:n_w] + w[n_w + a :], z[:n_z] + z[n_z + a :])

@@ -14,11 +14,11 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa, static_gain
 from ambrose.core.worst_case.loop import corners, samples
-from ambrose.plant.loop import named_controller
+from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis.certificate import certify, match_controller
+from ambrose.synthesis.certificate import certify
 from ambrose.verification import nominal
 from ambrose.verification.checks import Check, Checks
 from ambrose.verification.criteria import Demand, information, judge
@@ -48,7 +48,7 @@ def verify_sampled(
 
 def check_sampled(plant: Plant, controller: StateSpace) -> Checks:
     """``nominal.check`` of a sampled controller with its delay, its signals matched to the plant's. Raises InvalidInput."""
-    return nominal.check(plant, named_controller(plant, match_controller(controller, plant)))
+    return nominal.check(plant, match_controller(controller, plant))
 
 
 def check_over_box(plant: Plant, controller: StateSpace) -> Checks:

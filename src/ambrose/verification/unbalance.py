@@ -25,7 +25,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +34,7 @@ from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
 from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
+from ambrose.plant.loop import Law
 from ambrose.plant.model import Plant
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import BALANCE_GRADE, demand, judge, machine_limit
@@ -227,7 +227,7 @@ def axis_limit_check(plant: Plant, name: str, title: str, found: Sequence[Peak],
 def unbalance_curve(
     plant_at: Callable[[float], Plant],
     speeds: np.ndarray,
-    controller: Any,
+    controller: Law,
     residual: Unbalance | None = None,
 ) -> Curve:
     """Unbalance orbits with the rotor's matrices assembled anew at every speed (gyroscopic forces, speed-dependent seals).

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.lft import GeneralizedPlant, lft
-from ambrose.core.statespace import StateSpace, as_statespace
+from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, gains, perturbed_matrix, samples
 from ambrose.core.worst_case.search import gain_bound, worst_gain_at
 from ambrose.machine.description import Tolerance
-from ambrose.plant.loop import named_controller
+from ambrose.plant.loop import Law, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import uncertain
 from ambrose.verification.unbalance import Unbalance, residual_unbalance
@@ -29,7 +28,7 @@ _BLOCK = 64  # members integrated at once
 
 def loop_over_box(
     plant: Plant,
-    controller: Any,
+    controller: Law,
     inputs: Sequence[str],
     outputs: Sequence[str],
     tolerances: Sequence[Tolerance] | None = None,
@@ -39,7 +38,7 @@ def loop_over_box(
     controller: err -> u, continuous. tolerances: default the machine's. Raises InvalidInput for unknown signals or a sampled
     controller, UnstableSystem where the nominal loop is unstable.
     """
-    K = named_controller(plant, as_statespace(controller))
+    K = match_controller(controller, plant)
     if K.dt is not None:
         raise invalid("the controller", repr(K), "continuous", "give the one that the sampled controller was made from")
     model = uncertain(plant, tolerances)
@@ -70,7 +69,7 @@ class BoxUnbalance:
 
 def unbalance_over_box(
     plant: Plant | Callable[[float], Plant],
-    controller: Any,
+    controller: Law,
     speeds: ArrayLike,
     residual: Unbalance | None = None,
     tolerances: Sequence[Tolerance] | None = None,
@@ -103,7 +102,7 @@ def unbalance_over_box(
     return BoxUnbalance(speeds, np.array(nominal), np.array(found), np.array(limits), np.array(delta))
 
 
-def _compliance(plant: Plant, controller: Any, tolerances: Sequence[Tolerance] | None) -> BoxLoop:
+def _compliance(plant: Plant, controller: Law, tolerances: Sequence[Tolerance] | None) -> BoxLoop:
     return loop_over_box(plant, controller, plant.bearing_named("f"), plant.bearing_named("q"), tolerances)
 
 
@@ -142,7 +141,7 @@ class PulseFamily:
 
 def pulse_family(
     plant: Plant,
-    controller: Any,
+    controller: Law,
     port: str,
     force: float,
     width: float,

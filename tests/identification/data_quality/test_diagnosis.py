@@ -24,7 +24,7 @@ from ambrose.identification.validation.plausibility import delay_findings, diagn
 from ambrose.machine.description import SealTable, Tolerance
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, named_controller
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.report.identification.page import identification_report
@@ -57,7 +57,7 @@ def synthetic(wrong=0.15, dt=DT):
     paths = [f"bearing.{b}.{q}.{a}" for q in ("force_per_current", "negative_stiffness") for b in "AB" for a in ("zeta", "eta")]
     moved = dict(zip(paths, wrong * np.array([1, -0.5, 0.7, -1, 0.6, -0.8, -0.4, 0.9]), strict=True))
     other = perturbed(plant, moved, [Tolerance(path, relative=1.0) for path in paths])
-    law = c2d(named_controller(plant, controller), dt, "tustin", delay=dt)
+    law = c2d(match_controller(controller, plant), dt, "tustin", delay=dt)
     loop = select(closed_loop(other, law), names("ed"), names("yui"))
     rng = np.random.default_rng(1)
     e = np.stack([0.2 * excitation.prbs(9, 10, K, shift=127 * i) for i in range(4)])
@@ -207,7 +207,7 @@ def test_every_operating_point_is_compared_with_its_own_model():
     still = replace(setting()[0].operation.points[1], label="")
     machine, plant, _ = setting()
     plant = free_mode_reduction(assemble(machine, still), 1)
-    law = c2d(named_controller(plant, controller), DT, "tustin", delay=DT)
+    law = c2d(match_controller(controller, plant), DT, "tustin", delay=DT)
     e = synthetic().values[12:]
     values = np.vstack([simulate(select(closed_loop(plant, law), names("e"), names("yui")), e), e])
     other = replace(synthetic(), values=values, point=still)
@@ -287,7 +287,7 @@ def test_noise_between_controller_and_recorder_is_no_other_controller():
     noisy[:4] += 2e-7 * rng.standard_normal(noisy[:4].shape)
     machine, plant, controller = setting()
     record = replace(synthetic(), values=noisy)
-    match = controller_match(machine, record, c2d(named_controller(plant, controller), DT, "tustin"))
+    match = controller_match(machine, record, c2d(match_controller(controller, plant), DT, "tustin"))
     assert match.least.max() > 0.05  # the derivative action makes much of it
     assert findings(record) == ()
 
@@ -397,7 +397,7 @@ def test_a_wrong_mass_that_no_record_can_tell():
     machine, _, controller = setting()
     machine = replace(machine, seals=(), couplings=(), tolerances=())
     plant = free_mode_reduction(assemble(machine), 1)
-    loop = select(closed_loop(plant, c2d(named_controller(plant, controller), DT, "tustin", delay=DT)), names("e"), names("yu"))
+    loop = select(closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT)), names("e"), names("yu"))
     e = np.stack([0.2 * excitation.prbs(9, 10, 10000, shift=127 * i) for i in range(4)])
     values = np.vstack([simulate(loop, e), e])
     values[:4] += 1e-8 * np.random.default_rng(0).standard_normal((4, 10000))

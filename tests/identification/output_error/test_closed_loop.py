@@ -21,7 +21,7 @@ from ambrose.machine.description import Tolerance
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, named_controller
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import virtual_rig
@@ -72,7 +72,7 @@ def test_the_model_is_the_loop_and_its_change_is_that_of_the_plant():
     paths, nominal = truth()
     paths, nominal = (*paths, "seal.center.k"), np.append(nominal, nominal_values(plant, ["seal.center.k"]))
     signals = (*Y, "u_A_eta", "i_B_zeta")
-    model = loop_model(plant, named_controller(plant, law), paths, nominal, E, signals)
+    model = loop_model(plant, match_controller(law, plant), paths, nominal, E, signals)
     e = sequences(300)
     for change in (np.zeros(len(paths)), 0.1 * nominal):
         moved = dict(zip(paths, np.sign(change), strict=True))
@@ -87,7 +87,7 @@ def test_the_model_is_the_loop_and_its_change_is_that_of_the_plant():
 def test_jacobian_against_complex_step():
     _, plant, _, law = rig()
     paths, nominal = truth()
-    law = named_controller(plant, law)
+    law = match_controller(law, plant)
     model = loop_model(plant, law, paths, nominal, E, Y)
     e = sequences(400)
     loop, directions = model.loop(nominal)

@@ -20,7 +20,7 @@ from ambrose.identification.parameters import expand, nominal_values
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import named_controller
+from ambrose.plant.loop import match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 
@@ -35,7 +35,7 @@ def rig():
     machine = load_machine("seal-rig")
     plant = free_mode_reduction(assemble(machine), 0)
     controller = pid_synthesis(plant).controller
-    return machine, plant, controller, named_controller(plant, c2d(controller, DT, "tustin"))
+    return machine, plant, controller, match_controller(c2d(controller, DT, "tustin"), plant)
 
 
 def model(paths, delay, unknown):

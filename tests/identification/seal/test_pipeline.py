@@ -23,7 +23,7 @@ from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import seal
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, named_controller
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_controller
 
@@ -69,7 +69,7 @@ def record(pressure, noise=5e-9):
     item = replace(true().seals[0], k=float(stiffness(pressure)), scales_with_pressure=())
     point = OperatingPoint(seal_pressure=pressure)
     plant = free_mode_reduction(assemble(replace(true(), seals=(item,)), point), 1)
-    loop = closed_loop(plant, c2d(named_controller(plant, controller()), DT, "tustin", delay=DT))
+    loop = closed_loop(plant, c2d(match_controller(controller(), plant), DT, "tustin", delay=DT))
     e = np.stack([0.1 * excitation.prbs(9, 10, K, shift=127 * i) for i in range(4)])
     values = simulate(select(loop, E, Y + U), e)
     values[:4] += noise * np.random.default_rng(int(pressure)).standard_normal((4, K))
@@ -139,7 +139,7 @@ def test_without_a_calm_record_all_are_fitted_together():
 @cache
 def _proportional(pressure):
     plant = free_mode_reduction(assemble(true(), OperatingPoint(seal_pressure=pressure)), 1)
-    loop = closed_loop(plant, c2d(named_controller(plant, controller()), DT, "tustin", delay=DT))
+    loop = closed_loop(plant, c2d(match_controller(controller(), plant), DT, "tustin", delay=DT))
     e = np.stack([0.1 * excitation.prbs(9, 10, K, shift=127 * i) for i in range(4)])
     return np.vstack([simulate(select(loop, E, Y + U), e), e])
 

@@ -24,7 +24,7 @@ from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, named_controller
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import virtual_rig
@@ -83,7 +83,7 @@ def share(result):
 
 @cache
 def factors():
-    return youla.sampled_factors(plant(), named_controller(plant(), c2d(controller(), DT, "tustin", delay=DT)))[0]
+    return youla.sampled_factors(plant(), match_controller(c2d(controller(), DT, "tustin", delay=DT), plant()))[0]
 
 
 def test_alpha_is_free_of_the_noise_and_eps_is_its_response_through_s():
@@ -106,7 +106,7 @@ def test_alpha_is_free_of_the_noise_and_eps_is_its_response_through_s():
 
 def test_white_sensor_noise_is_white_in_eps_of_the_machine_as_modelled():
     eps = youla.residual_signals(factors(), record(20000, theta=0.0, noise=1e-6)).select(factors().eps).values[:, 500:]
-    covariance = youla.sampled_factors(plant(), named_controller(plant(), c2d(controller(), DT, "tustin", delay=DT)))[1]
+    covariance = youla.sampled_factors(plant(), match_controller(c2d(controller(), DT, "tustin", delay=DT), plant()))[1]
     W = np.linalg.inv(np.linalg.cholesky(covariance))
     white = W @ eps / 1e-6
     np.testing.assert_allclose(np.cov(white), np.eye(4), atol=0.05)

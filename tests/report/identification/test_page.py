@@ -18,7 +18,7 @@ from ambrose.identification.validation.agreement import compare
 from ambrose.identification.youla import identify as youla
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, named_controller
+from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.report.identification.figures import (
     change_figure,
@@ -48,7 +48,7 @@ def done():
     plant = free_mode_reduction(assemble(machine), 1)
     controller = pid_synthesis(plant).controller
     loop = select(
-        closed_loop(plant, c2d(named_controller(plant, controller), DT, "tustin", delay=DT)), names("ed"), names("yu")
+        closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT)), names("ed"), names("yu")
     )
     e = np.stack([0.1 * excitation.prbs(9, 10, 8000, shift=127 * i) for i in range(4)])
     noise = 2e-8 * np.random.default_rng(0).standard_normal((4, 8000))

@@ -1,6 +1,6 @@
 """The generated C code, compiled and running here: software in the loop.
 
-``CompiledBlock`` runs in the virtual rig in place of a controller (``simulation.control_program``), ``CompiledSchedule`` in
+``CompiledBlock`` runs in the virtual rig in place of a controller (``plant.control_program``), ``CompiledSchedule`` in
 place of a scheduled one, given the speed at every sample. ``read_law`` reads the law back out of the running code, so that the
 same verification can be made of what the compiler made.
 """

@@ -21,7 +21,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import named_controller
+from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 
@@ -237,7 +237,7 @@ def deployed_controller(plant: Plant, controller: Any, dt: float, delay: float) 
     _check_delay(delay)
     if not float(delay).is_integer():
         raise invalid("computing_delay", delay, "a whole number of samples", "take closed_loop.identify for parts of a sample")
-    law = named_controller(plant, controller)
+    law = match_controller(controller, plant)
     if law.dt is None:
         law = c2d(law, dt, method="tustin")
     elif abs(law.dt - dt) > 1e-6 * dt:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import StateSpace, as_statespace, select
+from ambrose.core.statespace import StateSpace, as_statespace, is_system
 from ambrose.machine.machine import Machine
-from ambrose.simulation.control_program import ControlProgram
+from ambrose.plant.control_program import ControlProgram
+from ambrose.plant.loop import Law, law_at, match_axes
 
 DEFAULT_SAMPLE_TIME = 1e-4  # [s]
-ControllerAt = Callable[[float], Any]  # speed [rad/s] -> controller, always in the same states
 
 
-class Law(NamedTuple):
+class SampledLaw(NamedTuple):
     """x+ = A x + B e, u = C x + D e within +-limit (a,) [A], which acts ``delay`` samples later (0 or 1)."""
 
     A: np.ndarray
@@ -28,12 +27,14 @@ class Law(NamedTuple):
     delay: int
 
 
-def sample_time(controller: Any | ControllerAt, machine: Machine, wanted: float | None) -> float:
+def sample_time(controller: Law, machine: Machine, wanted: float | None) -> float:
     """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms. Raises InvalidInput."""
     if isinstance(controller, ControlProgram):
         own: float | None = controller.sample_time
+    elif changes_with_speed(controller):
+        own = getattr(controller, "dt", None)
     else:
-        own = getattr(controller, "dt", None) if _scheduled(controller) else as_statespace(controller).dt
+        own = as_statespace(controller).dt
     if own is not None:
         if wanted is not None and abs(own - wanted) > 1e-9 * own:
             raise invalid("the sample time", f"{wanted:g} s", f"the controller's own {own:g} s", "leave it out")
@@ -44,27 +45,22 @@ def sample_time(controller: Any | ControllerAt, machine: Machine, wanted: float 
     return settings.sample_time if settings is not None and settings.sample_time is not None else DEFAULT_SAMPLE_TIME
 
 
-def deployed(controller: Any | ControllerAt, machine: Machine, dt: float, speed: float, delay: int) -> Law:
+def sampled_law(controller: Law, machine: Machine, dt: float, speed: float, delay: int) -> SampledLaw:
     """The law at a sample time [s] and speed [rad/s]: Tustin's map of a continuous controller, a sampled one as it is.
 
-    Signals err_<axis> and u_<axis> are matched by name, others by place. Raises InvalidInput where sizes or axes differ.
+    Its signals are matched by ``plant.loop.match_axes``. Raises InvalidInput where sizes or axes differ.
     """
     if delay not in {0, 1}:
         raise invalid("computing_delay", delay, "0 or 1 sample", "put longer delays into the controller")
-    system = as_statespace(controller(speed) if _scheduled(controller) else law_of(controller))
-    a = len(machine.axes)
-    if system.D.shape != (a, a):
-        requirement = f"({a}, {a}) for the axes {', '.join(machine.axes)}"
-        raise invalid("the controller's size (outputs, inputs)", system.D.shape, requirement, "design it for this machine")
-    system = _in_order(system, machine.axes)
+    system = match_axes(law_at(controller, speed), machine.axes, repr(machine.name))
     if system.dt is None:
         system = c2d(system, dt, method="tustin")
     limits = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
     A, B, C, D = (np.ascontiguousarray(X, dtype=float) for X in (system.A, system.B, system.C, system.D))
-    return Law(A, B, C, D, np.array(limits, dtype=float), delay)
+    return SampledLaw(A, B, C, D, np.array(limits, dtype=float), delay)
 
 
-def taking_over(law: Law, errors: np.ndarray, outputs: np.ndarray) -> np.ndarray:
+def take_over(law: SampledLaw, errors: np.ndarray, outputs: np.ndarray) -> np.ndarray:
     """The state x (n,) with which a law continues what another one did: it would have given the same last outputs.
 
     errors (a, k) [m] and outputs (a, k) [A] of the last k samples. The least-squares state k samples ago, of smallest size in
@@ -87,7 +83,7 @@ def taking_over(law: Law, errors: np.ndarray, outputs: np.ndarray) -> np.ndarray
     return free + power @ start
 
 
-def closed_loop_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, law: Law, dt: float) -> np.ndarray:
+def closed_loop_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, law: SampledLaw, dt: float) -> np.ndarray:
     """Poles [rad/s] of the linear loop around z' = A z + B u, y = C z with the law as it runs."""
     a = B.shape[1]
     sampled = c2d(StateSpace(A, B, C, np.zeros((len(C), a))), dt)
@@ -105,21 +101,6 @@ def closed_loop_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, law: Law, dt:
     return np.log(np.where(np.abs(values) < 1e-12, 1e-12, values).astype(complex)) / dt
 
 
-def _in_order(system: StateSpace, axes: tuple[str, ...]) -> StateSpace:
-    """The controller with its signals in the order of the axes, if they are named after axes."""
-    if not all(name.startswith("err_") for name in system.inputs) or not all(name.startswith("u_") for name in system.outputs):
-        return system
-    inputs, outputs = [f"err_{a}" for a in axes], [f"u_{a}" for a in axes]
-    if set(system.inputs) != set(inputs) or set(system.outputs) != set(outputs):
-        remedy = "this controller is for another machine: design one for this, or rename() its signals"
-        raise invalid("the controller's inputs", ", ".join(system.inputs), ", ".join(inputs), remedy)
-    return select(system, inputs, outputs)
-
-
-def law_of(controller: Any) -> Any:
-    """The linear law of a program, anything else as it is."""
-    return controller.system if isinstance(controller, ControlProgram) else controller
-
-
-def _scheduled(controller: Any) -> bool:
-    return callable(controller) and not hasattr(controller, "A")
+def changes_with_speed(controller: Law | None) -> bool:
+    """Whether the law is a function of speed."""
+    return callable(controller) and not is_system(controller)

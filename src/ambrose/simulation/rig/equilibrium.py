@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ambrose.core.checks import NumericalFailure, check_positive, invalid
-from ambrose.simulation.rig.controller import Law
+from ambrose.simulation.rig.controller import SampledLaw
 from ambrose.simulation.rig.inputs import Drive
 from ambrose.simulation.rig.state import Rig, compiled
 
@@ -62,7 +62,7 @@ def _seen(rig: Rig, a: int) -> np.ndarray:
     return np.asarray(k.sensor[a, 0] * np.kron(k.sensor_shape[a // 2], weights))
 
 
-def levitated(rig: Rig, drive: Drive, law: Law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def levitated(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """State z (n,) of the machine, state x of the controller and its output u (a,), in equilibrium at the drive's start.
 
     Newton's method on the rig's own forces; run-out and what turns are left out. Raises NumericalFailure where weight and loads
@@ -99,7 +99,7 @@ def levitated(rig: Rig, drive: Drive, law: Law) -> tuple[np.ndarray, np.ndarray,
     return standing(rig, q, u), x, u
 
 
-def resting(rig: Rig, law: Law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def resting(rig: Rig, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As ``levitated``, with the rotor lying in the touchdown bearings, no current in the coils and the controller at zero."""
     k, bearings = rig.constants, len(rig.machine.bearings)
     gaps = k.touchdown[:, 0]

@@ -1,6 +1,6 @@
 """A controller that exists as a running program: the rig hands it the errors of one sample and takes its currents.
 
-``export.compiled`` makes one from the generated C code, so that what runs on the rig is what runs on the machine.
+``deployment.c.compiled`` makes one from the generated C code, so that what runs on the rig is what runs on the machine.
 """
 
 from __future__ import annotations
