@@ -21,11 +21,12 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
-from ambrose.physics.rotor import finite_element_rotor, mass_properties
+from ambrose.physics.rotor import mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.plant.uncertainty import with_offsets_of
 from ambrose.simulation import linear, virtual_rig
 from ambrose.simulation.run_up import Step, spin_up
 from ambrose.simulation.scenario import Scenario, load_scenario
@@ -148,7 +149,7 @@ def _point(machine: Machine, point: str | OperatingPoint | None) -> OperatingPoi
 
 def plants_along_speed(plant: Plant) -> Callable[[float], Plant]:
     """Speed [rad/s] -> the plant assembled anew at that speed."""
-    return lambda speed: assemble(plant.machine, replace(plant.point, speed=speed))
+    return lambda speed: with_offsets_of(assemble(plant.machine, replace(plant.point, speed=speed)), plant)
 
 
 def covers(law: Any, plant: Plant) -> bool:
@@ -328,7 +329,7 @@ def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario) -> 
         events,
         machine=plant.machine.name,
         point=plant.point,
-        mass=mass_properties(finite_element_rotor(plant.machine)).mass,
+        mass=mass_properties(plant.rotor_model).mass,
         displacement_limit=min(gaps, default=None),
     )
 

@@ -12,8 +12,10 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty
 from ambrose.core.statespace import poles, select
 from ambrose.machine.description import OperatingPoint
+from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies
 from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import free_mode_reduction, modal_reduction, reduce, split_slow
+from ambrose.plant.model import top_speed
+from ambrose.plant.reduce import default_bending_modes, free_mode_reduction, modal_reduction, reduce, split_slow
 from ambrose.plant.uncertainty import uncertain
 
 MACHINES = {"seal-rig": None, "turboexpander": None}
@@ -142,3 +144,22 @@ def test_reduction_at_speed():
     machine = load_machine("turboexpander")
     plant = assemble(machine, replace(machine.operation.nominal, speed=31500 * np.pi / 30))
     assert distance(poles(reduce(plant).rotor), poles(plant.rotor)) < 5e-2
+
+
+def test_default_number_of_bending_modes_covers_speed_and_amplifier(plant):
+    kept = default_bending_modes(plant)
+    machine = plant.machine
+    lags = (machine.amplifier.bandwidth, machine.amplifier.eddy_bandwidth, machine.amplifier.natural_frequency)
+    highest = max(2 * top_speed(machine), *(lag for lag in lags if lag))
+    frequencies = free_bending_frequencies(plant.rotor_model, kept)
+    assert frequencies[-1] > highest
+    assert (frequencies[:-1] <= highest).all()
+
+
+def test_the_rotor_is_assembled_once():
+    machine = load_machine("seal-rig")
+    other = replace(machine, modal_damping=0.01, seals=(), tolerances=())
+    assert assemble(machine).rotor_model is assemble(other).rotor_model
+    assert finite_element_rotor(replace(machine, beam_theory="rayleigh")) is not finite_element_rotor(machine)
+    with pytest.raises(ValueError, match="read-only"):
+        finite_element_rotor(machine).mass[0, 0] = 0.0

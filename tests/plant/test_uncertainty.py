@@ -1,5 +1,6 @@
 """Every kind of uncertain parameter: closing its block equals assembling the changed machine."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.core.lft import RealBlock
+from ambrose.core.lft import RealBlock, close_uncertainty
+from ambrose.core.statespace import select
 from ambrose.machine.description import Amplifier, Tolerance
 from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.plant.uncertainty import perturbed, uncertain
 
 OMEGA = np.array([1.0, 100.0, 500.0, 3000.0, 12000.0])
@@ -134,3 +136,65 @@ def test_unknown_paths_name_the_part(machine, path, part):
 def test_no_tolerance_at_all(machine):
     with pytest.raises(InvalidInput, match="has no tolerance"):
         uncertain(assemble(replace(machine, tolerances=())))
+
+
+# A perturbed plant stays perturbed. Before, its reduction and its uncertainty were silently those of the nominal plant.
+DELTA = {"seal.center.k": 0.8, "bearing.A.negative_stiffness": -1.0, "amplifier.natural_frequency": 0.5}
+TOLERANCES = tuple(Tolerance(path, relative=0.3) for path in DELTA)
+
+
+@pytest.fixture(scope="module")
+def plant(machine):
+    return assemble(machine)
+
+
+@pytest.fixture(scope="module")
+def moved(plant):
+    return perturbed(plant, DELTA, TOLERANCES)
+
+
+@pytest.fixture(scope="module")
+def truth(machine):
+    for path, delta in DELTA.items():
+        machine = CASES[path][1](machine, 1 + 0.3 * delta)
+    return assemble(machine)
+
+
+@pytest.mark.parametrize("fewer", [lambda p: reduce(p, 2), lambda p: free_mode_reduction(p, 12)])
+def test_reduction_of_a_perturbed_plant_is_perturbed(plant, moved, truth, fewer):
+    small = fewer(moved)
+    assert small.offsets == moved.offsets
+    assert response(small) == pytest.approx(response(perturbed(fewer(plant), DELTA, TOLERANCES)), rel=1e-9)
+    slow = slice(0, 3)
+    ours, nominal, wanted = (response(fewer(p))[slow, :4, :4] for p in (moved, plant, truth))
+    error, shift = (np.abs(x - wanted).max() for x in (ours, nominal))
+    assert error < 0.02 * shift
+
+
+def test_uncertainty_is_centred_on_the_perturbed_plant(plant, moved):
+    band = [Tolerance("seal.center.k", relative=0.1)]
+    at = perturbed(moved, {}, band)
+    assert response(at) == pytest.approx(response(moved), rel=1e-9, abs=1e-18)
+    box = uncertain(moved, band)
+    assert box.blocks == (RealBlock("seal.center.k", 2),)
+    closed = close_uncertainty(box, {"seal.center.k": 1.0})
+    ours = frequency_response(select(closed, plant.system.inputs, plant.system.outputs), OMEGA).values
+    wider = DELTA | {"seal.center.k": 0.8 + 1 / 3}
+    truth = response(perturbed(plant, wider, TOLERANCES))
+    assert ours == pytest.approx(truth, rel=1e-8, abs=1e-12 * np.abs(truth).max())
+
+
+def test_perturbing_again_sets_the_parameters_named(plant, moved):
+    again = perturbed(moved, {"seal.center.k": -0.2}, TOLERANCES)
+    truth = perturbed(plant, DELTA | {"seal.center.k": -0.2}, TOLERANCES)
+    assert response(again) == pytest.approx(response(truth), rel=1e-9, abs=1e-18)
+    back = perturbed(moved, dict.fromkeys(DELTA, 0.0), TOLERANCES)
+    assert back.offsets == ()
+    assert response(back) == pytest.approx(response(plant), rel=1e-6, abs=1e-12)
+
+
+def test_a_perturbed_plant_says_so(moved):
+    assert "offsets=[seal.center.k +0.8, bearing.A.negative_stiffness -1" in repr(moved)
+    assert len(repr(moved)) < 200
+    assert moved.to_dict()["offsets"] == DELTA
+    json.dumps(moved.to_dict())

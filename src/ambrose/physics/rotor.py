@@ -8,13 +8,14 @@ elements' shape functions interpolate. The planes decouple at standstill; ``plan
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_finite, invalid
 from ambrose.core.mechanical import undamped_modes
-from ambrose.machine.description import Disc
+from ambrose.machine.description import Disc, ShaftSection
 from ambrose.machine.machine import Machine
 from ambrose.physics.beam import BeamElement, beam_element, shape
 
@@ -77,11 +78,17 @@ class FreeModes:
 def finite_element_rotor(machine: Machine) -> Rotor:
     """Assemble the shaft (``elements`` equal elements per section) and the discs of a machine; N = all elements + 1.
 
-    Discs may lie between nodes: their inertia is spread by the shape functions.
+    Discs may lie between nodes: their inertia is spread by the shape functions. Assembled once: machines of the same shaft and
+    discs share one rotor, whose arrays are read-only.
     """
-    positions, element = _mesh(machine)
-    mass, gyroscopic = _add_discs(element, positions, machine.discs)
-    return Rotor(
+    return _rotor(machine.shaft, machine.discs, machine.beam_theory)
+
+
+@lru_cache(maxsize=8)
+def _rotor(shaft: tuple[ShaftSection, ...], discs: tuple[Disc, ...], theory: str) -> Rotor:
+    positions, element = _mesh(shaft, theory)
+    mass, gyroscopic = _add_discs(element, positions, discs)
+    arrays = (
         positions,
         _assemble(_both_planes(mass)),
         _assemble(_both_planes(gyroscopic, skew=True)),
@@ -91,6 +98,9 @@ def finite_element_rotor(machine: Machine) -> Rotor:
         _assemble(element.stiffness),
         element.shear,
     )
+    for array in arrays:
+        array.flags.writeable = False
+    return Rotor(*arrays)
 
 
 def displacement_row(rotor: Rotor, position: float, direction_angle: float) -> np.ndarray:
@@ -175,13 +185,22 @@ def free_bending_frequencies(rotor: Rotor, count: int) -> np.ndarray:
 def free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
     """Rigid modes (exact) and the lowest ``n_bending`` bending modes of each plane of the free rotor at standstill.
 
-    Raises InvalidInput when ``n_bending`` exceeds what the mesh has (2N - 2).
+    Computed once for a rotor; the arrays are read-only. Raises InvalidInput when ``n_bending`` exceeds what the mesh has
+    (2N - 2).
     """
+    return _free_modes(rotor, n_bending)
+
+
+@lru_cache(maxsize=16)
+def _free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
     rigid = _rigid_modes(rotor)
     frequencies, bending = _plane_bending(rotor, n_bending) if n_bending else (np.zeros(0), np.zeros((len(rigid), 0)))
     plane = np.hstack([rigid, bending])
     shapes = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(2 * len(plane), -1)
-    return FreeModes(shapes, np.repeat(np.concatenate([np.zeros(2), frequencies]), 2))
+    both = np.repeat(np.concatenate([np.zeros(2), frequencies]), 2)
+    for array in (shapes, both):
+        array.flags.writeable = False
+    return FreeModes(shapes, both)
 
 
 def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -214,9 +233,8 @@ def _rigid_motions(positions: np.ndarray, about: float) -> tuple[np.ndarray, np.
     return translation, tilt
 
 
-def _mesh(machine: Machine) -> tuple[np.ndarray, BeamElement]:
+def _mesh(sections: tuple[ShaftSection, ...], theory: str) -> tuple[np.ndarray, BeamElement]:
     """Node positions (N,) [m] and the matrices of all elements."""
-    sections = machine.shaft
     count = [section.elements for section in sections]
     lengths = np.repeat([section.length / section.elements for section in sections], count)
     element = beam_element(
@@ -227,7 +245,7 @@ def _mesh(machine: Machine) -> tuple[np.ndarray, BeamElement]:
         youngs_modulus=np.repeat([section.material.youngs_modulus for section in sections], count),
         poisson_ratio=np.repeat([section.material.poisson_ratio for section in sections], count),
         mass_diameter=np.repeat([s.outer_diameter if s.mass_diameter is None else s.mass_diameter for s in sections], count),
-        theory=machine.beam_theory,
+        theory=theory,
     )
     return sections[0].start + np.concatenate([[0.0], np.cumsum(lengths)]), element
 

@@ -15,7 +15,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import NumericalFailure, check_shape, invalid
 from ambrose.core.mechanical import SecondOrder, project, to_statespace, velocity_scales
 from ambrose.core.statespace import StateSpace, balance
-from ambrose.physics.rotor import finite_element_rotor
+from ambrose.physics.rotor import free_modes
 from ambrose.plant.assemble import (
     attached_rotor,
     attached_statespace,
@@ -25,7 +25,8 @@ from ambrose.plant.assemble import (
     wire,
     with_seal_states,
 )  # fmt: skip
-from ambrose.plant.model import Plant
+from ambrose.plant.model import Plant, top_speed
+from ambrose.plant.uncertainty import with_offsets_of
 
 _EXTRA_MODES = 24  # bending modes per plane beyond those asked for: rigid-body poles good to 3e-4 rad/s, see tests
 
@@ -61,15 +62,26 @@ def reduce(plant: Plant, bending_modes: int = 0, static_correction: bool = True)
     return modal_reduction(plant, bending_modes, static_correction).plant
 
 
+def default_bending_modes(plant: Plant) -> int:
+    """How many bending modes per plane matter: those up to twice the top speed or the amplifier's fastest lag, and one more."""
+    amplifier = plant.machine.amplifier
+    lags = [rate for rate in (amplifier.bandwidth, amplifier.eddy_bandwidth, amplifier.natural_frequency) if rate is not None]
+    highest = max(2 * top_speed(plant.machine), *lags, 0.0)
+    available = bending_modes_of(plant.rotor_model)
+    bending = free_modes(plant.rotor_model, available).frequencies[4::2]
+    return min(int((bending <= highest).sum()) + 1, available)
+
+
 def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: bool = True) -> Reduction:
     """Split off the slow modes of the rotor on its bearings, seals and couplings: 8 + 4 bending_modes states, and the seals'.
 
+    Offsets of a perturbed plant are applied to the reduced one; transforms and residual are those of the nominal rotor.
     ``static_correction`` adds the static compliance of all that was cut off as a feedthrough from force to displacement.
     Raises InvalidInput for more bending modes than the mesh has, NumericalFailure when the poles to keep are not
     separated from the rest.
     """
     machine, point = plant.machine, plant.point
-    rotor = finite_element_rotor(machine)
+    rotor = plant.rotor_model
     available = bending_modes_of(rotor)
     if not 0 <= bending_modes <= available:
         raise invalid("bending_modes", bending_modes, f"between 0 and {available}", "refine the mesh or keep fewer modes")
@@ -86,7 +98,8 @@ def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: boo
     own = np.eye(seal_states(machine, point))
     left, right = sla.block_diag(T_L @ lift_L, own), sla.block_diag(lift_R @ T_R, own)
     reduced = with_seal_states(machine, point, reduced)
-    return Reduction(wire(machine, point, reduced, bending_modes), left, right, fast, static_correction)
+    result = with_offsets_of(wire(machine, point, reduced, bending_modes), plant)
+    return Reduction(result, left, right, fast, static_correction)
 
 
 def with_static_correction(slow: StateSpace, full: SecondOrder) -> StateSpace:
@@ -103,8 +116,8 @@ def free_mode_reduction(plant: Plant, bending_modes: int = 0) -> Plant:
     They are those of ``assemble``, see ``assemble.attached_statespace``, of the modes kept.
     """
     machine, point = plant.machine, plant.point
-    closed = attached_statespace(machine, point, finite_element_rotor(machine), bending_modes)
-    return wire(machine, point, closed, bending_modes)
+    closed = attached_statespace(machine, point, plant.rotor_model, bending_modes)
+    return with_offsets_of(wire(machine, point, closed, bending_modes), plant)
 
 
 def leading(system: SecondOrder, count: int) -> SecondOrder:

@@ -39,21 +39,24 @@ class Channel:
 def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> GeneralizedPlant:
     """The plant with its uncertain parameters pulled out: one RealBlock per tolerance, named by the parameter's path.
 
-    w and z are the blocks' signals, u all inputs and y all outputs of ``plant.system``. Default: the machine's tolerances.
-    Raises InvalidInput for a path that leads nowhere, and for a relative tolerance of a parameter whose value is zero.
+    w and z are the blocks' signals, u all inputs and y all outputs of ``plant.system``. Default: the machine's tolerances. The
+    centre of the box is the plant as it is, also where it is perturbed; the widths are those of the nominal values. Raises
+    InvalidInput for a path that leads nowhere, and for a relative tolerance of a parameter whose value is zero.
     """
     machine = plant.machine
     tolerances = machine.tolerances if tolerances is None else tuple(tolerances)
     if not tolerances:
         raise InvalidInput(f"machine {machine.name!r} has no tolerance; add a [[tolerance]] with parameter and relative")
-    blocks, rows, sums = [], [], force_sums(machine.axes, plant.ports)
-    for tolerance in tolerances:
-        found = channels(plant, tolerance.parameter)
-        for j, (channel, width) in enumerate(zip(found, _half_widths(tolerance, found), strict=True)):
-            name = f"{tolerance.parameter}_{j + 1}"
+    rows, sums = [], force_sums(machine.axes, plant.ports)
+    moved, blocks = [], []
+    members = [(offset, f"offset {offset.parameter}", moved) for offset, _ in plant.offsets]
+    for tolerance, label, group in [*members, *((tolerance, tolerance.parameter, blocks) for tolerance in tolerances)]:
+        places = channels(plant, tolerance.parameter)
+        for j, (channel, width) in enumerate(zip(places, _half_widths(tolerance, places), strict=True)):
+            name = f"{label}_{j + 1}"
             rows.append((f"z_{name}", {signal: width * factor for signal, factor in channel.gradient}))
             sums.setdefault(channel.target, []).append(f"w_{name}")
-        blocks.append(RealBlock(tolerance.parameter, len(found)))
+        group.append(RealBlock(label, len(places)))
     w = [f"w_{name[2:]}" for name, _ in rows]
     z = [name for name, _ in rows]
     drive = open_amplifier(machine.amplifier, machine.axes)
@@ -68,30 +71,48 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     gain = _rows_as_gain(rows)
     taps = {name: [name.removeprefix("port ")] for name in gain.inputs}
     system = connect([*inner, gain], inputs=[*w, *u], outputs=[*z, *y], sums={**sums, **unused, **taps})
+    if moved:
+        around = GeneralizedPlant(system, w, u, z, y, moved)
+        system = close_uncertainty(around, {f"offset {offset.parameter}": delta for offset, delta in plant.offsets})
+        w, z = w[around.n_w_blocks :], z[around.n_z_blocks :]
     return GeneralizedPlant(system, w, u, z, y, blocks)
 
 
 def perturbed(plant: Plant, delta: Mapping[str, float], tolerances: Sequence[Tolerance] | None = None) -> Plant:
-    """The plant with parameters moved within their tolerances: delta maps the path to -1..1 (absent: nominal).
+    """The plant with parameters moved within their tolerances: delta maps the path to -1..1 (absent: where the plant has it).
 
-    The reduction's basis stays the nominal one. Raises InvalidInput for a path without tolerance.
+    The offsets are kept in the plant, so that its reduction and its uncertainty are those of the perturbed plant. The
+    reduction's basis stays the nominal one. Raises InvalidInput for a path without tolerance.
     """
-    system = close_uncertainty(uncertain(plant, tolerances), delta)
-    return replace(plant, system=select(system, plant.system.inputs, plant.system.outputs))
+    tolerances = plant.machine.tolerances if tolerances is None else tuple(tolerances)
+    kept = {offset.parameter: (offset, value) for offset, value in plant.offsets if offset.parameter not in delta}
+    nominal = replace(plant, offsets=())
+    every = [*(t for t in tolerances if t.parameter not in kept), *(offset for offset, _ in kept.values())]
+    values = {**{path: value for path, (_, value) in kept.items()}, **delta}
+    system = close_uncertainty(uncertain(nominal, every), values)
+    offsets = tuple((t, float(values[t.parameter])) for t in every if values.get(t.parameter))
+    return replace(plant, system=select(system, plant.system.inputs, plant.system.outputs), offsets=offsets)
 
 
-def _half_widths(tolerance: Tolerance, found: Sequence[Channel]) -> list[float]:
+def with_offsets_of(plant: Plant, source: Plant) -> Plant:
+    """A nominal plant with the parameter offsets of another one of the same machine."""
+    if not source.offsets:
+        return plant
+    return perturbed(plant, {t.parameter: delta for t, delta in source.offsets}, [t for t, _ in source.offsets])
+
+
+def _half_widths(tolerance: Tolerance, places: Sequence[Channel]) -> list[float]:
     if tolerance.absolute is not None:
         # The same absolute change in every occurrence, with the sign that the occurrence gives the parameter.
-        return [tolerance.absolute for _ in found]
+        return [tolerance.absolute for _ in places]
     relative = tolerance.relative
     if relative is None:
         raise invalid(f"tolerance {tolerance.parameter}", "without width", "relative or absolute", "give one of the two")
-    if all(channel.nominal == 0 for channel in found):
+    if all(channel.nominal == 0 for channel in places):
         raise invalid(
             f"the nominal value of {tolerance.parameter}", 0, "non-zero for a relative tolerance", "give an absolute one"
         )
-    return [relative * channel.nominal for channel in found]
+    return [relative * channel.nominal for channel in places]
 
 
 def channels(plant: Plant, path: str) -> list[Channel]:

@@ -18,7 +18,7 @@ from ambrose.core.checks import check_positive, invalid
 from ambrose.core.response import settling_time
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.physics.rotor import finite_element_rotor, mass_properties
+from ambrose.physics.rotor import mass_properties
 from ambrose.plant.assemble import bending_modes_of
 from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
@@ -56,7 +56,7 @@ def loops_over_speed(
     """
     if not low < high:
         raise invalid("the speeds", f"{low:g} to {high:g} rad/s", "a range that ascends", "exchange them")
-    kept = min(bending_modes, bending_modes_of(finite_element_rotor(plant.machine)))
+    kept = min(bending_modes, bending_modes_of(plant.rotor_model))
 
     def plant_at(speed: float) -> Plant:
         return free_mode_reduction(replace(plant, point=replace(plant.point, speed=speed)), kept)
@@ -106,7 +106,7 @@ def spin_up(plant: Plant, controller: Law, scenario: Scenario, *, bending_modes:
     gaps = [b.touchdown_gap for b in plant.machine.bearings if b.touchdown_gap is not None]
     return linear.run(
         loop_at, scenario, machine=plant.machine.name, point=plant.point, displacement_limit=min(gaps, default=None),
-        mass=mass_properties(finite_element_rotor(plant.machine)).mass,
+        mass=mass_properties(plant.rotor_model).mass,
     )  # fmt: skip
 
 

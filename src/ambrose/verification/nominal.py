@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_shape, invalid
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import Law, closed_loop, match_controller
-from ambrose.plant.model import Plant
+from ambrose.plant.model import Plant, top_speed
 from ambrose.verification.campbell import speed_stability_check
 from ambrose.verification.checks import Check, Checks, Curve
 from ambrose.verification.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR
@@ -29,7 +29,6 @@ from ambrose.verification.unbalance import (
     Unbalance,
     assembled_check,
     residual_unbalance,
-    top_speed,
     unbalance_checks,
     unbalance_curve,
 )

@@ -35,7 +35,7 @@ from ambrose.machine.machine import Machine
 from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.loop import Law
-from ambrose.plant.model import Plant
+from ambrose.plant.model import Plant, top_speed
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import BALANCE_GRADE, demand, judge, machine_limit
 from ambrose.verification.loop_response import Evaluator, LoopResponse, loop_at
@@ -79,11 +79,6 @@ def unbalance(mass: float, grade: float, speed: float, share: Sequence[float] = 
         if not float(check_finite(value, name)) > 0:
             raise invalid(name, value, "positive", "G2.5 is 2.5e-3 m/s; speeds are in rad/s")
     return Unbalance(mass * grade / speed, mass, grade, speed, tuple(share))
-
-
-def top_speed(machine: Machine) -> float:
-    """The highest speed the machine is meant for [rad/s]: of its speed range and its operating points; 0 at standstill."""
-    return max(machine.operation.speed_range[1], *(point.speed for point in machine.operation.points))
 
 
 def _shares(machine: Machine, centre: float) -> tuple[float, ...]:
