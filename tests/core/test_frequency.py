@@ -1,5 +1,6 @@
 """Frequency responses against closed forms, dense solves and python-control; next to poles, and with bounded memory."""
 
+import json
 import tracemalloc
 
 import control
@@ -13,7 +14,6 @@ from ambrose.core.frequency import (
     evaluate,
     frequency_response,
     schur_form,
-    stacked_frequency_response,
     state_response_at,
     transfer_matrix,
     transfer_matrix_at,
@@ -177,17 +177,22 @@ class TestFrequencyResponse:
         with pytest.raises(InvalidInput, match="shape of values"):
             FrequencyResponse(np.zeros((3, 2, 2)), np.zeros(4), ("a", "b"), ("x", "y"))
 
-    def test_stack(self):
-        systems = [rename(StateSpace(*random_matrices(seed, 3, 2, 1)), ["a", "b"], ["y"]) for seed in range(4)]
-        stack = stacked_frequency_response(systems, [0.5, 2.0])
-        assert stack.values.shape == (4, 2, 1, 2) and stack.max_singular_value().shape == (4, 2)
-        for system, values in zip(systems, stack.values, strict=True):
-            assert np.array_equal(values, frequency_response(system, [0.5, 2.0]).values)
+    def test_it_shows_itself(self):
+        system = rename(StateSpace(*random_matrices(1, 3, 2, 1)), ["a", "b"], ["y"])
+        response = frequency_response(system, [0.5, 2.0])
+        assert repr(response).startswith("FrequencyResponse(frequencies=2, range=0.5 to 2 rad/s, peak=")
+        assert json.loads(json.dumps(response.to_dict()))["imag"] == response.values.imag.tolist()
+        stack = FrequencyResponse(np.stack([response.values, 2 * response.values]), response.omega, ("a", "b"), ("y",))
+        assert stack.max_singular_value().shape == (2, 2)
         assert np.array_equal(stack.select("b").values, stack.values[..., 1:])
-        with pytest.raises(InvalidInput, match="no system"):
-            stacked_frequency_response([], [1.0])
-        with pytest.raises(InvalidInput, match="signals of a stacked system"):
-            stacked_frequency_response([systems[0], rename(systems[1], {"a": "q"})], [1.0])
+        with pytest.raises(InvalidInput, match="take one system"):
+            stack.to_frame()
+
+    def test_frame(self):
+        pytest.importorskip("pandas")
+        system = rename(StateSpace(*random_matrices(1, 3, 2, 1)), ["a", "b"], ["y"])
+        frame = frequency_response(system, [0.5, 2.0]).to_frame()
+        assert frame.loc[2.0, "y / b"] == frequency_response(system, [2.0]).values[0, 0, 1]
 
 
 def test_memory_is_bounded():

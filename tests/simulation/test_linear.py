@@ -1,5 +1,6 @@
 """Linear simulation of a small loop with known answers, and of the bundled machine."""
 
+import json
 from functools import cache
 
 import control
@@ -13,6 +14,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.files import read_record, write_record
@@ -188,11 +190,9 @@ def test_run_up_that_does_not_converge_is_refused(monkeypatch):
 
 
 def test_loop_between_two_speeds():
-    loop_at = linear.affine_in_speed(gyroscopic, 50.0, 700.0)
+    loop_at = ScheduledSystem([50.0, 700.0], [gyroscopic(50.0), gyroscopic(700.0)])
     direct, between = (linear.run(loop, RUN_UP).record["q_A_eta"] for loop in (gyroscopic, loop_at))
     np.testing.assert_allclose(between, direct, rtol=0, atol=1e-12 * np.abs(direct).max())
-    with pytest.raises(InvalidInput, match="not affine"):
-        linear.affine_in_speed(lambda w: fake_loop(0.1, w**2, 1e-3), 50.0, 700.0)
 
 
 def test_unstable_loop_is_an_outcome():
@@ -326,6 +326,28 @@ def test_seal_rig_run_up_is_affine_in_speed():
         return closed_loop(free_mode_reduction(assemble(machine, OperatingPoint(speed=speed)), 2), K)
 
     scenario = load_scenario("run-up")
-    fast = linear.affine_in_speed(loop_at, scenario.speed_at(0.0), scenario.speed_at(1.0))
+    ends = [scenario.speed_at(0.0), scenario.speed_at(1.0)]
+    fast = ScheduledSystem(ends, [loop_at(speed) for speed in ends])
+    for letter in "ABCD":  # gyroscopic forces make the loop affine in the speed
+        middle, between = (getattr(at(sum(ends) / 2), letter) for at in (loop_at, fast))
+        np.testing.assert_allclose(between, middle, rtol=0, atol=1e-9 * np.abs(middle).max())
     trace = linear.run(fast, scenario, mass=68.9, outputs=["y_A_zeta", "y_B_eta"])
     assert trace.outcome == "completed" and trace.speed_error < 1e-3 and peaks(trace)["y_A_zeta"] < 8e-6
+
+
+def test_a_trace_shows_itself():
+    trace = linear.run(fake_loop(0.1, 0.0, 1e-3), Scenario("x", 0.1, pulses=(Pulse("f_A_zeta", 1.0, 0.0, 1e-3),)))
+    assert repr(trace).startswith("Trace(scenario=x, outcome=completed, stable=True, duration=0.1 s, largest_displacement=")
+    assert len(repr(trace)) < 200
+    assert "<table>" in trace._repr_html_()
+    plain = json.loads(json.dumps(trace.to_dict(), allow_nan=False))
+    assert plain["peaks"] == peaks(trace)
+    assert plain["pole"] == [trace.pole.real, trace.pole.imag]
+
+
+def test_a_trace_as_a_frame():
+    pytest.importorskip("pandas")
+    trace = linear.run(fake_loop(0.1, 0.0, 1e-3), Scenario("x", 0.1, pulses=(Pulse("f_A_zeta", 1.0, 0.0, 1e-3),)))
+    frame = trace.to_frame()
+    assert len(frame) == len(trace.record.time)
+    np.testing.assert_array_equal(frame["y_A_zeta [m]"], trace.record["y_A_zeta"])

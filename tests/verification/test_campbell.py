@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -94,3 +95,10 @@ def test_refusals(single_masses):
         campbell(plant_at, np.array([1.0]), 2)
     with pytest.raises(InvalidInput, match="number of modes"):
         campbell(plant_at, np.array([1.0, 2.0]), 5)
+
+
+def test_the_map_shows_itself(rig, rig_plants):
+    found = campbell(lambda speed: rig_plants["zero"], np.array([1.0, 2.0]), 4)
+    assert repr(found).startswith("CampbellMap(speeds=1 to 2 rad/s, least_damping=")
+    assert len(repr(found)) < 200
+    assert json.loads(json.dumps(found.to_dict()))["frequency"] == found.frequency.tolist()

@@ -7,7 +7,7 @@ direct solve with the balanced A, also for defective poles, where a diagonalisat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_shape, invalid
+from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.statespace import Names, as_statespace, balance, index_of
 
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
@@ -23,8 +24,8 @@ _NEAR = 100.0  # points within so many rounding errors of a pole are evaluated o
 _CHUNK = 2_000_000  # complex numbers held for one batch of frequencies: 32 MB
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrequencyResponse:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FrequencyResponse(Presented):
     """Values of a transfer matrix on a grid.
 
     values (..., w, p, m) complex, omega (w,) [rad/s]; leading axes are a stack of systems with the same signals.
@@ -54,6 +55,28 @@ class FrequencyResponse:
         """Largest singular value at each frequency, (..., w)."""
         return np.linalg.norm(self.values, 2, axis=(-2, -1))
 
+    def facts(self) -> Mapping[str, Any]:
+        """Range, largest gain and signals."""
+        span = f"{self.omega.min():.4g} to {self.omega.max():.4g} rad/s" if self.omega.size else "none"
+        peak = float(self.max_singular_value().max()) if self.values.size else 0.0
+        return {"frequencies": len(self.omega), "range": span, "peak": peak, "inputs": self.inputs, "outputs": self.outputs}
+
+    def to_dict(self) -> dict[str, Any]:
+        """omega, real and imaginary parts of the values and the signal names, ready for JSON."""
+        parts = {"omega": self.omega, "real": self.values.real, "imag": self.values.imag}
+        return {**to_plain(parts), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame over frequency [rad/s] with one complex column "output / input" per pair, of a single system.
+
+        Raises InvalidInput for a stack of systems, or without pandas.
+        """
+        if self.values.ndim != 3:
+            raise invalid("the values' shape", self.values.shape, "(w, p, m) for a table", "take one system of the stack")
+        pairs = ((i, j) for i in range(len(self.outputs)) for j in range(len(self.inputs)))
+        columns = {f"{self.outputs[i]} / {self.inputs[j]}": self.values[:, i, j] for i, j in pairs}
+        return data_frame({"omega [rad/s]": self.omega, **columns}, "omega [rad/s]")
+
 
 def frequency_response(system: Any, omega: ArrayLike) -> FrequencyResponse:
     """G(j omega), or G(exp(j omega dt)) for a sampled system.
@@ -75,23 +98,6 @@ def frequency_response(system: Any, omega: ArrayLike) -> FrequencyResponse:
     s = 1j * omega if system.dt is None else np.exp(1j * omega * system.dt)
     values = transfer_matrix(system.A, system.B, system.C, system.D, s)
     return FrequencyResponse(values, omega, system.inputs, system.outputs)
-
-
-def stacked_frequency_response(systems: Sequence[Any], omega: ArrayLike) -> FrequencyResponse:
-    """The responses of several systems with the same signals as one stack, values (systems, w, p, m)."""
-    parts = [frequency_response(system, omega) for system in systems]
-    if not parts:
-        raise InvalidInput("no system was given; a stack needs at least one")
-    for part in parts[1:]:
-        if (part.inputs, part.outputs) != (parts[0].inputs, parts[0].outputs):
-            raise invalid(
-                "the signals of a stacked system",
-                (part.inputs, part.outputs),
-                "those of the first",
-                "select() or rename() them",
-            )
-    first = parts[0]
-    return FrequencyResponse(np.stack([part.values for part in parts]), first.omega, first.inputs, first.outputs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,10 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
 from ambrose.core.presentation import Presented, to_plain
-from ambrose.core.statespace import StateSpace, append, as_statespace, close, match_signals, rename, select, static_gain
+from ambrose.core.statespace import StateSpace, append, as_statespace, close, match_signals, poles, rename, select, static_gain
+
+_PER_DECADE = 9
+_MARGIN = 10.0  # a design's grid reaches this factor beyond the slowest and fastest pole of the plant
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,3 +207,11 @@ def _star(system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: l
     for name in y:
         loop[joined.inputs.index(f"from {name}"), joined.outputs.index(name)] = 1.0
     return select(close(joined, loop), w, z)
+
+
+def design_grid(plant: GeneralizedPlant) -> np.ndarray:
+    """Logarithmic frequencies [rad/s] from a decade below the plant's slowest pole to one above the fastest."""
+    size = np.abs(poles(plant.system))
+    size = size[size > 1e-9 * size.max(initial=0.0)]
+    low, high = (size.min() / _MARGIN, size.max() * _MARGIN) if size.size else (1e-2, 1e2)
+    return np.geomspace(low, high, max(20, int(np.ceil(_PER_DECADE * np.log10(high / low))) + 1))

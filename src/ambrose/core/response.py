@@ -50,16 +50,6 @@ def simulate(system: Any, u: ArrayLike, dt: float | None = None, x0: ArrayLike |
     return y
 
 
-def simulate_states(system: Any, u: ArrayLike, dt: float | None = None, x0: ArrayLike | None = None) -> np.ndarray:
-    """The states x (n, k + 1) at the samples and one sample past the last; arguments as ``simulate``."""
-    sampled, t = _sampled(system, dt)
-    n, m = sampled.n_states, len(sampled.inputs)
-    u = check_shape(u, "u", "(m, k)", m=m).astype(float)
-    watched = StateSpace(sampled.A, sampled.B, np.diag(t), np.zeros((n, m)), sampled.inputs, None, sampled.dt)
-    x, end = _respond(watched, u, _start(x0, n) / t)
-    return np.column_stack([x, t * end])
-
-
 def simulate_piecewise(
     systems: Iterable[Any],
     inputs: Iterable[ArrayLike],

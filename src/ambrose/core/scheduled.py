@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_positive, check_shape, invalid
+from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, as_statespace
 
 _EDGE = 1e-9  # of the range: rounding of its ends is no excursion
 
 
-@dataclass(frozen=True, slots=True, eq=False, init=False)
-class ScheduledSystem:
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
+class ScheduledSystem(Presented):
     """x' = A(p) x + B(p) u, y = C(p) x + D(p) u with every matrix piecewise linear in the parameter p.
 
     grid (k,): ascending values of the parameter; systems: one StateSpace each, all in the same states, with the same signals
@@ -50,6 +51,21 @@ class ScheduledSystem:
         values.setflags(write=False)
         for name, value in zip(self.__slots__, (values, members, parameter, unit, outside), strict=True):
             object.__setattr__(self, name, value)
+
+    def facts(self) -> Mapping[str, Any]:
+        """The parameter and its range, and the size of the system."""
+        low, high = self.range
+        return {
+            self.parameter: f"{low:.4g} to {high:.4g} {self.unit}, {len(self.grid)} points", "states": self.n_states,
+            "time": "continuous" if self.dt is None else f"sampled, dt = {self.dt:g} s", "outside": self.outside,
+            "inputs": self.inputs, "outputs": self.outputs,
+        }  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        """Grid, systems, parameter, unit and what happens outside, ready for JSON."""
+        systems = [system.to_dict() for system in self.systems]
+        fields = {"parameter": self.parameter, "unit": self.unit, "outside": self.outside}
+        return {"grid": self.grid.tolist(), "systems": systems, **fields}
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -48,7 +48,8 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     if not tolerances:
         raise InvalidInput(f"machine {machine.name!r} has no tolerance; add a [[tolerance]] with parameter and relative")
     rows, sums = [], force_sums(machine.axes, plant.ports)
-    moved, blocks = [], []
+    moved: list[RealBlock] = []
+    blocks: list[RealBlock] = []
     members = [(offset, f"offset {offset.parameter}", moved) for offset, _ in plant.offsets]
     for tolerance, label, group in [*members, *((tolerance, tolerance.parameter, blocks) for tolerance in tolerances)]:
         places = channels(plant, tolerance.parameter)

@@ -242,32 +242,6 @@ def _rightmost(frozen: Sequence[tuple[float, StateSpace]]) -> tuple[complex | No
     return pole, at
 
 
-def affine_in_speed(loop_at: LoopAt, low: float, high: float) -> LoopAt:
-    """The loop at any speed from those at ``low`` and ``high`` [rad/s]: A = A0 + speed A1, as gyroscopic forces make it.
-
-    Two assemblies replace one per interval of a run-up. Raises InvalidInput when the loop half-way differs (speed-dependent
-    seals, scheduled controllers, a basis that changes): pass the function itself to ``run`` then.
-    """
-    ends = [as_statespace(loop_at(speed)) for speed in (low, high)]
-
-    def between(speed: float) -> StateSpace:
-        f = (speed - low) / (high - low)
-        A, B, C, D = ((1 - f) * getattr(ends[0], x) + f * getattr(ends[1], x) for x in "ABCD")
-        return StateSpace(A, B, C, D, ends[0].inputs, ends[0].outputs, ends[0].dt)
-
-    middle, guess = as_statespace(loop_at((low + high) / 2)), between((low + high) / 2)
-    for x in "ABCD":
-        difference, size = (
-            np.abs(getattr(middle, x) - getattr(guess, x)).max(initial=0.0),
-            np.abs(getattr(middle, x)).max(initial=0.0),
-        )
-        if difference > 1e-9 * size:
-            raise invalid(
-                f"matrix {x} of the loop", "not affine in the speed", "A0 + speed A1", "pass the loop's function itself"
-            )
-    return between
-
-
 def _record(task: _Task, y: np.ndarray, shown: Sequence[str], machine: str, point: OperatingPoint | None) -> Record:
     """Outputs, driven inputs and, where it changes, the speed, as a Record."""
     k = y.shape[1]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.response import settling_time
 from ambrose.machine.record.record import Record
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trace:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Trace(Presented):
     """A simulated record and its outcome; an unstable loop is an outcome, not an error.
 
     stable: whether all poles of the linear loop lie to the left (at every speed looked at; for the rig, at the start and at the
@@ -35,6 +37,28 @@ class Trace:
     touchdown_at: float | None = None
     run_time: float = 0.0
     compile_time: float = 0.0
+
+    def facts(self) -> Mapping[str, Any]:
+        """How it ended, what was simulated, for how long, and the largest displacement."""
+        displacement = {name: value for name, value in peaks(self).items() if name.startswith("y_")}
+        return {
+            "scenario": self.scenario, "outcome": self.outcome, "stable": self.stable,
+            "duration": f"{self.record.time[-1] if self.record.values.size else 0.0:.4g} s",
+            **({"largest_displacement": f"{max(displacement.values()):.4g} m"} if displacement else {}),
+            "text": self.text,
+        }  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        """The outcome and the largest magnitude of every signal, ready for JSON; the signals are in ``record``."""
+        names = ("scenario", "stable", "outcome", "text", "stopped_at", "touchdown_at", "speed_error")
+        pole = None if self.pole is None else [self.pole.real, self.pole.imag]
+        return to_plain({**{name: getattr(self, name) for name in names}, "pole": pole, "peaks": peaks(self)})
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame over time [s] with one column "name [unit]" per signal. Raises InvalidInput without pandas."""
+        record = self.record
+        columns = {f"{n} [{u}]": row for n, u, row in zip(record.signals, record.units, record.values, strict=True)}
+        return data_frame({"time [s]": record.time, **columns}, "time [s]")
 
 
 def peaks(trace: Trace) -> dict[str, float]:

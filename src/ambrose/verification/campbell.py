@@ -7,12 +7,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import check_shape, invalid
+from ambrose.core.presentation import Presented, to_plain
 from ambrose.core.statespace import spectral_abscissa
 from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
@@ -21,8 +23,8 @@ from ambrose.verification.criteria import Demand, judge
 from ambrose.verification.rotor_modes import OSCILLATORY, TWO_PI, Modes, damping_ratio, direction, modes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CampbellMap:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CampbellMap(Presented):
     """speeds (s,) [rad/s]; frequency (m, s) [rad/s] damped, damping (m, s) ratio, whirl (m, s) in [-1, 1], a row per mode.
 
     Rows ascend by frequency at the first speed. whirl: +1 forward, -1 backward, 0 planar (see rotor_modes.modes).
@@ -32,6 +34,16 @@ class CampbellMap:
     frequency: np.ndarray
     damping: np.ndarray
     whirl: np.ndarray
+
+    def facts(self) -> Mapping[str, Any]:
+        """The range of speeds, the modes with their direction, and the least damping."""
+        span = f"{self.speeds[0]:.4g} to {self.speeds[-1]:.4g} rad/s"
+        return {"speeds": span, "least_damping": float(self.damping.min()), "modes": self.names}
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields, ready for JSON."""
+        fields: dict[str, Any] = to_plain({name: getattr(self, name) for name in self.__dataclass_fields__})
+        return fields
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
-from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
+from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, design_grid, lft
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.mu.structure import structure_of
@@ -34,7 +34,7 @@ from ambrose.plant.published import published_p5
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import RealRational, fit_magnitude
-from ambrose.synthesis.mu.d_step import d_blocks, d_step, design_grid, fit_scaling
+from ambrose.synthesis.mu.d_step import d_blocks, d_step, fit_scaling
 from ambrose.synthesis.mu.matrix_fit import MatrixFit, fit_matrix
 from ambrose.synthesis.mu.refine import peak_gain, refine
 from ambrose.synthesis.mu.scaling import Scaling, scalar_scaling, scaled_loop, scaled_plant

@@ -1,7 +1,7 @@
 """Structured singular value mu(M) = 1 / min{ sigma_max(Delta) : det(I - M Delta) = 0 }, mixed real and complex blocks.
 
 The public face: ``mu_bounds`` at given matrices, ``mu_peak`` over frequency, ``mu_certificate`` as a proof over an interval.
-The algorithms are in mu_upper, mu_lower and mu_interval.
+The algorithms are in upper.py, lower.py and interval.py.
 
 With real blocks only, mu is a discontinuous function of M and may be 0 (det(I - M Delta) never vanishes for real Delta, as for
 M = 6.78j): the smallest error in M, or a step in frequency, may change it by a jump. The upper bound is safe at the M it is
@@ -11,8 +11,9 @@ few per cent of neglected dynamics) makes mu continuous.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,12 +24,13 @@ from ambrose.core.mu.interval import MuCertificate, MuPeak, mu_certificate, mu_p
 from ambrose.core.mu.lower import lower_bound
 from ambrose.core.mu.structure import Structure, check_matrix, structure_of
 from ambrose.core.mu.upper import upper_bound
+from ambrose.core.presentation import Presented, to_plain
 
 __all__ = ["MuBounds", "MuCertificate", "MuPeak", "mu_bounds", "mu_certificate", "mu_peak"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MuBounds:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MuBounds(Presented):
     """Bounds of mu at each matrix M (..., n_z, n_w), on the grid and nowhere between.
 
     upper, lower (...): lower <= mu <= upper. D_w (..., n_w, n_w), D_z (..., n_z, n_z): Hermitian positive scalings, Delta D_z =
@@ -44,6 +46,15 @@ class MuBounds:
     G: np.ndarray
     delta: np.ndarray
     blocks: tuple[Block, ...]
+
+    def facts(self) -> Mapping[str, Any]:
+        """The largest bounds over all matrices, and the blocks."""
+        largest = {name: float(getattr(self, name).max(initial=0.0)) for name in ("upper", "lower")}
+        return {**largest, "matrices": self.upper.size, "blocks": [block.name for block in self.blocks]}
+
+    def to_dict(self) -> dict[str, Any]:
+        """The bounds and the names of the blocks, ready for JSON; scalings and perturbations stay behind."""
+        return {"upper": to_plain(self.upper), "lower": to_plain(self.lower), "blocks": [block.name for block in self.blocks]}
 
     @property
     def gap(self) -> np.ndarray:

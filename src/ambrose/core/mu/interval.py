@@ -12,7 +12,7 @@ pieces so proved must cover the interval; where they do not, the part left open 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ from ambrose.core.lft import Block
 from ambrose.core.mu.lower import lower_bound
 from ambrose.core.mu.structure import Structure, check_matrix, structure_of
 from ambrose.core.mu.upper import upper_bound
+from ambrose.core.presentation import Presented
 from ambrose.core.statespace import as_statespace, balance, poles
 
 _AXIS = 1e-7  # |Re s| / |s| below which an eigenvalue counts as imaginary
@@ -34,8 +35,8 @@ _PROBES = 5  # frequencies inside each proved piece at which Phi is looked at, a
 Response = Callable[[np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MuPeak:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MuPeak(Presented):
     """The largest bounds found on a refined grid.
 
     upper at frequency [rad/s]; lower at lower_frequency [rad/s], with delta (n_w, n_z) that proves it (NaN when lower is 0);
@@ -52,9 +53,13 @@ class MuPeak:
     values: np.ndarray
     resolved: bool
 
+    def facts(self) -> Mapping[str, Any]:
+        """Both bounds and where they are."""
+        return {name: getattr(self, name) for name in ("upper", "frequency", "lower", "lower_frequency", "resolved")}
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MuCertificate:
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MuCertificate(Presented):
     """Whether mu < gamma was proved for every frequency of ``interval`` [rad/s].
 
     pieces (k, 3) [rad/s]: from, to, and the frequency whose scalings prove the piece; open: the frequency ranges left;
@@ -69,6 +74,10 @@ class MuCertificate:
     open: tuple[tuple[float, float], ...]
     gap: float
     open_frequency: float
+
+    def facts(self) -> Mapping[str, Any]:
+        """The claim and whether it was proved."""
+        return {"proved": self.proved, "claim": str(self)}
 
     def __str__(self) -> str:
         where = f"[{self.interval[0]:g}, {self.interval[1]:g}] rad/s"

@@ -111,11 +111,3 @@ def osborne(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray
     d = np.exp(0.5 * np.clip(log_d, -400, 400))
     d_z, d_w = d @ P_z, d @ P_w
     return d_z[:, :, None] * M / d_w[:, None, :], d_z, d_w
-
-
-def block_diagonal(parts: Sequence[np.ndarray], structure: Structure) -> np.ndarray:
-    """Delta (b, n_w, n_z) from one (b, n_w_i, n_z_i) array per block."""
-    delta = np.zeros((len(parts[0]), structure.n_w, structure.n_z), complex)
-    for place, part in zip(structure.places, parts, strict=True):
-        delta[:, place.w, place.z] = part
-    return delta

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, invalid
-from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
+from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, design_grid, lft
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa

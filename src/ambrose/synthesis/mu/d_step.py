@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ambrose.core.frequency import frequency_response
-from ambrose.core.lft import Block, ComplexBlock, FullBlock, GeneralizedPlant
+from ambrose.core.lft import Block, ComplexBlock, FullBlock
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.mu.structure import Structure, structure_of
 from ambrose.core.statespace import StateSpace, poles
@@ -19,8 +19,6 @@ from ambrose.synthesis.mu.refine import peak_gain, refine, tube
 from ambrose.synthesis.mu.scaling import BlockScaling, Scaling, scalar_scaling, scaled_gain
 
 HIGHEST_ORDER = 5  # tried by order="auto"
-_PER_DECADE = 9
-_MARGIN = 10.0  # the grid reaches this factor beyond the slowest and fastest pole of the plant
 _WEIGHT = 6  # power of mu/peak with which a frequency counts in the fit
 _TUBE = 0.05  # how far above mu the tube of admissible D reaches, in peaks of mu
 _CURVE = 5.0  # tolerances by which sigma_max may exceed mu away from the peak
@@ -47,14 +45,6 @@ class DStep:
     @property
     def peak(self) -> float:
         return float(self.upper.max())
-
-
-def design_grid(plant: GeneralizedPlant) -> np.ndarray:
-    """Logarithmic frequencies [rad/s] from a decade below the plant's slowest pole to one above the fastest."""
-    size = np.abs(poles(plant.system))
-    size = size[size > 1e-9 * size.max(initial=0.0)]
-    low, high = (size.min() / _MARGIN, size.max() * _MARGIN) if size.size else (1e-2, 1e2)
-    return np.geomspace(low, high, max(20, int(np.ceil(_PER_DECADE * np.log10(high / low))) + 1))
 
 
 def d_blocks(blocks: Sequence[Block], structure: Literal["scalar", "full"]) -> list[Block]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive, check_shape, invalid
-from ambrose.core.lft import Block, FullBlock, GeneralizedPlant, lft
+from ambrose.core.lft import Block, FullBlock, GeneralizedPlant, design_grid, lft
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
@@ -31,7 +31,6 @@ from ambrose.synthesis.mu.d_step import (
     FittedScaling,
     d_blocks,
     d_step,
-    design_grid,
     extrapolate,
     fit_scaling,
     of_scalars,

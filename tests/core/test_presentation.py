@@ -1,0 +1,69 @@
+"""How results show themselves: one line at a prompt, a table in a notebook, plain data for a file."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import frequency_response
+from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock
+from ambrose.core.mu.bounds import mu_bounds, mu_certificate, mu_peak
+from ambrose.core.presentation import Presented, data_frame, html_table, to_plain
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace
+
+NAMES = [f"a signal with a long name, number {k}" for k in range(30)]
+WIDE = StateSpace(-np.eye(3), np.ones((3, 30)), np.ones((30, 3)), np.zeros((30, 30)), NAMES, [f"{n} out" for n in NAMES])
+LOOP = StateSpace([[-1.0]], [[1.0]], [[0.5]], [[0.0]], ["w"], ["z"])
+BLOCKS = [FullBlock("an uncertainty of many channels", 1, 1)]
+OMEGA = np.geomspace(0.1, 10, 5)
+RESULTS = [
+    WIDE,
+    ScheduledSystem([100.0, 200.0], [WIDE, WIDE]),
+    GeneralizedPlant(WIDE, NAMES[:20], NAMES[20:], [f"{n} out" for n in NAMES[:20]], [f"{n} out" for n in NAMES[20:]]),
+    frequency_response(WIDE, OMEGA),
+    mu_bounds(frequency_response(LOOP, OMEGA).values, BLOCKS),
+    mu_peak(LOOP, BLOCKS, OMEGA),
+    mu_certificate(LOOP, BLOCKS, 1.0, (0.1, 10.0)),
+]
+
+
+@pytest.mark.parametrize("result", RESULTS, ids=lambda r: type(r).__name__)
+def test_one_line_and_a_table(result):
+    assert isinstance(result, Presented)
+    assert len(repr(result)) < 200
+    assert "\n" not in repr(result)
+    assert repr(result).startswith(type(result).__name__)
+    html = result._repr_html_()
+    assert html.startswith("<table>") and type(result).__name__ in html
+    if hasattr(result, "to_dict"):
+        json.dumps(result.to_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize("block", [RealBlock("seal.k", 2), ComplexBlock("dynamics"), FullBlock("performance", 4, 4)])
+def test_blocks_are_one_line_as_they_are(block):
+    assert len(repr(block)) < 100
+    assert eval(repr(block)) == block
+
+
+def test_plain_data():
+    assert to_plain({"a": (np.float64(1.0), np.inf, None), 2: np.array([[True]])}) == {"a": [1.0, "inf", None], "2": [[True]]}
+    with pytest.raises(TypeError, match="object is no plain data"):
+        to_plain(object())
+
+
+def test_html_is_escaped():
+    assert html_table([("<b>", "&")], "<i>", ("<u>",)).count("&lt;") == 3
+
+
+def test_frame():
+    pytest.importorskip("pandas")
+    assert data_frame({"t": [0.0, 1.0], "y": [2.0, 3.0]}, "t").loc[1.0, "y"] == 3.0
+
+
+def test_frame_without_pandas(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InvalidInput, match="pip install pandas"):
+        data_frame({"y": [1.0]})
