@@ -14,7 +14,7 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import linear, virtual_rig
 from ambrose.simulation.rig.controller import sampled_law
-from ambrose.simulation.rig.equilibrium import standing
+from ambrose.simulation.rig.equilibrium import state_at_rest
 from ambrose.simulation.rig.inputs import plan, stretch
 from ambrose.simulation.rig.state import build, compiled
 from ambrose.simulation.scenario import Prbs, Pulse, Scenario, Unbalance, load_scenario
@@ -74,7 +74,7 @@ def test_energy_without_damping_is_kept():
 
     drift = []
     for steps in (2, 4):
-        z = standing(rig, np.tile([0.7e-4, 0.35e-4], p) * np.sqrt(70), np.zeros(4))
+        z = state_at_rest(rig, np.tile([0.7e-4, 0.35e-4], p) * np.sqrt(70), np.zeros(4))
         z[4:6] *= 0.05
         drive = stretch(task, 0, 5000)
         before = energy(z)

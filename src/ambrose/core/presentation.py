@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable, Mapping
 from html import escape
@@ -23,6 +24,11 @@ class Presented:
     def facts(self) -> Mapping[str, Any]:
         """What a reader wants to know first: a few named texts and numbers (SI), most important first."""
         raise NotImplementedError
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields of the dataclass, ready for JSON (``to_plain``)."""
+        fields: dict[str, Any] = to_plain({field.name: getattr(self, field.name) for field in dataclasses.fields(self)})  # type: ignore[arg-type]
+        return fields
 
     def __repr__(self) -> str:
         words = ", ".join(f"{name}={in_words(value)}" for name, value in self.facts().items())
@@ -66,13 +72,15 @@ def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
 
 
 def to_plain(value: Any) -> Any:
-    """Nested data with JSON types only; NaN and infinities as strings, because JSON has none."""
+    """Nested data with JSON types only: NaN and infinities as strings, complex numbers as [real, imaginary]."""
     if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [to_plain(item) for item in value]
     if hasattr(value, "tolist"):
         return to_plain(value.tolist())
+    if isinstance(value, complex):
+        return [to_plain(value.real), to_plain(value.imag)]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     if isinstance(value, str | int | float | bool) or value is None:

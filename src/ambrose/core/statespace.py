@@ -22,7 +22,7 @@ from ambrose.core.checks import (
     check_shape,
     invalid,
 )
-from ambrose.core.presentation import Presented, to_plain
+from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance as balance  # noqa: PLC0414 (re-exported)
 from ambrose.core.realisation.balancing import balance_system
 
@@ -118,11 +118,6 @@ class StateSpace(Presented):
         """Its size, its signals and its sample time."""
         time = "continuous" if self.dt is None else f"sampled, dt = {self.dt:g} s"
         return {"states": self.n_states, "inputs": self.inputs, "outputs": self.outputs, "time": time}
-
-    def to_dict(self) -> dict[str, Any]:
-        """Matrices (lists of rows), signal names and sample time, ready for JSON."""
-        fields: dict[str, Any] = to_plain({name: getattr(self, name) for name in self.__dataclass_fields__})
-        return fields
 
     def to_control(self) -> Any:
         """The same system as a ``control.StateSpace`` with signal labels (python-control must be installed)."""

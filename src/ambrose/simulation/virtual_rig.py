@@ -28,15 +28,15 @@ from ambrose.simulation.rig.controller import (
 )
 from ambrose.simulation.rig.equilibrium import (
     fastest_pole,
-    levitated,
+    landed_state,
+    levitated_state,
     linear_view,
     measurement,
-    resting,
-    standing,
+    state_at_rest,
     steps_per_sample,
 )
 from ambrose.simulation.rig.inputs import Drive, Plan, plan, sample, stretch
-from ambrose.simulation.rig.outcome import judged, watch
+from ambrose.simulation.rig.outcome import classify_outcome, watch
 from ambrose.simulation.rig.record import Recorder
 from ambrose.simulation.rig.state import Rig, build, compiled
 from ambrose.simulation.scenario import LEVITATED, Scenario
@@ -45,7 +45,7 @@ from ambrose.simulation.trace import Trace
 _STRETCH = 4000  # control samples computed at once
 _SCHEDULED_STRETCH = 50  # of a controller that changes with speed
 _MEMORY = 256  # samples from which a second controller learns where to take over
-_TOLD_EVERY = 2.0  # [s] between two words of progress
+_REPORT_EVERY = 2.0  # [s] between two progress messages
 
 
 def run(
@@ -73,7 +73,7 @@ def run(
     pressure at the start, where the scenario does not say otherwise (None: the nominal one). bending_modes: per plane. dt [s]:
     longest integration step (None: by the machine's fastest pole). seed: of the sensors' noise. every: only each so many-th
     sample is recorded. path (.h5): where the record is written while it grows; what was run so far stays readable when the run
-    is interrupted. progress: is told how far it is.
+    is interrupted. progress: is reported how far it is.
 
     Recorded: y_, u_ (what acts), i_ (coils), f_magnet_ (axes), q_ (ports), what the scenario drives, speed and p_seal where
     they change. Touchdown is an outcome with time and cause, and the run goes on; "diverged" means that the state overflowed,
@@ -91,16 +91,16 @@ def run(
     motion = _begin(task, laws, conditions[0][1])
     pole = max((_rightmost(task.rig, drive, laws, time >= task.switch) for time, drive in conditions), key=lambda p: p.real)
     prepared = time.perf_counter()
-    seen = watch(task.rig, scenario)
+    monitor = watch(task.rig, scenario)
     with recorder:
         for number, drive, log in _stretches(task, laws, motion, steps, progress, program):
-            seen.follow(task, number, log)
+            monitor.follow(task, number, log)
             recorder.add(number, drive, log)
-        outcome, text = judged(seen, scenario, motion.overflow, pole)
+        outcome, text = classify_outcome(monitor, scenario, motion.overflow, pole)
         record = recorder.finish(text)
     return Trace(
         record, scenario.name, pole.real < 0, outcome, text, pole, motion.overflow,
-        touchdown_at=seen.touched_at, run_time=time.perf_counter() - prepared, compile_time=prepared - begun,
+        touchdown_at=monitor.touched_at, run_time=time.perf_counter() - prepared, compile_time=prepared - begun,
     )  # fmt: skip
 
 
@@ -147,7 +147,7 @@ def _conditions(task: Plan) -> list[tuple[int, Drive]]:
 def _begin(task: Plan, laws: _Laws, drive: Drive) -> _Motion:
     """The state at the start; the compiled code has then been called once, and so is there."""
     law = laws.at(float(drive.speed[0]), False)
-    z, x, held = levitated(task.rig, drive, law) if task.scenario.initial == LEVITATED else resting(task.rig, law)
+    z, x, held = levitated_state(task.rig, drive, law) if task.scenario.initial == LEVITATED else landed_state(task.rig, law)
     _advance(task.rig, law, drive, 1, _Motion(z.copy(), x.copy(), held.copy()), 1)
     return _Motion(z, x, held)
 
@@ -156,10 +156,10 @@ def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
     """The rightmost pole [rad/s] of the linear loop around the centred rotor."""
     law = laws.at(float(drive.speed[0]), switched)
     try:
-        z, _, u = levitated(rig, drive, law)
+        z, _, u = levitated_state(rig, drive, law)
     except NumericalFailure:
         u = np.zeros(len(rig.axes))
-        z = standing(rig, np.zeros(2 * rig.modes), u)
+        z = state_at_rest(rig, np.zeros(2 * rig.modes), u)
     A, B = linear_view(rig, drive, z, u)
     used = (A != 0).any(axis=0) | (A != 0).any(axis=1)  # an amplifier or sensor may need fewer states than it has
     poles = closed_loop_poles(A[np.ix_(used, used)], B[used], measurement(rig)[:, used], law, laws.sample)
@@ -177,7 +177,7 @@ def _stretches(
     """Number of the first sample, drive and log (k, columns) of one stretch after the other; motion moves along."""
     length = _SCHEDULED_STRETCH if laws.scheduled and task.scenario.runs_up else _STRETCH
     switch = task.switch
-    told = time.perf_counter()
+    reported = time.perf_counter()
     recent: list[tuple[np.ndarray, np.ndarray]] = []
     number, law = 0, None
     if program is not None:
@@ -200,8 +200,8 @@ def _stretches(
         a = len(task.rig.axes)
         recent = [*recent[-(_MEMORY // count) - 1 :], (errors, log[:, a : 2 * a].T)]
         number += count
-        if progress is not None and time.perf_counter() - told > _TOLD_EVERY:
-            told = time.perf_counter()
+        if progress is not None and time.perf_counter() - reported > _REPORT_EVERY:
+            reported = time.perf_counter()
             progress(f"simulated {number * task.dt:.3g} s of {task.scenario.duration:g} s")
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import check_shape, invalid
-from ambrose.core.presentation import Presented, to_plain
+from ambrose.core.presentation import Presented
 from ambrose.core.statespace import spectral_abscissa
 from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
@@ -39,11 +39,6 @@ class CampbellMap(Presented):
         """The range of speeds, the modes with their direction, and the least damping."""
         span = f"{self.speeds[0]:.4g} to {self.speeds[-1]:.4g} rad/s"
         return {"speeds": span, "least_damping": float(self.damping.min()), "modes": self.names}
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields, ready for JSON."""
-        fields: dict[str, Any] = to_plain({name: getattr(self, name) for name in self.__dataclass_fields__})
-        return fields
 
     @property
     def names(self) -> tuple[str, ...]:

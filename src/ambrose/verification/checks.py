@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ambrose.core.presentation import Presented, data_frame, html_table, in_words, to_plain
+from ambrose.core.presentation import Presented, data_frame, html_table, in_words
 
 _COLUMNS = ("value", "unit", "relation", "limit", "passed", "zone", "detail")
 
@@ -40,11 +40,6 @@ class Check(Presented):
         where = {} if not self.detail else {"detail": self.detail}
         return {"name": self.name, "value": f"{self.value:.4g} {self.unit}", **limit, **zone, **where}
 
-    def to_dict(self) -> dict[str, Any]:
-        """All fields; numbers that are not finite become strings ("inf")."""
-        fields: dict[str, Any] = to_plain(asdict(self))
-        return fields
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Curve(Presented):
@@ -67,11 +62,6 @@ class Curve(Presented):
         """What is drawn over which range."""
         span = f"{self.x.min():.4g} to {self.x.max():.4g} {self.x_unit}" if self.x.size else "empty"
         return {"name": self.name, "title": self.title, self.kind: span, "lines": self.labels, "unit": self.y_unit}
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON-ready data; numbers that are not finite become strings ("inf")."""
-        fields: dict[str, Any] = to_plain({name: getattr(self, name) for name in self.__dataclass_fields__})
-        return fields
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame: the values of x in SI units as its index, one column per line."""

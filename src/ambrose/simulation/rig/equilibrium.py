@@ -35,7 +35,7 @@ def measurement(rig: Rig) -> np.ndarray:
     return C
 
 
-def standing(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
+def state_at_rest(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     """The state at rest at modal displacements q (2 p,) with all currents settled at u (a,)."""
     p, a = rig.modes, len(rig.axes)
     z = np.zeros(rig.states)
@@ -62,7 +62,7 @@ def _seen(rig: Rig, a: int) -> np.ndarray:
     return np.asarray(k.sensor[a, 0] * np.kron(k.sensor_shape[a // 2], weights))
 
 
-def levitated(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def levitated_state(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """State z (n,) of the machine, state x of the controller and its output u (a,), in equilibrium at the drive's start.
 
     Newton's method on the rig's own forces; run-out and what turns are left out. Raises NumericalFailure where weight and loads
@@ -74,7 +74,7 @@ def levitated(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray, np.n
     q, x = np.zeros(n), np.zeros(m)
 
     def force(q: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return slope(rig, drive, standing(rig, q, u), u)[n : 2 * n]
+        return slope(rig, drive, state_at_rest(rig, q, u), u)[n : 2 * n]
 
     for _ in range(_ITERATIONS):
         u = law.C @ x + law.D @ (aim - S @ q)
@@ -96,11 +96,11 @@ def levitated(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray, np.n
             f"the rotor has no levitated equilibrium in this scenario (currents up to {np.abs(u).max():.3g} A were asked for); "
             'reduce the static load, raise max_current or the bias, or start with initial = "resting"'
         )
-    return standing(rig, q, u), x, u
+    return state_at_rest(rig, q, u), x, u
 
 
-def resting(rig: Rig, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As ``levitated``, with the rotor lying in the touchdown bearings, no current in the coils and the controller at zero."""
+def landed_state(rig: Rig, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As ``levitated_state``, the rotor lying in the touchdown bearings, no current in the coils, the controller at zero."""
     k, bearings = rig.constants, len(rig.machine.bearings)
     gaps = k.touchdown[:, 0]
     if not np.isfinite(gaps).all():
@@ -109,7 +109,7 @@ def resting(rig: Rig, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarr
     direction = _DOWN if direction is None else direction
     plane = np.zeros(rig.modes)
     plane[:2] = np.linalg.lstsq(k.shape[:bearings, :2], gaps, rcond=None)[0]
-    z = standing(rig, np.kron(plane, [np.cos(direction), np.sin(direction)]), np.zeros(len(rig.axes)))
+    z = state_at_rest(rig, np.kron(plane, [np.cos(direction), np.sin(direction)]), np.zeros(len(rig.axes)))
     z[rig.bias] = 0.0
     return z, np.zeros(len(law.A)), np.zeros(len(rig.axes))
 
@@ -145,11 +145,11 @@ def _differences(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, s
 def fastest_pole(rig: Rig, drives: list[Drive]) -> float:
     """The largest modulus [rad/s] of a pole of the rig, free and touching the touchdown bearings, in all of the drives."""
     k, b, u = rig.constants, len(rig.machine.bearings), np.zeros(len(rig.axes))
-    states = [standing(rig, np.zeros(2 * rig.modes), u)]
+    states = [state_at_rest(rig, np.zeros(2 * rig.modes), u)]
     if np.isfinite(k.touchdown[:, 0]).all():
         plane = np.zeros(rig.modes)
         plane[:2] = np.linalg.lstsq(k.shape[:b, :2], 1.05 * k.touchdown[:, 0], rcond=None)[0]
-        states.append(standing(rig, np.kron(plane, [1.0, 0.0]), u))
+        states.append(state_at_rest(rig, np.kron(plane, [1.0, 0.0]), u))
     found = [np.abs(np.linalg.eigvals(linear_view(rig, drive, z, u)[0])).max() for drive in drives for z in states]
     return float(max(found))
 

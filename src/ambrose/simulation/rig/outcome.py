@@ -75,7 +75,7 @@ def watch(rig: Rig, scenario: Scenario) -> Watch:
     return Watch(rig, 0.0 if scenario.initial == LEVITATED else None)
 
 
-def judged(seen: Watch, scenario: Scenario, overflow: float | None, pole: complex | None) -> tuple[str, str]:
+def classify_outcome(monitor: Watch, scenario: Scenario, overflow: float | None, pole: complex | None) -> tuple[str, str]:
     """The outcome ("completed", "touchdown", "not levitated" or "diverged") and the same in words.
 
     overflow [s]: when a state was no number any more. pole [rad/s]: the rightmost of the linear loop.
@@ -83,26 +83,26 @@ def judged(seen: Watch, scenario: Scenario, overflow: float | None, pole: comple
     side = "" if pole is None else f"; linear loop: rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s"
     if overflow is not None:
         return "diverged", f"diverged: the motion left all bounds at t = {overflow:.6g} s; the record ends before{side}"
-    if seen.lifted_at is None:
+    if monitor.lifted_at is None:
         return "not levitated", f"not levitated: the rotor did not get free of the touchdown bearings{side}"
-    lifted = "" if scenario.initial == LEVITATED else f", levitated since t = {seen.lifted_at:.4g} s"
-    if seen.touched_at is None:
+    lifted = "" if scenario.initial == LEVITATED else f", levitated since t = {monitor.lifted_at:.4g} s"
+    if monitor.touched_at is None:
         return "completed", f"completed without contact{lifted}{side}"
-    stay = f"in contact for {seen.contact:.3g} s, {seen.deepest * 1e6:.3g} um beyond the gap at most"
+    stay = f"in contact for {monitor.contact:.3g} s, {monitor.deepest * 1e6:.3g} um beyond the gap at most"
     return (
         "touchdown",
-        f"touchdown at {seen.where} at t = {seen.touched_at:.6g} s{lifted}: {_cause(seen, scenario, pole)}; {stay}",
+        f"touchdown at {monitor.where} at t = {monitor.touched_at:.6g} s{lifted}: {_cause(monitor, scenario, pole)}; {stay}",
     )
 
 
-def _cause(seen: Watch, scenario: Scenario, pole: complex | None) -> str:
-    at = seen.touched_at or 0.0
+def _cause(monitor: Watch, scenario: Scenario, pole: complex | None) -> str:
+    at = monitor.touched_at or 0.0
     failures = [item for item in scenario.failures if item.time <= at]
     if failures:
         last = failures[-1]
         what = "the power of all amplifiers" if last.axis is None else f"the amplifier of {last.axis}"
         return f"{what} failed {at - last.time:.4g} s before"
-    limited = sorted({axis for time, axis in seen.limited if time >= at - _BEFORE})
+    limited = sorted({axis for time, axis in monitor.limited if time >= at - _BEFORE})
     stops = f"; controller output at its limit on {', '.join(limited)}" if limited else ""
     if pole is not None and pole.real > 0:
         return f"the loop is unstable, rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s{stops}"
