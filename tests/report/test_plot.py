@@ -18,7 +18,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.evaluation import Candidate
-from ambrose.identification.output_error.closed_loop import Identification
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
@@ -49,9 +49,9 @@ def record(signals: tuple[str, ...] = ("y_A_zeta", "y_A_eta", "u_A_zeta", "u_A_e
     return Record("sample", 1e4, signals, units, values, OperatingPoint(label="half <pressure>"))
 
 
-def identification() -> Identification:
+def identification() -> ParameterEstimate:
     covariance = np.diag([1.0, 4e8])
-    return Identification(
+    return ParameterEstimate(
         "sample", OperatingPoint(), ("bearing.A.force_per_current", "seal.center.k"), np.array([110.0, 3.1e6]),
         np.array([100.0, 3.0e6]), covariance, np.eye(2), np.eye(2), ((1, "y_A_zeta", 98.0),), (), 3.0, True, 5, (), "white",
     )  # fmt: skip
@@ -186,10 +186,9 @@ def test_a_trace_says_how_it_ended() -> None:
 
 
 def test_an_identification_shows_its_intervals() -> None:
-    for thing in (identification(), SimpleNamespace(result=identification())):
-        figure = plot(thing)
-        assert list(figure.data[0].x) == pytest.approx([10.0, 10 / 3])
-        assert list(figure.data[0].error_x.array) == pytest.approx([1.96, 1.96 * 2e4 / 3e4], rel=1e-3)
+    figure = plot(identification())
+    assert list(figure.data[0].x) == pytest.approx([10.0, 10 / 3])
+    assert list(figure.data[0].error_x.array) == pytest.approx([1.96, 1.96 * 2e4 / 3e4], rel=1e-3)
 
 
 def test_candidates_are_compared(verifications: list[Checks], machine: Machine) -> None:
