@@ -114,7 +114,7 @@ def verify(
     from ambrose.plant.model import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    several = None if points is None else list(points) if isinstance(points, list | tuple) else [points]
+    several: Any = points if points is None or isinstance(points, list | tuple) else [points]
     return verify_controller(place, law_of(controller), several, tolerances=tolerances, rate=rate, progress=progress)
 
 

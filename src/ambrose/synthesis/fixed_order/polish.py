@@ -25,7 +25,6 @@ from ambrose.synthesis.fixed_order.cost import Cost, Form, block_form
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
 from ambrose.synthesis.hinf.scaling import check_plant
-from ambrose.synthesis.mu.d_step import design_grid
 from ambrose.synthesis.problem import PERFORMANCE, with_performance_block
 from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
