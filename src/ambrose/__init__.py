@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from ambrose.version import __version__
 
 _HOME = {  # public name -> module; imported on first use, so that ``import ambrose`` stays fast
     **dict.fromkeys(("assemble", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"),

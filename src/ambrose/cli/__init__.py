@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 
-from ambrose import __version__
 from ambrose.cli.check import check, machines
 from ambrose.cli.convert import convert
 from ambrose.cli.export import export
@@ -20,6 +19,7 @@ from ambrose.cli.simulate import simulate
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
 from ambrose.cli.verify import verify
+from ambrose.version import __version__
 
 
 class AmbroseCommand(click.Group):

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ambrose import __version__
 from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.fixed import ControlBlock
@@ -24,6 +23,7 @@ from ambrose.deployment.c.code import block_facts
 from ambrose.deployment.discretisation.deployment import Deployment
 from ambrose.deployment.rendering import render
 from ambrose.synthesis.result import Status, Synthesis
+from ambrose.version import __version__
 
 FORMAT = "ambrose-controller-mat"
 VERSION = 1

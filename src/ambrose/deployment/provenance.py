@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 
-from ambrose import __version__
 from ambrose.deployment.discretisation.deployment import Deployment, ScheduledDeployment, sensitivity_peak, unmet_limits
 from ambrose.synthesis.result import Synthesis
 from ambrose.verification.checks import Checks
+from ambrose.version import __version__
 
 
 def provenance_lines(synthesis: Synthesis, deployment: Deployment | ScheduledDeployment) -> Sequence[str]:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ambrose import __version__
 from ambrose.core.checks import InvalidInput
 from ambrose.core.presentation import Presented, html_table, in_words
 from ambrose.identification.findings import Code, Finding
@@ -23,6 +22,7 @@ from ambrose.identification.validation.repeatability import Repeats
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.machine.machine import Machine
+from ambrose.version import __version__
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,10 +21,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ambrose import __version__
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.machine import Machine
+from ambrose.version import __version__
 
 MARKS = {"": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": "", "heading": ""}
 

@@ -21,7 +21,6 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
 from pydantic.json_schema import GenerateJsonSchema
 
-from ambrose import __version__
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
@@ -31,6 +30,7 @@ from ambrose.machine.machine import Machine
 from ambrose.synthesis.hinf.scaling import Matrices
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
 from ambrose.synthesis.weights import Weights
+from ambrose.version import __version__
 
 __all__ = ["controller_schema", "machine_hash", "read_controller", "write_controller"]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
-from ambrose import __version__
 from ambrose.core.checks import invalid
 from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.weights import Weights
+from ambrose.version import __version__
 
 
 class Status(StrEnum):

@@ -9,8 +9,8 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from typing import Literal
 
-from ambrose import __version__
 from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.version import __version__
 
 Version = Literal["2.0", "3.0"]
 FLAGS = (
