@@ -1,7 +1,7 @@
 """One picture of any result: ``plot(x)`` gives its main figure, with a title, in the look of the reports.
 
 What can be drawn is registered here by type, a few lines each; a type of a higher layer, or of another package, is recognised
-by what it carries (a result, candidates, or A, B, C, D). plotly is imported inside the functions.
+by what it carries (candidates, or A, B, C, D). plotly is imported inside the functions.
 """
 
 from __future__ import annotations
@@ -71,10 +71,6 @@ def plot(thing: Any) -> Any:
         return plot(as_statespace(thing))
     if hasattr(thing, "candidates"):  # a Study: it stands above this layer
         return _study(thing)
-    if hasattr(thing, "result"):  # an identification with its checks
-        return plot(thing.result)
-    if hasattr(thing, "fit"):  # that of a seal
-        return plot(thing.fit)
     raise InvalidInput(f"plot() cannot draw {type(thing).__name__}; give {_DRAWN}")
 
 
