@@ -33,7 +33,7 @@ from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.weights import machine_weights
-from ambrose.verification import campbell, nominal, robust
+from ambrose.verification import campbell, nominal, robust, sampled
 from ambrose.verification.checks import Check, Checks, Curve
 from ambrose.verification.verification import Verification
 
@@ -246,14 +246,17 @@ def verify_points(plants: Sequence[Plant], controller: Any, progress: Progress =
 def verify_tolerances(
     plant: Plant, controller: Any, stable: bool, progress: Progress, tolerances: Sequence[Tolerance] | None = None
 ) -> Checks | None:
-    """The checks over the machine's tolerances; None without tolerances, for an unstable loop or a sampled controller.
+    """The checks over the machine's tolerances; None without tolerances and for an unstable loop.
 
+    A sampled controller (with its delay) is examined at the corners and at samples of the box, nothing is proved between them.
     tolerances: None: all. Otherwise those, and of all together only the number of unstable corners and samples. Worst cases are
     searched on the full model; stability is proved on the reduced one, with one bending mode per plane.
     """
-    if not plant.machine.tolerances or not stable or controller.dt is not None:
+    if not plant.machine.tolerances or not stable:
         return None
     progress("verifying over all tolerances")
+    if controller.dt is not None:
+        return sampled.check_over_box(plant, controller)
     weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
     box = robust.check(plant, controller, tolerances, weights)
     proof = [
