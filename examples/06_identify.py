@@ -31,8 +31,10 @@ def picture():
 
 
 if __name__ == "__main__":
-    print(identification)
     for parameter in identification.parameters:
-        print(parameter)
+        half = parameter.interval[1] - parameter.value
+        print(f"{parameter.path:36s} {parameter.start:12.5g} -> {parameter.value:12.5g}  +- {half:.2g} {parameter.unit}")
+    for finding in identification.findings:
+        print(finding)
     print(f"{len(identification.machine.tolerances)} tolerances in the identified machine")
     print(f"two channels exchanged: {refusal}")

@@ -64,11 +64,12 @@ def test_youla():
 
 def test_identify():
     found = example("06_identify.py")
-    result, machine = found["result"], found["machine"]
+    identification, machine = found["identification"], found["machine"]
+    values = [parameter.value for parameter in identification.parameters]
     truth = [*machine.bearings[0].force_per_current, *machine.bearings[1].force_per_current]
-    assert result.values[:4] == pytest.approx(truth, rel=0.03)  # the weight has moved the working point: K_i -2, K_s +14 %
-    assert result.values[-1] == pytest.approx(machine.seals[0].k, rel=0.01)
-    assert len(found["identified"].tolerances) == 10
+    assert values[:4] == pytest.approx(truth, rel=0.03)  # the weight has moved the working point: K_i -2, K_s +14 %
+    assert values[-1] == pytest.approx(machine.seals[0].k, rel=0.01)
+    assert len(identification.machine.tolerances) == 10
     assert found["refusal"].startswith("channels are mixed up: y_A_zeta and y_A_eta are swapped")
 
 
