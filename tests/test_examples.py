@@ -93,12 +93,12 @@ def test_lpv():
 
 def test_deploy():
     found = example("09_deploy.py")
-    deployment, verdicts = found["deployment"], found["verdicts"]
+    deployment, verdict = found["deployment"], found["verdict"]
     assert deployment.problems == ()
     for designed in deployment.checks:  # what was read back out of the running code is what was designed
-        peak = verdicts[designed.label]["sensitivity.output.max"].value
+        peak = verdict[designed.label]["sensitivity.output.max"].value
         assert peak == pytest.approx(designed["sensitivity.output.max"].value, rel=1e-9)
-    assert [verdicts[label]["sensitivity.output.max"].passed for label in verdicts] == [True, False, False]
+    assert [checks["sensitivity.output.max"].passed for checks in verdict.points] == [True, False, False]
     assert [trace.outcome for trace in found["runs"].values()] == ["completed"] * 3
     assert "unstable at twice nominal pressure" in found["refusal"]
     assert "malloc" not in found["files"]["seal_rig.c"]
