@@ -202,7 +202,7 @@ def law_of(controller: Any) -> Any:
     """What runs: of a Synthesis or a controller file its law, else the system itself. Raises InvalidInput for anything else."""
     from ambrose.core.scheduled import ScheduledSystem
     from ambrose.core.statespace import as_statespace
-    from ambrose.simulation.control_program import ControlProgram
+    from ambrose.plant.control_program import ControlProgram
     from ambrose.synthesis.controller_file import read_controller
 
     if isinstance(controller, str | os.PathLike):

@@ -6,7 +6,9 @@ bounds: ``proved_margin`` over all frequencies, ``gain_bound`` on a grid. Both s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from ambrose.core.statespace import StateSpace, balance
 from ambrose.core.worst_case.loop import (
     BoxLoop,
     Sweep,
+    box_loop,
     corners,
     count_unstable,
     default_grid,
@@ -126,6 +129,15 @@ class BoxGain:
     value: float
     frequency: float
     delta: np.ndarray
+
+
+def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxGain:
+    """The largest gain that was found of ``system`` over its real parameters, each in -1..1, and over all frequencies.
+
+    system: stable, its leading inputs and outputs those of ``blocks`` (RealBlock), the others those of the gain; see
+    ``box_loop``. A lower bound: it is searched, not proved (``worst_gain``). Raises InvalidInput.
+    """
+    return worst_gain(box_loop(system, blocks), seed=seed)
 
 
 def worst_gain(loop: BoxLoop, grid: np.ndarray | None = None, seed: int = 1) -> BoxGain:
