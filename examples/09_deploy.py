@@ -51,6 +51,7 @@ if __name__ == "__main__":
         largest = max(abs(trace.record[name]).max() for name in plants[0].named("y"))
         meets = "meets" if peak.passed else "misses"
         print(
-            f"{checks.label:22s} S_o {peak.value:.2f} {meets} {peak.limit:g}; on the rig {1e6 * largest:.2f} um, {trace.outcome}"
+            f"{checks.label:22s} S_o {peak.value:.2f} {meets} {peak.limit:g}; on the rig {1e6 * largest:.2f} um, "
+            f"{trace.outcome}"
         )
     print(f"PID: {refusal}")

@@ -121,12 +121,11 @@ WRONG = [
     (lambda m, c: amb.design(m, 3), "method"),
     (lambda m, c: amb.verify(m, "no-such.json"), "no-such.json"),
     (lambda m, c: amb.verify(m, 3), "controller"),
-    (lambda m, c: amb.verify(m, np.eye(4)), "controller"),
     (lambda m, c: amb.verify(m, control.ss([], [], [], np.eye(3))), "(4, 4)"),
     (lambda m, c: amb.verify(m, c, points="elsewhere"), "nominal pressure"),
     (lambda m, c: amb.simulate(m, c, "levitatoin"), "levitation"),
-    (lambda m, c: amb.simulate(m, None), "controller"),
-    (lambda m, c: amb.identify(m, []), "record"),
+    (lambda m, c: amb.simulate(m, None), "StateSpace"),
+    (lambda m, c: amb.identify(m, [], c), "record"),
     (lambda m, c: amb.identify(m, 3, c), "record"),
     (lambda m, c: amb.identify(m, "no-such.h5", c), "no-such.h5"),
     (lambda m, c: amb.export(c, "somewhere", to="fortran"), "c"),
@@ -138,7 +137,7 @@ WRONG = [
     (lambda m, c: amb.write_controller("c.json", 3), "controller"),
     (lambda m, c: amb.study(3), "machine"),
     (lambda m, c: amb.hinf_synthesis(3), "plant"),
-    (lambda m, c: amb.mu_bounds("x", []), "M"),
+    (lambda m, c: amb.mu_bounds("x", [amb.RealBlock("k")]), "M"),
     (lambda m, c: amb.hinf_norm("x"), "system"),
 ]
 

@@ -6,6 +6,10 @@ check must agree; numbers are literal; ``...`` stands for any leading axes.
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -50,6 +54,13 @@ def check_finite(x: ArrayLike, name: str) -> np.ndarray:
         where = f"{name}{list(index)}" if index else name
         raise invalid(where, array[index], "finite", "look for a missing value or a division by zero upstream")
     return array
+
+
+def check_path(path: Any, what: str) -> Path:
+    """``path`` as a Path. Raises InvalidInput for what is none, as a number or an object given by mistake."""
+    if not isinstance(path, str | os.PathLike):
+        raise invalid(f"the path of the {what}", type(path).__name__, "a text or a Path", "give the name of a file")
+    return Path(path)
 
 
 def check_shape(x: ArrayLike, name: str, shape: str, **sizes: int) -> np.ndarray:

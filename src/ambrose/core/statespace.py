@@ -231,10 +231,8 @@ def spectral_abscissa(system: Any) -> float:
     """Largest real part of the poles [rad/s]; for a sampled system ln|z|/dt of the outermost pole. -inf without states."""
     system = as_statespace(system)
     values = poles(system)
-    if values.size == 0:
-        return -np.inf
-    if system.dt is None:
-        return float(values.real.max())
+    if values.size == 0 or system.dt is None:
+        return float(values.real.max(initial=-np.inf))
     return float(np.log(np.maximum(np.abs(values).max(), np.finfo(float).tiny)) / system.dt)
 
 

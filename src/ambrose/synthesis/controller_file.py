@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
 from pydantic.json_schema import GenerateJsonSchema
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
 from ambrose.machine.atomic_write import write_text
@@ -215,7 +215,7 @@ def read_controller(path: str | os.PathLike[str]) -> Synthesis:
 
     Raises InvalidInput that names the file, the key, its value and the remedy.
     """
-    path = Path(path)
+    path = check_path(path, "controller file")
     try:
         return _synthesis(_parse(_read(path)))
     except InvalidInput as error:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.machine.atomic_write import draft_of
 from ambrose.machine.record.record import Record
 
@@ -25,7 +25,7 @@ def read_record(path: str | Path) -> Record:
     from ambrose.machine.record.csv_file import read_csv
     from ambrose.machine.record.hdf5_file import read_hdf5
 
-    path = Path(path)
+    path = check_path(path, "record")
     reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv})
     if not path.is_file():
         raise InvalidInput(f"{path} is not a file; check the name")
