@@ -55,8 +55,8 @@ def on_page_markdown(markdown, page, config, files):
 
 def from_root(name):
     """A page that stands at the root of the repository, its links turned to where docs/ has them."""
-    text = (ROOT / name).read_text(encoding="utf-8")
-    return re.sub(r"\]\(docs/", "](", text)
+    text = re.sub(r"\]\(docs/", "](", (ROOT / name).read_text(encoding="utf-8"))
+    return re.sub(r"\]\((CONTRIBUTING|CHANGELOG)\.md", lambda match: match[0].lower(), text)
 
 
 __all__ = ["DOCS", "on_config", "on_files", "on_page_markdown"]
