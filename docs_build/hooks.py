@@ -16,7 +16,7 @@ from mkdocs.structure.files import File
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from docs_build import DOCS, ROOT, gallery, notebooks, reference
+from docs_build import DOCS, ROOT, command_line, gallery, notebooks, reference
 from docs_build.figures import UnknownFigure, render, stored
 
 
@@ -35,6 +35,7 @@ def on_files(files, config):
         "gallery.md": gallery.page(),
         **notebooks.pages(),
         **reference.pages(),
+        "reference/command-line.md": command_line.page(),
         "contributing.md": from_root("CONTRIBUTING.md"),
         "changelog.md": from_root("CHANGELOG.md"),
     }
