@@ -117,7 +117,7 @@ def test_residual_system_carries_the_plant(seed, dt):
     }
     close_to(at(select(lft.system, ["w"], factors.eps)), Ml @ part["yw"])
     close_to(at(select(lft.system, factors.alpha, ["z"])), part["zu"] @ M)
-    # Formed from a product that may be 1e7 times as large (seed 3): rounding is measured against it, 2e-12 at most on 24 plants.
+    # Formed from a product up to 1e7 times as large (seed 3): rounding is measured against it, 2e-12 at most on 24 plants.
     product = np.prod([np.abs(factor).max() for factor in (part["zu"], U, Ml, part["yw"])])
     np.testing.assert_allclose(
         at(select(lft.system, ["w"], ["z"])), part["zw"] + part["zu"] @ U @ Ml @ part["yw"], rtol=0, atol=1e-11 * product
