@@ -21,8 +21,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
 from ambrose.machine.file import update
 from ambrose.machine.file.json_schema import machine_schema
-from ambrose.machine.file.table import Table
-from ambrose.machine.file.tables import MachineFile, table_below
+from ambrose.machine.file.tables import MachineFile, Table, table_below
 from ambrose.machine.file.toml import (
     bundled_machines,
     dumps_machine,
@@ -32,7 +31,6 @@ from ambrose.machine.file.toml import (
 )
 from ambrose.machine.file.update import save_machine
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -332,7 +330,7 @@ def machines(draw):
     couplings = tuple(
         d.Coupling(f"coupling{i}", draw(place), draw(pair), draw(pair), draw(angle)) for i in range(draw(st.integers(0, 2)))
     )
-    order = draw(st.sampled_from(sorted(AMPLIFIER_PARAMETERS)))
+    order = draw(st.sampled_from(sorted(d.AMPLIFIER_PARAMETERS)))
     notches = tuple(d.Notch(draw(positive), draw(positive), draw(positive)) for _ in range(draw(st.integers(0, 2))))
     points = tuple(
         d.OperatingPoint(draw(positive), draw(positive), draw(maybe(positive)), draw(maybe(positive)), f"point {i}")
@@ -359,7 +357,7 @@ def machines(draw):
         shaft=shaft,
         bearings=(draw(bearings("A", place)), draw(bearings("B-2_", place))),
         sensors=tuple(d.Sensor(name, draw(place), draw(pair), draw(maybe(positive))) for name in ("A", "B-2_")),
-        amplifier=d.Amplifier(order, **{key: draw(positive) for key in AMPLIFIER_PARAMETERS[order]}),
+        amplifier=d.Amplifier(order, **{key: draw(positive) for key in d.AMPLIFIER_PARAMETERS[order]}),
         discs=tuple(d.Disc(f"disc{i}", draw(place), draw(positive), 1.5 * i, 1.0 * i) for i in range(draw(st.integers(0, 2)))),
         seals=(draw(seals("seal", place)),),
         couplings=couplings,
@@ -498,7 +496,7 @@ class TestSchema:
             schema["$defs"]["MachineTable"]["properties"]["modal_damping"]["default"]
             == Machine.__dataclass_fields__["modal_damping"].default
         )
-        assert schema["$defs"]["ShaftTable"]["properties"]["elements"]["default"] == 1
+        assert schema["$defs"]["ShaftSection"]["properties"]["elements"]["default"] == 1
 
 
 def test_every_field_of_every_noun_has_a_key():

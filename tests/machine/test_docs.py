@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ambrose.machine.file.table import Table
-from ambrose.machine.file.tables import MachineFile, MachineTable, table_below
+from ambrose.machine.file.tables import MachineFile, MachineTable, Table, table_below
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import QUANTITIES

@@ -19,8 +19,9 @@ from ambrose.identification.validation.plausibility import delay_findings, diagn
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.identification.validation.simulated_output import simulate_outputs
 from ambrose.identification.youla import identify as youla
+from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import AMPLIFIER_PARAMETERS, CONTROLLER_DELAY, TIMING, parse_parameter
+from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.machine.record.record import Record
 
 _SHORT = 1.0  # [s] of every record on which other delays are tried

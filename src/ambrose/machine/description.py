@@ -1,13 +1,39 @@
 """What the user writes down about a machine. Data only: no matrices, no units but SI, no files.
 
-Positions are axial coordinates from the rotor's left end [m]. ``zeta``/``eta`` pairs are in the actuator axes, tilted by
-``angle`` from the global x, y. Parts are not checked on their own: the Machine made of them is (``machine/machine.py``).
+A field states what it holds and, by its kind, what that measures: ``Length`` is in m, every dimension in the SI unit that
+units.py gives it. Pairs are (zeta, eta) in the actuator axes, tilted by ``angle`` from the global x, y. The tables of machine
+files are made from these fields (file/tables.py). Parts are not checked on their own: the Machine made of them is (machine.py).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
+from ambrose.machine.file.fields import (
+    Angle,
+    Choice,
+    Count,
+    Current,
+    Damping,
+    ForcePerCurrentPair,
+    Inertia,
+    Length,
+    ListOf,
+    Mass,
+    Name,
+    PairOf,
+    Pressure,
+    Quantity,
+    Rate,
+    Ratio,
+    Stiffness,
+    StiffnessPair,
+    Text,
+    Time,
+    Words,
+)
 from ambrose.machine.part import Part
 from ambrose.machine.seals import FREQUENCY_DEPENDENCE as FREQUENCY_DEPENDENCE  # noqa: PLC0414
 from ambrose.machine.seals import SEAL_AXES as SEAL_AXES  # noqa: PLC0414
@@ -21,238 +47,246 @@ Pair = tuple[float, float]  # (zeta, eta)
 SCHEMA_VERSION = 1  # of the machine file
 BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
 CONTROLLER_COORDINATES = ("axes", "tilt-translate")
+AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
+    "none": (),
+    "first": ("bandwidth",),
+    "twice-first": ("bandwidth", "eddy_bandwidth"),
+    "second": ("natural_frequency", "damping"),
+}
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Material(Part):
-    """density [kg/m3], youngs_modulus [Pa], poisson_ratio [-]; ``name`` is that of its table in a file, and not compared."""
+    """A material, [material.NAME], that shaft sections refer to by name; the name is not compared."""
 
-    density: float = 7850.0
-    youngs_modulus: float = 2.1e11
-    poisson_ratio: float = 0.3
+    density: Annotated[float, Quantity("density"), "mass density"] = 7850.0
+    youngs_modulus: Annotated[float, Quantity("elastic modulus"), "Young's modulus"] = 2.1e11
+    poisson_ratio: Annotated[Ratio, "Poisson's ratio"] = 0.3
     name: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ShaftSection(Part):
-    """One cylindrical piece of shaft; sections follow each other from left to right without gap or overlap.
+    """A cylindrical piece of shaft; the sections follow each other from the left end to the right, without gap or overlap.
 
-    start, length [m]; outer_diameter and inner_diameter [m] carry the stiffness; mass_diameter [m] (default: the outer
-    diameter) carries the mass, so that shrunk-on laminations add inertia without stiffness. ``elements`` per section.
+    mass_diameter lets shrunk-on laminations add inertia without stiffness.
     """
 
-    start: float
-    length: float
-    outer_diameter: float
-    inner_diameter: float = 0.0
-    mass_diameter: float | None = None
-    elements: int = 1
-    material: Material = field(default_factory=Material)
-    label: str = ""
+    start: Annotated[Length, "where the section starts; default: the end of the previous one"] = field(
+        metadata={"required": False}
+    )
+    length: Annotated[Length, "axial length"]
+    outer_diameter: Annotated[Length, "outer diameter, for the stiffness"]
+    inner_diameter: Annotated[Length, "bore"] = 0.0
+    mass_diameter: Annotated[
+        Length | None, "outer diameter for the mass, where laminations add mass without stiffness; default: outer_diameter"
+    ] = None
+    elements: Annotated[int, Count(), "number of finite elements"] = 1
+    material: Annotated[
+        Material, Text("the name of a [material.NAME] table"), "name of a [material.NAME] table; default: steel"
+    ] = field(default_factory=Material)
+    label: Annotated[Words, "a name for drawings and messages"] = ""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Disc(Part):
-    """A rigid disc: position [m], mass [kg], polar_inertia and diametral_inertia [kg m2] about its centre."""
+    """A rigid disc on the shaft: an impeller, a wheel, a thrust collar."""
 
-    name: str
-    position: float
-    mass: float
-    polar_inertia: float = 0.0
-    diametral_inertia: float = 0.0
+    name: Annotated[Name, "name, different from all other attachments"]
+    position: Annotated[Length, "axial position of its centre of mass, from the left end"]
+    mass: Annotated[Mass, "mass"]
+    polar_inertia: Annotated[Inertia, "moment of inertia about the shaft's axis"] = 0.0
+    diametral_inertia: Annotated[Inertia, "moment of inertia about a diameter through its centre of mass"] = 0.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class MagnetGeometry(Part):
-    """Heteropolar magnet: one opposing pair of horseshoes per axis, differential driving.
+    """A heteropolar magnet, from which coefficients are computed when they are not given.
 
-    turns [-] per horseshoe pole; pole_area [m2]; gap [m] nominal radial; pole_half_angle [rad] between an axis and its poles
-    (22.5 degrees for eight poles).
+    One opposing pair of horseshoes per axis, differential driving; eight poles have a pole_half_angle of 22.5 degrees.
     """
 
-    turns: float
-    pole_area: float
-    gap: float
-    pole_half_angle: float = 0.39269908169872414
+    turns: Annotated[float, Quantity("plain number"), "turns of one horseshoe"]
+    pole_area: Annotated[float, Quantity("area"), "area of one pole face"]
+    gap: Annotated[Length, "nominal radial air gap"]
+    pole_half_angle: Annotated[Angle, "half the angle between the two poles of a horseshoe"] = 0.39269908169872414
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class MagnetIron(Part):
-    """Iron in series with the air gaps; the flux density levels off smoothly (used by the virtual rig, and with geometry).
+    """The magnet's iron, whose flux density levels off; for the virtual rig and for coefficients from geometry."""
 
-    turns [-] of one horseshoe, both poles together; flux_density [T] in the air gap that is never passed; equivalent_gap [m]
-    of the unsaturated iron, its path length/(2 mu_r), which also sets how round the knee is.
-    """
-
-    turns: float
-    flux_density: float
-    equivalent_gap: float
+    turns: Annotated[float, Quantity("plain number"), "turns of one horseshoe, both of its poles together"]
+    flux_density: Annotated[
+        float, Quantity("magnetic flux density"), "flux density in the air gap that full saturation never passes"
+    ]
+    equivalent_gap: Annotated[Length, "air gap that the unsaturated iron is worth, its path length/(2 mu_r)"]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Touchdown(Part):
-    """Contact in the touchdown bearing, for the virtual rig; the defaults are assumed, not measured.
+    """Contact in the touchdown bearing, for the virtual rig; the defaults are assumed, not measured."""
 
-    stiffness [N/m], damping [N s/m], Coulomb friction [-]; radius [m] of the contact (None: the shaft's there);
-    sliding_speed [m/s] below which friction fades to zero.
-    """
-
-    stiffness: float = 1e8
-    damping: float = 1e4
-    friction: float = 0.2
-    radius: float | None = None
-    sliding_speed: float = 0.01
+    stiffness: Annotated[Stiffness, "contact stiffness; the default is assumed"] = 1e8
+    damping: Annotated[Damping, "contact damping; the default is assumed"] = 1e4
+    friction: Annotated[Ratio, "Coulomb friction; the default is assumed"] = 0.2
+    radius: Annotated[Length | None, "radius of the contact; default: the shaft's there"] = None
+    sliding_speed: Annotated[float, Quantity("velocity"), "sliding speed below which friction fades to zero"] = 0.01
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class BiasPoint(Part):
-    """Coefficients measured at one bias current [A]: force_per_current k_i [N/A], negative_stiffness k_s [N/m] > 0."""
+    """Coefficients measured at another bias current."""
 
-    bias_current: float
-    force_per_current: Pair
-    negative_stiffness: Pair
+    bias_current: Annotated[Current, "bias current of the measurement"]
+    force_per_current: Annotated[ForcePerCurrentPair, "force per control current, k_i"]
+    negative_stiffness: Annotated[StiffnessPair, "negative stiffness k_s, positive where it destabilises"]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class MagneticBearing(Part):
-    """A radial AMB; f = k_i i + k_s x per axis, k_s > 0 destabilising.
+    """A radial magnetic bearing with two axes; f = k_i i + k_s x on each, k_s > 0 destabilising.
 
-    position [m], angle [rad] of zeta from x, bias_current [A]. Either force_per_current [N/A] and negative_stiffness [N/m]
-    are given, or ``geometry``. ``measured`` holds coefficients at other bias currents. gap and touchdown_gap [m],
-    max_current [A] (control current amplitude) and max_force [N] are limits used in verification. For the virtual rig alone:
-    ``iron``, ``touchdown``, cross_coupling [-] (the part of the other axis' control current that acts on an axis) and
-    magnetic_offset [m] of the magnetic centre from the sensors' zero.
+    Either force_per_current and negative_stiffness are given, or ``geometry``; ``measured`` holds coefficients at other bias
+    currents. gap, touchdown_gap, max_current (amplitude of the control current) and max_force are limits used in verification.
     """
 
-    name: str
-    position: float
-    bias_current: float
-    angle: float = 0.0
-    force_per_current: Pair | None = None
-    negative_stiffness: Pair | None = None
-    geometry: MagnetGeometry | None = None
-    measured: tuple[BiasPoint, ...] = ()
-    gap: float | None = None
-    touchdown_gap: float | None = None
-    max_current: float | None = None
-    max_force: float | None = None
-    iron: MagnetIron | None = None
-    touchdown: Touchdown | None = None
-    cross_coupling: float = 0.0
-    magnetic_offset: Pair = (0.0, 0.0)
+    name: Annotated[Name, "name, first part of its axes' names: A gives A_zeta and A_eta"]
+    position: Annotated[Length, "axial position of the magnets' middle, from the left end"]
+    bias_current: Annotated[Current, "bias (premagnetisation) current"]
+    angle: Annotated[Angle, "angle of the axis zeta from the global x"] = 0.0
+    force_per_current: Annotated[
+        ForcePerCurrentPair | None, "force per control current k_i at bias_current; or give geometry or measured"
+    ] = None
+    negative_stiffness: Annotated[
+        StiffnessPair | None, "negative stiffness k_s at bias_current, positive where it destabilises"
+    ] = None
+    geometry: Annotated[MagnetGeometry | None, "the magnet's geometry"] = None
+    measured: Annotated[tuple[BiasPoint, ...], "coefficients at other bias currents"] = ()
+    gap: Annotated[Length | None, "radial air gap, a limit in verification"] = None
+    touchdown_gap: Annotated[Length | None, "radial gap of the touchdown bearing"] = None
+    max_current: Annotated[Current | None, "largest control current"] = None
+    max_force: Annotated[float | None, Quantity("force"), "largest force"] = None
+    iron: Annotated[MagnetIron | None, "the magnet's iron"] = None
+    touchdown: Annotated[Touchdown | None, "contact in the touchdown bearing"] = None
+    cross_coupling: Annotated[Ratio, "part of the other axis' control current that acts on an axis; for the virtual rig"] = 0.0
+    magnetic_offset: Annotated[Pair, PairOf("length"), "magnetic centre from the sensors' zero; for the virtual rig"] = (
+        0.0,
+        0.0,
+    )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Runout(Part):
-    """One harmonic of a sensor track's profile: amplitude cos(order (angle - axis) + phase), amplitude [m], phase [rad]."""
+    """One harmonic of the sensor track's profile: amplitude cos(order (spin angle - axis angle) + phase)."""
 
-    order: int
-    amplitude: float
-    phase: float = 0.0
+    order: Annotated[int, Count(), "periods per revolution"]
+    amplitude: Annotated[Length, "amplitude, zero to peak"]
+    phase: Annotated[Angle, "phase"] = 0.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Sensor(Part):
-    """A radial displacement sensor pair that serves a bearing, in that bearing's axes.
+    """The pair of displacement sensors that serves a bearing, in that bearing's axes; a calibrated one has gain 1."""
 
-    position [m], gain [-] (1 = calibrated), bandwidth [rad/s] of a first-order lag (None: none). For the virtual rig alone:
-    noise [m] rms per sample, offset [m], resolution [m] of the quantisation (0: none), runout of the sensor track.
-    """
-
-    bearing: str
-    position: float
-    gain: Pair = (1.0, 1.0)
-    bandwidth: float | None = None
-    noise: float = 0.0
-    offset: Pair = (0.0, 0.0)
-    resolution: float = 0.0
-    runout: tuple[Runout, ...] = ()
+    bearing: Annotated[str, Text("the name of a [[bearing]]"), "name of the bearing"]
+    position: Annotated[Length, "axial position, from the left end"]
+    gain: Annotated[Pair, PairOf("ratio"), "indicated per true displacement"] = (1.0, 1.0)
+    bandwidth: Annotated[Rate | None, "corner frequency of a first-order lag; default: no lag"] = None
+    noise: Annotated[Length, "root mean square of the noise in every sample; for the virtual rig"] = 0.0
+    offset: Annotated[Pair, PairOf("length"), "indicated at zero displacement; for the virtual rig"] = (0.0, 0.0)
+    resolution: Annotated[Length, "step of the converter, 0 for none; for the virtual rig"] = 0.0
+    runout: Annotated[tuple[Runout, ...], "harmonics of the sensor track's run-out"] = ()
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Amplifier(Part):
-    """Current amplifier and coil of every axis, unit gain at DC.
+    """Current amplifier and coil of every axis, unit gain at standstill.
 
     order "first": bandwidth/(s + bandwidth); "twice-first": that times eddy_bandwidth/(s + eddy_bandwidth);
-    "second": natural_frequency^2/(s^2 + damping s + natural_frequency^2), damping [rad/s]; "none": ideal. All [rad/s].
-    For the virtual rig alone: max_voltage [V] and the coil's inductance [H], which limit the slope of the current.
+    "second": natural_frequency^2/(s^2 + damping s + natural_frequency^2); "none": ideal.
     """
 
-    order: str = "none"
-    bandwidth: float | None = None
-    eddy_bandwidth: float | None = None
-    natural_frequency: float | None = None
-    damping: float | None = None
-    max_voltage: float | None = None
-    inductance: float | None = None
+    order: Annotated[str, Choice(tuple(AMPLIFIER_PARAMETERS)), "the model's form"] = field(
+        default="none", metadata={"required": True}
+    )
+    bandwidth: Annotated[Rate | None, 'corner frequency, for "first" and "twice-first"'] = None
+    eddy_bandwidth: Annotated[Rate | None, 'second corner frequency, for "twice-first"'] = None
+    natural_frequency: Annotated[Rate | None, 'natural frequency, for "second"'] = None
+    damping: Annotated[Rate | None, 'damping term d in s^2 + d s + natural_frequency^2, for "second"'] = None
+    max_voltage: Annotated[
+        float | None,
+        Quantity("voltage"),
+        "largest voltage at the coil, which limits the slope of the current; for the virtual rig",
+    ] = None
+    inductance: Annotated[float | None, Quantity("inductance"), "inductance of a coil; for the virtual rig"] = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Coupling(Part):
-    """A flexible coupling to ground: position [m], stiffness [N/m] and damping [N s/m] (zeta, eta), angle [rad]."""
+    """A flexible coupling to ground."""
 
-    name: str
-    position: float
-    stiffness: Pair
-    damping: Pair = (0.0, 0.0)
-    angle: float = 0.0
+    name: Annotated[Name, "name, different from all other attachments"]
+    position: Annotated[Length, "axial position, from the left end"]
+    stiffness: Annotated[StiffnessPair, "stiffness"]
+    damping: Annotated[Pair, PairOf("damping"), "damping"] = (0.0, 0.0)
+    angle: Annotated[Angle, "angle of the axis zeta from the global x"] = 0.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Notch(Part):
-    """A notch filter: frequency [rad/s], damping of its poles and of its zeros [-]."""
+    """A notch filter (s^2 + 2 zero_damping w s + w^2)/(s^2 + 2 pole_damping w s + w^2)."""
 
-    frequency: float
-    pole_damping: float
-    zero_damping: float
+    frequency: Annotated[Rate, "centre frequency w"]
+    pole_damping: Annotated[Ratio, "damping ratio of the poles"]
+    zero_damping: Annotated[Ratio, "damping ratio of the zeros"]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class PidSettings(Part):
-    """The reference controller: K_p (1 + 1/(T_i s) + T_d s/(eps T_d s + 1)) per axis, and the usual additions.
+    """The reference controller K_p (1 + 1/(T_i s) + T_d s/(eps T_d s + 1)) per axis.
 
-    gain K_p [A/m] per axis in the order of the machine's axes, or one for all; integral_time T_i and derivative_time T_d [s];
-    derivative_filter eps [-]; notches; lead (zero, pole) [rad/s]; low_pass [rad/s] second order with low_pass_damping;
-    coordinates "axes" (decentralised) or "tilt-translate", where tilt_gain [-] scales the tilting part;
-    sample_time [s] and delay [s] describe the deployed controller (None: continuous).
+    gain in the order of the machine's axes; coordinates "axes" (decentralised) or "tilt-translate"; sample_time and delay
+    describe the deployed controller.
     """
 
-    gain: tuple[float, ...]
-    integral_time: float | None = None
-    derivative_time: float | None = None
-    derivative_filter: float = 0.1
-    notches: tuple[Notch, ...] = field(default=(), metadata={"key": "notch"})
-    lead: Pair | None = None
-    low_pass: float | None = None
-    low_pass_damping: float = 0.7071067811865476
-    coordinates: str = "axes"
-    tilt_gain: float = 1.0
-    sample_time: float | None = None
-    delay: float = 0.0
+    gain: Annotated[tuple[float, ...], ListOf("current per displacement", scalar=True), "K_p, one for all axes or one per axis"]
+    integral_time: Annotated[Time | None, "T_i; default: no integral part"] = None
+    derivative_time: Annotated[Time | None, "T_d; default: no derivative part"] = None
+    derivative_filter: Annotated[Ratio, "eps"] = 0.1
+    notches: Annotated[tuple[Notch, ...], "notch filters in series"] = field(default=(), metadata={"key": "notch"})
+    lead: Annotated[Pair | None, PairOf("angular rate", "zero, pole", scalar=False), "lead filter [zero, pole]"] = None
+    low_pass: Annotated[Rate | None, "corner frequency of a second-order low pass"] = None
+    low_pass_damping: Annotated[Ratio, "damping ratio of the low pass"] = 0.7071067811865476
+    coordinates: Annotated[str, Choice(CONTROLLER_COORDINATES), "controlled coordinates"] = "axes"
+    tilt_gain: Annotated[Ratio, "gain of the tilting part relative to the translating part"] = 1.0
+    sample_time: Annotated[Time | None, "sample time of the deployed controller; default: continuous"] = None
+    delay: Annotated[Time, "computing delay of the deployed controller"] = 0.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class OperatingPoint(Part):
-    """speed [rad/s]; seal_pressure [Pa], the differential pressure of every seal; bias_current [A] (None: the machine's);
-    whirl_frequency [rad/s] at which frequency-dependent seals are read (None: the speed)."""
+    """An operating point; the first one is the nominal point."""
 
-    speed: float = 0.0
-    seal_pressure: float = 0.0
-    bias_current: float | None = None
-    whirl_frequency: float | None = None
-    label: str = ""
+    speed: Annotated[Rate, "spin speed"] = 0.0
+    seal_pressure: Annotated[Pressure, "differential pressure of every seal"] = 0.0
+    bias_current: Annotated[Current | None, "bias current; default: that of each bearing"] = None
+    whirl_frequency: Annotated[Rate | None, "frequency at which frequency-dependent seals are read; default: the speed"] = None
+    label: Annotated[Words, "its name in reports"] = ""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Operation(Part):
-    """The points at which the machine is verified, and its speed range [rad/s]; the first point is the nominal one.
+    """Where the machine runs."""
 
-    design_point: label of the point that controllers are designed for; empty: the nominal one.
-    """
-
-    points: tuple[OperatingPoint, ...] = field(default=(OperatingPoint(label="standstill"),), metadata={"key": "point"})
-    speed_range: Pair = (0.0, 0.0)
-    design_point: str = ""
+    points: Annotated[tuple[OperatingPoint, ...], "operating points at which the machine is verified; default: standstill"] = (
+        field(default=(OperatingPoint(label="standstill"),), metadata={"key": "point"})
+    )
+    speed_range: Annotated[Pair, PairOf("angular rate", "lowest, highest", scalar=False), "[lowest, highest] spin speed"] = (
+        0.0,
+        0.0,
+    )
+    design_point: Annotated[Words, "label of the point that controllers are designed for; default: the nominal one"] = ""
 
     @property
     def nominal(self) -> OperatingPoint:
@@ -278,77 +312,74 @@ class Tolerance(Part):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Requirements(Part):
-    """What verification demands; None leaves a criterion to its standard's default, or unchecked where there is none.
+    """What verification demands; a key left out is judged by its standard's default, or not at all."""
 
-    sensitivity_peak [-]; compliance_peak [m/N]; balance_grade [m/s] (G2.5 = 2.5e-3); balance_speed [rad/s] at which the
-    residual unbalance is set; unbalance_orbit [m] zero-to-peak up to unbalance_to [rad/s]; settling_time [s];
-    gain_margin [-], phase_margin [rad]; log_decrement [-]; max_current [A].
-    """
-
-    sensitivity_peak: float | None = None
-    compliance_peak: float | None = None
-    balance_grade: float | None = None
-    balance_speed: float | None = None
-    unbalance_orbit: float | None = None
-    unbalance_to: float | None = None
-    settling_time: float | None = None
-    gain_margin: float | None = None
-    phase_margin: float | None = None
-    log_decrement: float | None = None
-    max_current: float | None = None
+    sensitivity_peak: Annotated[Ratio | None, "largest sensitivity"] = None
+    compliance_peak: Annotated[float | None, Quantity("compliance"), "largest displacement per force"] = None
+    balance_grade: Annotated[float | None, Quantity("velocity"), 'balance grade; G2.5 is "2.5 mm/s"'] = None
+    balance_speed: Annotated[Rate | None, "speed at which the residual unbalance is set"] = None
+    unbalance_orbit: Annotated[Length | None, "largest unbalance response, zero to peak"] = None
+    unbalance_to: Annotated[Rate | None, "speed up to which unbalance_orbit holds"] = None
+    settling_time: Annotated[Time | None, "longest settling after a disturbance"] = None
+    gain_margin: Annotated[Ratio | None, "smallest gain margin, as a factor"] = None
+    phase_margin: Annotated[Angle | None, "smallest phase margin"] = None
+    log_decrement: Annotated[Ratio | None, "smallest logarithmic decrement"] = None
+    max_current: Annotated[Current | None, "largest control current"] = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class DesignWeights(Part):
-    """What a robust design aims at, in words (``synthesis/weights.py`` makes transfer functions of it).
+    """What a robust design (H-infinity, mu) aims at; weights are the inverse of what is allowed.
 
-    error_scale D_e [m]: the largest acceptable error; current_scale D_u [A]: the largest control current. bandwidth w_B
-    [rad/s], peak M [-] and low_frequency_error A_w [-] of the sensitivity. control_level [-]: weight of the current; with a
-    control_crossover [rad/s] it rises from there through 1 at the crossover to control_limit [-] (None: 30), with
-    control_order. current_disturbance, output_disturbance [-]: sizes of the disturbances in units of D_u and D_e.
+    With a control_crossover W_u rises from control_level through 1 there to control_limit, with control_order
+    (``synthesis/weights.py`` makes transfer functions of it).
     """
 
-    error_scale: float
-    current_scale: float
-    bandwidth: float
-    control_level: float
-    peak: float = 3.0
-    low_frequency_error: float = 1e-3
-    control_crossover: float | None = None
-    control_order: int = 1
-    control_limit: float | None = None
-    current_disturbance: float = 1.0
-    output_disturbance: float = 1.0
+    error_scale: Annotated[Length, "D_e, the largest acceptable control error"]
+    current_scale: Annotated[Current, "D_u, the largest control current"]
+    bandwidth: Annotated[Rate, "w_B, below which disturbances are reduced"]
+    control_level: Annotated[Ratio, "W_u at low frequencies, weight of the current in units of current_scale"]
+    peak: Annotated[Ratio, "M, the largest sensitivity; default: 3"] = 3.0
+    low_frequency_error: Annotated[Ratio, "A_w, what is left of a constant disturbance; default: 0.001"] = 1e-3
+    control_crossover: Annotated[Rate | None, "frequency above which W_u exceeds 1; default: W_u is constant"] = None
+    control_order: Annotated[int, Count(), "order of W_u's rise"] = 1
+    control_limit: Annotated[Ratio | None, "W_u far above its crossover; default: 30"] = None
+    current_disturbance: Annotated[Ratio, "size of the disturbing current, in units of current_scale; default: 1"] = 1.0
+    output_disturbance: Annotated[Ratio, "size of the disturbance of the measurement, in units of error_scale; default: 1"] = (
+        1.0
+    )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class MachineDescription(Part):
     """A rotor on magnetic bearings as written down, not yet checked; a Machine is one that was.
 
-    modal_damping [-] is the damping ratio given to every bending mode; beam_theory "bernoulli-euler", "rayleigh" or
-    "timoshenko"; gravity_direction [rad] from x towards y (-pi/2: down along y; None: no weight), for the virtual rig;
     ``assumed`` lists the parameters that were chosen, not measured or published, each with its reason. file_text is the file
     that the machine was read from (empty: none), for its comments, order and units; it is not compared.
     """
 
-    name: str
-    shaft: tuple[ShaftSection, ...]
-    bearings: tuple[MagneticBearing, ...]
-    sensors: tuple[Sensor, ...]
-    amplifier: Amplifier = field(default_factory=Amplifier)
-    discs: tuple[Disc, ...] = ()
-    seals: tuple[Seal, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
-    controller: PidSettings | None = None
-    operation: Operation = field(default_factory=Operation)
-    tolerances: tuple[Tolerance, ...] = ()
-    requirements: Requirements = field(default_factory=Requirements)
-    weights: DesignWeights | None = None
-    description: str = ""
-    source: str = ""
-    modal_damping: float = 0.005
-    beam_theory: str = "bernoulli-euler"
-    gravity_direction: float | None = None
+    name: Annotated[Name, "name of the machine"]
+    shaft: Annotated[tuple[ShaftSection, ...], "shaft sections from the left end to the right"]
+    bearings: Annotated[tuple[MagneticBearing, ...], "radial magnetic bearings"] = field(metadata={"key": "bearing"})
+    sensors: Annotated[tuple[Sensor, ...], "displacement sensors, one pair per bearing"] = field(metadata={"key": "sensor"})
+    amplifier: Annotated[Amplifier, "amplifier and coil of every axis"] = field(
+        default_factory=Amplifier, metadata={"required": True}
+    )
+    discs: Annotated[tuple[Disc, ...], "rigid discs"] = field(default=(), metadata={"key": "disc"})
+    seals: Annotated[tuple[Seal, ...], "annular seals"] = field(default=(), metadata={"key": "seal"})
+    couplings: Annotated[tuple[Coupling, ...], "flexible couplings to ground"] = field(default=(), metadata={"key": "coupling"})
+    controller: Annotated[PidSettings | None, "the reference controller"] = None
+    operation: Annotated[Operation, "operating points and speed range"] = field(default_factory=Operation)
+    tolerances: Annotated[tuple[Tolerance, ...], "uncertain parameters"] = field(default=(), metadata={"key": "tolerance"})
+    requirements: Annotated[Requirements, "what verification demands"] = field(default_factory=Requirements)
+    weights: Annotated[DesignWeights | None, "what a robust design aims at"] = None
+    description: Annotated[Words, "what it is, in a sentence"] = ""
+    source: Annotated[Words, "where its figures come from"] = ""
+    modal_damping: Annotated[Ratio, "damping ratio of every bending mode"] = 0.005
+    beam_theory: Annotated[str, Choice(BEAM_THEORIES), "theory of the shaft's beam elements"] = "bernoulli-euler"
+    gravity_direction: Annotated[
+        Angle | None, "where the rotor's weight points, from the global x towards y; default: no weight; for the virtual rig"
+    ] = None
     assumed: tuple[tuple[str, str], ...] = ()
     file_text: str = field(default="", compare=False)
 

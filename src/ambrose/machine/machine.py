@@ -12,7 +12,6 @@ from ambrose.machine.part import Part
 from ambrose.machine.validation.machine import check_machine
 
 _HEAD = ("name", "description", "source", "beam_theory", "modal_damping", "gravity_direction")  # keys of [machine]
-_ENTRIES = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")  # the tables of which a file has several
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -61,9 +60,8 @@ class Machine(MachineDescription):
             table.pop("material", None)
             if section.material in materials:
                 table["material"] = materials[section.material]
-        for key in _ENTRIES:
-            if f"{key}s" in given:
-                document[key] = given[f"{key}s"]
+        several = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")
+        document.update({key: given[key] for key in several if key in given})
         document["amplifier"] = {"order": self.amplifier.order, **given.get("amplifier", {})}  # a file must name the order
         document.update({key: given[key] for key in ("controller", "weights", "operation", "requirements") if key in given})
         return document

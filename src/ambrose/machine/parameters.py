@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.machine.description import MachineDescription, OperatingPoint
+from ambrose.machine.description import AMPLIFIER_PARAMETERS, MachineDescription, OperatingPoint
 from ambrose.machine.messages import shown, suggestion
 
 _TILTED = ("zeta", "eta")
@@ -35,14 +35,6 @@ QUANTITIES: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "coupling": {"stiffness": ("stiffness", _TILTED), "damping": ("damping", _TILTED)},
     "amplifier": {name: ("angular rate", ()) for name in ("bandwidth", "eddy_bandwidth", "natural_frequency", "damping")},
 }
-
-AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
-    "none": (),
-    "first": ("bandwidth",),
-    "twice-first": ("bandwidth", "eddy_bandwidth"),
-    "second": ("natural_frequency", "damping"),
-}
-
 
 CONTROLLER_DELAY, EXCITATION_DELAY = "controller.delay", "excitation.delay"
 TIMING = (CONTROLLER_DELAY, EXCITATION_DELAY)  # [s]; what an identification may find beside the machine's parameters

@@ -28,7 +28,9 @@ class Part(Presented):
             default = item.default_factory() if item.default_factory is not MISSING else item.default
             if item.compare and value is not None and (defaults or default is MISSING or value != default):
                 key = item.metadata.get("key", item.name)
-                table[key] = int(value) if item.type == "int" else to_plain_values(value, defaults=defaults)
+                table[key] = (
+                    int(value) if str(item.type).startswith("Annotated[int") else to_plain_values(value, defaults=defaults)
+                )
         return table
 
 

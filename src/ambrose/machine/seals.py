@@ -4,13 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from ambrose.machine.file.fields import (
+    Choice,
+    Choices,
+    Count,
+    Damping,
+    Length,
+    Mass,
+    Name,
+    PairOf,
+    Pressure,
+    Quantity,
+    Rate,
+    Ratio,
+    Stiffness,
+)
 from ambrose.machine.part import Part, to_plain_values
 
 SEAL_COEFFICIENTS = ("K", "k", "C", "c", "M")
 SEAL_AXES = ("pressure", "speed", "frequency")
 FREQUENCY_DEPENDENCE = ("synchronous", "states")
+Friction = Annotated[tuple[float, float], PairOf("plain number", "coefficient, exponent", scalar=False)]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -39,57 +55,65 @@ class SealTable(Part):
 class GasSealGeometry(Part):
     """An annular gas seal, smooth or with holes in its stator, from which a bulk-flow model computes K, k, C and c.
 
-    length, diameter (of the rotor), radial clearances at inlet and exit, hole_depth [m]; hole_area_ratio [-] of holes to stator
-    wall. Friction of a wall (coefficient, exponent) [-]: f = coefficient Re^exponent, Blasius' smooth wall by default.
-    temperature [K] of the gas; its pressure [Pa, absolute] on one side, exit_pressure or inlet_pressure: the operating point's
-    differential pressure gives the other. inlet_loss, exit_recovery [-]; preswirl [-] over the surface speed. speed [rad/s] for
-    which the flow is computed (None: the operating point's). max_frequency [rad/s]: the highest whirl frequency at which the
-    coefficients may be asked for. gas_constant [J/(kg K)], viscosity [Pa s] (None: air's at the temperature) and
-    compressibility Z [-] of the gas.
+    Friction of a wall (coefficient, exponent) [-]: f = coefficient Re^exponent, Blasius' smooth wall by default. Of the gas'
+    absolute pressures one is given; the operating point's differential pressure yields the other.
     """
 
-    length: float
-    diameter: float
-    inlet_clearance: float
-    exit_clearance: float
-    temperature: float
-    exit_pressure: float | None = None
-    inlet_pressure: float | None = None
-    hole_depth: float = 0.0
-    hole_area_ratio: float = 0.0
-    stator_friction: tuple[float, float] = (0.079, -0.25)
-    rotor_friction: tuple[float, float] = (0.079, -0.25)
-    inlet_loss: float = 0.1
-    exit_recovery: float = 0.0
-    preswirl: float = 0.0
-    speed: float | None = None
-    max_frequency: float = 9424.77796076938
-    gas_constant: float = 287.05
-    viscosity: float | None = None
-    compressibility: float = 1.0
+    length: Annotated[Length, "axial length of the gap"]
+    diameter: Annotated[Length, "diameter of the rotor there"]
+    inlet_clearance: Annotated[Length, "radial clearance on the high-pressure side"]
+    exit_clearance: Annotated[Length, "radial clearance on the low-pressure side"]
+    temperature: Annotated[float, Quantity("temperature"), "temperature of the gas, absolute"]
+    exit_pressure: Annotated[
+        Pressure | None,
+        "absolute pressure behind the seal; before it, the point's seal_pressure is added; or give inlet_pressure",
+    ] = None
+    inlet_pressure: Annotated[
+        Pressure | None, "absolute pressure before the seal; behind it, the point's seal_pressure is taken off"
+    ] = None
+    hole_depth: Annotated[Length, "depth of the stator's holes or honeycomb cells; 0: a smooth seal"] = 0.0
+    hole_area_ratio: Annotated[Ratio, "area of the holes over the stator's"] = 0.0
+    stator_friction: Annotated[
+        Friction, "Fanning factor coefficient Re^exponent of the stator; the default is a smooth wall's"
+    ] = (0.079, -0.25)
+    rotor_friction: Annotated[Friction, "the same of the rotor"] = (0.079, -0.25)
+    inlet_loss: Annotated[Ratio, "pressure lost at the inlet, in dynamic pressures"] = 0.1
+    exit_recovery: Annotated[Ratio, "share of the dynamic pressure that comes back behind the exit"] = 0.0
+    preswirl: Annotated[Ratio, "circumferential speed of the gas at the inlet over the rotor's surface speed"] = 0.0
+    speed: Annotated[Rate | None, "spin speed for which the flow is computed; default: the operating point's"] = None
+    max_frequency: Annotated[Rate, "highest whirl frequency at which the coefficients may be asked for"] = 9424.77796076938
+    gas_constant: Annotated[float, Quantity("specific gas constant"), "specific gas constant; the default is air's"] = 287.05
+    viscosity: Annotated[float | None, Quantity("viscosity"), "dynamic viscosity of the gas; default: air's"] = None
+    compressibility: Annotated[Ratio, "compressibility factor of the gas"] = 1.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Seal(Part):
     """An annular seal: f = -([[K, k], [-k, K]] x + [[C, c], [-c, C]] x' + M x''), k > 0 drives forward whirl.
 
-    position [m]; K, k [N/m], C, c [N s/m], M [kg] at ``reference_pressure`` [Pa]. ``scales_with_pressure`` names the
-    coefficients proportional to the pressure difference; the others stay. A ``table`` replaces the constants it lists;
-    a ``geometry`` replaces K, k, C and c. frequency_dependence of either: "synchronous" reads the coefficients at the operating
-    point's whirl frequency (by default its speed) and holds them constant; "states" keeps the dependence, as a rational
-    function with ``poles`` poles, two states each, in the plant and on the virtual rig.
+    A ``table`` replaces the constants it lists; a ``geometry`` replaces K, k, C and c. frequency_dependence of either:
+    "synchronous" reads the coefficients at the operating point's whirl frequency (by default its speed) and holds them
+    constant; "states" keeps the dependence, as a rational function with ``poles`` poles, two states each, in the plant and on
+    the virtual rig.
     """
 
-    name: str
-    position: float
-    K: float = 0.0
-    k: float = 0.0
-    C: float = 0.0
-    c: float = 0.0
-    M: float = 0.0
-    reference_pressure: float | None = None
-    scales_with_pressure: tuple[str, ...] = ()
-    table: SealTable | None = None
-    geometry: GasSealGeometry | None = None
-    frequency_dependence: str = "synchronous"
-    poles: int = 3
+    name: Annotated[Name, "name, different from all other attachments"]
+    position: Annotated[Length, "axial position, from the left end"]
+    K: Annotated[Stiffness, "direct stiffness"] = 0.0
+    k: Annotated[Stiffness, "cross-coupled stiffness, positive where it drives forward whirl"] = 0.0
+    C: Annotated[Damping, "direct damping"] = 0.0
+    c: Annotated[Damping, "cross-coupled damping"] = 0.0
+    M: Annotated[Mass, "added mass"] = 0.0
+    reference_pressure: Annotated[Pressure | None, "differential pressure at which the coefficients hold"] = None
+    scales_with_pressure: Annotated[
+        tuple[str, ...], Choices(SEAL_COEFFICIENTS), "coefficients proportional to the pressure; the others stay"
+    ] = ()
+    table: Annotated[SealTable | None, "coefficients over pressure, speed, frequency"] = None
+    geometry: Annotated[GasSealGeometry | None, "geometry and gas, from which K, k, C and c are computed"] = None
+    frequency_dependence: Annotated[
+        str,
+        Choice(FREQUENCY_DEPENDENCE),
+        "what becomes of coefficients that depend on the whirl frequency: "
+        "constants read at the point's, or states of the plant",
+    ] = "synchronous"
+    poles: Annotated[int, Count(), "poles of the rational function behind the states, two states each"] = 3

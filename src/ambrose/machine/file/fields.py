@@ -7,10 +7,7 @@ that follows the key's name; the schema adds table, entry and key.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
-
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
-from pydantic_core import PydanticCustomError, core_schema
+from typing import Annotated, Any
 
 from ambrose.machine.messages import meant, shown
 from ambrose.machine.units import DIMENSIONS, read_quantity
@@ -37,13 +34,17 @@ class _Kind:
         """JSON schema of the value as written."""
         raise NotImplementedError
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
         return core_schema.no_info_plain_validator_function(self._validate)
 
-    def __get_pydantic_json_schema__(self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         return self.schema()
 
     def _validate(self, value: object) -> Any:
+        from pydantic_core import PydanticCustomError
+
         try:
             return self.read(value)
         except ValueError as error:
@@ -254,6 +255,23 @@ class Version(_Kind):
 
     def schema(self) -> dict[str, Any]:
         return {"const": self.only}
+
+
+Length = Annotated[float, Quantity("length")]
+Mass = Annotated[float, Quantity("mass")]
+Inertia = Annotated[float, Quantity("moment of inertia")]
+Angle = Annotated[float, Quantity("angle")]
+Rate = Annotated[float, Quantity("angular rate")]
+Time = Annotated[float, Quantity("time")]
+Current = Annotated[float, Quantity("current")]
+Pressure = Annotated[float, Quantity("pressure")]
+Stiffness = Annotated[float, Quantity("stiffness")]
+Damping = Annotated[float, Quantity("damping")]
+Ratio = Annotated[float, Quantity("ratio")]
+ForcePerCurrentPair = Annotated[tuple[float, float], PairOf("force per current")]
+StiffnessPair = Annotated[tuple[float, float], PairOf("stiffness")]
+Words = Annotated[str, Text()]
+Name = Annotated[str, Text("a name")]
 
 
 def quantity_schemas() -> dict[str, Any]:

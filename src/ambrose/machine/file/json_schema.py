@@ -1,19 +1,16 @@
-"""The JSON schema of machine files, made from the tables in file/tables.py and the defaults in description.py."""
+"""The JSON schema of machine files, made from the tables in file/tables.py."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
 from ambrose.machine.description import SCHEMA_VERSION
 from ambrose.machine.file.fields import PLACEHOLDER, quantity_schemas
-from ambrose.machine.file.table import Table
 from ambrose.machine.file.tables import MachineFile
-from ambrose.machine.machine import Machine
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -22,9 +19,6 @@ def machine_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a machine file, for editors: every table and key with its meaning, form and default."""
     made: dict[str, Any] = tidy_schema(MachineFile.model_json_schema(by_alias=True))
     tables: dict[str, Any] = made.pop("$defs")
-    for model in Table.__subclasses__():
-        if model.__name__ in tables:
-            _add_defaults(tables[model.__name__], model)
     head = {
         "$schema": DIALECT,
         "title": f"ambrose machine file, schema {SCHEMA_VERSION}",
@@ -48,20 +42,6 @@ def tidy_schema(node: Any) -> Any:
         elif not (key == "title" or (key == "default" and value is None)):
             kept[key] = tidy_schema(value)
     return kept
-
-
-def _add_defaults(table: dict[str, Any], model: type[Table]) -> None:
-    """Enter the defaults of the noun (numbers and strings) into the table's properties that may be left out."""
-    noun: Any = Machine if model.__name__ == "MachineTable" else model.noun
-    if noun is None:
-        return
-    optional = table["properties"].keys() - table.get("required", ())
-    for field in fields(noun):
-        simple = field.default is not MISSING and isinstance(field.default, (int, float, str, tuple)) and field.default != ()
-        if simple and field.name in optional:
-            table["properties"][field.name]["default"] = (
-                list(field.default) if isinstance(field.default, tuple) else field.default
-            )
 
 
 def write_schema(schema: dict[str, Any], path: str | os.PathLike[str]) -> None:

@@ -9,13 +9,11 @@ from pydantic import ValidationError
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Material, ShaftSection
-from ambrose.machine.file.table import Table
-from ambrose.machine.file.tables import MachineFile, ShaftTable, table_below
+from ambrose.machine.file.tables import MachineFile, Table, table_below
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import listed, shown, suggestion
 from ambrose.machine.validation.machine import InvalidMachine
 
-_ENTRIES = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")  # the tables of which a machine has several
 _LABELS = ("name", "label", "bearing", "parameter")
 
 
@@ -28,16 +26,16 @@ def machine_from_document(document: Mapping[str, Any], name: str, text: str = ""
         file = MachineFile.model_validate(document)
     except ValidationError as error:
         raise InvalidInput(listed(name, [_line(detail, document) for detail in error.errors()])) from None
-    whole = file.machine.given()
+    tables = dict(file)
+    whole = tables["machine"].given()
     whole.pop("version")
     assumed, unclear = _reasons(whole.pop("assumed", {}))
     materials = _materials(file)
-    shaft, unknown = _shaft(file.shaft, materials)
+    shaft, unknown = _shaft(tables["shaft"], materials)
     if unclear or unknown:
         raise InvalidInput(listed(name, [*unclear, *unknown]))
-    parts = {f"{key}s" if key in _ENTRIES else key: value for key, value in file.given().items()}
     try:
-        return Machine(shaft=shaft, assumed=assumed, file_text=text, **whole, **parts)
+        return Machine(shaft=shaft, assumed=assumed, file_text=text, **whole, **file.given())
     except InvalidMachine as error:
         raise InvalidMachine(name, error.problems) from None  # named by its file
 
@@ -47,11 +45,11 @@ def named_materials(document: Mapping[str, Any]) -> dict[str, Material]:
     return _materials(MachineFile.model_validate(document))
 
 
-def _materials(file: MachineFile) -> dict[str, Material]:
-    return {name: Material(name=name, **table.given()) for name, table in (file.material or {}).items()}
+def _materials(file: Table) -> dict[str, Material]:
+    return {name: Material(name=name, **table.given()) for name, table in (dict(file)["material"] or {}).items()}
 
 
-def _shaft(tables: Sequence[ShaftTable], materials: Mapping[str, Material]) -> tuple[tuple[ShaftSection, ...], list[str]]:
+def _shaft(tables: Sequence[Table], materials: Mapping[str, Material]) -> tuple[tuple[ShaftSection, ...], list[str]]:
     """The sections, each starting where the previous one ends unless it says otherwise, and complaints about materials."""
     sections, complaints, end = [], [], 0.0
     for i, table in enumerate(tables):

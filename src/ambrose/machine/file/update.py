@@ -16,8 +16,8 @@ from ambrose.core.checks import invalid
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.file.fields import Quantity
 from ambrose.machine.file.parse import named_materials
-from ambrose.machine.file.table import Table as Model
 from ambrose.machine.file.tables import MachineFile, ToleranceTable, table_below
+from ambrose.machine.file.tables import Table as Model
 from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import shown
@@ -26,6 +26,13 @@ from ambrose.machine.seals import SEAL_AXES
 from ambrose.machine.units import DIMENSIONS, rewrite_quantity
 
 _Plain = Mapping[str, Any]
+_IDENTITIES = {  # the key whose value tells the entries of a list apart; of other lists their order does
+    **dict.fromkeys(("disc", "bearing", "seal", "coupling"), "name"),
+    "sensor": "bearing",
+    "measured": "bias_current",
+    "point": "label",
+    "tolerance": "parameter",
+}
 
 
 def update_machine_file(text_or_path: str | os.PathLike[str], machine: Machine) -> str:
@@ -167,8 +174,9 @@ def _first(array: Any) -> Any:
 def _update_entries(table: Any, key: str, model: type[Model], whole: Sequence[_Plain], given: Sequence[_Plain]) -> None:
     """Bring the entries of a list of tables to those of ``whole``, each with the entry of its identity."""
     entries = list(table.get(key, ()))
-    known = dict(zip(_identities(entries, model), range(len(entries)), strict=True))
-    wanted = [known.get(identity) for identity in _identities(whole, model)]
+    identity_key = _IDENTITIES.get(key, "")
+    known = dict(zip(_identities(entries, model, identity_key), range(len(entries)), strict=True))
+    wanted = [known.get(identity) for identity in _identities(whole, model, identity_key)]
     for place, values, some in zip(wanted, whole, given or [{}] * len(whole), strict=True):
         if place is not None:
             _update_table(entries[place], model, values, some)
@@ -182,12 +190,12 @@ def _update_entries(table: Any, key: str, model: type[Model], whole: Sequence[_P
         _reorder(table[key], entries, wanted, given)
 
 
-def _identities(entries: Sequence[Any], model: type[Model]) -> Iterator[tuple[Any, int]]:
-    """What tells entries apart: the value of the model's key for it, and how often it occurred before."""
+def _identities(entries: Sequence[Any], model: type[Model], key: str) -> Iterator[tuple[Any, int]]:
+    """What tells entries apart: the value of ``key``, and how often it occurred before."""
     occurrences: dict[Any, int] = {}
     for entry in entries:
-        value = _plain(entry.get(model.identity))
-        if model.identity and (dimension := _dimension(model, model.identity, {})):
+        value = _plain(entry.get(key))
+        if key and (dimension := _dimension(model, key, {})):
             value = Quantity(dimension).read(value)
         occurrences[value] = occurrences.get(value, -1) + 1
         yield value, occurrences[value]
