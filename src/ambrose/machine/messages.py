@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 _LONGEST = 60
@@ -52,16 +52,3 @@ def complaint(where: str, key: str, value: object, requirement: str, remedy: str
 def number(value: float | None, unit: str) -> str:
     """A number with its unit."""
     return "missing" if value is None else f"{value:g} {unit}".strip()
-
-
-def not_positive(where: str, remedy: str, *entries: tuple[str, float | None, str], zero: bool = False) -> Iterator[str]:
-    """Complaints about (key, value, unit) that are not above zero (or not at it); None passes."""
-    requirement = "zero or positive" if zero else "positive"
-    for key, value, unit in entries:
-        if value is not None and (value < 0 or (value == 0 and not zero)):
-            yield complaint(where, key, number(value, unit), requirement, remedy)
-
-
-def pair_entries(key: str, pair: tuple[float, float] | None, unit: str) -> tuple[tuple[str, float | None, str], ...]:
-    """A pair as entries for ``not_positive``."""
-    return () if pair is None else ((f"{key} (zeta)", pair[0], unit), (f"{key} (eta)", pair[1], unit))

@@ -14,11 +14,12 @@ from itertools import combinations
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, MachineDescription, PidSettings
-from ambrose.machine.messages import complaint, listed, not_positive, number, shown, suggestion
+from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, MachineDescription
+from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.validation import parts
 from ambrose.machine.validation import seals as validate_seals
+from ambrose.machine.validation.signs import not_positive
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
@@ -68,13 +69,8 @@ def _whole(machine: MachineDescription) -> Iterator[str]:
     if not machine.name.strip():
         yield complaint("[machine]", "name", "empty", "a name", 'write name = "..."')
     if not 0 <= machine.modal_damping < 1:
-        yield complaint(
-            "[machine]",
-            "modal_damping",
-            f"{machine.modal_damping:g}",
-            "a ratio from 0 to below 1",
-            "0.005 is usual for a steel shaft",
-        )
+        remedy = "0.005 is usual for a steel shaft"
+        yield complaint("[machine]", "modal_damping", f"{machine.modal_damping:g}", "a ratio from 0 to below 1", remedy)
     if machine.beam_theory not in BEAM_THEORIES:
         known = f"one of {', '.join(BEAM_THEORIES)}"
         yield complaint("[machine]", "beam_theory", shown(machine.beam_theory), known, "choose one of them")
@@ -123,47 +119,22 @@ def _controller(machine: MachineDescription) -> Iterator[str]:
         return
     where, n = "[controller]", len(machine.axes)
     if len(pid.gain) not in {1, n}:
-        yield complaint(
-            where,
-            "gain",
-            f"a list of {len(pid.gain)}",
-            f"one value or {n}, one per axis ({', '.join(machine.axes)})",
-            "K_p in A/m",
-        )
-    yield from not_positive(where, "give K_p in A/m", *((f"gain (element {i + 1})", g, "A/m") for i, g in enumerate(pid.gain)))
-    yield from _pid_times(where, pid)
+        wanted = f"one value or {n}, one per axis ({', '.join(machine.axes)})"
+        yield complaint(where, "gain", f"a list of {len(pid.gain)}", wanted, "K_p in A/m")
+    yield from not_positive(where, pid, "give K_p in A/m", "gain")
+    times, filters = ("integral_time", "derivative_time", "derivative_filter"), ("low_pass", "low_pass_damping", "lead")
+    yield from not_positive(where, pid, "leave it out where there is none", *times, *filters, "tilt_gain", "sample_time")
+    yield from not_positive(where, pid, "a controller cannot see ahead", "delay", zero=True)
     for i, notch in enumerate(pid.notches):
         inside = f"[[controller.notch]] {i + 1}"
-        poles = (("frequency", notch.frequency, "rad/s"), ("pole_damping", notch.pole_damping, ""))
-        yield from not_positive(inside, "leave the notch out where there is none", *poles)
-        yield from not_positive(inside, "zero is the deepest notch", ("zero_damping", notch.zero_damping, ""), zero=True)
+        yield from not_positive(inside, notch, "leave the notch out where there is none", "frequency", "pole_damping")
+        yield from not_positive(inside, notch, "zero is the deepest notch", "zero_damping", zero=True)
     if pid.coordinates not in CONTROLLER_COORDINATES:
         known = f"one of {', '.join(CONTROLLER_COORDINATES)}"
         yield complaint(where, "coordinates", shown(pid.coordinates), known, "choose one of them")
     elif pid.coordinates == "tilt-translate" and len(machine.bearings) != 2:
-        yield complaint(
-            where,
-            "coordinates",
-            shown(pid.coordinates),
-            '"axes"',
-            f"tilting needs two bearings, there are {len(machine.bearings)}",
-        )
-
-
-def _pid_times(where: str, pid: PidSettings) -> Iterator[str]:
-    yield from not_positive(
-        where,
-        "leave it out where there is none",
-        ("integral_time", pid.integral_time, "s"),
-        ("derivative_time", pid.derivative_time, "s"),
-        ("derivative_filter", pid.derivative_filter, ""),
-        ("low_pass", pid.low_pass, "rad/s"),
-        ("low_pass_damping", pid.low_pass_damping, ""),
-        ("tilt_gain", pid.tilt_gain, ""),
-        ("sample_time", pid.sample_time, "s"),
-        *(() if pid.lead is None else (("lead (zero)", pid.lead[0], "rad/s"), ("lead (pole)", pid.lead[1], "rad/s"))),
-    )
-    yield from not_positive(where, "a controller cannot see ahead", ("delay", pid.delay, "s"), zero=True)
+        remedy = f"tilting needs two bearings, there are {len(machine.bearings)}"
+        yield complaint(where, "coordinates", shown(pid.coordinates), '"axes"', remedy)
 
 
 def _operation(machine: MachineDescription) -> Iterator[str]:
@@ -177,12 +148,10 @@ def _operation(machine: MachineDescription) -> Iterator[str]:
     labels: set[str] = set()
     for i, point in enumerate(operation.points):
         where = f"[[operation.point]] {i + 1}" + (f' "{point.label}"' if point.label else "")
-        at_least_zero = (("speed", point.speed, "rad/s"), ("seal_pressure", point.seal_pressure, "Pa"))
-        yield from not_positive(where, "spin is positive from x to y, pressure is a difference", *at_least_zero, zero=True)
-        yield from not_positive(where, "leave it out for the bearings' own", ("bias_current", point.bias_current, "A"))
-        yield from not_positive(
-            where, "leave it out for the speed", ("whirl_frequency", point.whirl_frequency, "rad/s"), zero=True
-        )
+        remedy = "spin is positive from x to y, pressure is a difference"
+        yield from not_positive(where, point, remedy, "speed", "seal_pressure", zero=True)
+        yield from not_positive(where, point, "leave it out for the bearings' own", "bias_current")
+        yield from not_positive(where, point, "leave it out for the speed", "whirl_frequency", zero=True)
         if point.label and point.label in labels:
             yield f'{where}: label "{point.label}" is taken by an earlier point; give every point its own label'
         labels.add(point.label)
@@ -204,8 +173,7 @@ def _tolerances(machine: MachineDescription) -> Iterator[str]:
         if (tolerance.relative is None) == (tolerance.absolute is None):
             both = "both relative and absolute are" if tolerance.relative is not None else "neither relative nor absolute is"
             yield f"{named}: {both} given; give one of the two"
-        widths = (("relative", tolerance.relative, ""), ("absolute", tolerance.absolute, ""))
-        yield from not_positive(named, "give the half-width, or remove the tolerance", *widths)
+        yield from not_positive(named, tolerance, "give the half-width, or remove the tolerance", "relative", "absolute")
     for one, other in combinations(uncertain, 2):
         if one.overlaps(other):
             yield (
@@ -216,9 +184,8 @@ def _tolerances(machine: MachineDescription) -> Iterator[str]:
 
 def _requirements(machine: MachineDescription) -> Iterator[str]:
     where, demanded = "[requirements]", machine.requirements
-    for field in fields(demanded):
-        remedy = "leave it out where nothing is demanded"
-        yield from not_positive(where, remedy, (field.name, getattr(demanded, field.name), ""))
+    keys = (field.name for field in fields(demanded))
+    yield from not_positive(where, demanded, "leave it out where nothing is demanded", *keys)
     for key, least in (("sensitivity_peak", demanded.sensitivity_peak), ("gain_margin", demanded.gain_margin)):
         if least is not None and 0 < least < 1:
             yield complaint(where, key, f"{least:g}", "at least 1", "it is a factor, not decibels")
@@ -231,7 +198,7 @@ def _weights(machine: MachineDescription) -> Iterator[str]:
     if weights is None:
         return
     remedy = "it is a size: leave the key out for its default"
-    yield from not_positive(where, remedy, *((field.name, getattr(weights, field.name), "") for field in fields(weights)))
+    yield from not_positive(where, weights, remedy, *(field.name for field in fields(weights)))
     if 0 < weights.peak <= 1:
         yield complaint(where, "peak", f"{weights.peak:g}", "above 1", "it is a factor, not decibels; 3 is usual")
     if weights.low_frequency_error >= 1:

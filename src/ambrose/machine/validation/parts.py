@@ -5,13 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ambrose.machine.description import (
-    MachineDescription,
-    MagneticBearing,
-    ShaftSection,
-)
-from ambrose.machine.messages import complaint, not_positive, number, pair_entries, shown, suggestion
-from ambrose.machine.parameters import AMPLIFIER_PARAMETERS
+from ambrose.machine.description import AMPLIFIER_PARAMETERS, BiasPoint, MachineDescription, MagneticBearing, ShaftSection
+from ambrose.machine.messages import complaint, number, shown, suggestion
+from ambrose.machine.validation.signs import not_positive
 
 JOINT = 1e-9  # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
 _MOST_ELEMENTS = 1000  # per section; more is a slip of the pen
@@ -43,16 +39,11 @@ def shaft_place(index: int, section: ShaftSection) -> str:
 
 def _section(where: str, section: ShaftSection) -> Iterator[str]:
     bore, outer, mass = section.inner_diameter, section.outer_diameter, section.mass_diameter
-    yield from not_positive(where, "give its size", ("length", section.length, "m"), ("outer_diameter", outer, "m"))
-    yield from not_positive(where, "leave it out for a solid shaft", ("inner_diameter", bore, "m"), zero=True)
+    yield from not_positive(where, section, "give its size", "length", "outer_diameter")
+    yield from not_positive(where, section, "leave it out for a solid shaft", "inner_diameter", zero=True)
     if 0 < outer <= bore:
-        yield complaint(
-            where,
-            "inner_diameter",
-            number(bore, "m"),
-            f"below the outer_diameter, {outer:g} m",
-            "swap or correct the diameters",
-        )
+        below = f"below the outer_diameter, {outer:g} m"
+        yield complaint(where, "inner_diameter", number(bore, "m"), below, "swap or correct the diameters")
     if mass is not None and mass <= max(bore, 0):
         remedy = "it is the outer diameter that carries the mass; leave it out where it is the outer_diameter"
         yield complaint(where, "mass_diameter", number(mass, "m"), f"above the inner_diameter, {bore:g} m", remedy)
@@ -60,37 +51,23 @@ def _section(where: str, section: ShaftSection) -> Iterator[str]:
         remedy = "one element per diameter of length is a good start"
         yield complaint(where, "elements", section.elements, f"from 1 to {_MOST_ELEMENTS}", remedy)
     material = section.material
-    yield from not_positive(
-        f"{where}, material {material.name}".rstrip(),
-        "see the material's data sheet",
-        ("density", material.density, "kg/m^3"),
-        ("youngs_modulus", material.youngs_modulus, "Pa"),
-    )
+    inside = f"{where}, material {material.name}".rstrip()
+    yield from not_positive(inside, material, "see the material's data sheet", "density", "youngs_modulus")
     if not -1 < material.poisson_ratio < 0.5:
-        yield complaint(
-            f"{where}, material {material.name}".rstrip(),
-            "poisson_ratio",
-            f"{material.poisson_ratio:g}",
-            "between -1 and 0.5",
-            "steel has 0.3",
-        )
+        yield complaint(inside, "poisson_ratio", f"{material.poisson_ratio:g}", "between -1 and 0.5", "steel has 0.3")
 
 
 def discs(machine: MachineDescription) -> Iterator[str]:
     for disc in machine.discs:
         where = f"[[disc]] {disc.name}"
         polar, diametral = disc.polar_inertia, disc.diametral_inertia
-        yield from not_positive(where, "give its mass", ("mass", disc.mass, "kg"))
-        inertias = (("polar_inertia", polar, "kg m^2"), ("diametral_inertia", diametral, "kg m^2"))
-        yield from not_positive(where, "leave it out where it is negligible", *inertias, zero=True)
+        yield from not_positive(where, disc, "give its mass", "mass")
+        remedy = "leave it out where it is negligible"
+        yield from not_positive(where, disc, remedy, "polar_inertia", "diametral_inertia", zero=True)
         if polar > 2 * diametral * (1 + 1e-6) and diametral > 0:
-            yield complaint(
-                where,
-                "polar_inertia",
-                number(polar, "kg m^2"),
-                f"at most twice the diametral_inertia, {diametral:g} kg m^2",
-                "no body has more; a thin disc has exactly twice",
-            )
+            most = f"at most twice the diametral_inertia, {diametral:g} kg m^2"
+            remedy = "no body has more; a thin disc has exactly twice"
+            yield complaint(where, "polar_inertia", number(polar, "kg m^2"), most, remedy)
 
 
 def bearings(machine: MachineDescription) -> Iterator[str]:
@@ -101,14 +78,9 @@ def bearings(machine: MachineDescription) -> Iterator[str]:
 
 
 def _bearing(where: str, bearing: MagneticBearing) -> Iterator[str]:
-    limits = (
-        ("gap", bearing.gap, "m"),
-        ("touchdown_gap", bearing.touchdown_gap, "m"),
-        ("max_current", bearing.max_current, "A"),
-        ("max_force", bearing.max_force, "N"),
-    )
-    yield from not_positive(where, "give the premagnetisation current", ("bias_current", bearing.bias_current, "A"))
-    yield from not_positive(where, "leave it out where it is unknown", *limits)
+    limits = ("gap", "touchdown_gap", "max_current", "max_force")
+    yield from not_positive(where, bearing, "give the premagnetisation current", "bias_current")
+    yield from not_positive(where, bearing, "leave it out where it is unknown", *limits)
     if bearing.gap and bearing.touchdown_gap and bearing.touchdown_gap > bearing.gap:
         below = f"at most the magnet's gap, {bearing.gap:g} m"
         yield complaint(
@@ -118,8 +90,7 @@ def _bearing(where: str, bearing: MagneticBearing) -> Iterator[str]:
     if bearing.geometry is None:
         return
     inside, geometry = f"{where}, [bearing.geometry]", bearing.geometry
-    sizes = (("turns", geometry.turns, ""), ("pole_area", geometry.pole_area, "m^2"), ("gap", geometry.gap, "m"))
-    yield from not_positive(inside, "give its size", *sizes)
+    yield from not_positive(inside, geometry, "give its size", "turns", "pole_area", "gap")
     if not 0 <= geometry.pole_half_angle < math.pi / 2:
         degrees = f"{math.degrees(geometry.pole_half_angle):g} deg"
         yield complaint(inside, "pole_half_angle", degrees, "from 0 to below 90 deg", "eight poles have 22.5 deg")
@@ -137,18 +108,14 @@ def _iron_and_touchdown(where: str, bearing: MagneticBearing) -> Iterator[str]:
     if bearing.iron is not None:
         iron = bearing.iron
         inside, remedy = f"{where}, [bearing.iron]", "leave the table out for magnets without saturation"
-        yield from not_positive(inside, remedy, ("turns", iron.turns, ""), ("flux_density", iron.flux_density, "T"))
-        length = ("equivalent_gap", iron.equivalent_gap, "m")
-        yield from not_positive(inside, "0.05 mm is usual", length, zero=True)
+        yield from not_positive(inside, iron, remedy, "turns", "flux_density")
+        yield from not_positive(inside, iron, "0.05 mm is usual", "equivalent_gap", zero=True)
     if bearing.geometry is not None and bearing.iron is not None and bearing.geometry.turns != bearing.iron.turns:
         yield f"{where}: turns differ in [bearing.geometry] and [bearing.iron]; give the turns of one horseshoe in both"
     if bearing.touchdown is not None:
         contact, inside = bearing.touchdown, f"{where}, [bearing.touchdown]"
-        sizes = (("stiffness", contact.stiffness, "N/m"), ("radius", contact.radius, "m"))
-        speed = ("sliding_speed", contact.sliding_speed, "m/s")
-        yield from not_positive(inside, "leave it out for its default", *sizes, speed)
-        losses = (("damping", contact.damping, "N s/m"), ("friction", contact.friction, ""))
-        yield from not_positive(inside, "contact takes energy and gives none", *losses, zero=True)
+        yield from not_positive(inside, contact, "leave it out for its default", "stiffness", "radius", "sliding_speed")
+        yield from not_positive(inside, contact, "contact takes energy and gives none", "damping", "friction", zero=True)
         if bearing.touchdown_gap is None:
             yield f"{where}: touchdown_gap is missing; [bearing.touchdown] needs the clearance"
 
@@ -160,20 +127,20 @@ def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:
         yield f"{where}: {missing[0]} is missing; give both force_per_current and negative_stiffness, or neither"
     elif missing and bearing.geometry is None and not bearing.measured:
         yield f"{where}: there are no coefficients; give force_per_current and negative_stiffness, or [bearing.geometry]"
-    yield from _signs(where, bearing.force_per_current, bearing.negative_stiffness)
+    yield from _signs(where, bearing)
     currents = [row.bias_current for row in bearing.measured]
     for i, row in enumerate(bearing.measured):
         inside = f"{where}, [[bearing.measured]] {i + 1}"
-        yield from not_positive(inside, "give the premagnetisation current", ("bias_current", row.bias_current, "A"))
-        yield from _signs(inside, row.force_per_current, row.negative_stiffness)
+        yield from not_positive(inside, row, "give the premagnetisation current", "bias_current")
+        yield from _signs(inside, row)
         if row.bias_current in currents[:i]:
             yield f"{inside}: bias_current {row.bias_current:g} A stands there twice; keep one row per bias current"
 
 
-def _signs(where: str, k_i: tuple[float, float] | None, k_s: tuple[float, float] | None) -> Iterator[str]:
-    yield from not_positive(where, "a positive current pulls along the axis", *pair_entries("force_per_current", k_i, "N/A"))
+def _signs(where: str, coefficients: MagneticBearing | BiasPoint) -> Iterator[str]:
+    yield from not_positive(where, coefficients, "a positive current pulls along the axis", "force_per_current")
     remedy = "it is the size of a destabilising stiffness; a spring to ground is a [[coupling]]"
-    yield from not_positive(where, remedy, *pair_entries("negative_stiffness", k_s, "N/m"), zero=True)
+    yield from not_positive(where, coefficients, remedy, "negative_stiffness", zero=True)
 
 
 def sensors(machine: MachineDescription) -> Iterator[str]:
@@ -186,18 +153,15 @@ def sensors(machine: MachineDescription) -> Iterator[str]:
             yield f'{where}: bearing "{sensor.bearing}" is unknown; {remedy}'
         elif sensor.bearing in served[:i]:
             yield f'{where}: bearing "{sensor.bearing}" has a [[sensor]] already; give one sensor pair per bearing'
-        yield from not_positive(where, "leave it out for a sensor without lag", ("bandwidth", sensor.bandwidth, "rad/s"))
+        yield from not_positive(where, sensor, "leave it out for a sensor without lag", "bandwidth")
         for axis, gain in zip(("zeta", "eta"), sensor.gain, strict=True):
             if gain == 0:
                 yield complaint(where, f"gain ({axis})", 0, "different from zero", "1 is a calibrated sensor")
-        sizes = (("noise", sensor.noise, "m"), ("resolution", sensor.resolution, "m"))
-        yield from not_positive(where, "leave it out for a sensor without", *sizes, zero=True)
+        yield from not_positive(where, sensor, "leave it out for a sensor without", "noise", "resolution", zero=True)
         for k, harmonic in enumerate(sensor.runout):
             inside = f"{where}, [[sensor.runout]] {k + 1}"
-            yield from not_positive(
-                inside, "periods per revolution; an offset is the key offset", ("order", harmonic.order, "")
-            )
-            yield from not_positive(inside, "turn the phase by 180 deg", ("amplitude", harmonic.amplitude, "m"), zero=True)
+            yield from not_positive(inside, harmonic, "periods per revolution; an offset is the key offset", "order")
+            yield from not_positive(inside, harmonic, "turn the phase by 180 deg", "amplitude", zero=True)
     for name in names:
         if name not in served:
             yield f'[[bearing]] {name}: no [[sensor]] serves it; add one with bearing = "{name}" and its position'
@@ -220,9 +184,8 @@ def amplifier(machine: MachineDescription) -> Iterator[str]:
                 f'[amplifier]: {key} is {value:g} rad/s, but order "{amplifier.order}" does not use it; '
                 f"remove it, or set order to {' or '.join(orders)}"
             )
-        yield from not_positive("[amplifier]", "give its corner frequency or damping term", (key, value, "rad/s"))
-    limits = (("max_voltage", amplifier.max_voltage, "V"), ("inductance", amplifier.inductance, "H"))
-    yield from not_positive("[amplifier]", "leave both out for no limit", *limits)
+        yield from not_positive("[amplifier]", amplifier, "give its corner frequency or damping term", key)
+    yield from not_positive("[amplifier]", amplifier, "leave both out for no limit", "max_voltage", "inductance")
     if (amplifier.max_voltage is None) != (amplifier.inductance is None):
         there, missing = ("max_voltage", "inductance") if amplifier.inductance is None else ("inductance", "max_voltage")
         yield f"[amplifier]: {missing} is missing; {there} limits the slope of the current only together with it"
@@ -232,5 +195,5 @@ def amplifier(machine: MachineDescription) -> Iterator[str]:
 
 def couplings(machine: MachineDescription) -> Iterator[str]:
     for coupling in machine.couplings:
-        pairs = (*pair_entries("stiffness", coupling.stiffness, "N/m"), *pair_entries("damping", coupling.damping, "N s/m"))
-        yield from not_positive(f"[[coupling]] {coupling.name}", "a passive coupling holds back", *pairs, zero=True)
+        where = f"[[coupling]] {coupling.name}"
+        yield from not_positive(where, coupling, "a passive coupling holds back", "stiffness", "damping", zero=True)

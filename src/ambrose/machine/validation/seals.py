@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from ambrose.machine.description import MachineDescription
-from ambrose.machine.messages import complaint, not_positive, number, shown, suggestion
+from ambrose.machine.messages import complaint, number, shown, suggestion
 from ambrose.machine.seals import FREQUENCY_DEPENDENCE, SEAL_AXES, SEAL_COEFFICIENTS, GasSealGeometry, Seal, SealTable
+from ambrose.machine.validation.signs import not_positive
 
 COMPUTED = ("K", "k", "C", "c")  # what a geometry yields
 _MOST_POLES = 12
@@ -20,7 +21,7 @@ _PRESWIRL = 2.0  # surface speeds; inlet swirl measured on test rigs stays below
 def seals(machine: MachineDescription) -> Iterator[str]:
     for seal in machine.seals:
         where = f"[[seal]] {seal.name}"
-        yield from not_positive(where, "give a pressure difference", ("reference_pressure", seal.reference_pressure, "Pa"))
+        yield from not_positive(where, seal, "give a pressure difference", "reference_pressure")
         scaled = seal.scales_with_pressure
         for coefficient in scaled:
             if coefficient not in SEAL_COEFFICIENTS:
@@ -103,16 +104,14 @@ def _beside(where: str, seal: Seal) -> Iterator[str]:
 
 def _geometry(where: str, geometry: GasSealGeometry) -> Iterator[str]:
     g = geometry
-    for key in ("length", "diameter", "inlet_clearance", "exit_clearance"):
-        remedy = "give it in metres or with a unit; clearances are radial"
-        yield from not_positive(where, remedy, (key, getattr(g, key), "m"))
-    yield from not_positive(where, "give an absolute temperature", ("temperature", g.temperature, "K"))
-    gas = (("gas_constant", g.gas_constant, "J/(kg K)"), ("viscosity", g.viscosity, "Pa s"))
-    yield from not_positive(where, "leave it out for air", *gas, ("compressibility", g.compressibility, ""))
-    yield from not_positive(where, "leave it out for the default", ("max_frequency", g.max_frequency, "rad/s"))
-    yield from not_positive(where, "leave it out for the point's", ("speed", g.speed, "rad/s"), zero=True)
-    sizes = (("hole_depth", g.hole_depth, "m"), ("inlet_loss", g.inlet_loss, ""), ("exit_recovery", g.exit_recovery, ""))
-    yield from not_positive(where, "0 stands for none", *sizes, ("hole_area_ratio", g.hole_area_ratio, ""), zero=True)
+    remedy = "give it in metres or with a unit; clearances are radial"
+    yield from not_positive(where, g, remedy, "length", "diameter", "inlet_clearance", "exit_clearance")
+    yield from not_positive(where, g, "give an absolute temperature", "temperature")
+    yield from not_positive(where, g, "leave it out for air", "gas_constant", "viscosity", "compressibility")
+    yield from not_positive(where, g, "leave it out for the default", "max_frequency")
+    yield from not_positive(where, g, "leave it out for the point's", "speed", zero=True)
+    sizes = ("hole_depth", "inlet_loss", "exit_recovery", "hole_area_ratio")
+    yield from not_positive(where, g, "0 stands for none", *sizes, zero=True)
     for key in ("hole_area_ratio", "exit_recovery"):
         if getattr(g, key) > 1:
             yield complaint(where, key, f"{getattr(g, key):g}", "at most 1", "it is a share")
@@ -122,14 +121,14 @@ def _geometry(where: str, geometry: GasSealGeometry) -> Iterator[str]:
             yield complaint(where, key, number(getattr(g, key), "m"), below, "check its unit; it is radial")
     for key in ("stator_friction", "rotor_friction"):
         coefficient, exponent = getattr(g, key)
-        yield from not_positive(where, "Blasius' smooth wall has 0.079", (f"{key} (coefficient)", coefficient, ""))
+        if coefficient <= 0:
+            yield complaint(where, f"{key} (coefficient)", f"{coefficient:g}", "positive", "Blasius' smooth wall has 0.079")
         if not -1 <= exponent <= 1:
             yield complaint(where, f"{key} (exponent)", f"{exponent:g}", "from -1 to 1", "-0.25 is Blasius'")
     if abs(g.preswirl) > _PRESWIRL:
         within = f"from {-_PRESWIRL:g} to {_PRESWIRL:g}"
         yield complaint(where, "preswirl", f"{g.preswirl:g}", within, "divide the inlet swirl by the surface speed")
-    pressures = (("exit_pressure", g.exit_pressure, "Pa"), ("inlet_pressure", g.inlet_pressure, "Pa"))
-    yield from not_positive(where, "give an absolute pressure", *pressures)
+    yield from not_positive(where, g, "give an absolute pressure", "exit_pressure", "inlet_pressure")
     if (g.exit_pressure is None) == (g.inlet_pressure is None):
         given = (
             "both exit_pressure and inlet_pressure are" if g.exit_pressure else "neither exit_pressure nor inlet_pressure is"
