@@ -22,10 +22,7 @@ def machine_from_document(document: Mapping[str, Any], name: str, text: str = ""
 
     Raises InvalidInput with one line for each problem found: of its form, or of its physics where the form is right.
     """
-    try:
-        file = MachineFile.model_validate(document)
-    except ValidationError as error:
-        raise InvalidInput(listed(name, [_line(detail, document) for detail in error.errors()])) from None
+    file = read_table(MachineFile, document, name)
     tables = dict(file)
     whole = tables["machine"].given()
     whole.pop("version")
@@ -38,6 +35,14 @@ def machine_from_document(document: Mapping[str, Any], name: str, text: str = ""
         return Machine(shaft=shaft, assumed=assumed, file_text=text, **whole, **file.given())
     except InvalidMachine as error:
         raise InvalidMachine(name, error.problems) from None  # named by its file
+
+
+def read_table(model: type[Table], document: Mapping[str, Any], name: str) -> Table:
+    """A parsed TOML document as ``model``. Raises InvalidInput with one line for each problem of its form."""
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise InvalidInput(listed(name, [_line(detail, document, model) for detail in error.errors()])) from None
 
 
 def named_materials(document: Mapping[str, Any]) -> dict[str, Material]:
@@ -83,31 +88,30 @@ def _reasons(table: Mapping[str, Any], above: str = "") -> tuple[tuple[tuple[str
     return tuple(pairs), complaints
 
 
-def _line(detail: Any, document: Mapping[str, Any]) -> str:
+def _line(detail: Any, document: Mapping[str, Any], root: type[Table]) -> str:
     """One of pydantic's findings as a line: place, key, what is wrong, what to do."""
     *above, last = detail["loc"]
     kind = detail["type"]
     if kind in {"model_type", "model_attributes_type", "dict_type", "list_type"}:
         return _wrong_form((*above, last), kind, detail["input"])
-    where, model = _place(above, document)
+    where, model = _place(above, document, root)
     prefix = f"{where}: " if where else ""
     if kind == "missing":
-        return f"{prefix}{_missing(model, str(last))}"
+        return f"{prefix}{_missing(model, str(last), root)}"
     if kind == "extra_forbidden":
         known = [field.alias or key for key, field in (model.model_fields if model else {}).items()]
-        if not above:
+        if not above and root is MachineFile:
             return f"[{last}]: unknown table; {suggestion(str(last), known)}"
         return f'{prefix}unknown key "{last}"; {suggestion(str(last), known)}'
     problem = detail["ctx"]["problem"] if kind == "value" else f"is {shown(detail['input'])}: {detail['msg']}"
     return f"{prefix}{last} {problem}"
 
 
-def _missing(model: type[Table] | None, key: str) -> str:
+def _missing(model: type[Table] | None, key: str, root: type[Table]) -> str:
     """What to say about a key or a table that is not there."""
     if model is None:
         return f"{key} is missing"
-    if model is MachineFile:
-        below = table_below(model, key) or MachineFile
+    if model is root and (below := table_below(root, key)):
         many = str(model.model_fields[key].annotation).startswith("list")
         needs = {name: field for name, field in below.model_fields.items() if field.is_required()} or below.model_fields
         keys = ", ".join(field.alias or name for name, field in needs.items())
@@ -129,10 +133,10 @@ def _brackets(path: str, *, many: bool) -> str:
     return f"[[{path}]]" if many else f"[{path}]"
 
 
-def _place(loc: Sequence[str | int], document: Mapping[str, Any]) -> tuple[str, type[Table] | None]:
+def _place(loc: Sequence[str | int], document: Mapping[str, Any], root: type[Table]) -> tuple[str, type[Table] | None]:
     """Where a key stands, as the file has it ("[[bearing]] A, [[bearing.measured]] 2"), and the model of that table."""
     entry: Any = document
-    model: type[Table] | None = MachineFile
+    model: type[Table] | None = root
     places: list[str] = []
     path: list[str] = []
     for i, part in enumerate(loc):

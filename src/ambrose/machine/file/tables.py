@@ -103,25 +103,23 @@ def table_of(noun: type) -> type[Table]:
     """The model of the table that a part is read from."""
     if noun in (SealTable, Tolerance):
         return SealTableTable if noun is SealTable else ToleranceTable
-    made = _model(noun.__name__, (noun.__doc__ or "").partition("\n\n")[0], _keys(noun))
-    made.noun = noun
-    made.attributes = _attributes(noun)
+    return make_table(noun.__name__, (noun.__doc__ or "").partition("\n\n")[0], keys_of(noun), noun)
+
+
+def make_table(name: str, doc: str, keys: Mapping[str, Any], noun: type[Part] | None = None) -> type[Table]:
+    """A table with these keys (``keys_of``); ``noun`` is the part that it becomes."""
+    made = cast(type[Table], create_model(name, __base__=Table, __doc__=" ".join(doc.split()), **keys))
+    if noun is not None:
+        named = [item for item in fields(noun) if "key" in item.metadata]  # type: ignore[arg-type]  # every Part is a dataclass
+        made.noun, made.attributes = noun, {item.metadata["key"]: item.name for item in named}
     return made
 
 
-def _model(name: str, doc: str, keys: Mapping[str, Any]) -> type[Table]:
-    return cast(type[Table], create_model(name, __base__=Table, __doc__=" ".join(doc.split()), **keys))
-
-
-def _attributes(noun: type[Part]) -> dict[str, str]:
-    return {item.metadata["key"]: item.name for item in fields(noun) if "key" in item.metadata}  # type: ignore[arg-type]
-
-
-def _keys(noun: type[Part]) -> dict[str, tuple[Any, Any]]:
+def keys_of(noun: type[Part]) -> dict[str, tuple[Any, Any]]:
     """Type and pydantic field of every key, from the annotated fields of a part."""
     hints = get_type_hints(noun, include_extras=True)
     keys = {}
-    for item in fields(noun):  # type: ignore[arg-type]  # every Part is a dataclass
+    for item in fields(noun):  # type: ignore[arg-type]
         *kinds, doc = getattr(hints[item.name], "__metadata__", (None,))
         if doc is None:
             continue
@@ -140,7 +138,8 @@ def _type(hint: Any, kinds: list[Any]) -> Any:
         hint = get_args(hint)[0]
     if get_origin(hint) is tuple:
         return GenericAlias(list, (table_of(get_args(hint)[0]),))
-    return table_of(hint) if isinstance(hint, type) and issubclass(hint, Part) else hint
+    is_part = isinstance(hint, type) and issubclass(hint, Part)
+    return table_of(hint) if is_part else hint
 
 
 def table_below(table: type[Table], key: str) -> type[Table] | None:
@@ -155,8 +154,8 @@ def _table_in(annotation: Any) -> type[Table] | None:
     return next((table for part in get_args(annotation) if (table := _table_in(part))), None)
 
 
-_WHOLE = _keys(MachineDescription)
-MachineTable = _model(
+_WHOLE = keys_of(MachineDescription)
+MachineTable = make_table(
     "MachineTable",
     "The machine as a whole.",
     {
@@ -168,7 +167,7 @@ MachineTable = _model(
         ),
     },
 )
-MachineFile = _model(
+MachineFile = make_table(
     "MachineFile",
     "A rotor on magnetic bearings.",
     {
@@ -176,6 +175,6 @@ MachineFile = _model(
         "material": (GenericAlias(dict, (str, table_of(Material))), optional("materials by name")),
         **{key: entry for key, entry in _WHOLE.items() if _table_in(entry[0])},
     },
+    MachineDescription,
 )
 MachineFile.apart = frozenset({"machine", "material", "shaft"})
-MachineFile.attributes = _attributes(MachineDescription)

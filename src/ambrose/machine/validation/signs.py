@@ -16,7 +16,7 @@ def not_positive(where: str, part: Part, remedy: str, *keys: str, zero: bool = F
     """Complaints about the numbers under these keys that are not above zero (or not at it); None passes."""
     requirement = "zero or positive" if zero else "positive"
     for key in keys:
-        unit, names = _unit_and_names(type(part), key)
+        unit, names = _unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
         value = getattr(part, key)
         values = value if isinstance(value, (tuple, list)) else (value,)
         for i, entry in enumerate(values):
