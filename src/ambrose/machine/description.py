@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from ambrose.machine.file.fields import (
+from ambrose.machine.kinds import (
     Angle,
     Choice,
     Count,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from ambrose.machine.file.fields import (
+from ambrose.machine.kinds import (
     Choice,
     Choices,
     Count,

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.machine.description import SCHEMA_VERSION
-from ambrose.machine.file.fields import PLACEHOLDER, quantity_schemas
 from ambrose.machine.file.tables import MachineFile
+from ambrose.machine.kinds import PLACEHOLDER, quantity_schemas
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Material, Tolerance
-from ambrose.machine.file.fields import Choices, ListOf, NestedOf, Quantity, Ratio, Text, Version
+from ambrose.machine.kinds import Choices, ListOf, NestedOf, Quantity, Ratio, Text, Version
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.part import Part
 from ambrose.machine.seals import SEAL_AXES, SEAL_COEFFICIENTS, SealTable

@@ -14,11 +14,11 @@ from tomlkit.items import AoT, Array, InlineTable, Item, String, Table
 
 from ambrose.core.checks import invalid
 from ambrose.machine.atomic_write import write_text
-from ambrose.machine.file.fields import Quantity
 from ambrose.machine.file.parse import named_materials
 from ambrose.machine.file.tables import MachineFile, ToleranceTable, table_below
 from ambrose.machine.file.tables import Table as Model
 from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
+from ambrose.machine.kinds import Quantity
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import shown
 from ambrose.machine.parameters import parse_parameter

@@ -30,7 +30,7 @@ from typing import Annotated, Any
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.file.fields import Name, Quantity, Text, Words
+from ambrose.machine.kinds import Name, Quantity, Text, Words
 from ambrose.machine.part import Part
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any, get_args, get_type_hints
 
-from ambrose.machine.file.fields import PairOf
+from ambrose.machine.kinds import PairOf
 from ambrose.machine.messages import complaint, number
 from ambrose.machine.part import Part
 from ambrose.machine.units import DIMENSIONS
