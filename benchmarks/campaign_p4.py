@@ -116,9 +116,9 @@ def middle_response(system: StateSpace, omega: np.ndarray, inputs: Sequence[str]
 
 def with_middle(record: Record) -> Record:
     """The record with y_middle_<axis>, half-way between the sensors: the seal's middle."""
-    for axis in ("zeta", "eta"):
-        record = frf.combined(record, f"y_middle_{axis}", {f"y_A_{axis}": 0.5, f"y_B_{axis}": 0.5})
-    return record
+    middles = [0.5 * record[f"y_A_{axis}"] + 0.5 * record[f"y_B_{axis}"] for axis in ("zeta", "eta")]
+    signals, units = (*record.signals, "y_middle_zeta", "y_middle_eta"), (*record.units, "m", "m")
+    return replace(record, signals=signals, units=units, values=np.vstack([record.values, *middles]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

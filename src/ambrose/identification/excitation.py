@@ -5,6 +5,8 @@ A waveform (k,) [-] has the peak 1; a pattern makes of it the excitation (axes, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,6 +14,7 @@ from ambrose.core.checks import InvalidInput, check_positive, check_shape, inval
 from ambrose.core.response import simulate
 from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.machine import Machine
+from ambrose.machine.record.record import Record
 
 PATTERNS = ("parallel", "tilt", "single")
 ORDERS = (3, 20)  # of a binary sequence
@@ -126,6 +129,12 @@ def excitation_order(signals: ArrayLike, order: int = 100, threshold: float = 1e
         best = max(best, _rank_order(u[:, ::step], order, threshold))
         step *= 2
     return best
+
+
+def signal_rows(record: Record, names: Sequence[str]) -> list[np.ndarray]:
+    """The signals (k,) as views; zeros that take no memory for excitations e_, f_ and r_ that the record does not hold."""
+    zeros = np.broadcast_to(0.0, (record.values.shape[1],))
+    return [zeros if name[:2] in {"e_", "f_", "r_"} and name not in record.signals else record[name] for name in names]
 
 
 def _rank_order(u: np.ndarray, order: int, threshold: float) -> int:

@@ -236,17 +236,6 @@ def replace_dt(system):
     return frequency_response(system, omega.omega)
 
 
-def test_a_sum_of_signals():
-    one = record(y_A=np.array([1.0, 2.0]), y_B=np.array([3.0, 5.0]), u_A=np.zeros(2))
-    middle = frf.combined(one, "y_middle", {"y_A": 0.5, "y_B": 0.5})
-    np.testing.assert_array_equal(middle["y_middle"], [2.0, 3.5])
-    assert middle.units[-1] == "m"
-    with pytest.raises(InvalidInput, match="one unit"):
-        frf.combined(one, "y_mixed", {"y_A": 1.0, "u_A": 1.0})
-    with pytest.raises(InvalidInput, match="there already"):
-        frf.combined(one, "y_A", {"y_B": 1.0})
-
-
 def test_what_cannot_be_estimated_is_refused():
     a = np.random.default_rng(0).standard_normal(4000)
     same = record(u_A=a, u_B=a, e_A=a, y_A=filtered(a), y_B=np.zeros(4000))

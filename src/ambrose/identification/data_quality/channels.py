@@ -8,7 +8,7 @@ channel breaks some of these and not the others, which tells it from a changed p
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
 
 import numpy as np
@@ -17,7 +17,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf import spectral as frf
+from ambrose.identification.output_error.normal_equations import distinct
 from ambrose.machine.record.record import Record
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
@@ -85,16 +87,10 @@ def measured_responses(records: Sequence[Record], axes: Sequence[str]) -> Respon
     """The responses of the records, or None where excitations or their number of segments do not allow any."""
     from scipy.special import betaincinv
 
-    zero = [np.zeros(record.values.shape[1]) for record in records]
-    e = np.hstack(
-        [
-            np.stack([record[f"e_{a}"] if f"e_{a}" in record.signals else still for a in axes])
-            for record, still in zip(records, zero, strict=True)
-        ]
-    )
+    e = np.hstack([np.stack(signal_rows(record, [f"e_{axis}" for axis in axes])) for record in records])
     if not e.any():
         return None
-    mix = _mix(e)
+    _, mix = distinct(list(e))
     names = [f"e_{axes[int(np.flatnonzero(column)[0])]}" for column in mix.T]
     signs = np.array([column[np.flatnonzero(column)[0]] for column in mix.T])
     kinds = [kind for kind in "yui" if all(f"{kind}_{axis}" in record.signals for record in records for axis in axes)]
@@ -104,9 +100,8 @@ def measured_responses(records: Sequence[Record], axes: Sequence[str]) -> Respon
     L = min(round(0.5 / dt), shortest, total // (2 * mix.shape[1] + 2))
     if L < 64 or not kinds:
         return None
-    filled = [_with(record, names) for record in records]
     try:
-        estimate = frf.h1(filled, names, [f"{kind}_{axis}" for kind in kinds for axis in axes], segment=L * dt)
+        estimate = frf.h1(records, names, [f"{kind}_{axis}" for kind in kinds for axis in axes], segment=L * dt)
     except InvalidInput:
         return None
     kept = np.unique(np.round(np.linspace(0, len(estimate.omega) - 1, min(_LINES, len(estimate.omega)))).astype(int))
@@ -122,31 +117,14 @@ def measured_responses(records: Sequence[Record], axes: Sequence[str]) -> Respon
     )
 
 
-def _mix(e: np.ndarray) -> np.ndarray:
-    """(a, r): the excitations e (a, k) from the distinct ones among them; equal and opposite ones are one."""
-    firsts: list[int] = []
-    mix = np.zeros((len(e), len(e)))
-    for i, row in enumerate(e):
-        for j, first in enumerate(firsts):
-            for sign in (1.0, -1.0):
-                if row.any() and np.array_equal(row, sign * e[first]):
-                    mix[i, j] = sign
-        if row.any() and not mix[i].any():
-            mix[i, len(firsts)] = 1.0
-            firsts.append(i)
-    return mix[:, : len(firsts)]
-
-
-def _with(record: Record, names: Sequence[str]) -> Record:
-    """The record with zero excitations where it has none of that name."""
-    from dataclasses import replace
-
-    missing = [name for name in names if name not in record.signals]
-    if not missing:
-        return record
-    still = np.zeros((len(missing), record.values.shape[1]))
-    signals, units = (*record.signals, *missing), (*record.units, *["A"] * len(missing))
-    return replace(record, signals=signals, units=units, values=np.vstack([record.values, still]))
+def compared_responses(
+    record: Record, names: Sequence[str], residual: np.ndarray, axes: Sequence[str]
+) -> tuple[Responses, Responses] | None:
+    """The responses of a record's signals, and those of what a model leaves of them, residual (a, k); None as above."""
+    kept = record.select([*names, *[name for name in record.signals if name[:2] == "e_"]])
+    whole = measured_responses([kept], axes)
+    rest = measured_responses([replace(kept, values=np.vstack([residual, kept.values[len(names) :]]))], axes)
+    return None if whole is None or rest is None else (whole, rest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,8 +185,7 @@ def wirings(kinds: Sequence[str], count: int) -> Iterator[Wiring]:
     """Every way in which the channels of one kind can be mixed up; beyond four axes one swap or any one or all signs."""
     for kind in kinds:
         if count <= _ALL_UP_TO:
-            orders: Iterator[tuple[int, ...]] = iter(permutations(range(count)))
-            for order in orders:
+            for order in permutations(range(count)):
                 for signs in product((1, -1), repeat=count):
                     if order != tuple(range(count)) or min(signs) < 0:
                         yield Wiring(kind, order, signs)

@@ -13,6 +13,7 @@ import scipy.linalg as sla
 
 from ambrose.core.response import impulse_response, simulate
 from ambrose.core.statespace import StateSpace, poles
+from ambrose.identification.excitation import signal_rows
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
@@ -104,9 +105,7 @@ class _Comparison:
 
 def _samples(machine: Machine, record: Record, begin: int, end: int) -> _Samples:
     def stacked(kind: str) -> np.ndarray:
-        zero = np.zeros(end - begin)
-        names = [f"{kind}_{axis}" for axis in machine.axes]
-        return np.stack([record[name][begin:end] if name in record.signals else zero for name in names])
+        return np.stack([row[begin:end] for row in signal_rows(record, [f"{kind}_{axis}" for axis in machine.axes])])
 
     limits = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
     u = stacked("u")

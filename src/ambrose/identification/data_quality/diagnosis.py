@@ -6,7 +6,7 @@ responses against the model's for every way the channels could be mixed up (data
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from ambrose.identification.data_quality.channels import (
     KINDS,
     Responses,
     Wiring,
+    compared_responses,
     expected_responses,
     measured_responses,
     ranked,
@@ -67,21 +68,30 @@ def diagnose_records(
         delay = round(computing_delay)
         for chosen in _by_point(records):
             begin = _start_at(machine, records, records[chosen[0]], start or {})
-            findings += _loop_findings(machine, records, chosen, controller, begin, bending_modes, delay, broken)
-    return _sorted(findings)
+            own = [records[n] for n in chosen]
+            try:
+                plant = plant_at(machine, own[0].point, begin, bending_modes)
+                law = deployed_controller(plant, controller, own[0].dt, 0)
+            except AmbroseError:  # which identify() explains with all it knows
+                continue
+            measured = measured_responses(own, plant.axes)
+            mixed = [] if measured is None else _wiring_findings(plant, controller, law, measured, own[0], delay)
+            findings += [finding for finding in mixed if finding.severity == ERROR or not broken]
+            if not broken and not any(finding.severity == ERROR for finding in mixed):
+                for n, record in zip(chosen, own, strict=True):
+                    findings += _controller_findings(machine, record, n + 1, law, delay)
+    return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
 
 
-def _twice(records: Sequence[Record]) -> list[Finding]:
+def _twice(records: Sequence[Record]) -> Iterator[Finding]:
     """Records that hold the same samples: they add nothing, and make every interval too narrow."""
-    findings = []
     for n, record in enumerate(records):
         for other in range(n):
             if record.signals == records[other].signals and np.array_equal(record.values, records[other].values):
                 what = f"record {n + 1} is record {other + 1} once more"
                 evidence = f"all {record.values.size} numbers are the same"
                 remedy = "give every record once; repeats are measured anew"
-                findings.append(Finding(Code.DUPLICATE_RECORD, ERROR, what, evidence, remedy))
-    return findings
+                yield Finding(Code.DUPLICATE_RECORD, ERROR, what, evidence, remedy)
 
 
 def _by_point(records: Sequence[Record]) -> list[list[int]]:
@@ -92,32 +102,6 @@ def _by_point(records: Sequence[Record]) -> list[list[int]]:
     ]
 
 
-def _loop_findings(
-    machine: Machine,
-    records: Sequence[Record],
-    chosen: Sequence[int],
-    controller: Any,
-    start: Mapping[str, float],
-    bending_modes: int,
-    delay: int,
-    broken: bool,
-) -> list[Finding]:
-    """What the records at one operating point show against the model of their loop."""
-    own = [records[n] for n in chosen]
-    try:
-        plant = plant_at(machine, own[0].point, start, bending_modes)
-        law = deployed_controller(plant, controller, own[0].dt, 0)
-    except AmbroseError:  # which identify() explains with all it knows
-        return []
-    measured = measured_responses(own, plant.axes)
-    mixed = [] if measured is None else _wiring_findings(plant, controller, law, measured, own[0], delay)
-    findings = [finding for finding in mixed if finding.severity == ERROR or not broken]
-    if not broken and not any(finding.severity == ERROR for finding in mixed):
-        for n, record in zip(chosen, own, strict=True):
-            findings += _controller_findings(machine, record, n + 1, law, delay)
-    return findings
-
-
 def _start_at(machine: Machine, records: Sequence[Record], record: Record, start: Mapping[str, float]) -> dict[str, float]:
     """The start values, which hold at the highest pressure of all records, at that of one of them."""
     if not start:
@@ -125,10 +109,6 @@ def _start_at(machine: Machine, records: Sequence[Record], record: Record, start
     reference = max((other.point for other in records), key=lambda point: abs(point.seal_pressure))
     factors = ratios(assemble(machine, reference), assemble(machine, record.point), tuple(start))
     return {path: value * factor for (path, value), factor in zip(start.items(), factors.tolist(), strict=True)}
-
-
-def _sorted(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
 
 
 def _wiring_findings(
@@ -150,7 +130,11 @@ def _wiring_findings(
     best, here = rows[0], score(now)
     rate = _other_rate(plant, controller, few, delay, record.sample_rate_hz)
     if rate is not None and rate[0] < min(best[0], here - _BETTER) and _clear(now, rate[2]):
-        return [_rate_finding(record.sample_rate_hz, rate[1], now, rate[2])]
+        stated, true = record.sample_rate_hz, rate[1] * record.sample_rate_hz
+        what = f"the records were not sampled at {stated:g} Hz, as they say, but at about {true:g} Hz"
+        evidence = f"left unexplained of the power: {_compared(now, rate[2], 'as stated', f'at {true:g} Hz')}"
+        remedy = "correct sample_rate_hz; a record that leaves samples out does not show the controller's own rate: record all"
+        return [Finding(Code.SAMPLE_RATE, ERROR, what, evidence, f"{remedy} of them")]
     if best[1].kind and best[0] < here - _BETTER and _clear(now, best[2]):
         return [_mixed_finding(plant.axes, rows, now)]
     return _unexplained(now)
@@ -160,14 +144,8 @@ def _thinned(measured: Responses, lines: int) -> Responses:
     """The strongest lines: where the displacements respond most."""
     strength = np.sum(np.abs(measured.values["y" if "y" in measured.values else "u"]) ** 2, axis=(1, 2))
     kept = np.sort(np.argsort(strength)[::-1][:lines])
-    return Responses(
-        measured.omega[kept],
-        {kind: values[kept] for kind, values in measured.values.items()},
-        {kind: values[kept] for kind, values in measured.noise.items()},
-        measured.coherence,
-        measured.chance,
-        measured.mix,
-    )
+    values, noise = ({kind: of[kind][kept] for kind in of} for of in (measured.values, measured.noise))
+    return replace(measured, omega=measured.omega[kept], values=values, noise=noise)
 
 
 def _clear(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
@@ -189,16 +167,6 @@ def _other_rate(
         unexplained = shares(measured, expected_responses(plant, law, measured.omega * factor), Wiring())
         rows.append((score(unexplained), factor, unexplained))
     return min(rows, key=lambda row: row[0])
-
-
-def _rate_finding(stated: float, factor: float, now: Mapping[str, float], then: Mapping[str, float]) -> Finding:
-    return Finding(
-        Code.SAMPLE_RATE,
-        ERROR,
-        f"the records were not sampled at {stated:g} Hz, as they say, but at about {factor * stated:g} Hz",
-        f"left unexplained of the power: {_compared(now, then, 'as stated', f'at {factor * stated:g} Hz')}",
-        "correct sample_rate_hz; a record that leaves samples out does not show the controller's own rate: record all of them",
-    )
 
 
 def _mixed_finding(
@@ -259,14 +227,11 @@ def _unexplained(now: Mapping[str, float]) -> list[Finding]:
 def _following(record: Record, match: ControllerMatch) -> float | None:
     """The part of the residual that follows the excitation, over the part of u that does: noise between the controller and the
     recorder has none. None where the record allows no such estimate."""
-    names = [f"u_{axis}" for axis in match.axes]
-    others = [name for name in record.signals if name[:2] == "e_"]
-    kept = record.select([*names, *others])
-    whole = measured_responses([kept], match.axes)
-    rest = measured_responses([replace(kept, values=np.vstack([match.left, kept.values[len(names) :]]))], match.axes)
-    if whole is None or rest is None:
+    responses = compared_responses(record, [f"u_{axis}" for axis in match.axes], match.left, match.axes)
+    if responses is None:
         return None
-    size, doubt = (np.sum(np.abs(responses.values["u"]) ** 2, axis=(1, 2)) for responses in (whole, rest))
+    rest = responses[1]
+    size, doubt = (np.sum(np.abs(one.values["u"]) ** 2, axis=(1, 2)) for one in responses)
     noise = rest.noise["u"].sum(axis=1)
     clear = np.argsort(size / np.maximum(noise, 1e-300))[-max(len(size) // 4, 1) :]  # the lines where noise matters least
     excess = float(doubt[clear].sum() - noise[clear].sum())
@@ -317,14 +282,12 @@ def _jump_findings(record: Record, match: ControllerMatch, where: str) -> list[F
     places = ", ".join(f"{group[0][1]} (t = {record.time[group[0][1]]:.5g} s)" for group in groups[:5])
     more = f" and {len(groups) - 5} more" if len(groups) > 5 else ""
     axes = sorted({axis for group in groups for axis, _ in group})
-    all_axes = len(axes) > 1
     names = ", ".join(f"y_{match.axes[axis]} or u_{match.axes[axis]}" for axis in axes)
-    what = "samples are missing or inserted" if all_axes else f"{names} has disturbed samples"
+    what = "samples are missing or inserted" if len(axes) > 1 else f"{names} has disturbed samples"
     severity = WARNING if len(groups) <= 5 else ERROR
-    what = f"{where}: {what}"
     evidence = f"u stops following K(-y) at sample {places}{more}"
     remedy = "find the gap in the logger, and identify the stretches between as records of their own"
-    return [Finding(Code.LOST_SAMPLES, severity, what, evidence, remedy)]
+    return [Finding(Code.LOST_SAMPLES, severity, f"{where}: {what}", evidence, remedy)]
 
 
 def _timing(match: ControllerMatch, delay: int, where: str) -> list[Finding]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
@@ -91,9 +93,8 @@ def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[F
     return [Finding(code, ERROR if share > _SERIOUS or kind == "y" else WARNING, f"{where}: {name} {text}", evidence, remedy)]
 
 
-def _moving_point(record: Record, where: str) -> list[Finding]:
+def _moving_point(record: Record, where: str) -> Iterator[Finding]:
     """Speed or pressure that changes during the record: the model holds at one operating point."""
-    findings = []
     for name, unit in zip(record.signals, record.units, strict=True):
         if name.partition("_")[0] in {"p", "speed"}:
             low, high = float(record[name].min()), float(record[name].max())
@@ -101,8 +102,7 @@ def _moving_point(record: Record, where: str) -> list[Finding]:
                 what = f"{where}: the operating point changes"
                 evidence = f"{name} goes from {low:.4g} to {high:.4g} {unit}"
                 remedy = "cut the record into stretches at one speed and pressure, and identify those"
-                findings.append(Finding(Code.MOVING_POINT, ERROR, what, evidence, remedy))
-    return findings
+                yield Finding(Code.MOVING_POINT, ERROR, what, evidence, remedy)
 
 
 def _repeated(record: Record, names: list[str], where: str) -> list[Finding]:

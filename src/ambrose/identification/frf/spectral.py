@@ -8,8 +8,9 @@ G = T_y T_u^-1; H1 is the case e = u. Pintelon & Schoukens (2012), ch. 2; Bendat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -17,6 +18,7 @@ import scipy.fft
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.core.statespace import Names, index_of
+from ambrose.identification.excitation import signal_rows
 from ambrose.machine.record.record import Record
 
 WINDOWS = ("hann", "boxcar")
@@ -82,25 +84,13 @@ class Frf:
         return np.sqrt(self.variance * float(fdtri(2, max(2 * self.freedom, 2.0), confidence)))
 
 
-def h1(
-    records: Record | Sequence[Record],
-    inputs: Names,
-    outputs: Names,
-    *,
-    segment: float = 0.5,
-    overlap: float = 0.75,
-    window: str = "hann",
-    band: tuple[float, float] | None = None,
-) -> Frf:
+def h1(records: Record | Sequence[Record], inputs: Names, outputs: Names, **options: Any) -> Frf:
     """The response of ``outputs`` to ``inputs``, S_yu S_uu^-1 over all segments of all records: for inputs free of noise.
 
-    With e_<axis> as inputs it gives closed-loop responses without bias; between signals inside the loop use ``closed_loop``.
-    segment [s]: its length, 1/segment the distance of the lines; overlap: share of a segment that it has in common with the
-    next; window "hann" or "boxcar" (periodic records only); band [rad/s]: lines kept (None: all that are excited). Several
-    inputs need several records, or excitations that differ over the segments. A name v_<axis> [A] stands for u + e, the
-    command to the amplifier, where the record lacks it. Raises InvalidInput.
+    With e_<axis> as inputs it gives closed-loop responses without bias; between signals inside the loop use ``closed_loop``,
+    whose options these are. Raises InvalidInput.
     """
-    return _estimate(records, inputs, inputs, outputs, segment, overlap, window, band)
+    return closed_loop(records, inputs, outputs, excitations=inputs, **options)
 
 
 def closed_loop(
@@ -117,39 +107,15 @@ def closed_loop(
     """The response of ``outputs`` to ``inputs`` inside the loop, S_ye S_ue^-1: free of the bias that feedback gives H1.
 
     excitations: as many as inputs (None: those with the inputs' axes, e_A_zeta for v_A_zeta, u_A_zeta or i_A_zeta). The plant
-    is closed_loop(records, ["v_A_zeta", ...], ["y_A_zeta", ...]). Other arguments as ``h1``. Raises InvalidInput.
+    is closed_loop(records, ["v_A_zeta", ...], ["y_A_zeta", ...]). segment [s]: its length, 1/segment the distance of the lines;
+    overlap: share of a segment that it has in common with the next; window "hann" or "boxcar" (periodic records only); band
+    [rad/s]: lines kept (None: all that are excited). Several inputs need several records, or excitations that differ over the
+    segments. A name v_<axis> [A] stands for u + e, the amplifier's command, where the record lacks it. Raises InvalidInput.
     """
-    first = [inputs] if isinstance(inputs, str) else list(inputs)
-    drive = [f"e_{name.partition('_')[2]}" for name in first] if excitations is None else excitations
-    return _estimate(records, drive, inputs, outputs, segment, overlap, window, band)
-
-
-def combined(record: Record, name: str, parts: Mapping[str, float]) -> Record:
-    """The record with one signal more: the sum of ``parts`` (signal -> factor), such as the motion half-way between sensors.
-
-    Raises InvalidInput for parts in different units, and for a name that the record has or that does not fit the unit.
-    """
-    if name in record.signals or not parts:
-        raise invalid(f"the combined signal {name!r}", "there already or empty", "new, of at least one part", "rename it")
-    units = {record.units[index_of(part, record.signals, "signal")[0]] for part in parts}
-    if len(units) > 1:
-        raise invalid(f"the parts of {name}", f"in {', '.join(sorted(units))}", "all in one unit", "combine like signals")
-    total = sum(factor * record[part] for part, factor in parts.items())
-    values = np.vstack([record.values, total])
-    return replace(record, signals=(*record.signals, name), units=(*record.units, units.pop()), values=values)
-
-
-def _estimate(
-    records: Record | Sequence[Record],
-    excitations: Names,
-    inputs: Names,
-    outputs: Names,
-    segment: float,
-    overlap: float,
-    window: str,
-    band: tuple[float, float] | None,
-) -> Frf:
-    e, u, y = (tuple([names] if isinstance(names, str) else names) for names in (excitations, inputs, outputs))
+    u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
+    e = tuple(f"e_{name.partition('_')[2]}" for name in u)
+    if excitations is not None:
+        e = (excitations,) if isinstance(excitations, str) else tuple(excitations)
     records = (records,) if isinstance(records, Record) else tuple(records)
     frames = _frames(records, segment, overlap, window)
     if not e or not y or len(e) != len(u):
@@ -264,12 +230,10 @@ def _frames(records: tuple[Record, ...], segment: float, overlap: float, window:
 def _signal(record: Record, name: str) -> np.ndarray:
     """A signal, u + e of an axis for v_<axis>, nothing for an excitation that this record does not drive."""
     kind, _, axis = name.partition("_")
-    if kind == "e" and name not in record.signals:
-        return np.zeros(record.values.shape[1])
-    if kind != "v" or name in record.signals:
-        return record[name]
-    command = record[f"u_{axis}"]
-    return command + record[f"e_{axis}"] if f"e_{axis}" in record.signals else command
+    if kind == "v" and name not in record.signals:
+        command, excitation = signal_rows(record, [f"u_{axis}", f"e_{axis}"])
+        return command + excitation
+    return signal_rows(record, [name])[0]
 
 
 def _excited(E: np.ndarray, omega: np.ndarray, band: tuple[float, float] | None, names: tuple[str, ...]) -> np.ndarray:

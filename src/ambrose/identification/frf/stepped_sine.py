@@ -38,22 +38,12 @@ def stepped(
     parts = []
     for step in common:
         own = [_same(plan, step.frequency) for plan in plans]
-        driven = [_all(r, s, (*u, *y), settle) for r, s in zip(records, own, strict=True) if s is not None]
+        driven = [phasors(r, s, (*u, *y), settle) for r, s in zip(records, own, strict=True) if s is not None]
         parts.append(_line(step.frequency, driven, len(u)))
     values, variance, coherence, freedom = (np.array(part) for part in zip(*parts, strict=True))
     omega = np.array([step.frequency for step in common])
     m = len(u)
     return Frf(values, omega, u, y, variance, coherence[:, m:], coherence[:, :m], float(freedom.min()), records[0].dt)
-
-
-def _all(record: Record, step: Step, names: tuple[str, ...], settle: float) -> Phasors:
-    """The phasors of the names; an excitation that the record lacks was not driven."""
-    known = [name for name in names if name in record.signals or not name.startswith("e_")]
-    measured = phasors(record, step, known, settle)
-    place = [names.index(name) for name in known]
-    mean, blocks = np.zeros(len(names), complex), np.zeros((len(measured.blocks), len(names)), complex)
-    mean[place], blocks[:, place] = measured.mean, measured.blocks
-    return Phasors(measured.frequency, names, mean, blocks)
 
 
 def _same(plan: Sequence[Step], frequency: float) -> Step | None:

@@ -34,8 +34,6 @@ class Validity:
     verdict: np.ndarray
     valid_to: np.ndarray
     decided: np.ndarray
-    magnitude_tolerance: float
-    phase_tolerance: float
 
     @property
     def worst(self) -> tuple[np.ndarray, np.ndarray]:
@@ -76,10 +74,7 @@ def compare(
     last = np.where(good, measured.omega[:, None, None], 0.0).max(axis=0)
     below = before & (measured.omega[:, None, None] <= last)
     decided = good.sum(axis=0) / np.maximum(below.sum(axis=0), 1)
-    return Validity(
-        measured.omega, measured.inputs, measured.outputs, ratio, margin, verdict, last, decided, magnitude_tolerance,
-        phase_tolerance,
-    )  # fmt: skip
+    return Validity(measured.omega, measured.inputs, measured.outputs, ratio, margin, verdict, last, decided)
 
 
 def model_response(measured: Frf, model: Any) -> FrequencyResponse:

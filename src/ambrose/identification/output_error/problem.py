@@ -11,7 +11,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, poles
-from ambrose.identification.excitation import excitation_order
+from ambrose.identification.excitation import excitation_order, signal_rows
 from ambrose.identification.output_error.delays import TimedLoop, timed
 from ambrose.identification.output_error.loop_model import ParametricModel, loop_model
 from ambrose.identification.output_error.normal_equations import Task, distinct
@@ -103,7 +103,7 @@ def build_experiment(
         raise invalid("initial_state", False, f"True where {EXCITATION_DELAY} is unknown", text)
     tasks = []
     for record, place in zip(records, places, strict=True):
-        waves, measured = _rows(record, excitations), _rows(record, shown)
+        waves, measured = signal_rows(record, excitations), signal_rows(record, shown)
         tail, alike = np.zeros(0), 0
         model = models[place]
         if isinstance(model, TimedLoop):
@@ -154,16 +154,21 @@ def check_start(models: Sequence[ParametricModel], begin: np.ndarray) -> None:
         )  # fmt: skip
 
 
-def check_records(machine: Machine, records: Sequence[Record]) -> tuple[OperatingPoint, float]:
+def check_records(machine: Machine, records: Sequence[Record], one_rate: bool = True) -> tuple[OperatingPoint, float]:
     """The one operating point and the sample time [s] that all records share, which are of this machine; else InvalidInput."""
-    points, dt = operating_points(machine, records)
-    if len(points) > 1:
-        raise invalid("an operating point", points[1], f"{points[0]}, that of the first record", "identify each on its own")
+    points, dt = operating_points(machine, records, one_rate)
+    for number, record in enumerate(records, 1):
+        if replace(record.point, label="") != points[0]:
+            requirement = f"{points[0]}, that of the first"
+            raise invalid(f"the operating point of record {number}", record.point, requirement, "identify each on its own")
     return records[0].point, dt
 
 
-def operating_points(machine: Machine, records: Sequence[Record]) -> tuple[list[OperatingPoint], float]:
-    """The distinct operating points, without labels, and the sample time [s] of records of this machine; else InvalidInput."""
+def operating_points(machine: Machine, records: Sequence[Record], one_rate: bool = True) -> tuple[list[OperatingPoint], float]:
+    """The distinct operating points, without labels, and the sample time [s] of records of this machine; else InvalidInput.
+
+    one_rate: whether all must be sampled alike.
+    """
     if not records:
         raise InvalidInput("no record was given; identification needs at least one")
     first, points = records[0], []
@@ -171,7 +176,7 @@ def operating_points(machine: Machine, records: Sequence[Record]) -> tuple[list[
         if record.machine != machine.name:
             remedy = "take that machine's file, or correct the record's attribute machine"
             raise invalid(f"the machine of record {number}", repr(record.machine), repr(machine.name), remedy)
-        if abs(record.sample_rate_hz - first.sample_rate_hz) > 1e-9 * first.sample_rate_hz:
+        if one_rate and abs(record.sample_rate_hz - first.sample_rate_hz) > 1e-9 * first.sample_rate_hz:
             raise invalid(
                 f"the sample rate of record {number}", f"{record.sample_rate_hz:g} Hz",
                 f"{first.sample_rate_hz:g} Hz, that of the first", "identify them one by one",
@@ -270,9 +275,3 @@ def _spread(signal: np.ndarray) -> float:
     mean = float(signal.mean())
     squares = sum(float(np.sum((signal[i : i + _WINDOW] - mean) ** 2)) for i in range(0, len(signal), _WINDOW))
     return float(np.sqrt(squares / len(signal)))
-
-
-def _rows(record: Record, names: Sequence[str]) -> list[np.ndarray]:
-    """The signals (k,), as views; zeros that take no memory for those that the record lacks."""
-    zeros = np.broadcast_to(0.0, (record.values.shape[1],))
-    return [record.values[record.signals.index(name)] if name in record.signals else zeros for name in names]

@@ -9,7 +9,7 @@ pressure, noise that does not repeat) drops out. What the model lacks shows as a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.frf.phasors import Phasors, Step, find_steps, phasors
+from ambrose.identification.output_error.problem import operating_points
 from ambrose.identification.seal.result import SealFit
 from ambrose.machine.description import OperatingPoint, Seal
 from ambrose.machine.machine import Machine
@@ -54,11 +55,7 @@ def identify(
     the machine must be exact. Raises InvalidInput.
     """
     name = seal_name(machine, seal)
-    if not records:
-        raise InvalidInput("no record was given; stepped sines need at least one per pressure")
-    for number, record in enumerate(records, 1):
-        if record.machine != machine.name:
-            raise invalid(f"the machine of record {number}", repr(record.machine), repr(machine.name), "take its own file")
+    operating_points(machine, records, one_rate=False)
     groups: dict[float, list[Record]] = {}
     for record in records:
         groups.setdefault(record.point.seal_pressure, []).append(record)
@@ -77,27 +74,25 @@ def identify(
         raise InvalidInput(
             "no frequency was driven both with and without pressure; add records under pressure, with the same frequencies"
         )
-    return replace(_result(machine, name, rows), warnings=_warnings(records, rows))
+    return replace(_result(machine, name, rows), warnings=tuple(_warnings(records, rows)))
 
 
-def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]) -> tuple[Finding, ...]:
+def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]) -> Iterator[Finding]:
     """What makes rows doubtful: unbalance at the same frequency, and k lost in noise."""
-    warnings = []
     speeds = {abs(record.point.speed) for record in records if record.point.speed}
     for w in dict.fromkeys(item.frequency for _, item in rows):
         for speed in speeds:
             if abs(w - speed) < _NEAR_SPEED * 2 * np.pi:
                 what = f"the step at {w / 2 / np.pi:g} Hz lies at the speed of {speed / 2 / np.pi:g} Hz"
                 remedy = "leave it out, or take records with and without excitation"
-                warnings.append(Finding(Code.AT_SPEED, WARNING, what, "unbalance answers too", remedy))
+                yield Finding(Code.AT_SPEED, WARNING, what, "unbalance answers too", remedy)
     for pressure, item in rows:
         k, deviation = item.pair[1].real, float(np.std(item.pairs[:, 1].real, ddof=1)) / len(item.pairs) ** 0.5
         if deviation > _UNSURE * abs(k):
             where = f"at {pressure:g} Pa and {item.frequency / 2 / np.pi:g} Hz"
             what = f"{where} k = {k:.3g} has the standard deviation {deviation:.2g}"
             remedy = "excite more, dwell longer, or leave the frequency out"
-            warnings.append(Finding(Code.NOISY, WARNING, what, "the motion drowns in noise", remedy))
-    return tuple(warnings)
+            yield Finding(Code.NOISY, WARNING, what, "the motion drowns in noise", remedy)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,8 +134,7 @@ def _measure(machine: Machine, record: Record, step: Step, settle: float, curren
     if currents not in (None, *CURRENTS):
         raise invalid("currents", repr(currents), " or ".join(CURRENTS), "correct it")
     names = [f"y_{a}" for a in axes] + [f"{kind}_{a}" for kind in ("i" if measured else "ue") for a in axes]
-    known = [name for name in names if name in record.signals or not name.startswith("e_")]
-    return phasors(record, step, known, settle), measured
+    return phasors(record, step, names, settle), measured
 
 
 class _Model:
@@ -172,7 +166,7 @@ class _Model:
         if measured:
             current = np.array([at[f"i_{a}"] for a in self.axes])
         else:
-            command = np.array([at[f"u_{a}"] + at.get(f"e_{a}", 0.0) for a in self.axes])
+            command = np.array([at[f"u_{a}"] + at[f"e_{a}"] for a in self.axes])
             current = self.current_by_command[i] @ command
         force = self.k_i * current
         f, *_ = np.linalg.lstsq(self.measured_by_seal[i], y - self.measured_by_force[i] @ force, rcond=None)
@@ -230,13 +224,10 @@ def _corrected(item: _Stiffness, lacking: dict[float, Any], zero: list[_Stiffnes
     other = next((one for one in zero if _key(one.frequency) == _key(item.frequency)), None)
     if other is None:
         return shifted
-    return replace(shifted, pairs=_widened(item.pairs, other.pairs), matrices=_widened(item.matrices, other.matrices))
-
-
-def _widened(own: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Blocks whose mean has the scatter of the difference: own blocks less those of the reference, in their order."""
-    count = min(len(own), len(other))
-    return own[:count] - other[:count]
+    count = min(len(item.pairs), len(other.pairs))  # the blocks' means then scatter as the difference does
+    return replace(
+        shifted, pairs=item.pairs[:count] - other.pairs[:count], matrices=item.matrices[:count] - other.matrices[:count]
+    )
 
 
 def _result(machine: Machine, name: str, rows: list[tuple[float, _Stiffness]]) -> SealFit:

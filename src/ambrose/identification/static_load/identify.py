@@ -5,15 +5,13 @@ the (flexible) rotor on its couplings and seals leaves exactly one force per con
 
     K q = N_f' F + N_b' f_b,   S q = y,      K: rotor, couplings and seals without the magnets,
 
-and k_i is the slope of f_b - k_s q_b over the control current: where the integrator holds the rotor the second term is small,
-and zero in paper P2 (section 5), whose A x = b this is. A chord over the loads, where identification from small motion
-(output_error/closed_loop.py) finds the tangent at the working point: the two part where the iron saturates, which ``local``
-shows.
+and k_i is the slope of f_b - k_s q_b over the control current; the second term is zero in paper P2 (section 5), whose A x = b
+this is. A chord over the loads: it parts from the tangent that small motion shows where the iron saturates (``local``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,7 +115,7 @@ def identify(
     share = np.ptp(k_s * places, axis=0) / np.ptp(force, axis=0)
     local = tuple(_local(levels, i, force[:, i] - _unloaded(levels, force[:, i])) for i in range(len(axes)))
     values, deviations, at_rest, rest_deviations, linearity = (np.array(column) for column in zip(*rows, strict=True))
-    warnings = _warnings(axes, relative, share, linearity, values, at_rest)
+    warnings = tuple(_warnings(axes, relative, share, linearity, values, at_rest))
     own = np.concatenate([magnet.linearised(b, point.bias_current).force_per_current for b in machine.bearings])
     return StaticLoad(
         machine.name, point, axes, own, values, deviations, at_rest, rest_deviations, linearity, share, effect, levels,
@@ -243,22 +241,21 @@ def _local(levels: Levels, i: int, force: np.ndarray) -> LocalSlopes:
 
 def _warnings(
     axes: tuple[str, ...], forces: np.ndarray, share: np.ndarray, linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray
-) -> tuple[Finding, ...]:
-    rows = []
+) -> Iterator[Finding]:
     for i, axis in enumerate(axes):
         low, high = -forces[:, i].min(), forces[:, i].max()
         if min(low, high) < _SIDED * max(low, high):
             evidence = "friction, hysteresis and saturation then shift its slope unseen"
-            rows.append((Code.ONE_SIDED, f"{axis} was loaded to one side only", evidence, "load it in both directions"))
+            what = f"{axis} was loaded to one side only"
+            yield Finding(Code.ONE_SIDED, WARNING, what, evidence, "load it in both directions")
         if share[i] > _MOVED:
             what = f"at {axis} {share[i]:.0%} of the magnet's force comes from displacement"
             evidence = "the position is not held (a controller without integrator?)"
-            rows.append((Code.NOT_HELD, what, evidence, "K_i is as uncertain as the K_s taken for it"))
+            yield Finding(Code.NOT_HELD, WARNING, what, evidence, "K_i is as uncertain as the K_s taken for it")
         if linearity[i] < _LINEAR and abs(values[i] / at_rest[i] - 1) > 0.01:
             what = f"force over current of {axis} is curved"
             both = f"{at_rest[i]:.4g} N/A at the working point, {values[i]:.4g} N/A as a line over these loads"
-            rows.append((Code.CURVED, what, f"{both} (the iron saturates)", "small motion finds the first"))
-    return tuple(Finding(code, WARNING, what, evidence, remedy) for code, what, evidence, remedy in rows)
+            yield Finding(Code.CURVED, WARNING, what, f"{both} (the iron saturates)", "small motion finds the first")
 
 
 def _verdict(axes: tuple[str, ...], linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray) -> str:

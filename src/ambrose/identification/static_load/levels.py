@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.identification.output_error.problem import as_records
+from ambrose.identification.excitation import signal_rows
+from ambrose.identification.output_error.problem import as_records, check_records
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 
@@ -21,12 +22,12 @@ _CHANCE = 1e-3  # probability that noise alone makes any level of a signal drift
 @dataclass(frozen=True, slots=True, eq=False)
 class Levels:
     """m steady levels: loads (m, p) [N] at ``ports``, displacement (m, a) [m] at the sensors and control current (m, a) [A],
-    each the mean over the end of its level, with standard errors; record (m,) its number from 1, and start (m,) [s]."""
+    each the mean over the end of its level, the current with its standard error; record (m,) its number from 1,
+    start (m,) [s]."""
 
     ports: tuple[str, ...]
     loads: np.ndarray
     displacement: np.ndarray
-    displacement_deviation: np.ndarray
     current: np.ndarray
     current_deviation: np.ndarray
     record: np.ndarray
@@ -42,14 +43,15 @@ def steady_levels(machine: Machine, records: Record | Sequence[Record], *, avera
     """
     average = check_positive(average, "average", "give the seconds to average at the end of every level")
     records = as_records(records)
-    _check_records(machine, records)
+    check_records(machine, records, one_rate=False)
+    _check_free(records)
     ports = tuple(dict.fromkeys(name[2:] for r in records for name in r.signals if _is_load(name) and r[name].any()))
     if not ports:
         raise InvalidInput("the records hold no load: no signal f_<port> differs from zero; record the force transducer as one")
     size = max(float(np.ptp(record[f"f_{port}"])) for record in records for port in ports if f"f_{port}" in record.signals)
     rows = []
     for number, record in enumerate(records, 1):
-        loads = np.stack([record[f"f_{p}"] if f"f_{p}" in record.signals else np.zeros(len(record.time)) for p in ports])
+        loads = np.stack(signal_rows(record, [f"f_{port}" for port in ports]))
         y = np.stack([_signal(record, number, ("y",), axis) for axis in machine.axes])
         i = np.stack([_signal(record, number, ("i", "u"), axis) for axis in machine.axes])
         count = max(round(average * record.sample_rate_hz), 2 * _BATCHES)
@@ -63,23 +65,15 @@ def steady_levels(machine: Machine, records: Record | Sequence[Record], *, avera
     numbers, start = np.array([row[3] for row in rows]), np.array([row[4] for row in rows])
     for kind, batches in (("y", y), ("i", i)):
         _check_steady(machine, kind, batches, numbers, start, drift)
-    return Levels(ports, loads, y.mean(axis=2), _error(y), i.mean(axis=2), _error(i), numbers, start)
+    return Levels(ports, loads, y.mean(axis=2), i.mean(axis=2), _error(i), numbers, start)
 
 
 def _is_load(name: str) -> bool:
     return name.startswith("f_") and not name.startswith("f_magnet_")
 
 
-def _check_records(machine: Machine, records: tuple[Record, ...]) -> None:
-    if not records:
-        raise InvalidInput("no record was given; static loads need at least one")
+def _check_free(records: tuple[Record, ...]) -> None:
     for number, record in enumerate(records, 1):
-        if record.machine != machine.name:
-            remedy = "take that machine's file, or correct the record's attribute machine"
-            raise invalid(f"the machine of record {number}", repr(record.machine), repr(machine.name), remedy)
-        if replace(record.point, label="") != replace(records[0].point, label=""):
-            requirement = f"{records[0].point}, that of the first"
-            raise invalid(f"the operating point of record {number}", record.point, requirement, "treat each on its own")
         outcome = dict(record.notes).get("outcome", "")
         if outcome.startswith(("touchdown", "diverged", "not levitated")):
             raise InvalidInput(f"in record {number} the rotor did not stay free ({outcome}); lower the loads and measure again")

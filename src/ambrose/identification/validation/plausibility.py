@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from ambrose.identification.data_quality.channels import measured_responses
+from ambrose.identification.data_quality.channels import compared_responses
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.validation.simulated_output import SimulatedOutput
@@ -34,9 +33,8 @@ def diagnose_outputs(machine: Machine, outputs: Sequence[SimulatedOutput], numbe
     return tuple(findings)
 
 
-def _signs(result: ParameterEstimate) -> list[Finding]:
+def _signs(result: ParameterEstimate) -> Iterator[Finding]:
     """Values that no machine has."""
-    findings = []
     for path, value in zip(result.paths, result.values, strict=True):
         if path in TIMING:
             continue
@@ -46,13 +44,12 @@ def _signs(result: ParameterEstimate) -> list[Finding]:
             what = f"{path} = {value:.4g} cannot be"
             evidence = "it must be positive"
             remedy = "look for an inverted channel, another machine or another controller; or take it as known"
-            findings.append(Finding(Code.IMPOSSIBLE_VALUE, ERROR, what, evidence, remedy))
+            yield Finding(Code.IMPOSSIBLE_VALUE, ERROR, what, evidence, remedy)
         elif parameter.quantity == "negative_stiffness" and value <= 0:
             what = f"{path} = {value:.4g} N/m is not destabilising"
             evidence = "a biased magnet always is"
             remedy = "look for another controller or gain, a stiffness that is missing in the model, or too little excitation"
-            findings.append(Finding(Code.NOT_DESTABILISING, WARNING, what, evidence, remedy))
-    return findings
+            yield Finding(Code.NOT_DESTABILISING, WARNING, what, evidence, remedy)
 
 
 def _sizes(result: ParameterEstimate) -> list[Finding]:
@@ -93,13 +90,11 @@ def _missed(machine: Machine, output: SimulatedOutput, number: int) -> list[Find
     if any(f"y_{axis}" not in output.signals for axis in axes):
         return []
     names = [f"y_{axis}" for axis in axes]
-    driven = [name for name in output.record.signals if name[:2] == "e_"]
-    kept = output.record.select([*names, *driven])
-    rows = [output.signals.index(name) for name in names]
-    measured = measured_responses([kept], axes)
-    rest = measured_responses([replace(kept, values=np.vstack([output.residual[rows], kept.values[len(axes) :]]))], axes)
-    if measured is None or rest is None:
+    residual = output.residual[[output.signals.index(name) for name in names]]
+    responses = compared_responses(output.record, names, residual, axes)
+    if responses is None:
         return []
+    measured, rest = responses
 
     def power(values: np.ndarray) -> np.ndarray:
         return np.sum(np.abs(values) ** 2, axis=(0, 2))
@@ -117,9 +112,8 @@ def _missed(machine: Machine, output: SimulatedOutput, number: int) -> list[Find
     return [Finding(Code.MISSING_RESPONSE, ERROR, what, evidence, remedy)]
 
 
-def _bursts(output: SimulatedOutput, number: int) -> list[Finding]:
+def _bursts(output: SimulatedOutput, number: int) -> Iterator[Finding]:
     """Short times in which a signal leaves the model: lost samples, knocks, contact."""
-    findings = []
     for name, row in zip(output.signals, output.residual, strict=True):
         size = np.abs(row)
         quiet = 1.4826 * float(np.median(size))
@@ -130,8 +124,7 @@ def _bursts(output: SimulatedOutput, number: int) -> list[Finding]:
             what = f"record {number}: {name} leaves the model for a short time"
             evidence = f"at t = {at}{' and later' if len(starts) > 4 else ''} by up to {size.max() / quiet:.0f} times the usual"
             remedy = "a knock, contact or lost samples: cut the record there and identify again"
-            findings.append(Finding(Code.BURST, WARNING, what, evidence, remedy))
-    return findings
+            yield Finding(Code.BURST, WARNING, what, evidence, remedy)
 
 
 def delay_findings(

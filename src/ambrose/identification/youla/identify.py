@@ -3,8 +3,7 @@
 From a record of the loop v = K y + e two observers make alpha = V~ v - U~ y = V~ e, which no noise disturbs, and
 eps = M~ y - N~ v = S(theta) alpha + (M~ + S U~) d (core/realisation/coprime.py). S is stable and zero for the machine as
 modelled, so that eps shows directly by how much the machine differs. The parameters are fitted to it by the least squares of
-output_error/closed_loop.py. Both methods simulate the same loop; here the error is weighted by M~ (I + G K), which takes the
-loop's colour out of the noise: with the observer of ``factors`` white measurement noise stays white, and least squares is
+output_error/closed_loop.py, with the error weighted by M~ (I + G K): white measurement noise stays white, and least squares is
 efficient near the machine modelled. Lauridsen's paper P1; Hansen, Franklin & Kosut (1989).
 """
 
@@ -16,13 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_finite, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.realisation.coprime import CoprimeFactors, coprime_factors, injection_gain
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.excitation import signal_rows
 from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.closed_loop import ParameterEstimate, fit_samples
+from ambrose.identification.output_error.loop_model import LoopModel
 from ambrose.identification.output_error.normal_equations import Task, distinct
 from ambrose.identification.output_error.problem import (
     Experiment,
@@ -35,7 +36,7 @@ from ambrose.identification.output_error.problem import (
     start_values,
 )
 from ambrose.identification.parameters import expand, nominal_values
-from ambrose.identification.youla.residual_model import HeldResidual, SampledResidual, held_residual, sampled_residual
+from ambrose.identification.youla.residual_model import SampledResidual, held_residual, sampled_residual
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
@@ -52,7 +53,7 @@ class ResidualIdentification:
     """The estimate (values, covariance, tests) and how it was reached: the factors, S at its values, and its signals.
 
     residual: S from alpha to eps, sampled. signals: per record alpha_u_<axis> [A] and eps_y_<axis> [m], for frf.h1 and
-    ``residual_free.finite_response``. controller_error: the share of the recorded currents, from 0, that the controller given
+    ``impulse_response.finite_response``. controller_error: share of the recorded currents, from 0, that the controller given
     does not explain (the largest of all records; NaN where u was not recorded apart).
     """
 
@@ -101,14 +102,16 @@ def identify(
             f"the controller given does not explain {100 * error:.0f} % of the recorded currents u_<axis>; it is not the one "
             "that ran, or its output was limited: check sign, units, sample rate, computing_delay and the order of the axes"
         )
-    model = sampled_residual(plant, factors, paths, nominal, _whitening(covariance))
+    whitening = _whitening(covariance)
+    model = sampled_residual(plant, factors, paths, nominal, whitening)
     estimate = _fit(plant, model, paths, nominal, begin, signals, how)
     if error > _OTHER:
         what = f"the controller given leaves {100 * error:.1f} % of the recorded currents unexplained"
         remedy = "the parameters found are biased by as much as it differs from the one that ran"
         warning = Finding(Code.OTHER_CONTROLLER, WARNING, what, remedy=remedy)
         estimate = replace(estimate, warnings=(*estimate.warnings, warning))
-    S = residual_at(model, estimate.values)
+    S, _ = model.loop(estimate.values)
+    S = replace(S, C=np.linalg.solve(whitening, S.C))
     return ResidualIdentification(estimate, factors, S, signals, error)
 
 
@@ -158,7 +161,7 @@ def identify_injected(
 
 def _fit(
     plant: Plant,
-    model: SampledResidual | HeldResidual,
+    model: SampledResidual | LoopModel,
     paths: tuple[str, ...],
     nominal: np.ndarray,
     begin: np.ndarray,
@@ -238,8 +241,7 @@ def controller_error(factors: CoprimeFactors, record: Record) -> float:
 def _command(factors: CoprimeFactors, record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the amplifiers receive (m, k), what the sensors measure (p, k), and the excitation (m, k)."""
     axes = [name.removeprefix("u_") for name in factors.plant.inputs]
-    k = record.values.shape[1]
-    e = np.stack([record[f"e_{axis}"] if f"e_{axis}" in record.signals else np.zeros(k) for axis in axes])
+    e = np.stack(signal_rows(record, [f"e_{axis}" for axis in axes]))
     u = np.stack([record[f"u_{axis}"] for axis in axes])
     return u + e, np.stack([record[name] for name in factors.plant.outputs]), e
 
@@ -285,17 +287,11 @@ def _sizes(plant: Plant, noise: Mapping[str, float] | None) -> np.ndarray:
     for name in noise or {}:
         if name not in names:
             raise invalid("noise", repr(name), f"given for {', '.join(names)}", "name the measured displacements")
-    values = [float(check_finite((noise or {}).get(name, np.nan if noise else 1.0), f"the noise of {name}")) for name in names]
-    return np.array([check_positive(value, f"the noise of {name}", "in m") for name, value in zip(names, values, strict=True)])
+    sizes = {name: np.nan if noise else 1.0 for name in names} | dict(noise or {})
+    return np.array([check_positive(sizes[name], f"the noise of {name}", "in m") for name in names])
 
 
 def _whitening(covariance: np.ndarray) -> np.ndarray:
     """The symmetric W (p, p) with W covariance W = I, times the noise's mean size, so that eps keeps its unit."""
     values, V = np.linalg.eigh(covariance)
     return (V / np.sqrt(values)) @ V.T * float(np.exp(np.log(values).mean() / 2))
-
-
-def residual_at(model: SampledResidual, theta: np.ndarray) -> StateSpace:
-    """S at theta (q,), eps not whitened."""
-    S, _ = model.loop(theta)
-    return StateSpace(S.A, S.B, np.linalg.solve(model.whitening, S.C), S.D, S.inputs, S.outputs, S.dt)

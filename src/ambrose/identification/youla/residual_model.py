@@ -15,7 +15,7 @@ import numpy as np
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.realisation.coprime import CoprimeFactors, residual_lft
-from ambrose.core.response import SystemDerivative, held_derivative
+from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace, index_of
 from ambrose.identification.output_error.loop_model import LoopModel, directions_of, loop_model
 from ambrose.machine.description import Tolerance
@@ -61,35 +61,6 @@ class SampledResidual:
         return StateSpace(A, B, C, D, self.excitations, self.signals, loop.dt), directions
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldResidual:
-    """S(theta), continuous, with alpha held over dt [s]: A (n, n), B (n, m), C (p, n) at theta0 (q,), and A_theta (q, n, n),
-    B_theta (q, n, m)."""
-
-    theta0: np.ndarray
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    A_theta: np.ndarray
-    B_theta: np.ndarray
-    dt: float
-    excitations: tuple[str, ...]
-    signals: tuple[str, ...]
-
-    def continuous(self, theta: np.ndarray) -> StateSpace:
-        """S(theta) before it is sampled."""
-        step = theta - self.theta0
-        A, B = self.A + np.tensordot(step, self.A_theta, 1), self.B + np.tensordot(step, self.B_theta, 1)
-        return StateSpace(A, B, self.C, np.zeros((len(self.C), B.shape[1])), self.excitations, self.signals)
-
-    def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
-        """S at theta (q,), sampled, and its derivative for each parameter."""
-        S = self.continuous(theta)
-        A, B, dA, dB = held_derivative(S.A, S.B, self.A_theta, self.B_theta, self.dt)
-        directions = [SystemDerivative(a, b, np.zeros_like(S.C), S.D) for a, b in zip(dA, dB, strict=True)]
-        return StateSpace(A, B, S.C, S.D, self.excitations, self.signals, self.dt), directions
-
-
 def sampled_residual(
     plant: Plant, factors: CoprimeFactors, paths: Sequence[str], nominal: np.ndarray, whitening: np.ndarray
 ) -> SampledResidual:
@@ -116,8 +87,11 @@ def uncertain_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[st
     return residual_lft(factors, named)
 
 
-def held_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str], nominal: np.ndarray, dt: float) -> HeldResidual:
-    """S(theta) of the continuous loop of ``factors``, alpha held over dt [s]; nominal (q,): the parameters' values, SI."""
+def held_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str], nominal: np.ndarray, dt: float) -> LoopModel:
+    """S(theta) of the continuous loop of ``factors``, alpha held over dt [s]: a loop whose controller is in the plant.
+
+    nominal (q,): the parameters' values, SI.
+    """
     general = uncertain_residual(plant, factors, paths)
     system = general.system
     u, y = index_of(general.u, system.inputs, "input"), index_of(general.y, system.outputs, "output")
@@ -125,4 +99,6 @@ def held_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str], n
     count = general.n_w_blocks
     if system.D[: general.n_z_blocks, :count].any() or system.D[np.ix_(y, [*range(count), *u])].any():
         raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
-    return HeldResidual(nominal, system.A, system.B[:, u], system.C[y], dA, dB, dt, factors.alpha, factors.eps)
+    none = StateSpace(*np.zeros((4, 0, 0)), (), (), dt)
+    B, C = system.B[:, u], system.C[y]
+    return LoopModel(nominal, system.A, B, C, dA, dB, none, factors.alpha, factors.eps, np.ones(len(nominal)))
