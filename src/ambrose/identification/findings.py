@@ -33,7 +33,7 @@ class Code(StrEnum):
     OTHER_DELAY = "other-delay"  # another computing delay explains the record better
     CHANNEL_SKEW = "channel-skew"  # channels recorded at different times
     LOST_SAMPLES = "lost-samples"
-    # The fit (output_error/summary.py, youla/identify.py)
+    # The fit (output_error/statistics.py, youla/identify.py)
     NOT_CONVERGED = "not-converged"
     HARDLY_VISIBLE = "hardly-visible"  # a parameter with a wide interval
     CORRELATED = "correlated"  # two parameters that are hardly told apart

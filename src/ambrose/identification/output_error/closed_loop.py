@@ -43,7 +43,6 @@ from ambrose.identification.output_error.problem import (
     start_values,
 )
 from ambrose.identification.output_error.residual_analysis import residual_scores
-from ambrose.identification.output_error.summary import verdict_of, warnings_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
@@ -253,8 +252,8 @@ def _estimate(
     covariance = statistics.sandwich_covariance(H, middle)
     correlation, cosine = statistics.parameter_correlation(H), statistics.column_cosine(H)
     condition = float(np.linalg.cond(cosine))
-    verdict = verdict_of(tests, minimum.converged)
-    warnings = warnings_of(experiment.paths, minimum, covariance, correlation, tests, verdict)
+    verdict = statistics.verdict_of(tests, minimum.converged)
+    warnings = tuple(statistics.warnings_of(experiment.paths, minimum, covariance, correlation, tests, verdict))
     return ParameterEstimate(
         experiment.machine, experiment.point, experiment.paths, minimum.x, begin, covariance, correlation, cosine, tuple(fits),
         tuple(tests), condition, minimum.converged, minimum.iterations, warnings, verdict,

@@ -6,6 +6,7 @@ Marquardt's scaling by the diagonal of J'J (1963); the gain ratio steers the dam
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,7 +76,10 @@ def minimise(
             trial = x + step
             if predicted <= negligible * state.cost and damping < 1e-3 and allowed(trial):
                 return Minimum(trial, state.cost - predicted, True, iteration + 1, refused, state.parts)
-            following = _tried(linearise, trial) if allowed(trial) else None  # most are accepted: then nothing was in vain
+            following = None
+            if allowed(trial):
+                with suppress(InvalidInput):  # where a trial says nothing, as at the edge of stability
+                    following = linearise(trial)
             gain = (state.cost - following.cost) / predicted if following is not None else -1.0
             if following is not None and gain > 0:
                 damping, growth = max(damping * max(1 / 9, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
@@ -86,11 +90,3 @@ def minimise(
                 return Minimum(x, state.cost, False, iteration, refused, state.parts)
         x, state = trial, following
     return Minimum(x, state.cost, False, max_iterations, refused, state.parts)
-
-
-def _tried(linearise: Callable[[np.ndarray], Linearised], trial: np.ndarray) -> Linearised | None:
-    """The normal equations at a trial step, or None where they say nothing, as at the edge of stability."""
-    try:
-        return linearise(trial)
-    except InvalidInput:
-        return None

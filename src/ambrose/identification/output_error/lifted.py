@@ -61,10 +61,7 @@ def lift(system: StateSpace, directions: Sequence[SystemDerivative], length: int
     maps[1:, :n] = dO.transpose(1, 3, 2, 0).reshape(q, n, p * L)
     maps[:, n:] = _toeplitz(h).reshape(1 + q, m * L, p * L)
     pushed = R[::-1].transpose(2, 0, 1).reshape(m * L, n)
-    powers = np.empty((_GROUP + 1, n, n))
-    powers[0] = np.eye(n)
-    for i in range(_GROUP):
-        powers[i + 1] = powers[i] @ P.T
+    powers = powers_of(P.T, _GROUP + 1)
     return Lifted(powers, _triangle(powers), pushed, np.vstack([by_state, by_input]), shown, maps, p)
 
 
@@ -130,6 +127,15 @@ def _triangle(powers: np.ndarray) -> np.ndarray:
     lag = np.arange(group)[None] - np.arange(group)[:, None]
     held = np.where((lag >= 0)[:, :, None, None], powers[np.maximum(lag, 0)], 0.0)
     return held.transpose(0, 2, 1, 3).reshape(group * n, group * n)
+
+
+def powers_of(P: np.ndarray, count: int) -> np.ndarray:
+    """I, P, P^2, ... (count, n, n)."""
+    powers = np.empty((count, *P.shape))
+    powers[0] = np.eye(len(P))
+    for i in range(1, count):
+        powers[i] = powers[i - 1] @ P
+    return powers
 
 
 def blocks(signal: np.ndarray, length: int) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.levenberg_marquardt import Linearised
-from ambrose.identification.output_error.lifted import BLOCK, Lifted, blocks, lift, stream
+from ambrose.identification.output_error.lifted import BLOCK, Lifted, blocks, lift, powers_of, stream
 
 _INVISIBLE = 1e-10  # directions of the initial state seen weaker than this (squared) are left at zero: rounding rules there
 _BLIND = 1e-9  # part of a parameter's effect (squared) that must remain beside them
@@ -66,15 +66,6 @@ class RecordSolution:
     db: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """A record at one theta: residual (p, k) and the estimated initial state x0 (n,), offsets b (p,)."""
-
-    residual: np.ndarray
-    x0: np.ndarray
-    b: np.ndarray
-
-
 def distinct(e: Sequence[np.ndarray]) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     """The r signals (k,) and mix (m, r) with e (m, k) = mix signals: equal, opposite and absent excitations are taken once."""
     rows: list[np.ndarray] = []
@@ -103,14 +94,12 @@ def _driven(system: StateSpace, directions: list[SystemDerivative], task: Task) 
     return mixed, [SystemDerivative(d.A, d.B @ task.mix, d.C, d.D @ task.mix) for d in directions]
 
 
-def fit(system: StateSpace, task: Task) -> Fit:
-    """The residual of a whole record with the best initial state and offsets; ``system`` from the task's signals e to its
-    outputs over their weights."""
-    task = replace(task, mix=np.eye(len(task.e)))
-    p = len(system.outputs)
+def fit(system: StateSpace, task: Task) -> tuple[np.ndarray, RecordSolution]:
+    """The residual (p, k) of a whole record with the best initial state and offsets, and those; ``system`` as in
+    ``normal_equations``."""
     best = normal_equations(system, [], task)
-    residual = np.concatenate([piece[:p] for piece in residual_pieces(system, task, best)], axis=1)
-    return Fit(residual, best.x0, best.b)
+    pieces = [piece[: len(system.outputs)] for piece in residual_pieces(system, task, best)]
+    return np.concatenate(pieces, axis=1), best
 
 
 def normal_equations(system: StateSpace, directions: list[SystemDerivative], task: Task) -> RecordSolution:
@@ -152,7 +141,7 @@ def _products(
             continue
         count = F.shape[1]
         if count > len(powers):
-            powers = _powers(lifted.powers[1].T, count + 1)
+            powers = powers_of(lifted.powers[1].T, count + 1)
         both = (F.reshape(q1 * count, -1) @ seen_by).reshape(q1, count, n + p)
         N[:, n:] += both[:, :, n:].sum(axis=1)
         N[:, :n] += both[:, :, :n].reshape(q1, count * n) @ powers[:count].reshape(count * n, n) @ ahead
@@ -201,15 +190,6 @@ def _in_time(F: np.ndarray, length: int) -> np.ndarray:
     """(c, count, p, L) as (c, p, length)."""
     c, count, p, L = F.shape
     return F.transpose(0, 2, 1, 3).reshape(c, p, count * L)[:, :, :length]
-
-
-def _powers(P: np.ndarray, count: int) -> np.ndarray:
-    """I, P, P^2, ... (count, n, n)."""
-    powers = np.empty((count, *P.shape))
-    powers[0] = np.eye(len(P))
-    for i in range(1, count):
-        powers[i] = powers[i - 1] @ P
-    return powers
 
 
 def _nuisance_basis(system: StateSpace, task: Task) -> np.ndarray:

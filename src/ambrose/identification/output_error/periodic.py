@@ -2,9 +2,8 @@
 
 Over M whole periods the mean period x(t) obeys z X = A X + B U + z d at the lines z = exp(2 pi i k/P), d = (x(0) - x(M P))/M:
 no leakage, and no need for a steady state, since the n numbers d are eliminated like an initial state (Pintelon & Schoukens
-2012, ch. 2 and 6). Lines without excitation tell nothing of the loop and are left out, and so are those above the frequency up
-to which nearly all is told. How the periods scatter about their mean gives the noise at each line without a model of it, hence
-the covariance.
+2012, ch. 2 and 6). Lines without excitation are left out, and so are those above the frequency up to which nearly all is told.
+The scatter of the periods about their mean gives the noise at each line without a model of it, hence the covariance.
 """
 
 from __future__ import annotations

@@ -1,16 +1,19 @@
-"""What a least-squares fit is worth: covariance under coloured noise, correlations, goodness of fit, what residuals hold."""
+"""What a least-squares fit is worth: covariance under coloured noise, correlations, what residuals hold, warnings, verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
+from ambrose.identification.findings import WARNING, Code, Finding
+from ambrose.identification.output_error.levenberg_marquardt import Minimum
 
 _VISIBLE = 1e-12  # of the strongest parameter's effect; and the least eigenvalue of J'J with a unit diagonal
 _CONFIDENCE = 0.99
+_UNSURE, _ALIKE = 0.3, 0.98  # standard deviation over value, and correlation, that are worth a warning
 _LONGEST = 4096  # samples of the noise's memory that are looked at
 
 
@@ -67,21 +70,15 @@ def sandwich_covariance(H: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return (covariance + covariance.T) / 2
 
 
-def correlation_of(covariance: np.ndarray) -> np.ndarray:
-    """The correlation matrix (q, q) of a covariance (q, q)."""
-    size = np.sqrt(np.diag(covariance))
-    return covariance / size / size[:, None]
-
-
 def column_cosine(H: np.ndarray) -> np.ndarray:
     """The cosines (q, q) of the angles between the columns of J, from H = J'J: NOT a correlation, mostly of the other sign."""
-    return correlation_of(H)
+    size = np.sqrt(np.diag(H))
+    return H / size / size[:, None]
 
 
 def parameter_correlation(H: np.ndarray) -> np.ndarray:
-    """The parameters' correlation (q, q) from (J'J)^-1, as white noise would make it."""
-    size = np.sqrt(np.diag(H))
-    return correlation_of(np.linalg.inv(H / size / size[:, None]))
+    """The parameters' correlation (q, q), (J'J)^-1 scaled to a unit diagonal, as white noise would make it."""
+    return column_cosine(np.linalg.inv(column_cosine(H)))
 
 
 def input_test(
@@ -104,3 +101,43 @@ def input_test(
     limit = float(-ndtri((1 - _CONFIDENCE) / 2 / (tests * (lags + 1)))) * variance**0.5
     worst = int(np.argmax(np.abs(rho)))
     return ResidualTest(signal, name, float(rho[worst]), limit, worst, bool(abs(rho[worst]) <= limit))
+
+
+def warnings_of(
+    paths: tuple[str, ...],
+    minimum: Minimum,
+    covariance: np.ndarray,
+    correlation: np.ndarray,
+    tests: Sequence[ResidualTest],
+    verdict: str,
+) -> Iterator[Finding]:
+    """What makes the result doubtful: not converged, hardly visible, hardly told apart, residuals that follow an excitation."""
+    if not minimum.converged:
+        what = f"not converged after {minimum.iterations} steps"
+        yield Finding(Code.NOT_CONVERGED, WARNING, what, remedy="begin elsewhere, or leave a parameter out")
+    for path, value, deviation in zip(paths, minimum.x, np.sqrt(np.diag(covariance)), strict=True):
+        if value != 0 and deviation > _UNSURE * abs(value):
+            what = f"{path} = {value:.4g} has the standard deviation {deviation:.2g}"
+            remedy = "excite its axis more, record longer, or take it as known"
+            yield Finding(Code.HARDLY_VISIBLE, WARNING, what, "hardly visible in these records", remedy)
+    for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1)), strict=True):
+        what = f"{paths[i]} and {paths[j]} are correlated by {correlation[i, j]:.3f}"
+        remedy = "excite where they differ (other frequencies, other axes), or take one as known"
+        yield Finding(Code.CORRELATED, WARNING, what, "hardly told apart", remedy)
+    if not all(test.passed for test in tests):
+        yield Finding(Code.RESIDUALS, WARNING, verdict)
+
+
+def verdict_of(tests: Sequence[ResidualTest], converged: bool = True) -> str:
+    """One sentence: did the fit converge, do the residuals still follow an excitation, and what to look for if so."""
+    failed = [test for test in tests if not test.passed]
+    prefix = "" if converged else "NOT CONVERGED, these values are not the best ones; "
+    if not failed:
+        return f"{prefix}the residuals hold no trace of the excitation: the model explains all that the records tell (99 %)"
+    worst = max(failed, key=lambda test: abs(test.correlation) / test.limit)
+    return (
+        f"{prefix}the residual of {worst.signal} still follows {worst.excitation} (correlation {worst.correlation:.3f}, "
+        f"{abs(worst.correlation) / worst.limit:.1f} times the 99 % limit, {worst.lag} samples later), and so do "
+        f"{len(failed) - 1} of {len(tests) - 1} other pairs; the model lacks something: look for a delay, "
+        "a different controller, a missing bending mode, magnets beyond their linear range, or a parameter that is not as known"
+    )

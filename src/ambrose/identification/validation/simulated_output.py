@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.delays import AHEAD, TimedLoop
-from ambrose.identification.output_error.loop_model import ParametricModel
+from ambrose.identification.output_error.loop_model import ParametricModel, over_weights
 from ambrose.identification.output_error.normal_equations import fit
 from ambrose.identification.output_error.problem import Experiment
 from ambrose.machine.record.record import Record
@@ -34,9 +33,7 @@ def simulate_outputs(experiment: Experiment, records: Sequence[Record], theta: n
     signals, unit, outputs = experiment.signals, experiment.sizes[:, None], []
     for record, task in zip(records, experiment.tasks, strict=True):
         model, free = experiment.models[task.place], replace(task, initial_state=True, offset=True)
-        loop, _ = model.loop(theta)
-        mixed = StateSpace(loop.A, loop.B @ task.mix, loop.C / unit, loop.D @ task.mix / unit, None, loop.outputs, loop.dt)
-        residual = fit(mixed, free).residual * unit
+        residual = fit(over_weights(model, theta, experiment.sizes)[0], free)[0] * unit
         part = _fitted_part(record, model, task.samples)
         measured = part.select(signals).values
         outputs.append(SimulatedOutput(part, signals, measured, measured - residual))
