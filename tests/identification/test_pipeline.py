@@ -102,7 +102,7 @@ def test_records_may_be_files_and_controllers_anything_with_a_state_space(tmp_pa
         ({"records": [7]}, "record 1 is a int, but must be a Record or the path of one"),
         ({"controller": None}, "controller is missing"),
         ({"controller": "pid.json"}, "the controller is 'pid.json', but must be a StateSpace or a Synthesis"),
-        ({"controller": object()}, "is not numeric"),
+        ({"controller": object()}, "must be something with matrices A, B, C and D"),
         ({"unknown": "bearing.C.force_per_current.zeta"}, 'unknown bearing "C"'),
         ({"unknown": [3]}, "an unknown is 3, but must be a path"),
         ({"start": [1.0]}, "start is .*, but must be a mapping"),

@@ -57,6 +57,8 @@ def identify(
     from ambrose.identification.pipeline import Provenance, check_arguments
     from ambrose.identification.pipeline import identify as run
     from ambrose.identification.validation.agreement import compare as agreement
+    from ambrose.machine.atomic_write import write_text
+    from ambrose.machine.file.update import machine_text
     from ambrose.synthesis.controller_file import read_controller
 
     flags = {item.name: item.opts[-1] for item in context.command.params if item.name}
@@ -73,9 +75,15 @@ def identify(
         law = read_controller(controller).controller if controller else None
         done = run(description, records, law, method=method, provenance=names, progress=progress, **settings)
         compared = None if other is None else agreement(done.result, other)
-        _write(done, output)
+        write_text(output, done.comment + machine_text(done.machine), "machine file")
         if report is not None:
-            _write_page(done, compared, report, progress)
+            from ambrose.report.identification.page import identification_report
+            from ambrose.report.identification.static_load import static_report
+            from ambrose.report.page import write
+
+            progress("writing the report")
+            make = static_report if done.method == "static" else identification_report
+            write(make(done, compared=compared), report)
     if as_json:
         rows = None if compared is None else [row.to_dict() for row in compared]
         files = {"machine_file": str(output), "report": str(report) if report else None}
@@ -102,23 +110,6 @@ def _starts(texts: tuple[str, ...]) -> dict[str, float]:
                 "--start", repr(text), "PATH=VALUE with a number in SI units", "write bearing.A.force_per_current.zeta=140"
             )
     return values
-
-
-def _write(done: Any, output: Path) -> None:
-    from ambrose.machine.atomic_write import write_text
-    from ambrose.machine.file.update import machine_text
-
-    write_text(output, done.comment + machine_text(done.machine), "machine file")
-
-
-def _write_page(done: Any, compared: Any, path: Path, progress: Any) -> None:
-    from ambrose.report.identification.page import identification_report
-    from ambrose.report.identification.static_load import static_report
-    from ambrose.report.page import write
-
-    progress("writing the report")
-    make = static_report if done.method == "static" else identification_report
-    write(make(done, compared=compared), path)
 
 
 def _print(done: Any, compared: Any) -> None:

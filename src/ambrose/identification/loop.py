@@ -52,7 +52,10 @@ def identify_loop(
     unknown = tuple(unknown) or usual_unknowns(machine, records)
     paths = [path for kind in split_timing(machine, unknown) for path in kind]
     if method == "youla":
-        _check_residual(paths, options)
+        youla.check_options(options)
+        for path in paths:
+            if path in TIMING:
+                raise InvalidInput(f"{path} as an unknown goes with the method closed-loop; its delay must be known here")
     setup: dict[str, Any] = {"bending_modes": options.bending_modes, "computing_delay": options.computing_delay}
     progress("checking the records")
     known = {path: value for path, value in (start or {}).items() if path not in TIMING}
@@ -87,13 +90,6 @@ def identify_loop(
         residual=residual, **setup,
     )  # fmt: skip
     return _with_repeats(done, records, identify_alone, progress) if repeats else done
-
-
-def _check_residual(paths: Sequence[str], options: FitOptions) -> None:
-    youla.check_options(options)
-    for path in paths:
-        if path in TIMING:
-            raise InvalidInput(f"{path} as an unknown goes with the method closed-loop; its delay must be known here")
 
 
 def _other_delay(

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.identification.parameters import COVERAGE, Estimate
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.identification.parameters import COVERAGE, Estimate, half_width, part_names
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, Parameter, find_uncertain, parse_parameter
@@ -16,10 +16,8 @@ from ambrose.physics import magnet
 from ambrose.physics.seal import coefficients
 
 
-def update_machine(
-    machine: Machine, result: Estimate, coverage: float = COVERAGE, *, origin: str = "", keep_wider: bool = False
-) -> Machine:
-    """The machine with the values found, and tolerances of ``coverage`` standard deviations (1.96: 95 %) relative to them.
+def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep_wider: bool = False) -> Machine:
+    """The machine with the values found, and tolerances of 1.96 standard deviations (95 %) relative to them.
 
     A bearing identified at another bias current than its own gets a row in ``measured``. Tolerances of the same parameters are
     replaced; keep_wider: not a seal's that is wider than what was found, for it may be the range of operation. A seal holds one
@@ -31,10 +29,9 @@ def update_machine(
     """
     if result.machine != machine.name:
         raise invalid("the machine of the result", repr(result.machine), repr(machine.name), "take the machine it belongs to")
-    check_positive(coverage, "coverage", "1.96 standard deviations cover 95 %")
-    entries = _entries(machine, result, coverage)
+    entries = _entries(machine, result)
     values = [(one.parameter, one.value) for one in entries]
-    tolerances = [_tolerance(one) for one in entries]
+    tolerances = [one.tolerance for one in entries]
     if keep_wider:
         stated = {item.parameter: item for item in machine.tolerances}
         tolerances = [
@@ -55,7 +52,7 @@ def update_machine(
         bearings=tuple(_bearing(item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
         couplings=tuple(couplings),
         amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
-        seals=tuple(_seal(machine, item, result.point, _of("seal", item.name, values)) for item in machine.seals),
+        seals=tuple(_seal(item, result.point, _of("seal", item.name, values)) for item in machine.seals),
         tolerances=(*kept, *tolerances),
         source="; ".join(part for part in (machine.source, origin) if part),
         assumed=tuple(row for row in machine.assumed if not _settled(machine, row[0], [p for p, _ in values])),
@@ -70,15 +67,21 @@ class _Entry:
     value: float
     width: float
 
+    @property
+    def tolerance(self) -> Tolerance:
+        if self.value == 0:
+            return Tolerance(self.parameter.path, absolute=self.width)
+        return Tolerance(self.parameter.path, relative=self.width / abs(self.value))
 
-def _entries(machine: Machine, result: Estimate, coverage: float) -> list[_Entry]:
+
+def _entries(machine: Machine, result: Estimate) -> list[_Entry]:
     """The parameters as a machine file holds them: single entries of a seal's matrices made one coefficient."""
     single: dict[tuple[str, str], list[tuple[float, float]]] = {}
     entries = []
     for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
         if path in TIMING:
             continue  # no parameter of the machine; the controller's settings take its delay
-        parameter, width = find_uncertain(machine, path), coverage * deviation
+        parameter, width = find_uncertain(machine, path), COVERAGE * deviation
         if parameter.table == "seal" and parameter.component:
             single.setdefault((parameter.name, parameter.quantity), []).append((value, width))
         else:
@@ -93,18 +96,11 @@ def _entries(machine: Machine, result: Estimate, coverage: float) -> list[_Entry
     return entries
 
 
-def _tolerance(one: _Entry) -> Tolerance:
-    if one.value == 0:
-        return Tolerance(one.parameter.path, absolute=one.width)
-    return Tolerance(one.parameter.path, relative=one.width / abs(one.value))
-
-
 def _wider(stated: Tolerance | None, identified: Tolerance, value: float) -> Tolerance:
     """The wider of the two, both taken at the identified value."""
     if stated is None:
         return identified
-    widths = [(item.absolute or 0.0) + (item.relative or 0.0) * abs(value) for item in (stated, identified)]
-    return stated if widths[0] > widths[1] else identified
+    return stated if half_width(stated, value) > half_width(identified, value) else identified
 
 
 def _settled(machine: Machine, key: str, identified: Sequence[Parameter]) -> bool:
@@ -113,12 +109,7 @@ def _settled(machine: Machine, key: str, identified: Sequence[Parameter]) -> boo
     name, _, quantity = rest.rpartition(".")
     if table == "amplifier":
         return any(p.table == table and p.quantity == quantity for p in identified)
-    tables = {
-        "bearing": [item.name for item in machine.bearings],
-        "coupling": [item.name for item in machine.couplings],
-        "seal": [item.name for item in machine.seals],
-    }
-    names = [name] if name else tables.get(table, [])
+    names = [name] if name else part_names(machine).get(table, [])
     if not quantity or not names:
         return False
 
@@ -159,24 +150,22 @@ def _bearing(item: MagneticBearing, point: OperatingPoint, values: _Values) -> M
     return replace(item, measured=tuple(rows))
 
 
-def _seal(machine: Machine, item: Seal, point: OperatingPoint, values: _Values) -> Seal:
-    changed = {p.quantity: _in_the_file(machine, p, point, value) for p, value in values}
+def _seal(item: Seal, point: OperatingPoint, values: _Values) -> Seal:
+    """A seal with values at the operating point, those that scale with the pressure at its reference pressure."""
+    changed = {}
+    for parameter, value in values:
+        quantity = parameter.quantity
+        if item.geometry is not None and quantity in {"K", "k", "C", "c"}:
+            remedy = "remove the geometry, or write a table of what was measured (identification/seal/model_updating.py)"
+            raise InvalidInput(f'parameter "{parameter.path}" comes from the geometry of seal {item.name}; {remedy}')
+        if item.table is not None and quantity in dict(item.table.values):
+            remedy = "remove it from the table, or enter the value there by hand"
+            raise InvalidInput(f'parameter "{parameter.path}" is tabulated over {item.table.axes[0][0]}; {remedy}')
+        changed[quantity] = value
+        if quantity in item.scales_with_pressure and item.reference_pressure is not None:
+            if point.seal_pressure == 0:
+                raise InvalidInput(
+                    f'parameter "{parameter.path}" scales with pressure, which was zero; identify it under pressure'
+                )
+            changed[quantity] = value * item.reference_pressure / point.seal_pressure
     return replace(item, **changed)  # type: ignore[arg-type]
-
-
-def _in_the_file(machine: Machine, parameter: Parameter, point: OperatingPoint, value: float) -> float:
-    """A value at the operating point as the machine file holds it: a seal's at its reference pressure."""
-    if parameter.table != "seal":
-        return value
-    item = next(seal for seal in machine.seals if seal.name == parameter.name)
-    if item.geometry is not None and parameter.quantity in {"K", "k", "C", "c"}:
-        remedy = "remove the geometry, or write a table of what was measured (identification/seal/model_updating.py)"
-        raise InvalidInput(f'parameter "{parameter.path}" comes from the geometry of seal {item.name}; {remedy}')
-    if item.table is not None and parameter.quantity in {name for name, _ in item.table.values}:
-        remedy = "remove it from the table, or enter the value there by hand"
-        raise InvalidInput(f'parameter "{parameter.path}" is tabulated over {item.table.axes[0][0]}; {remedy}')
-    if parameter.quantity not in item.scales_with_pressure or item.reference_pressure is None:
-        return value
-    if point.seal_pressure == 0:
-        raise InvalidInput(f'parameter "{parameter.path}" scales with pressure, which was zero; identify it under pressure')
-    return value * item.reference_pressure / point.seal_pressure

@@ -40,6 +40,17 @@ def unit_of(path: str) -> str:
     return "s" if path in TIMING else DIMENSIONS[parse_parameter(path).dimension].unit
 
 
+def half_width(tolerance: Tolerance, value: float) -> float:
+    """Of a tolerance about a parameter's value, SI."""
+    return (tolerance.absolute or 0.0) + (tolerance.relative or 0.0) * abs(value)
+
+
+def part_names(machine: Machine) -> dict[str, list[str]]:
+    """Table of the machine file -> the names of its parts."""
+    parts = {"bearing": machine.bearings, "seal": machine.seals, "coupling": machine.couplings}
+    return {table: [item.name for item in items] for table, items in parts.items()}
+
+
 def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
     """The paths with every "*" replaced by all names (second part), both axes (fourth part) or a seal's entries:
     "bearing.*.negative_stiffness.*", "seal.*.K_*".
@@ -48,11 +59,7 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
     """
     if isinstance(paths, str):
         paths = [paths]
-    names = {
-        "bearing": [item.name for item in machine.bearings],
-        "seal": [item.name for item in machine.seals],
-        "coupling": [item.name for item in machine.couplings],
-    }
+    names = part_names(machine)
     expanded: list[str] = []
     for path in paths:
         parts = path.split(".")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
-from ambrose.core.presentation import Presented, html_table, in_words
+from ambrose.core.presentation import Presented, data_frame, html_table, in_words
 from ambrose.identification.findings import Code, Finding
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
@@ -55,10 +54,7 @@ class IdentifiedParameter:
         return self.value - half, self.value + half
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "path": self.path, "unit": self.unit, "start": self.start, "value": self.value,
-            "standard_deviation": self.standard_deviation, "interval_95": list(self.interval),
-        }  # fmt: skip
+        return {**asdict(self), "interval_95": list(self.interval)}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
@@ -152,28 +148,15 @@ class Identification(Presented, ABC):
             "good": self.passed,
             "verdict": self.verdict,
             "parameters": [row.to_dict() for row in self.parameters],
-            "findings": [
-                {
-                    "code": str(one.code),
-                    "severity": one.severity,
-                    "what": one.what,
-                    "evidence": one.evidence,
-                    "remedy": one.remedy,
-                }
-                for one in self.checks
-            ],
+            "findings": [{**asdict(one), "code": str(one.code)} for one in self.checks],
             "warnings": [str(finding) for finding in self.result.warnings],
             "repeats": None if self.repeats is None else self.repeats.to_dict(),
         }  # fmt: skip
 
     def to_frame(self) -> Any:
         """The parameters as a pandas DataFrame, a row each. Raises InvalidInput where pandas is not installed."""
-        try:
-            import pandas  # type: ignore[import-untyped,unused-ignore]
-        except ImportError:
-            raise InvalidInput("a table of the parameters needs pandas, which is not installed; pip install pandas") from None
         rows = [{**row.to_dict(), "interval_95": row.interval} for row in self.parameters]
-        return pandas.DataFrame(rows).set_index("path")
+        return data_frame({name: [row[name] for row in rows] for name in rows[0]}, "path")
 
     def facts(self) -> Mapping[str, Any]:
         return {
@@ -248,13 +231,7 @@ class LoopIdentification(Identification):
             "correlation": result.correlation.tolist(),
             "column_cosine": result.column_cosine.tolist(),
             "fit_percent": [{"record": n, "signal": name, "fit": float(fit)} for n, name, fit in result.fit],
-            "residual_tests": [
-                {
-                    "signal": test.signal, "excitation": test.excitation, "correlation": float(test.correlation),
-                    "limit": float(test.limit), "lag": int(test.lag), "passed": bool(test.passed),
-                }
-                for test in result.tests
-            ],
+            "residual_tests": [asdict(test) for test in result.tests],
             "converged": result.converged,
             "iterations": result.iterations,
             "controller_error": error,

@@ -46,10 +46,8 @@ class SealByPressure:
     def lines(self) -> list[str]:
         """What the file says above the machine about its seal."""
         fit = self.fit
-        how = {"line": "the regression lines over pressure", "table": "the values at these pressures, linear between"}[
-            self.form
-        ]
-        rows = [f"Seal {fit.seal}, pressure by pressure (standard deviations in brackets); in the file: {how}."]
+        forms = {"line": "the regression lines over pressure", "table": "the values at these pressures, linear between"}
+        rows = [f"Seal {fit.seal}, pressure by pressure (standard deviations in brackets); in the file: {forms[self.form]}."]
         for i, pressure in enumerate(fit.pressure):
             texts = [f"{c} {fit.values[i, j]:.4g} ({fit.deviations[i, j]:.2g})" for j, c in enumerate(COEFFICIENTS)]
             rows.append(f"  {pressure:g} Pa: {', '.join(texts)}")

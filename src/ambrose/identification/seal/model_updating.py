@@ -7,23 +7,24 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.identification.parameters import half_width
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
-from ambrose.machine.description import Seal, SealTable, Tolerance
+from ambrose.machine.description import SealTable, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import parse_parameter
 from ambrose.plant.assemble import seal_coefficients
 
+_LEVEL = 0.95  # of every tolerance
 FORMS = ("line", "table", "frequency")
 
 
-def update_seal(machine: Machine, fit: SealFit, form: str = "line", *, level: float = 0.95, up_to: float = np.inf) -> Machine:
+def update_seal(machine: Machine, fit: SealFit, form: str = "line") -> Machine:
     """The machine with the seal's coefficients as found, and an absolute tolerance for each.
 
     form "line": regression lines over pressure, as a table from zero to the highest pressure measured or operated at; half
-    width of a tolerance: the widest prediction band there. "table": the measured pressures themselves, means over frequency up
-    to ``up_to`` [rad/s], linear between; half width: the largest two-sided normal quantile of ``level`` times the standard
-    deviation. "frequency": every pressure and frequency measured, the lowest frequency down to zero (the
-    seal's frequency_dependence decides how it is used).
+    width of a tolerance: the widest prediction band there. "table": the measured pressures themselves, means over frequency,
+    linear between; half width: the largest standard deviation times the two-sided normal quantile of 95 %. "frequency": every
+    pressure and frequency measured, the lowest frequency down to zero (the seal's frequency_dependence decides how it is used).
     A tolerance that the machine states already and that is wider stays: it may be the range of operation.
     Raises InvalidInput where the fit belongs to another machine, or operating points lie outside the table.
     """
@@ -34,26 +35,19 @@ def update_seal(machine: Machine, fit: SealFit, form: str = "line", *, level: fl
     item = next((one for one in machine.seals if one.name == fit.seal), None)
     if item is None:
         raise invalid("the seal of the fit", repr(fit.seal), "one of the machine", "take the machine it belongs to")
-    table, widths = {"line": _line, "table": _table, "frequency": _grid}[form](machine, fit, level, up_to)
-    _covers(machine, item, table)
+    table, widths = {"line": _line, "table": _table, "frequency": _grid}[form](machine, fit)
+    check_reach(machine, item.name, table.axes[0][1][0], table.axes[0][1][-1])
     still = tuple(x for x in item.scales_with_pressure if x == "M")
     dependence = item.frequency_dependence if form == "frequency" else "synchronous"
     changed = replace(
-        item,
-        K=0.0,
-        k=0.0,
-        C=0.0,
-        c=0.0,
-        table=table,
-        geometry=None,
-        frequency_dependence=dependence,
+        item, **dict.fromkeys(COEFFICIENTS, 0.0), table=table, geometry=None, frequency_dependence=dependence,
         scales_with_pressure=still,
-    )
+    )  # fmt: skip
     tolerances = list(machine.tolerances)
     for letter, width in zip(COEFFICIENTS, widths.tolist(), strict=True):
         stated = [i for i, one in enumerate(tolerances) if _names(one, fit.seal, letter)]  # of both axes, or of single entries
         for i in stated:
-            if not _wider(machine, changed, tolerances[i], letter, width):
+            if half_width(tolerances[i], getattr(seal_coefficients(changed, machine.operation.nominal), letter)) < width:
                 tolerances[i] = Tolerance(tolerances[i].parameter, absolute=width)
         if not stated:
             tolerances.append(Tolerance(f"seal.{fit.seal}.{letter}", absolute=width))
@@ -64,25 +58,25 @@ def update_seal(machine: Machine, fit: SealFit, form: str = "line", *, level: fl
 _Made = tuple[SealTable, np.ndarray]
 
 
-def _line(machine: Machine, fit: SealFit, level: float, up_to: float) -> _Made:
-    rows = fit if np.isnan(fit.frequency).all() else averaged(fit, up_to)
+def _line(machine: Machine, fit: SealFit) -> _Made:
+    rows = fit if np.isnan(fit.frequency).all() else averaged(fit)
     top = max(float(rows.pressure.max()), *(point.seal_pressure for point in machine.operation.points))
     ends = np.array([0.0, check_positive(top, "the highest pressure", "measure under pressure")])
     lines = [line(rows, letter) for letter in COEFFICIENTS]
     values = tuple((letter, tuple(one.at(ends).tolist())) for letter, one in zip(COEFFICIENTS, lines, strict=True))
     span = np.linspace(0.0, ends[1], 21)
-    return SealTable((("pressure", tuple(ends.tolist())),), values), np.array([o.prediction(span, level).max() for o in lines])
+    return SealTable((("pressure", tuple(ends.tolist())),), values), np.array([o.prediction(span, _LEVEL).max() for o in lines])
 
 
-def _table(machine: Machine, fit: SealFit, level: float, up_to: float) -> _Made:
-    rows = averaged(fit, up_to)
+def _table(machine: Machine, fit: SealFit) -> _Made:
+    rows = averaged(fit)
     values = tuple((letter, tuple(rows.values[:, i].tolist())) for i, letter in enumerate(COEFFICIENTS))
-    widths = _quantile(level) * rows.deviations.max(axis=0)
+    widths = _quantile() * rows.deviations.max(axis=0)
     return SealTable((("pressure", tuple(rows.pressure.tolist())),), values), widths
 
 
-def _grid(machine: Machine, fit: SealFit, level: float, up_to: float) -> _Made:
-    kept = fit.rows(fit.frequency <= up_to * (1 + 1e-9))
+def _grid(machine: Machine, fit: SealFit) -> _Made:
+    kept = fit.rows(np.isfinite(fit.frequency))
     pressures, frequencies = kept.pressures, np.unique(kept.frequency)
     if len(kept) != len(pressures) * len(frequencies) or not len(kept):
         raise InvalidInput("the fit has no full grid of pressures and frequencies; use stepped sines with one schedule")
@@ -93,17 +87,17 @@ def _grid(machine: Machine, fit: SealFit, level: float, up_to: float) -> _Made:
         frequencies, grids = np.append(0.0, frequencies), [np.column_stack([grid[:, 0], grid]) for grid in grids]
     axes = (("pressure", tuple(pressures.tolist())), ("frequency", tuple(frequencies.tolist())))
     values = tuple((x, tuple(map(tuple, grid.tolist()))) for x, grid in zip(COEFFICIENTS, grids, strict=True))
-    return SealTable(axes, values), _quantile(level) * kept.deviations.max(axis=0)
+    return SealTable(axes, values), _quantile() * kept.deviations.max(axis=0)
 
 
-def _covers(machine: Machine, item: Seal, table: SealTable) -> None:
-    """Refuse a table that some operating point lies outside of: nothing is extrapolated later."""
-    low, high = table.axes[0][1][0], table.axes[0][1][-1]
+def check_reach(machine: Machine, seal: str, low: float, high: float) -> None:
+    """Refuse pressures [Pa] of a table that some operating point lies outside of: nothing is extrapolated later."""
     for point in machine.operation.points:
         if not low * (1 - 1e-9) <= point.seal_pressure <= high * (1 + 1e-9):
             raise invalid(
-                f"operating point {point.label!r}", f"{point.seal_pressure:g} Pa", f"within {low:g} to {high:g} Pa, where "
-                f"seal {item.name} was measured", 'measure there, or take form "line"',
+                f"operating point {point.label!r}", f"{point.seal_pressure:g} Pa",
+                f"within {low:g} to {high:g} Pa, the pressures at which seal {seal} was recorded, for a table",
+                'record there, or take the form "line"',
             )  # fmt: skip
 
 
@@ -112,17 +106,7 @@ def _names(tolerance: Tolerance, seal: str, letter: str) -> bool:
     return (parameter.table, parameter.name, parameter.quantity) == ("seal", seal, letter)
 
 
-def _wider(machine: Machine, item: Seal, tolerance: Tolerance, letter: str, width: float) -> bool:
-    """Whether a stated tolerance is wider than the one found, at the nominal operating point."""
-    if tolerance.absolute is not None:
-        return tolerance.absolute >= width
-    value = getattr(seal_coefficients(item, machine.operation.nominal), letter)
-    return bool(abs(value) * (tolerance.relative or 0.0) >= width)
-
-
-def _quantile(level: float) -> float:
+def _quantile() -> float:
     from scipy.special import ndtri
 
-    if not 0 < level < 1:
-        raise invalid("level", level, "between 0 and 1", "0.95 is usual")
-    return float(ndtri((1 + level) / 2))
+    return float(ndtri((1 + _LEVEL) / 2))

@@ -14,6 +14,7 @@ from ambrose.identification.parameters import split_timing
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.seal import time_domain
 from ambrose.identification.seal.by_pressure import SealByPressure, is_of_seal, update_but_seal
+from ambrose.identification.seal.model_updating import check_reach
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
 from ambrose.identification.validation.plausibility import diagnose_outputs
@@ -52,7 +53,8 @@ def identify_seal(
     if len(pressures) < _LEAST[form]:
         remedy = "record at more pressures" + (", or take the form table" if len(pressures) == 2 else "")
         raise invalid(f"the number of seal pressures for a {form}", len(pressures), f"at least {_LEAST[form]}", remedy)
-    _check_reach(machine, form, pressures)
+    if form == "table":  # known before anything is fitted
+        check_reach(machine, name, min(pressures), max(pressures))
     calm = [record for record in records if record.point.seal_pressure == 0]
     rest = [record for record in records if record.point.seal_pressure != 0]
     wanted = unknown or usual_unknowns(machine, calm or records)
@@ -87,14 +89,3 @@ def _check_fit(
             outputs = simulate_outputs(build_experiment(known, own, controller, paths, options), own, values)
             findings += diagnose_outputs(known, outputs, numbers)
     return tuple(findings)
-
-
-def _check_reach(machine: Machine, form: str, pressures: set[float]) -> None:
-    """A table must reach the operating points, which is known before anything is fitted."""
-    for point in machine.operation.points if form == "table" else ():
-        if not min(pressures) * (1 - 1e-9) <= point.seal_pressure <= max(pressures) * (1 + 1e-9):
-            raise invalid(
-                f"operating point {point.label!r}", f"{point.seal_pressure:g} Pa",
-                f"within the pressures recorded, {min(pressures):g} to {max(pressures):g} Pa, for a table",
-                'record there, or take the form "line"',
-            )  # fmt: skip

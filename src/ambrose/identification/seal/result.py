@@ -108,7 +108,7 @@ def _weighted(values: np.ndarray, deviations: np.ndarray) -> tuple[np.ndarray, n
     return mean, np.maximum(birge, 1.0) / np.sqrt(weight.sum(axis=0, keepdims=True))
 
 
-def line(fit: SealFit, coefficient: str, *, through_origin: bool = False) -> Line:
+def line(fit: SealFit, coefficient: str) -> Line:
     """The regression line of a coefficient over pressure [Pa]; a row per measurement, so repeats count. P5, Fig. 7.
 
     Frequencies are averaged first. Raises InvalidInput for fewer than three pressures.
@@ -117,4 +117,4 @@ def line(fit: SealFit, coefficient: str, *, through_origin: bool = False) -> Lin
     values, deviations = rows.column(coefficient)
     if np.isnan(values).any():
         raise InvalidInput(f"{coefficient} was not identified; excite along both axes for single entries of the matrices")
-    return fit_line(rows.pressure, values, np.maximum(deviations, 1e-300), through_origin=through_origin)
+    return fit_line(rows.pressure, values, np.maximum(deviations, 1e-300))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.identification.parameters import COVERAGE, Estimate, nominal_values
+from ambrose.identification.parameters import COVERAGE, Estimate, half_width, nominal_values
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.plant.assemble import assemble
@@ -70,7 +70,5 @@ def compare(result: Estimate, other: Machine) -> tuple[Agreement, ...]:
 
 def _half_width(machine: Machine, path: str, value: float) -> float:
     parameter = parse_parameter(path)
-    for item in machine.tolerances:
-        if parse_parameter(item.parameter).overlaps(parameter):
-            return (item.absolute or 0.0) + (item.relative or 0.0) * abs(value)
-    return 0.0
+    widths = [half_width(item, value) for item in machine.tolerances if parse_parameter(item.parameter).overlaps(parameter)]
+    return widths[0] if widths else 0.0

@@ -1,9 +1,9 @@
 """Repeated experiments: mean, relative standard deviation, confidence intervals; predicted against observed scatter.
 
 A single identification states its own standard deviation (output_error/statistics.py, from the colour of the residuals).
-Repeats show the scatter itself, whatever causes it: noise, but also run-out, temperature, or a model that is wrong in another
-way each time. Means have Student's t intervals (papers P2: five repeats, 95 %), scatters have chi-square ones: the standard
-deviation of five repeats is itself uncertain by a factor between 0.6 and 2.9.
+Repeats show the scatter itself, whatever causes it: noise, run-out, temperature, a model wrong in another way each time.
+Means have Student's t intervals (papers P2: five repeats, 95 %), scatters have chi-square ones: the standard deviation of five
+repeats is itself uncertain by a factor between 0.6 and 2.9.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ class Repeats:
     """r repeats of q parameters, SI, in the order of ``paths``.
 
     values (r, q); predicted (q,): root mean square of the standard deviations that the single experiments state (NaN where they
-    state none). level [-] of all intervals. mean (q,) with half_width (q,) of its confidence interval; deviation (q,): sample
-    standard deviation of one repeat, with its interval deviation_range (2, q); rsd (q,) [%] of the mean.
+    state none). level [-] of all intervals. mean (q,); deviation (q,): sample standard deviation of one repeat.
     """
 
     paths: tuple[str, ...]
@@ -90,10 +89,7 @@ class ScatterStudy:
 
 
 def repeats(paths: Sequence[str], values: ArrayLike, predicted: ArrayLike | None = None, level: float = 0.95) -> Repeats:
-    """Repeats from values (r, q) and the standard deviations (r, q) that each experiment states. Raises InvalidInput.
-
-    At least two repeats; level between 0 and 1.
-    """
+    """Repeats from values (r, q) and the standard deviations (r, q) that each experiment states. Raises InvalidInput."""
     values = check_shape(values, "values", "(r, q)", q=len(paths))
     if len(values) < 2:
         raise invalid("the number of repeats", len(values), "at least 2", "one experiment shows no scatter; repeat it")
