@@ -71,18 +71,14 @@ def pattern(machine: Machine, kind: str, wave: ArrayLike, amplitude: float, axis
     wave = check_shape(wave, "wave", "(k)")
     amplitude = check_positive(amplitude, "amplitude", "give the peak current in A")
     axes = machine.axes
-    if kind == "single":
-        if axis not in axes:
-            raise invalid("axis", repr(axis), f"one of {', '.join(axes)}", "name the axis that is excited")
-        signs = [float(name == axis) for name in axes]
-    elif kind == "parallel":
-        signs = [1.0] * len(axes)
-    elif kind == "tilt":
-        if len(machine.bearings) != 2:
-            raise invalid("the number of bearings", len(machine.bearings), "2 for a tilt pattern", "use parallel or single")
-        signs = [1.0, 1.0, -1.0, -1.0]
-    else:
+    if kind not in PATTERNS:
         raise invalid("kind", repr(kind), f"one of {', '.join(PATTERNS)}", "choose one of them")
+    if kind == "single" and axis not in axes:
+        raise invalid("axis", repr(axis), f"one of {', '.join(axes)}", "name the axis that is excited")
+    if kind == "tilt" and len(machine.bearings) != 2:
+        raise invalid("the number of bearings", len(machine.bearings), "2 for a tilt pattern", "use parallel or single")
+    single = [float(name == axis) for name in axes]
+    signs = {"parallel": [1.0] * len(axes), "tilt": [1.0, 1.0, -1.0, -1.0], "single": single}[kind]
     return {f"e_{name}": amplitude * sign * wave for name, sign in zip(axes, signs, strict=True)}
 
 

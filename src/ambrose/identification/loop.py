@@ -4,7 +4,7 @@ silent wrong number."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from ambrose.core.checks import InvalidInput
@@ -52,7 +52,6 @@ def identify_loop(
     unknown = tuple(unknown) or usual_unknowns(machine, records)
     paths = [path for kind in split_timing(machine, unknown) for path in kind]
     if method == "youla":
-        youla.check_options(options)
         for path in paths:
             if path in TIMING:
                 raise InvalidInput(f"{path} as an unknown goes with the method closed-loop; its delay must be known here")
@@ -67,7 +66,7 @@ def identify_loop(
 
     def identify_alone(record: Record, begin: Mapping[str, float]) -> ParameterEstimate:
         if method == "youla":
-            return youla.identify(machine, record, controller, unknown, start=begin, **options.named()).estimate
+            return youla.identify(machine, record, controller, unknown, start=begin, **asdict(options)).estimate
         return closed_loop.fit(build_experiment(machine, record, controller, unknown, options), begin)
 
     progress(f"identifying {len(paths)} parameters")
@@ -75,7 +74,7 @@ def identify_loop(
     if experiment is not None:
         result = closed_loop.fit(experiment, start)
     else:
-        residual = youla.identify(machine, records, controller, unknown, start=start, **options.named())
+        residual = youla.identify(machine, records, controller, unknown, start=start, **asdict(options))
         result = residual.estimate
         experiment = build_experiment(machine, records, controller, unknown, FitOptions(**setup))
     progress("checking the result")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -46,10 +46,6 @@ class FitOptions:
     offset: bool = True
     period: float | str | None = None
     max_iterations: int = 50
-
-    def named(self) -> dict[str, Any]:
-        """As keyword arguments."""
-        return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from ambrose.core.checks import invalid
@@ -69,7 +69,7 @@ def identify_seal(
         options = replace(options, computing_delay=float(result.values[result.paths.index(CONTROLLER_DELAY)]) / records[0].dt)
     begin = {path: value for path, value in (start or {}).items() if is_of_seal(path, name)}
     known = update_but_seal(machine, result, name)
-    fit = time_domain.identify(known, records, controller, seal=name, start=begin or None, progress=progress, **options.named())
+    fit = time_domain.identify(known, records, controller, seal=name, start=begin or None, progress=progress, **asdict(options))
     checks = _check_fit(known, records, controller, fit, options)
     refuse(checks)
     highest = max(point.seal_pressure for point in machine.operation.points)

@@ -83,7 +83,10 @@ def identify(
     where machine and controller are not stable together.
     """
     how = FitOptions(**options)
-    check_options(how)
+    for name in ("signals", "weights", "period"):
+        if getattr(how, name) is not None:
+            text = "the Youla residual is made of every u_ and y_<axis> over the whole record"
+            raise InvalidInput(f"{name} goes with the method closed-loop; {text}")
     records = as_records(records)
     point, dt = check_records(machine, records)
     plant = free_mode_reduction(assemble(machine, point), how.bending_modes)
@@ -113,14 +116,6 @@ def identify(
     S, _ = model.loop(estimate.values)
     S = replace(S, C=np.linalg.solve(whitening, S.C))
     return ResidualIdentification(estimate, factors, S, signals, error)
-
-
-def check_options(options: FitOptions) -> None:
-    """Refuse options that the residual has no use for; raises InvalidInput."""
-    for name in ("signals", "weights", "period"):
-        if getattr(options, name) is not None:
-            text = "the Youla residual is made of every u_ and y_<axis> over the whole record"
-            raise InvalidInput(f"{name} goes with the method closed-loop; {text}")
 
 
 def identify_injected(
