@@ -273,18 +273,14 @@ def _jump_findings(record: Record, match: ControllerMatch, where: str) -> list[F
     """Samples that are missing in all channels, or a disturbed one in a single channel."""
     if not match.jumps:
         return []
-    groups: list[list[tuple[int, int]]] = []
-    for axis, at in sorted(match.jumps, key=lambda jump: jump[1]):
-        if groups and at - groups[-1][-1][1] <= 2 * LAGS:
-            groups[-1].append((axis, at))
-        else:
-            groups.append([(axis, at)])
-    places = ", ".join(f"{group[0][1]} (t = {record.time[group[0][1]]:.5g} s)" for group in groups[:5])
-    more = f" and {len(groups) - 5} more" if len(groups) > 5 else ""
-    axes = sorted({axis for group in groups for axis, _ in group})
+    jumps = sorted(at for _, at in match.jumps)
+    starts = [at for i, at in enumerate(jumps) if i == 0 or at - jumps[i - 1] > 2 * LAGS]
+    places = ", ".join(f"{at} (t = {record.time[at]:.5g} s)" for at in starts[:5])
+    more = f" and {len(starts) - 5} more" if len(starts) > 5 else ""
+    axes = sorted({axis for axis, _ in match.jumps})
     names = ", ".join(f"y_{match.axes[axis]} or u_{match.axes[axis]}" for axis in axes)
     what = "samples are missing or inserted" if len(axes) > 1 else f"{names} has disturbed samples"
-    severity = WARNING if len(groups) <= 5 else ERROR
+    severity = WARNING if len(starts) <= 5 else ERROR
     evidence = f"u stops following K(-y) at sample {places}{more}"
     remedy = "find the gap in the logger, and identify the stretches between as records of their own"
     return [Finding(Code.LOST_SAMPLES, severity, f"{where}: {what}", evidence, remedy)]
