@@ -47,8 +47,11 @@ def half_width(tolerance: Tolerance, value: float) -> float:
 
 def part_names(machine: Machine) -> dict[str, list[str]]:
     """Table of the machine file -> the names of its parts."""
-    parts = {"bearing": machine.bearings, "seal": machine.seals, "coupling": machine.couplings}
-    return {table: [item.name for item in items] for table, items in parts.items()}
+    return {
+        "bearing": [item.name for item in machine.bearings],
+        "seal": [item.name for item in machine.seals],
+        "coupling": [item.name for item in machine.couplings],
+    }
 
 
 def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:

@@ -99,6 +99,7 @@ def held_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str], n
     count = general.n_w_blocks
     if system.D[: general.n_z_blocks, :count].any() or system.D[np.ix_(y, [*range(count), *u])].any():
         raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
-    none = StateSpace(*np.zeros((4, 0, 0)), (), (), dt)
+    empty = np.zeros((0, 0))
+    none = StateSpace(empty, empty, empty, empty, (), (), dt)
     B, C = system.B[:, u], system.C[y]
     return LoopModel(nominal, system.A, B, C, dA, dB, none, factors.alpha, factors.eps, np.ones(len(nominal)))
