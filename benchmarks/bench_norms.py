@@ -10,7 +10,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.frequency import frequency_response
-from ambrose.core.matrix_equations import hinf_norm, solve_riccati
+from ambrose.core.matrix_equations import solve_riccati
+from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
 
 

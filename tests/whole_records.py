@@ -8,7 +8,7 @@ import numpy as np
 import scipy.fft
 
 from ambrose.core.checks import check_shape
-from ambrose.core.response import SystemDerivative
+from ambrose.core.response import SystemDerivative, simulate
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.lifted import lift, stream
@@ -21,6 +21,27 @@ def lifted_sensitivities(
     pieces = [F.transpose(0, 2, 1, 3).reshape(len(F), F.shape[2], -1) for _, F in stream(lift(system, directions), list(u), x0)]
     F = np.concatenate(pieces, axis=2)[:, :, : u.shape[1]]
     return F[0], F[1:]
+
+
+def simulate_derivative(
+    system: StateSpace, directions: Sequence[SystemDerivative], u: np.ndarray, x0: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs y (p, k) of a sampled system and their exact derivatives dy (q, p, k), one augmented system per parameter.
+
+    x'[k+1] = A x' + dA x + dB u, y' = C x' + dC x + dD u; the first state x0 (n,) does not depend on the parameters.
+    """
+    n = system.n_states
+    x0 = np.zeros(n) if x0 is None else x0
+    dy = [
+        simulate(
+            StateSpace(
+                np.block([[system.A, np.zeros((n, n))], [d.A, system.A]]), np.vstack([system.B, d.B]),
+                np.hstack([d.C, system.C]), d.D, dt=system.dt,
+            ), u, x0=np.concatenate([x0, np.zeros(n)]),
+        )
+        for d in directions
+    ]  # fmt: skip
+    return simulate(system, u, x0=x0), np.stack(dy)
 
 
 def sandwich_middle(J: np.ndarray, residual: np.ndarray) -> np.ndarray:

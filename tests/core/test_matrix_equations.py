@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import scipy.integrate
 import scipy.linalg as sla
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,13 +12,11 @@ from ambrose.core.matrix_equations import (
     balanced_realization,
     controllability_gramian,
     discrete_lyapunov,
-    h2_norm,
     lyapunov,
     observability_gramian,
-    riccati,
     solve_riccati,
 )
-from ambrose.core.statespace import StateSpace, poles, static_gain, transfer_function
+from ambrose.core.statespace import StateSpace, poles, static_gain
 
 
 def stable(seed, n, dt=None):
@@ -95,7 +92,7 @@ class TestRiccati:
     def test_lqr_against_scipy(self, n):
         rng = np.random.default_rng(n)
         A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, 2)), rng.standard_normal((2, n))
-        solution = riccati(A, B @ B.T, C.T @ C)
+        solution = solve_riccati(A, B @ B.T, C.T @ C)
         expected = sla.solve_continuous_are(A, B, C.T @ C, np.eye(2))
         np.testing.assert_allclose(solution.X, expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
         assert solution.solved and solution.residual < 1e-12 and solution.closed_loop_poles.real.max() < 0
@@ -109,25 +106,23 @@ class TestRiccati:
     def test_scalar_closed_form_also_indefinite(self, a, g, q):
         """g x^2 - 2 a x - q = 0 with a - g x = -sqrt(a^2 + g q)."""
         root = np.sqrt(a * a + g * q)
-        solution = riccati([[a]], [[g]], [[q]])
+        solution = solve_riccati([[a]], [[g]], [[q]])
         assert solution.closed_loop_poles[0].real == pytest.approx(-root, rel=1e-14)
         assert solution.X[0, 0] == pytest.approx((a + root) / g if g else -q / (2 * a), rel=1e-13)
 
     @pytest.mark.parametrize(
-        ("A", "G", "Q", "status", "message"),
+        ("A", "G", "Q", "status"),
         [
-            ([[-1.0]], [[-1.0]], [[2.0]], "imaginary-axis eigenvalues", "gamma is too small"),
-            ([[0.0, 1], [-4, 0]], np.zeros((2, 2)), np.eye(2), "imaginary-axis eigenvalues", "mode on the axis"),
-            ([[0.0, 1], [-4, 0]], np.diag([0, 1.0]), np.zeros((2, 2)), "imaginary-axis eigenvalues", "imaginary axis"),
-            ([[1.0]], [[0.0]], [[1.0]], "X1 singular", "not stabilisable"),
-            (np.diag([1.0, -2.0]), np.diag([0.0, 1.0]), np.eye(2), "X1 singular", "not stabilisable"),
+            ([[-1.0]], [[-1.0]], [[2.0]], "imaginary-axis eigenvalues"),
+            ([[0.0, 1], [-4, 0]], np.zeros((2, 2)), np.eye(2), "imaginary-axis eigenvalues"),
+            ([[0.0, 1], [-4, 0]], np.diag([0, 1.0]), np.zeros((2, 2)), "imaginary-axis eigenvalues"),
+            ([[1.0]], [[0.0]], [[1.0]], "X1 singular"),
+            (np.diag([1.0, -2.0]), np.diag([0.0, 1.0]), np.eye(2), "X1 singular"),
         ],
     )
-    def test_failure_is_a_status_and_an_explanation(self, A, G, Q, status, message):
+    def test_failure_is_a_status(self, A, G, Q, status):
         solution = solve_riccati(A, G, Q)
         assert solution.status == status and not solution.solved and np.isnan(solution.X).all()
-        with pytest.raises(NumericalFailure, match=message):
-            riccati(A, G, Q)
 
     def test_gamma_flips_the_status_where_theory_says(self):
         """x' = -x + w + u, z = (x, u): a solution exists above gamma = 1/sqrt(2) and not below."""
@@ -163,7 +158,7 @@ class TestRiccati:
         A[8:, 8:] = -pole * np.eye(4)
         B = np.vstack([1e4 * rng.standard_normal((8, 3)), np.zeros((4, 3))])
         C = np.hstack([rng.standard_normal((5, 8)), np.eye(5, 4)])
-        solution = riccati(A, B @ B.T, C.T @ C)
+        solution = solve_riccati(A, B @ B.T, C.T @ C)
         assert solution.residual < 1e-10
         assert solution.closed_loop_poles.real.max() < 0
         np.testing.assert_allclose(solution.X, solution.X.T)
@@ -193,7 +188,7 @@ class TestRiccati:
             solve_riccati(A, G, Q)
 
     def test_no_states(self):
-        assert riccati(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0))).X.shape == (0, 0)
+        assert solve_riccati(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0))).X.shape == (0, 0)
 
 
 class TestGramians:
@@ -216,7 +211,7 @@ class TestGramians:
         np.testing.assert_allclose(P[[0, 0, 2], [0, 2, 2]], [1 / 2, 1 / 4, 1 / 6], rtol=1e-14)
 
     @pytest.mark.parametrize(("A", "dt"), [([[0.0]], None), ([[0.0, 3], [-3, 0]], None), ([[1.0]], 0.1), ([[2.0]], 0.1)])
-    @pytest.mark.parametrize("function", [controllability_gramian, observability_gramian, h2_norm, balanced_realization])
+    @pytest.mark.parametrize("function", [controllability_gramian, observability_gramian, balanced_realization])
     def test_unstable(self, function, A, dt):
         n = len(A)
         with pytest.raises(UnstableSystem, match="not inside the stability region"):
@@ -258,35 +253,3 @@ class TestBalancedRealization:
         assert poles(balanced) == pytest.approx([-1.0]) and hankel[0] == pytest.approx(0.5)
         assert balanced_realization(StateSpace(-1, 0, 1, 2))[0].n_states == 0
         assert balanced_realization(static_gain([[1.0, 2.0]]))[1].shape == (0,)
-
-
-class TestH2:
-    def test_first_and_second_order_closed_forms(self):
-        assert h2_norm(transfer_function([1.0], [1.0, 4.0])) == pytest.approx(1 / np.sqrt(8.0), rel=1e-14)
-        omega, zeta = 30.0, 1e-6
-        resonance = transfer_function([omega**2], [1, 2 * zeta * omega, omega**2])
-        assert h2_norm(resonance) == pytest.approx(np.sqrt(omega / (4 * zeta)), rel=1e-9)
-
-    def test_by_quadrature_over_frequency(self):
-        s = stable_system(9, 4)
-
-        def density(x):
-            omega = np.tan(x)
-            return np.linalg.norm(frequency_response(s, [omega]).values) ** 2 * (1 + omega**2)
-
-        total = scipy.integrate.quad(density, 0, np.pi / 2 - 1e-9, limit=400, epsrel=1e-10)[0]
-        assert h2_norm(s) == pytest.approx(np.sqrt(total / np.pi), rel=1e-6)
-
-    def test_sampled_is_the_sum_of_the_impulse_response(self):
-        s = stable_system(10, 4, dt=0.1)
-        s = StateSpace(0.8 * s.A, s.B, s.C, np.ones((3, 2)), dt=0.1)
-        total, x = np.sum(s.D**2), s.B
-        for _ in range(800):
-            total += np.sum((s.C @ x) ** 2)
-            x = s.A @ x
-        assert h2_norm(s) == pytest.approx(np.sqrt(total), rel=1e-12)
-
-    def test_feedthrough_and_statics(self):
-        assert h2_norm(transfer_function([1.0, 2.0], [1.0, 4.0])) == np.inf
-        assert h2_norm(static_gain([[0.0]])) == 0.0
-        assert h2_norm(static_gain([[3.0, 4.0]], dt=0.1)) == 5.0

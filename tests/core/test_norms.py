@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ambrose.core import norms
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.core.matrix_equations import HinfNorm, hinf_norm
+from ambrose.core.norms import HinfNorm, hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, append, poles, rename, static_gain, transfer_function
 from random_systems import KINDS, random_system

@@ -21,12 +21,10 @@ from ambrose.core.statespace import (
     feedback,
     is_stable,
     match_signals,
-    parallel,
     poles,
     rename,
     select,
     series,
-    similarity,
     spectral_abscissa,
     static_gain,
     transfer_function,
@@ -227,15 +225,11 @@ class TestNames:
 
 
 class TestAlgebra:
-    def test_series_and_parallel(self):
+    def test_series(self):
         G, H = random_system(3, n=3), random_system(4, n=2, m=3, p=2)
         same(series(G, H), lambda s: at(H, s) @ at(G, s))
-        other = random_system(5)
-        same(parallel(G, other), lambda s: at(G, s) + at(other, s))
         with pytest.raises(InvalidInput, match="output count is 3"):
             series(G, G)
-        with pytest.raises(InvalidInput, match="second system's size"):
-            parallel(G, H)
 
     def test_append(self):
         G, H = rename(random_system(3), ["a", "b"], ["c", "d", "e"]), random_system(4, n=0, m=1, p=1)
@@ -279,19 +273,12 @@ class TestAlgebra:
     def test_sample_times(self):
         fast = random_system(8, n=1, m=1, p=1, dt=1e-4)
         assert series(fast, static_gain(2.0)).dt == 1e-4
-        assert parallel(static_gain(2.0), static_gain(2.0)).dt is None
+        assert series(static_gain(2.0), static_gain(2.0)).dt is None
         assert series(fast, replace(fast, dt=1e-4 * (1 + 1e-12))).dt is not None
         with pytest.raises(InvalidInput, match="sample times"):
             series(fast, replace(fast, dt=2e-4))
         with pytest.raises(InvalidInput, match="sample times"):
-            parallel(fast, random_system(8, n=1, m=1, p=1))
-
-    def test_similarity(self):
-        G = random_system(9)
-        T = (np.eye(4) + 0.1 * np.ones((4, 4))) @ np.diag([1e-9, 1.0, 1e9, 1e4])
-        same(similarity(G, T), lambda s: at(G, s), rtol=1e-7)
-        with pytest.raises(InvalidInput, match="T is singular"):
-            similarity(G, np.ones((4, 4)))
+            series(fast, random_system(8, n=1, m=1, p=1))
 
 
 class TestConnect:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ambrose.core.matrix_equations import hinf_norm
+from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
 from random_systems import KINDS, random_system
 

@@ -11,7 +11,8 @@ from scipy.optimize import brentq
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import MagnetGeometry, MagneticBearing, MagnetIron
 from ambrose.machine.file.toml import load_machine
-from ambrose.physics.magnet import flux_density, force, force_constant, linearised, parameters
+from ambrose.physics import magnet
+from ambrose.physics.magnet import force, force_constant, linearised, parameters
 
 GIVEN = MagneticBearing("A", 0.1, 4.0, force_per_current=(144.34, 139.44), negative_stiffness=(0.863e6, 0.871e6))
 STEEL = MagnetIron(turns=72, flux_density=1.73, equivalent_gap=60e-6)
@@ -86,6 +87,11 @@ def test_symmetry(i, j, x, y):
     assert np.allclose(force(-i, -j, -x, -y, p), [-f[0], -f[1]], rtol=1e-12, atol=1e-9)
     assert np.allclose(force(j, i, y, x, p), f[::-1], rtol=1e-12, atol=1e-9)
     assert np.allclose(force(-i, j, -x, y, p), [-f[0], f[1]], rtol=1e-12, atol=1e-9)
+
+
+def flux_density(current, gap, iron):
+    """B [T] of the flux b = B 2/(mu_0 N) that every force is made of."""
+    return 4e-7 * np.pi * iron.turns / 2 * magnet._flux(current, gap, *magnet._iron(iron))[0]
 
 
 def test_flux_solves_the_circuit_and_never_passes_saturation():

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Coupling, Runout, Seal, SealTable, Sensor
+from ambrose.machine.description import Coupling, Runout, SealTable, Sensor
 from ambrose.machine.file.toml import load_machine
 from ambrose.physics import coupling, seal, sensor, unbalance
 from ambrose.physics.rotor import finite_element_rotor, free_modes, gravity_load, mass_properties
@@ -31,25 +30,6 @@ class TestSeal:
         k, C, r, w = 3e6, 2e3, 1e-5, 250.0
         fx, fy = seal.force(r, 0.0, 0.0, r * w, 0.0, 0.0, (0.0, k, C, 0.0, 0.0))
         assert fx * 0.0 + fy * r * w == pytest.approx(k * r**2 * w - C * (r * w) ** 2)
-
-    def test_path_follows_a_pressure_ramp(self):
-        item = Seal("s", 0.1, K=1e5, table=TABLE)
-        pressure = np.linspace(0, 3e5, 31)
-        rows = seal.path(item, pressure, np.zeros(31))
-        assert rows[:, 0] == pytest.approx(1e5)
-        for time in (0.0, 0.123, 0.5, 2.87, 3.0):
-            now = seal.coefficients(item, min(1e5 * time, 3e5))
-            assert seal.along(time, 0.1, rows) == pytest.approx((now.K, now.k, now.C, now.c, now.M), rel=1e-12)
-
-    def test_path_is_constant_past_its_ends(self):
-        rows = seal.path(RIG.seals[0], [0.0, 2.04e5], [0.0, 0.0])
-        assert seal.along(-1.0, 0.5, rows) == tuple(rows[0])
-        assert seal.along(9.0, 0.5, rows) == tuple(rows[-1])
-        assert seal.along(9.0, 0.5, rows[:1]) == tuple(rows[0])
-
-    def test_path_outside_the_table_is_refused(self):
-        with pytest.raises(InvalidInput, match="pressure"):
-            seal.path(Seal("s", 0.1, table=TABLE), [0.0, 4e5], [0.0, 0.0])
 
 
 def test_coupling_is_its_matrices():
@@ -150,7 +130,6 @@ def test_every_force_function_compiles_as_it_stands():
     item = TestSensor.ITEM
     amp, sens = parameters_of = (amplifier.parameters(RIG.amplifier, 4.0), sensor.parameters(item, "eta"))
     assert all(isinstance(value, float) for p in parameters_of for value in p)
-    rows = seal.path(RIG.seals[0], [0.0, 1e5], [0.0, 0.0])
     cases = [
         (magnet.force, (0.3, -0.2, 1e-5, 2e-5, magnet.parameters(bearing))),
         (magnet.force, (0.3, -0.2, 1e-5, 2e-5, np.array(magnet.parameters(bearing)))),
@@ -161,7 +140,6 @@ def test_every_force_function_compiles_as_it_stands():
         (sensor.indicated, (1e-6, sens)),
         (sensor.lag, (1e-6, 0.0, sens)),
         (sensor.sampled, (1.2345e-6, sens)),
-        (seal.along, (0.3, 1.0, rows)),
         (seal.force, (1e-5, 2e-5, 1e-3, 2e-3, 0.1, 0.2, np.array([4e5, 3e6, 2e3, -2e3, 0.1]))),
         (coupling.force, (1e-5, 2e-5, 1e-3, 2e-3, coupling.parameters(RIG.couplings[0]))),
         (unbalance.force, (0.3, 100.0, 5.0, (1e-4, 0.2))),

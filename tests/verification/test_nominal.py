@@ -11,7 +11,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.core.matrix_equations import hinf_norm
+from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select, static_gain
 from ambrose.machine.description import OperatingPoint, Operation, Requirements

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ambrose.verification.loop_response import LoopResponse, frequency_grid
-from ambrose.verification.peaks import peaks, peaks_of
+from ambrose.verification.peaks import peaks_of
 
 W0 = 2 * np.pi * 137.0
 
@@ -30,7 +30,7 @@ def modulus(response):
 def test_a_lightly_damped_peak_is_exact_on_the_packed_grid(zeta):
     poles = W0 * (-zeta + 1j * np.sqrt(1 - zeta**2)) * np.ones(1)
     at = resonance(zeta)
-    for peak in peaks(modulus, at(frequency_grid(poles, 1.0, 1e5)), at):
+    for peak in peaks_of([modulus], at(frequency_grid(poles, 1.0, 1e5)), at)[0]:
         assert peak.value == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=1e-7)
         assert peak.frequency == pytest.approx(W0 * np.sqrt(1 - 2 * zeta**2), rel=1e-3 * zeta)
         assert not peak.at_edge
@@ -42,16 +42,16 @@ def test_a_resolved_peak_is_exact_on_a_coarse_grid_too():
     response = at(np.geomspace(10, 1e4, 75))
     exact = 1 / (2 * 0.02 * np.sqrt(1 - 0.02**2))
     assert modulus(response).max() < 0.75 * exact
-    assert peaks(modulus, response, at)[0].value == pytest.approx(exact, rel=1e-5)
+    assert peaks_of([modulus], response, at)[0][0].value == pytest.approx(exact, rel=1e-5)
 
 
 def test_the_range_ends_are_evaluated_and_named_as_edges():
     at = resonance(0.5 * np.sqrt(2))  # no peak: falls from 1
     response = at(np.geomspace(10, 1e4, 20))
-    low = peaks(modulus, response, at, within=(33.0, 5000.0))[0]
+    low = peaks_of([modulus], response, at, within=(33.0, 5000.0))[0][0]
     assert low.at_edge and low.frequency == 33.0
     assert low.value == pytest.approx(1 / np.sqrt(1 + (33.0 / W0) ** 4), rel=1e-12)
-    rising = peaks(lambda r: modulus(r) * r.omega**3, response, at, within=(33.0, 5000.0))[0]
+    rising = peaks_of([lambda r: modulus(r) * r.omega**3], response, at, within=(33.0, 5000.0))[0][0]
     assert rising.at_edge and rising.frequency == 5000.0
 
 
@@ -62,7 +62,7 @@ def test_quantities_are_refined_together_as_apart():
     together = peaks_of(weighted, response, at)
     assert [len(group) for group in together] == [2, 2, 1]
     for rows, group in zip(weighted, together, strict=True):
-        apart = peaks(rows, response, at)
+        (apart,) = peaks_of([rows], response, at)
         for a, b in zip(apart, group, strict=True):
             assert a.value == pytest.approx(b.value, rel=1e-12)
 
@@ -81,6 +81,6 @@ def test_the_higher_of_two_peaks_wins_though_the_grid_shows_it_lower():
     grid = grid[(grid < 1971) | (grid > 2029)]
     response = at(grid)
     assert grid[np.argmax(np.abs(response.G[:, 0, 0]))] == first
-    peak = peaks(lambda r: np.abs(r.G[:, :, 0]).T, response, at)[0]
+    peak = peaks_of([lambda r: np.abs(r.G[:, :, 0]).T], response, at)[0][0]
     assert peak.frequency == pytest.approx(second, rel=1e-3)
     assert peak.value == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=1e-6)

@@ -1,4 +1,4 @@
-"""Lyapunov and Riccati equations, Gramians, balanced realisations and the H2 norm; the H-infinity norm is in ``norms``.
+"""Lyapunov and Riccati equations, Gramians and balanced realisations.
 
 Everything is balanced by exact diagonal scaling first, and every result is put back into its equation: what does not fit
 is not returned.
@@ -15,23 +15,8 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_shape, invalid
 from ambrose.core.frequency import schur_eigenvalues
-from ambrose.core.norms import HinfNorm, hinf_norm
 from ambrose.core.realisation.balancing import balance, balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
-
-__all__ = [
-    "HinfNorm",
-    "RiccatiSolution",
-    "balanced_realization",
-    "controllability_gramian",
-    "discrete_lyapunov",
-    "h2_norm",
-    "hinf_norm",
-    "lyapunov",
-    "observability_gramian",
-    "riccati",
-    "solve_riccati",
-]
 
 _RESIDUAL = 1e-8  # largest accepted residual, relative to the terms of the equation
 _EPS = float(np.finfo(float).eps)
@@ -131,31 +116,12 @@ class RiccatiSolution:
         return self.status == "solved"
 
 
-_ADVICE = {
-    "imaginary-axis eigenvalues": "the Hamiltonian has eigenvalues on the imaginary axis; gamma is too small, or a mode on the "
-    "axis is uncontrollable or unobservable",
-    "X1 singular": "the stable subspace has a singular X1; gamma is too small, or (A, G) is not stabilisable",
-    "inaccurate": "the solution's residual is too large; rescale the problem, or move away from the optimal gamma",
-}
-
-
-def riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
+def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     """The stabilising solution of A^T X + X A - X G X + Q = 0: the eigenvalues of A - G X lie in the open left half plane.
 
     A (n, n); G (n, n) and Q (n, n) symmetric, either may be indefinite. For LQR G = B R^-1 B^T; for H-infinity control
-    G = B2 B2^T - gamma^-2 B1 B1^T. Raises NumericalFailure naming the reason when there is none; InvalidInput. Source: Laub
-    1979 (Schur vectors of the Hamiltonian), with symplectic balancing (Benner 2001).
-    """
-    solution = solve_riccati(A, G, Q)
-    if not solution.solved:
-        raise NumericalFailure(f"the Riccati equation has no stabilising solution: {_ADVICE[solution.status]}")
-    return solution
-
-
-def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
-    """``riccati`` for use in an iteration: failure is a ``status``, not an exception.
-
-    A (n, n); G (n, n), Q (n, n) symmetric. Raises InvalidInput only.
+    G = B2 B2^T - gamma^-2 B1 B1^T. Failure is a ``status``, not an exception; raises InvalidInput only. Source: Laub 1979
+    (Schur vectors of the Hamiltonian), with symplectic balancing (Benner 2001).
     """
     a = check_shape(A, "A", "(n, n)")
     n = a.shape[0]
@@ -293,19 +259,6 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
     S = U @ R
     factor: np.ndarray = sla.qr(np.hstack([S.real, S.imag]).T, mode="r")[0][:n]
     return factor.T * t[:, None]
-
-
-def h2_norm(system: Any) -> float:
-    """The H2 norm: root of the summed squares of all impulse responses; inf when a continuous system has D != 0.
-
-    Sampled systems are summed per sample, not per second. Raises UnstableSystem. Source: Zhou, Doyle & Glover 1996, sec. 4.6.
-    """
-    system = as_statespace(system)
-    discrete = system.dt is not None
-    L = _gramian_factor(system.A, system.B, discrete)
-    if discrete:
-        return float(np.hypot(np.linalg.norm(system.C @ L), np.linalg.norm(system.D)))
-    return float(np.inf if system.D.any() else np.linalg.norm(system.C @ L))
 
 
 def balanced_realization(system: Any) -> tuple[StateSpace, np.ndarray, np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ are formed: defective and badly conditioned systems are as exact as any other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import factorial
 from typing import Any
@@ -92,16 +92,10 @@ def impulse_response(system: Any, samples: int, dt: float | None = None) -> np.n
         sampled, _ = _sampled(system, dt)
         return _markov(sampled.A, sampled.B, sampled.C, sampled.D, samples)
     if system.D.any():
-        raise invalid("D", "not zero", "zero for an impulse response", "take step_response, or select() outputs without D")
+        raise invalid("D", "not zero", "zero for an impulse response", "select() outputs without D")
     sampled, t = _sampled(system, dt)
     values = _markov(sampled.A, system.B / t[:, None], sampled.C, system.D, samples + 1)
     return values[:, :, 1:]
-
-
-def step_response(system: Any, samples: int, dt: float | None = None) -> np.ndarray:
-    """The response (p, m, samples) of every output to a unit step at every input, exact. Arguments as impulse_response."""
-    sampled, _ = _sampled(system, dt)
-    return np.cumsum(_markov(sampled.A, sampled.B, sampled.C, sampled.D, _count(samples)), axis=2)
 
 
 def sample_polynomial(system: Any, dt: float, degree: int = 3) -> StateSpace:
@@ -182,44 +176,6 @@ def held_derivative(
     dM[..., :n, :n], dM[..., :n, n:] = dA, dB
     E, dE = expm_derivative(M, dM, check_positive(dt, "dt", "give the sample time in seconds"))
     return E[:n, :n], E[:n, n:], dE[..., :n, :n], dE[..., :n, n:]
-
-
-def simulate_derivative(
-    system: Any,
-    directions: Sequence[SystemDerivative],
-    u: ArrayLike,
-    dt: float | None = None,
-    x0: ArrayLike | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Outputs y (p, k) and their exact derivatives dy (q, p, k) for q parameters; the input u (m, k) is held.
-
-    directions: the derivatives of the matrices of ``system`` as given (continuous or sampled); other arguments as
-    ``simulate``, x0 not depending on the parameters. x'[k+1] = Ad x' + dAd x + dBd u, y' = C x' + dC x + dD u.
-    """
-    system = as_statespace(system)
-    y = simulate(system, u, dt, x0)
-    if not directions:
-        return y, np.zeros((0, *y.shape))
-    n, m, p = system.n_states, len(system.inputs), len(system.outputs)
-    stacks = {letter: np.stack([getattr(d, letter) for d in directions]) for letter in "ABCD"}
-    for letter, shape in zip("ABCD", ("(q, n, n)", "(q, n, m)", "(q, p, n)", "(q, p, m)"), strict=True):
-        check_shape(stacks[letter], f"the derivative of {letter}", shape, n=n, m=m, p=p)
-    if system.dt is None:
-        dt = check_positive(dt or 0.0, "dt", "give the sample time in seconds")
-        A, B, dA, dB = held_derivative(system.A, system.B, stacks["A"], stacks["B"], dt)
-    else:
-        dt, A, B, dA, dB = system.dt, system.A, system.B, stacks["A"], stacks["B"]
-    start = np.concatenate([_start(x0, n), np.zeros(n)])
-    dy = [
-        simulate(
-            StateSpace(
-                np.block([[A, np.zeros((n, n))], [dA[q], A]]), np.vstack([B, dB[q]]),
-                np.hstack([stacks["C"][q], system.C]), stacks["D"][q], None, None, dt,
-            ), u, dt, start,
-        )
-        for q in range(len(directions))
-    ]  # fmt: skip
-    return y, np.stack(dy)
 
 
 def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, final: ArrayLike = 0.0, start: float = 0.0) -> float:

@@ -337,17 +337,6 @@ def series(first: Any, second: Any) -> StateSpace:
     )  # fmt: skip
 
 
-def parallel(first: Any, second: Any) -> StateSpace:
-    """The sum of two systems with equally many inputs and outputs; the names of the first are kept."""
-    first, second = as_statespace(first), as_statespace(second)
-    if first.D.shape != second.D.shape:
-        raise invalid("the second system's size", second.D.shape, str(first.D.shape), "select() signals")
-    return StateSpace(
-        sla.block_diag(first.A, second.A), np.vstack([first.B, second.B]), np.hstack([first.C, second.C]),
-        first.D + second.D, first.inputs, first.outputs, _common_dt([first, second]),
-    )  # fmt: skip
-
-
 def feedback(forward: Any, backward: Any, sign: int = -1) -> StateSpace:
     """The loop y = forward (r + sign * backward y), from r to y with the names of ``forward``.
 
@@ -435,15 +424,3 @@ def connect(
         raise InvalidInput(f"the sum {sorted(set(sums) - used)[0]!r} leads nowhere: it is no input, no output and no term")
     C, D = pick[:, :p] @ closed.C, pick[:, :p] @ D + pick[:, p:]
     return StateSpace(closed.A, B, C, D, list(inputs), list(outputs), closed.dt)
-
-
-def similarity(system: Any, T: ArrayLike) -> StateSpace:
-    """The same system in the states z with x = T z; T (n, n)."""
-    system = as_statespace(system)
-    T = check_shape(T, "T", "(n, n)", n=system.n_states)
-    scaled = T / np.maximum(np.linalg.norm(T, axis=1, keepdims=True), np.finfo(float).tiny)
-    scaled = scaled / np.maximum(np.linalg.norm(scaled, axis=0), np.finfo(float).tiny)
-    if np.linalg.matrix_rank(scaled) < system.n_states:
-        raise invalid("T", "singular", "invertible", "use project() or a balanced truncation to reduce a system")
-    A = np.linalg.solve(T, system.A @ T)
-    return StateSpace(A, np.linalg.solve(T, system.B), system.C @ T, system.D, system.inputs, system.outputs, system.dt)

@@ -113,12 +113,6 @@ def force(i_zeta: float, i_eta: float, x_zeta: float, x_eta: float, p: tuple[flo
     return f_zeta, f_eta
 
 
-def flux_density(current: float, gap: float, iron: MagnetIron) -> float:
-    """Flux density B [T] in the air gap [m] of a horseshoe at a coil current [A], with its iron."""
-    limit, path = _iron(iron)
-    return VACUUM_PERMEABILITY * iron.turns / 2 * _flux(current, gap, limit, path)[0]
-
-
 def _iron(iron: MagnetIron | None) -> tuple[float, float]:
     """b_s [A/m] and l [m]; (0, 0) without iron."""
     return (0.0, 0.0) if iron is None else (2 * iron.flux_density / (VACUUM_PERMEABILITY * iron.turns), iron.equivalent_gap)

@@ -5,7 +5,7 @@ k > 0 drives forward whirl.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,35 +57,6 @@ def matrices(coefficients: SealCoefficients) -> tuple[np.ndarray, np.ndarray, np
     """Stiffness (2, 2) [N/m], damping (2, 2) [N s/m] and added mass (2, 2) [kg] in x, y, as in the force law above."""
     s = coefficients
     return np.array([[s.K, s.k], [-s.k, s.K]]), np.array([[s.C, s.c], [-s.c, s.C]]), np.diag([s.M, s.M])
-
-
-def path(seal: Seal, pressure: Sequence[float], speed: Sequence[float], frequency: Sequence[float] | None = None) -> np.ndarray:
-    """Coefficients K, k, C, c, M, (n, 5), at n points of an operating point that varies in time; see ``coefficients``.
-
-    pressure (n,) [Pa], speed (n,) [rad/s], whirl frequency (n,) [rad/s] (None: the speeds), at equal steps of time.
-    """
-    whirl = [None] * len(speed) if frequency is None else frequency
-    rows = [coefficients(seal, p, s, w) for p, s, w in zip(pressure, speed, whirl, strict=True)]
-    return np.array([(c.K, c.k, c.C, c.c, c.M) for c in rows], dtype=float).reshape(-1, 5)
-
-
-def along(time: float, step: float, rows: np.ndarray) -> tuple[float, float, float, float, float]:
-    """Coefficients at a time [s], linear between the rows of ``path``, ``step`` [s] apart; constant past their ends.
-
-    Compiles with numba as it stands.
-    """
-    at = min(max(time / step, 0.0), rows.shape[0] - 1.0)
-    i = min(int(at), max(rows.shape[0] - 2, 0))
-    j = min(i + 1, rows.shape[0] - 1)
-    t = at - i
-    s = 1.0 - t
-    return (
-        s * rows[i, 0] + t * rows[j, 0],
-        s * rows[i, 1] + t * rows[j, 1],
-        s * rows[i, 2] + t * rows[j, 2],
-        s * rows[i, 3] + t * rows[j, 3],
-        s * rows[i, 4] + t * rows[j, 4],
-    )
 
 
 def parameters(coefficients: SealCoefficients) -> tuple[float, float, float, float, float]:

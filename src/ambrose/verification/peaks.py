@@ -33,27 +33,17 @@ class _Bracket:
     value: np.ndarray  # (3,)
 
 
-def peaks(
-    rows: Rows,
-    response: LoopResponse,
-    evaluator: Evaluator,
-    within: tuple[float, float] | None = None,
-) -> tuple[Peak, ...]:
-    """The peak of every row of ``rows`` over the response's grid, refined by narrowing brackets around the best local maxima.
-
-    within: frequency range [rad/s], default the whole grid; its ends are evaluated too. What is left of the error is the
-    non-parabolic part of the curve in a bracket 256 times narrower than the grid's.
-    """
-    return peaks_of([rows], response, evaluator, within)[0]
-
-
 def peaks_of(
     quantities: Sequence[Rows],
     response: LoopResponse,
     evaluator: Evaluator,
     within: tuple[float, float] | None = None,
 ) -> list[tuple[Peak, ...]]:
-    """``peaks`` of several quantities at once: all brackets share each round's evaluation of the loop."""
+    """The peak of every row of several quantities over the response's grid, refined around the best local maxima.
+
+    within: frequency range [rad/s], default the whole grid; its ends are evaluated too. All brackets share each round's
+    evaluation of the loop and are narrowed 256 times; the error left is the non-parabolic part of the curve within them.
+    """
     values = [rows(response) for rows in quantities]
     sizes = [len(v) for v in values]
     stacked = np.vstack(values)

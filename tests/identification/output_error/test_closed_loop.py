@@ -9,7 +9,7 @@ import scipy.linalg as sla
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.core.response import simulate, simulate_derivative
+from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification import excitation
@@ -27,6 +27,7 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Scenario
 from ambrose.synthesis.pid import pid_synthesis
+from whole_records import simulate_derivative
 
 DT = 1e-4
 NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")

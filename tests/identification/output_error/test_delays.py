@@ -9,7 +9,7 @@ import scipy.linalg as sla
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.core.response import simulate, simulate_derivative
+from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.identification import excitation
 from ambrose.identification.model_updating import update_machine
@@ -23,6 +23,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
+from whole_records import simulate_derivative
 
 DT = 1e-4
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

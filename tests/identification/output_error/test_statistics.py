@@ -6,12 +6,12 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.core.response import SystemDerivative, simulate_derivative
+from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.levenberg_marquardt import Linearised, minimise
 from ambrose.identification.output_error.normal_equations import distinct
-from whole_records import fit_percent, lifted_sensitivities, residual_input_test, sandwich_middle
+from whole_records import fit_percent, lifted_sensitivities, residual_input_test, sandwich_middle, simulate_derivative
 
 
 @pytest.mark.parametrize(("m", "k"), [(1, 1), (1, 64), (1, 333), (3, 200)])

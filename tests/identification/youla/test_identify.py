@@ -10,7 +10,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.frequency import frequency_response
 from ambrose.core.realisation.coprime import coprime_factors, injection_gain, observer_controller
-from ambrose.core.response import impulse_response, simulate, simulate_derivative
+from ambrose.core.response import impulse_response, simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.identification.frf import spectral as frf
@@ -30,6 +30,7 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import Prbs, Scenario
 from ambrose.synthesis.pid import pid_controller, pid_synthesis
+from whole_records import simulate_derivative
 
 DT = 1e-4
 PATH = "bearing.B.negative_stiffness.eta"

@@ -9,7 +9,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.lft import GeneralizedPlant, lft
-from ambrose.core.matrix_equations import riccati
+from ambrose.core.matrix_equations import solve_riccati
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, spectral_abscissa, static_gain
 from ambrose.synthesis.certificate import generalized_certificate
@@ -42,8 +42,8 @@ def coprime(A, B, C, D) -> tuple[GeneralizedPlant, float]:
     p, m = D.shape
     R, S = np.eye(p) + D @ D.T, np.eye(m) + D.T @ D
     F = A - B @ np.linalg.solve(S, D.T @ C)
-    X = riccati(F, B @ np.linalg.solve(S, B.T), C.T @ np.linalg.solve(R, C)).X
-    Z = riccati(F.T, C.T @ np.linalg.solve(R, C), B @ np.linalg.solve(S, B.T)).X
+    X = solve_riccati(F, B @ np.linalg.solve(S, B.T), C.T @ np.linalg.solve(R, C)).X
+    Z = solve_riccati(F.T, C.T @ np.linalg.solve(R, C), B @ np.linalg.solve(S, B.T)).X
     wide = np.hstack([np.zeros((len(A), p)), B, B])
     tall = np.vstack([np.zeros((m, len(A))), C, C])
     zero, one = np.zeros((m, m)), np.eye(m)

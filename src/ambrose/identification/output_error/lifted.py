@@ -1,6 +1,6 @@
 """Outputs and all their parameter derivatives of a sampled loop at once, in blocks and in pieces of a record.
 
-The same sums as core/response.py's simulate_derivative, which is the oracle in the tests. There every parameter is a system of
+The same sums as simulate_derivative of tests/whole_records.py, the oracle. There every parameter is a system of
 twice the size; here all share the loop's own lifted matrices (Chen & Francis 1995, ch. 8) and one sequential pass, and only a
 piece of the record is held at a time. No eigenvectors are formed: this is the exact way that never fails.
 """
