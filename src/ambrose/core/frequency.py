@@ -87,17 +87,19 @@ def frequency_response(system: Any, omega: ArrayLike) -> FrequencyResponse:
     omega = check_shape(omega, "omega", "(w)")
     if np.iscomplexobj(omega):
         raise invalid("omega", "complex", "real", "give frequencies in rad/s, not points j omega")
-    if system.dt is not None and omega.size and np.abs(omega).max() > np.pi / system.dt * (1 + 1e-9):
-        nyquist = np.pi / system.dt
-        raise invalid(
-            "the highest frequency",
-            f"{np.abs(omega).max():g} rad/s",
-            f"at most the Nyquist frequency {nyquist:g}",
-            "shorten the grid",
-        )
+    if system.dt is not None:
+        check_nyquist(omega, system.dt)
     s = 1j * omega if system.dt is None else np.exp(1j * omega * system.dt)
     values = transfer_matrix(system.A, system.B, system.C, system.D, s)
     return FrequencyResponse(values, omega, system.inputs, system.outputs)
+
+
+def check_nyquist(omega: np.ndarray, dt: float) -> None:
+    """Raises InvalidInput where omega (w,) [rad/s] exceeds the Nyquist frequency of the sample time dt [s]."""
+    highest, nyquist = np.abs(omega).max(initial=0.0), np.pi / dt
+    if highest > nyquist * (1 + 1e-9):
+        required = f"at most the Nyquist frequency {nyquist:g}"
+        raise invalid("the highest frequency", f"{highest:g} rad/s", required, "shorten the grid")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

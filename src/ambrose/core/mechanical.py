@@ -68,19 +68,7 @@ def to_statespace(system: SecondOrder, speed: float = 0.0) -> StateSpace:
         K, D = (_congruent(L, X) for X in (K, D))
         B, C, Cv = (sla.solve_triangular(L, X, lower=True) for X in (B, C.T, Cv.T))
         C, Cv = C.T, Cv.T
-    s = velocity_scales(K)
-    A = np.zeros((2 * n, 2 * n))
-    A[:n, n:] = np.diag(s)
-    A[n:, :n] = -K / s[:, None]
-    A[n:, n:] = -D / s[:, None] * s
-    return StateSpace(
-        A,
-        np.vstack([np.zeros_like(B), B / s[:, None]]),
-        np.vstack([np.hstack([C, np.zeros_like(C)]), np.hstack([np.zeros_like(Cv), Cv * s])]),
-        np.zeros((len(C) + len(Cv), B.shape[1])),
-        system.inputs,
-        system.outputs + system.velocity_outputs,
-    )
+    return _first_order(system, -K, -D, B, C, Cv, velocity_scales(K))
 
 
 def to_common_statespace(system: SecondOrder, speed: float, scales: np.ndarray) -> StateSpace:
@@ -95,12 +83,21 @@ def to_common_statespace(system: SecondOrder, speed: float, scales: np.ndarray) 
         inverse = np.linalg.inv(system.mass)
     except np.linalg.LinAlgError as error:
         raise invalid("the mass matrix", "singular", "positive definite", "check masses and added mass") from error
-    n = system.n
+    damping = system.damping + speed * system.gyroscopic
+    return _first_order(
+        system, -inverse @ system.stiffness, -inverse @ damping, inverse @ system.B, system.C, system.Cv, s
+    )  # fmt: skip
+
+
+def _first_order(
+    system: SecondOrder, position: np.ndarray, velocity: np.ndarray, B: np.ndarray, C: np.ndarray, Cv: np.ndarray, s: np.ndarray
+) -> StateSpace:
+    """z'' = position z + velocity z' + B f in the states z and z'/s, with the signals of ``system``."""
+    n = len(s)
     A = np.zeros((2 * n, 2 * n))
     A[:n, n:] = np.diag(s)
-    A[n:, :n] = -inverse @ system.stiffness / s[:, None]
-    A[n:, n:] = -inverse @ (system.damping + speed * system.gyroscopic) / s[:, None] * s
-    B, C, Cv = inverse @ system.B, system.C, system.Cv
+    A[n:, :n] = position / s[:, None]
+    A[n:, n:] = velocity / s[:, None] * s
     return StateSpace(
         A,
         np.vstack([np.zeros_like(B), B / s[:, None]]),
@@ -205,8 +202,7 @@ def _subspace_iteration(mass: np.ndarray, stiffness: np.ndarray, count: int) -> 
 
 def project(system: SecondOrder, basis: np.ndarray) -> SecondOrder:
     """Galerkin projection q = basis eta onto the columns of basis (n, k); all signals are kept."""
-    basis = check_shape(basis, "basis", "(n, k)", n=system.n)
-    V = basis
+    V = check_shape(basis, "basis", "(n, k)", n=system.n)
     return SecondOrder(
         V.T @ system.mass @ V, V.T @ system.damping @ V, V.T @ system.gyroscopic @ V, V.T @ system.stiffness @ V,
         V.T @ system.B, system.C @ V, system.Cv @ V, system.inputs, system.outputs, system.velocity_outputs,

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import NumericalFailure, check_shape, invalid
-from ambrose.core.statespace import StateSpace
 
 _ROUNDS = 60
 _SETTLED = 1e-9  # relative change of every pole
@@ -46,34 +45,30 @@ class RationalFit:
 
     def real_form(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A (n, n), b (n,), C (m, n) of the part with poles: H = C (s - A)^-1 b + d + s e, all real."""
-        A, b, C = np.zeros((len(self.poles), len(self.poles))), np.ones(len(self.poles)), np.zeros(self.residues.shape)
-        for i in range(len(self.poles)):
-            p = self.poles[i]
-            if p.imag > 0:
-                A[i : i + 2, i : i + 2] = [[p.real, p.imag], [-p.imag, p.real]]
-                b[i : i + 2] = [2, 0]
-                C[:, i], C[:, i + 1] = self.residues[:, i].real, self.residues[:, i].imag
-            elif p.imag == 0:
-                A[i, i], C[:, i] = p.real, self.residues[:, i].real
+        A, b = _real_poles(self.poles)
+        C = self.residues.real.copy()
+        upper = np.flatnonzero(self.poles.imag > 0)
+        C[:, upper + 1] = self.residues[:, upper].imag
         return A, b, C
 
-    def system(self, input: str = "u1", outputs: list[str] | None = None) -> StateSpace:
-        """State space from one input to the m responses; refused with InvalidInput where a slope is not zero."""
-        if np.any(self.slope):
-            raise invalid(
-                "the slope of the rational fit", self.slope.tolist(), "zero", "fit with slope=False, or use real_form"
-            )
-        A, b, C = self.real_form()
-        return StateSpace(A, b[:, None], C, self.constant[:, None], [input], outputs)
+
+def _real_poles(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A (n, n) and b (n,), real, with C (s - A)^-1 b a sum of fractions on the poles: a pair is a rotation fed by [2, 0]."""
+    A, b = np.zeros((len(poles), len(poles))), np.ones(len(poles))
+    for i, p in enumerate(poles):
+        if p.imag > 0:
+            A[i : i + 2, i : i + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+            b[i : i + 2] = [2, 0]
+        elif p.imag == 0:
+            A[i, i] = p.real
+    return A, b
 
 
-def fit_rational(
-    omega: ArrayLike, data: ArrayLike, order: int, slope: bool = False, weight: ArrayLike | None = None
-) -> RationalFit:
-    """The rational functions with ``order`` common stable poles nearest to the data, by weighted least squares.
+def fit_rational(omega: ArrayLike, data: ArrayLike, order: int, slope: bool = False) -> RationalFit:
+    """The rational functions with ``order`` common stable poles nearest to the data, by least squares.
 
-    omega (w,) [rad/s]: positive, ascending. data (m, w) or (w,), complex: H_i(j omega). slope: whether terms s e_i are allowed.
-    weight (m, w) or (w,): of every point, positive; by default 1 over each response's largest magnitude.
+    omega (w,) [rad/s]: positive, ascending. data (m, w) or (w,), complex: H_i(j omega), each over its largest magnitude. slope:
+    whether terms s e_i are allowed.
     Raises InvalidInput, among others when the points do not determine so many parameters; NumericalFailure.
     """
     omega = check_shape(omega, "omega", "(w,)").astype(float)
@@ -85,14 +80,7 @@ def fit_rational(
     if order < 1 or 2 * len(omega) < 2 * order + 1 + slope:
         limit = f"between 1 and {(2 * len(omega) - 1 - slope) // 2} for {len(omega)} frequencies"
         raise invalid("the order of the fit", order, limit, "give more frequencies or lower the order")
-    scale: np.ndarray = np.abs(H).max(axis=1, keepdims=True)
-    scale[scale == 0] = 1
-    given = 1 / scale if weight is None else check_shape(weight, "weight", "(..., w)", w=len(omega))
-    weights = np.broadcast_to(given, H.shape)
-    if (weights <= 0).any():
-        raise invalid(
-            "the weight of the fit", float(weights.min()), "positive", "leave points out instead of weighting them with zero"
-        )
+    weights = np.broadcast_to(1 / _size(H), H.shape)
     unit = np.sqrt(omega[0] * omega[-1])  # frequencies of order one: the powers of s stay comparable
     poles = _poles(1j * omega / unit, H, weights, _start(omega / unit, order), slope)
     return _on_poles(omega, H, weights, poles * unit, slope)
@@ -102,9 +90,14 @@ def fit_on_poles(omega: ArrayLike, data: ArrayLike, poles: ArrayLike, slope: boo
     """As ``fit_rational``, with poles (n,) [rad/s] that are given, those of another fit say: only what is linear is found."""
     omega = check_shape(omega, "omega", "(w,)").astype(float)
     H = check_shape(data, "data", "(m, w)", w=len(omega)).astype(complex)
-    scale: np.ndarray = np.abs(H).max(axis=1, keepdims=True)
-    scale[scale == 0] = 1
-    return _on_poles(omega, H, np.broadcast_to(1 / scale, H.shape), np.asarray(poles, dtype=complex), slope)
+    return _on_poles(omega, H, np.broadcast_to(1 / _size(H), H.shape), np.asarray(poles, dtype=complex), slope)
+
+
+def _size(H: np.ndarray) -> np.ndarray:
+    """The largest magnitude of every response, (m, 1); 1 where it is zero."""
+    size: np.ndarray = np.abs(H).max(axis=1, keepdims=True)
+    size[size == 0] = 1
+    return size
 
 
 def _on_poles(omega: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool) -> RationalFit:
@@ -113,9 +106,7 @@ def _on_poles(omega: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.n
     fitted = _residues(1j * omega / unit, H, weights, poles / unit, slope)
     residues, constant, slopes = fitted[:, :order] * unit, fitted[:, order].real, fitted[:, order + 1].real / unit
     fit = RationalFit(poles, residues, constant, slopes, np.zeros(len(H)))
-    scale = np.abs(H).max(axis=1)
-    scale[scale == 0] = 1
-    error = np.abs(fit.response(omega) - H).max(axis=1) / scale
+    error = np.abs(fit.response(omega) - H).max(axis=1) / _size(H)[:, 0]
     if not np.isfinite(error).all():
         raise NumericalFailure("vector fitting did not end in finite numbers; lower the order or widen the frequency range")
     return RationalFit(fit.poles, fit.residues, fit.constant, fit.slope, error)
@@ -177,13 +168,7 @@ def _relocate(s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarr
     norm[norm == 0] = 1
     c = np.linalg.lstsq(left / norm, right, rcond=None)[0] / norm
     d = c[n] if abs(c[n]) > 1e-8 else np.copysign(1e-8, c[n])
-    A, b = np.zeros((n, n)), np.ones(n)
-    for i, p in enumerate(poles):
-        if p.imag > 0:
-            A[i : i + 2, i : i + 2] = [[p.real, p.imag], [-p.imag, p.real]]
-            b[i : i + 2] = [2, 0]
-        elif p.imag == 0:
-            A[i, i] = p.real
+    A, b = _real_poles(poles)
     return _ordered(np.linalg.eigvals(A - np.outer(b, c[:n]) / d))
 
 

@@ -300,20 +300,9 @@ def append(*systems: Any) -> StateSpace:
     """Block-diagonal combination: all inputs and all outputs side by side (names must not repeat)."""
     parts = [as_statespace(s) for s in systems]
     return StateSpace(
-        sla.block_diag(*[s.A for s in parts]), _block_diag([s.B for s in parts]), _block_diag([s.C for s in parts]),
-        _block_diag([s.D for s in parts]),
+        *(sla.block_diag(*[getattr(s, letter) for s in parts]) for letter in "ABCD"),
         [name for s in parts for name in s.inputs], [name for s in parts for name in s.outputs], _common_dt(parts),
     )  # fmt: skip
-
-
-def _block_diag(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    rows, columns = sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)
-    result = np.zeros((rows, columns))
-    i = j = 0
-    for b in blocks:
-        result[i : i + b.shape[0], j : j + b.shape[1]] = b
-        i, j = i + b.shape[0], j + b.shape[1]
-    return result
 
 
 def _common_dt(systems: Iterable[StateSpace]) -> float | None:

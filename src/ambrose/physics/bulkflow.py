@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from math import pi
 
 import numpy as np
@@ -266,15 +265,9 @@ def _walls(geometry: SealGeometry, condition: SealCondition) -> Walls:
 
 def _solve(walls: Walls, omega: np.ndarray, cells: int) -> tuple[StaticFlow, np.ndarray]:
     """Zeroth-order flow and Z (2, w) [N/m] for forward and backward whirl."""
-    flow = _static(walls, cells)
+    flow = static_flow(walls, cells)
     both = whirl_flow(walls, flow, np.concatenate([omega, -omega]))
     return flow, -pi * walls.radius * both.mean_p.reshape(2, -1)  # h = -r
-
-
-@lru_cache(maxsize=256)
-def _static(walls: Walls, cells: int) -> StaticFlow:
-    """The zeroth-order flow, once for all whirl frequencies: it is nine tenths of the work at a single one."""
-    return static_flow(walls, cells)
 
 
 def _mach(walls: Walls, flow: StaticFlow) -> float:

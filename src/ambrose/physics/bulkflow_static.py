@@ -14,6 +14,7 @@ p_out - p(L) = 1/2 exit_recovery rho W^2. Where W reaches a the flow chokes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from math import pi, sqrt
 
@@ -76,8 +77,9 @@ class StaticFlow:
     axial_slope: np.ndarray
 
 
+@lru_cache(maxsize=256)
 def static_flow(walls: Walls, cells: int) -> StaticFlow:
-    """The flow whose exit pressure is the given one, by bracketing on the mass flow.
+    """The flow whose exit pressure is the given one, by bracketing on the mass flow; once for all whirl frequencies.
 
     Fourth-order Runge-Kutta with two steps per cell. Raises InvalidInput when the seal chokes before that exit pressure is
     reached, NumericalFailure when no mass flow fits.

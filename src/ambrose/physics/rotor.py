@@ -182,17 +182,13 @@ def free_bending_frequencies(rotor: Rotor, count: int) -> np.ndarray:
     return _plane_bending(rotor, count)[0]
 
 
+@lru_cache(maxsize=16)
 def free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
     """Rigid modes (exact) and the lowest ``n_bending`` bending modes of each plane of the free rotor at standstill.
 
     Computed once for a rotor; the arrays are read-only. Raises InvalidInput when ``n_bending`` exceeds what the mesh has
     (2N - 2).
     """
-    return _free_modes(rotor, n_bending)
-
-
-@lru_cache(maxsize=16)
-def _free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
     rigid = _rigid_modes(rotor)
     frequencies, bending = _plane_bending(rotor, n_bending) if n_bending else (np.zeros(0), np.zeros((len(rigid), 0)))
     plane = np.hstack([rigid, bending])

@@ -86,7 +86,8 @@ def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: boo
     if not 0 <= bending_modes <= available:
         raise invalid("bending_modes", bending_modes, f"between 0 and {available}", "refine the mesh or keep fewer modes")
     full = attached_rotor(machine, point, rotor)
-    second_order = leading(full, 4 + 2 * min(available, bending_modes + _EXTRA_MODES))
+    kept = 4 + 2 * min(available, bending_modes + _EXTRA_MODES)  # all other modal coordinates are held at zero
+    second_order = project(full, np.eye(full.n)[:, :kept])
     small = to_statespace(second_order, point.speed)
     T_L, T_R, L_res, R_res = split_slow(small.A, 8 + 4 * bending_modes)
     slow, fast = (
@@ -120,11 +121,6 @@ def free_mode_reduction(plant: Plant, bending_modes: int = 0) -> Plant:
     return with_offsets_of(wire(machine, point, closed, bending_modes), plant)
 
 
-def leading(system: SecondOrder, count: int) -> SecondOrder:
-    """The system with all but its first ``count`` (modal) coordinates held at zero."""
-    return project(system, np.eye(system.n)[:, :count])
-
-
 def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Real block-diagonalisation of A (n, n) into its ``count`` slowest poles (by modulus) and the rest.
 
@@ -146,8 +142,7 @@ def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.nd
     X = sla.solve_sylvester(T[:r, :r], -T[r:, r:], -T[:r, r:]) if r < n else np.zeros((r, 0))
     T_R, R_res = Q[:, :r], Q[:, r:] + Q[:, :r] @ X
     T_L, L_res = (Q[:, :r] - Q[:, r:] @ X.T).T, Q[:, r:].T
-    inner, s = balance(T_L @ A @ T_R)
-    del inner
+    _, s = balance(T_L @ A @ T_R)
     return (T_L / s[:, None]) / t, (T_R * s) * t[:, None], L_res / t, R_res * t[:, None]
 
 

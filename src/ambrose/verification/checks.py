@@ -94,10 +94,7 @@ class Checks(Presented):
 
     def __getitem__(self, name: str) -> Check:
         """The check of that name; raises KeyError."""
-        for check in self.checks:
-            if check.name == name:
-                return check
-        raise KeyError(name)
+        return {check.name: check for check in self.checks}[name]
 
     def facts(self) -> Mapping[str, Any]:
         """The verdict, how many checks were made, and which failed."""
@@ -127,10 +124,7 @@ class Checks(Presented):
 
     def curve(self, name: str) -> Curve:
         """The curve of that name; raises KeyError."""
-        for curve in self.curves:
-            if curve.name == name:
-                return curve
-        raise KeyError(name)
+        return {curve.name: curve for curve in self.curves}[name]
 
 
 def check_columns(checks: Sequence[Check]) -> dict[str, list[Any]]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.checks import check_shape, invalid
-from ambrose.core.frequency import SchurForm, evaluate, schur_form
+from ambrose.core.checks import check_shape
+from ambrose.core.frequency import SchurForm, check_nyquist, evaluate, schur_form
 from ambrose.core.statespace import StateSpace, select
 from ambrose.plant.loop import Law, match_controller
 from ambrose.plant.model import Plant
@@ -73,38 +73,29 @@ def loop_evaluator(plant: Plant, controller: Law) -> Evaluator:
     """
     part, controller = _parts(plant, controller)
     plant_form, controller_form = _form(part), _form(controller)
-    dt = controller.dt
 
     def at(omega: np.ndarray) -> LoopResponse:
         omega = check_shape(omega, "omega", "(w)").astype(float)
-        if dt is None:
-            K = evaluate(controller_form, 1j * omega)
-        else:
-            check_nyquist(omega, dt)
-            K = evaluate(controller_form, np.exp(1j * omega * dt)) * hold(omega, dt)[:, None, None]
+        K = _held(lambda s: evaluate(controller_form, s), omega, controller.dt)
         return _parted(plant.axes, omega, evaluate(plant_form, 1j * omega), K)
 
     return at
 
 
+def _held(K: Callable[[np.ndarray], Matrices], omega: np.ndarray, dt: float | None) -> Matrices:
+    """K(j w) of a continuous controller, K(exp(j w dt)) times its hold of a sampled one."""
+    if dt is None:
+        return K(1j * omega)
+    check_nyquist(omega, dt)
+    return K(np.exp(1j * omega * dt)) * hold(omega, dt)[:, None, None]
+
+
 def loop_at(plant: Plant, controller: Law, omega: float) -> LoopResponse:
     """The loop at one frequency [rad/s], by one direct solution: cheaper than an evaluator that is used once."""
     part, controller = _parts(plant, controller)
-    dt = controller.dt
     at = np.array([omega])
-    if dt is None:
-        K = _direct(controller, 1j * omega)
-    else:
-        check_nyquist(at, dt)
-        K = _direct(controller, np.exp(1j * omega * dt)) * hold(at, dt)[0]
-    return _parted(plant.axes, at, _direct(part, 1j * omega)[None], K[None])
-
-
-def check_nyquist(omega: np.ndarray, dt: float) -> None:
-    """Raises InvalidInput where omega (w,) [rad/s] exceeds the Nyquist frequency of the sample time dt [s]."""
-    highest, nyquist = omega.max(initial=0.0), np.pi / dt
-    if highest > nyquist:
-        raise invalid("the highest frequency", f"{highest:g} rad/s", f"at most {nyquist:g} (Nyquist)", "shorten the grid")
+    K = _held(lambda s: _direct(controller, s[0])[None], at, controller.dt)
+    return _parted(plant.axes, at, _direct(part, 1j * omega)[None], K)
 
 
 def _parts(plant: Plant, controller: Law) -> tuple[StateSpace, StateSpace]:

@@ -167,17 +167,22 @@ def unbalance_checks(
     ]  # fmt: skip
     shown = response.omega <= max(highest, residual.speed)
     orbits = np.vstack([case(response)[:, shown] for case in cases[:3]])
-    labels = ("worst case", *(f"{n}, in phase" for n in names), *(f"{n}, in antiphase" for n in names))
-    limits = () if requirements.unbalance_orbit is None else (("required", requirements.unbalance_orbit),)
     omega = response.omega[shown]
-    title = "Unbalance response, zero to peak"
     return checks, [
-        Curve("unbalance", title, "speed", omega, orbits, labels, "rad/s", "m", limits),
+        _orbit_curve(machine, omega, orbits, requirements),
         Curve(
             "unbalance.current", "Worst-case unbalance current", "speed", omega, cases[3](response)[:, shown],
             response.axes, "rad/s", "A",
         ),
     ]  # fmt: skip
+
+
+def _orbit_curve(machine: Machine, speeds: np.ndarray, orbits: np.ndarray, requirements: Requirements) -> Curve:
+    """Orbits (1 + 2 bearings, w) [m]: the worst case, then every bearing in phase, then in antiphase."""
+    names = [bearing.name for bearing in machine.bearings]
+    labels = ("worst case", *(f"{n}, in phase" for n in names), *(f"{n}, in antiphase" for n in names))
+    limits = () if requirements.unbalance_orbit is None else (("required", requirements.unbalance_orbit),)
+    return Curve("unbalance", "Unbalance response, zero to peak", "speed", speeds, orbits, labels, "rad/s", "m", limits)
 
 
 def _at(peak: Peak) -> str:
@@ -257,13 +262,7 @@ def unbalance_curve(
             )
             columns = {w: column for w, column in columns.items() if w in speeds or w == best.x}
     x = np.array(sorted(columns))
-    names = [bearing.name for bearing in machine.bearings]
-    labels = ("worst case", *(f"{n}, in phase" for n in names), *(f"{n}, in antiphase" for n in names))
-    limit = machine.requirements.unbalance_orbit
-    return Curve(
-        "unbalance", "Unbalance response, zero to peak", "speed", x, np.array([columns[w] for w in x]).T, labels, "rad/s", "m",
-        () if limit is None else (("required", limit),),
-    )  # fmt: skip
+    return _orbit_curve(machine, x, np.array([columns[w] for w in x]).T, machine.requirements)
 
 
 def assembled_check(curve: Curve, requirements: Requirements) -> Check:

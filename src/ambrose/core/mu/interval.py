@@ -32,6 +32,8 @@ from ambrose.core.statespace import as_statespace, balance, poles
 _AXIS = 1e-7  # |Re s| / |s| below which an eigenvalue counts as imaginary
 _PROBES = 5  # frequencies inside each proved piece at which Phi is looked at, as a check of the eigenvalue solver
 
+_ROUNDS = 12  # of the refinement of a peak
+
 Response = Callable[[np.ndarray], np.ndarray]
 
 
@@ -122,10 +124,8 @@ def mu_peak(
     blocks: Sequence[Block],
     omega: ArrayLike,
     *,
-    g_scaling: bool = True,
     lower: bool = True,
     tolerance: float = 1e-4,
-    rounds: int = 12,
     max_points: int = 3000,
 ) -> MuPeak:
     """The peak of mu over frequency, refined around the high local maxima of its upper bound until they stand still.
@@ -141,12 +141,12 @@ def mu_peak(
     respond = _response(system, structure)
 
     def bound(points: np.ndarray) -> np.ndarray:
-        return upper_bound(respond(points), structure, g_scaling=g_scaling, tolerance=tolerance / 4).value
+        return upper_bound(respond(points), structure, tolerance=tolerance / 4).value
 
     grid = _grid(omega, system)
     values = bound(grid)
     resolved = False
-    for count in range(rounds):
+    for count in range(_ROUNDS):
         top = values.max()
         if count == 0:
             chosen = np.maximum(values[:-1], values[1:]) > 0.5 * top
@@ -171,7 +171,7 @@ def mu_peak(
     if lower:
         chosen = np.argsort(values)[::-1][:40]
         M = respond(grid[chosen])
-        up = upper_bound(M, structure, g_scaling=g_scaling, tolerance=tolerance / 4)
+        up = upper_bound(M, structure, tolerance=tolerance / 4)
         low = lower_bound(M, structure, up.value, up.worst, tolerance=tolerance)
         j = int(low.value.argmax())
         best, at, delta = float(low.value[j]), float(grid[chosen[j]]), low.delta[j]
@@ -255,7 +255,6 @@ def mu_certificate(
     gamma: float,
     interval: tuple[float, float],
     *,
-    g_scaling: bool = True,
     max_pieces: int = 300,
 ) -> MuCertificate:
     """Prove mu(M(j omega)) < gamma for every omega of an interval, or name the part that stays open.
@@ -281,14 +280,14 @@ def mu_certificate(
         omega = _trial(a, b)
         covered, value = (a, a), np.nan
         if len(pieces) + len(open_ranges) < max_pieces:
-            covered, value = _prove(matrices, structure, omega, gamma, g_scaling)
+            covered, value = _prove(matrices, structure, omega, gamma)
         if not (covered[0] < omega < covered[1] or (omega in (a, b) and covered[0] < covered[1])):
             if value < gamma and 0 < a * (1 + 1e-4) < b < np.inf:  # proved at omega and nowhere else: a numerical failure
                 todo += [(a, omega), (omega, b)]
                 pieces.append((matrices.unwarp(omega), matrices.unwarp(omega), matrices.unwarp(omega)))
                 continue
             if np.isnan(value):
-                value = float(upper_bound(matrices.at(omega)[None].astype(complex), structure, g_scaling=g_scaling).value[0])
+                value = float(upper_bound(matrices.at(omega)[None].astype(complex), structure).value[0])
             if np.isnan(open_frequency) or value - gamma > gap:
                 gap, open_frequency = value - gamma, matrices.unwarp(omega)
             open_ranges.append((matrices.unwarp(a), matrices.unwarp(b)))
@@ -327,16 +326,13 @@ def _trial(a: float, b: float) -> float:
     return float(np.sqrt(a * b))
 
 
-def _prove(
-    matrices: _Matrices, structure: Structure, omega: float, gamma: float, g_scaling: bool
-) -> tuple[tuple[float, float], float]:
+def _prove(matrices: _Matrices, structure: Structure, omega: float, gamma: float) -> tuple[tuple[float, float], float]:
     """The range around omega in which the scalings found there prove mu < gamma, and the bound at omega; empty on failure."""
     M = matrices.at(omega)[None].astype(complex)
-    up = upper_bound(M, structure, g_scaling=g_scaling, level=np.array([gamma]), max_iterations=60)
+    up = upper_bound(M, structure, level=np.array([gamma]), max_iterations=60)
     value = float(up.value[0])
     if not value < gamma:
-        value = float(upper_bound(M, structure, g_scaling=g_scaling).value[0])
-        return (omega, omega), value
+        return (omega, omega), float(upper_bound(M, structure).value[0])
     crossings, largest = _crossings(matrices, up.X_w[0], up.X_z[0], up.G[0], gamma, structure)
     below, above = crossings[crossings <= omega], crossings[crossings > omega]
     start = float(below.max()) if len(below) else 0.0

@@ -27,11 +27,10 @@ _REAL_TOLERANCE = 1e-9  # relative imaginary part that counts as real
 @dataclass(frozen=True, slots=True, eq=False)
 class LowerBound:
     """value (b,); delta (b, n_w, n_z) complex with det(I - M delta) = 0 and largest singular value 1 / value, NaN where value
-    is 0; residual (b,): smallest singular value of I - M' delta over 1 + |M'| |delta|, M' being the balanced M."""
+    is 0."""
 
     value: np.ndarray
     delta: np.ndarray
-    residual: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -340,7 +339,7 @@ def lower_bound(
     seeded random starts are spent where the gap stays open.
     """
     b = len(M)
-    value, delta, residual = np.zeros(b), np.full((b, structure.n_w, structure.n_z), np.nan, complex), np.full(b, np.nan)
+    value, delta = np.zeros(b), np.full((b, structure.n_w, structure.n_z), np.nan, complex)
     balanced, _, d_w = osborne(M, structure)
     size = np.linalg.norm(balanced, 2, axis=(1, 2))
     todo = np.flatnonzero((size > 0) & (upper > 0))
@@ -365,12 +364,12 @@ def lower_bound(
         else:
             reach, q = _real_only(unit, parts, q, goal)
             candidate = _assemble(structure, _Point(q, reach, np.ones(len(q)), np.zeros((len(q), 0, 0)), q, b0))
-        found, miss = _verify(unit, candidate)
+        found = _verify(unit, candidate)
         better = found * size[todo] > value[todo]
         k = todo[better]
-        value[k], residual[k] = found[better] * size[k], miss[better]
+        value[k] = found[better] * size[k]
         delta[k] = candidate[better] / size[k, None, None]
-    return LowerBound(value, delta, residual)
+    return LowerBound(value, delta)
 
 
 def _assemble(structure: Structure, point: _Point) -> np.ndarray:
@@ -388,12 +387,12 @@ def _assemble(structure: Structure, point: _Point) -> np.ndarray:
     return delta
 
 
-def _verify(M: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(1 / sigma_max(delta), relative smallest singular value of I - M delta); the first is 0 where the second exceeds 1e-9."""
+def _verify(M: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    """1 / sigma_max(delta), 0 where the smallest singular value of I - M delta, relative to its terms, exceeds 1e-9."""
     usable = np.isfinite(delta).all(axis=(1, 2))
     safe = np.where(usable[:, None, None], delta, 0.0)
     norm = np.linalg.norm(safe, 2, axis=(1, 2))
     s = np.linalg.svd(np.eye(M.shape[1]) - M @ safe, compute_uv=False)[:, -1]
     miss = s / (1 + np.linalg.norm(M, 2, axis=(1, 2)) * norm)
     ok = usable & (norm > 0) & (miss <= 1e-9)
-    return np.where(ok, 1 / np.where(norm > 0, norm, 1.0), 0.0), miss
+    return np.where(ok, 1 / np.where(norm > 0, norm, 1.0), 0.0)

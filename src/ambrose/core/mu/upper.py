@@ -30,14 +30,13 @@ _ZERO = 1e-7  # a bound below this fraction of sigma_max(M) is driven no further
 @dataclass(frozen=True, slots=True, eq=False)
 class UpperBound:
     """value (b,); X_w (b, n_w, n_w), X_z (b, n_z, n_z), G (b, n_w, n_z) in the inequality above; worst (b, n_w) complex: the
-    direction w in which it is tight, a guess of the worst perturbation; iterations: Newton steps of the slowest member."""
+    direction w in which it is tight, a guess of the worst perturbation."""
 
     value: np.ndarray
     X_w: np.ndarray
     X_z: np.ndarray
     G: np.ndarray
     worst: np.ndarray
-    iterations: int
 
 
 def positive_definite(F: np.ndarray) -> np.ndarray:
@@ -171,15 +170,15 @@ def _minimise(
     level: np.ndarray,
     tolerance: float,
     max_iterations: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Follow the centres down until within ``tolerance`` of the dual bound, or at ``level``. M is balanced, of size about 1."""
     b = len(M)
     x = np.tile(basis.start, (b, 1))
     worst = np.zeros((b, basis.n_w), complex)
     active = np.arange(b)
-    iteration = 0
-    while len(active) and iteration < max_iterations:
-        iteration += 1
+    for iteration in range(1, max_iterations + 1):
+        if not len(active):
+            break
         m, xa, ba = M[active], x[active], beta[active]
         path = _Path(basis, m, xa, ba)
         step = _solve(path.hessian, path.gradient)
@@ -205,7 +204,7 @@ def _minimise(
             worst[active[end_now]] = np.linalg.eigh(path.P[end_now])[1][:, :, -1]
         x[active], beta[active] = xa, ba
         active = active[~done]
-    return x, beta, worst, iteration
+    return x, beta, worst
 
 
 def _verified(structure: Structure, M: np.ndarray, X: tuple[np.ndarray, np.ndarray], G: np.ndarray) -> np.ndarray:
@@ -277,11 +276,11 @@ def upper_bound(
         np.tile(np.eye(structure.n_z, dtype=complex), (b, 1, 1)),
     )
     G = np.zeros((b, structure.n_w, structure.n_z), complex)
-    value, worst, iterations = _verified_osborne(structure, unit, alive)
+    value, worst = _verified_osborne(structure, unit, alive)
     if len(alive) and needs_scaling(structure):
         basis = scaling_basis(structure, g_scaling=g_scaling)
         low = (np.zeros(b) if level is None else level / scale)[alive]
-        x, beta, direction, iterations = _minimise(
+        x, beta, direction = _minimise(
             structure, basis, unit[alive], np.maximum(1.05, np.minimum(low, 10.0)), low, tolerance, max_iterations
         )
         S, n_w, n = basis.assemble(x), structure.n_w, structure.n_w + structure.n_z
@@ -295,14 +294,14 @@ def upper_bound(
     X_w = d_w[:, :, None] * X_w * d_w[:, None, :]
     X_z = d_z[:, :, None] * X_z * d_z[:, None, :]
     G = d_w[:, :, None] * G * d_z[:, None, :] * scale[:, None, None]
-    return UpperBound(value, X_w, X_z, G, worst / d_w, iterations)
+    return UpperBound(value, X_w, X_z, G, worst / d_w)
 
 
-def _verified_osborne(structure: Structure, unit: np.ndarray, alive: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+def _verified_osborne(structure: Structure, unit: np.ndarray, alive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """sigma_max of the balanced matrix, with its rounding error, and the right singular vector."""
     value, worst = np.zeros(len(unit)), np.zeros((len(unit), structure.n_w), complex)
     if len(alive):
         _, s, vh = np.linalg.svd(unit[alive])
         value[alive] = s[:, 0] * (1 + 4 * structure.n_w * np.finfo(float).eps)
         worst[alive] = vh[:, 0].conj()
-    return value, worst, 0
+    return value, worst

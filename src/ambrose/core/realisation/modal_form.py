@@ -23,14 +23,10 @@ _RESIDUAL = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalForm:
-    """``system`` has a block-diagonal A with blocks of ``sizes`` (they add up to n); complex pairs are [[a, b], [-b, a]].
-
-    separation [-]: the largest entry of the transforms that parted blocks; 1e4 at most, so that at most 4 digits are lost.
-    """
+    """``system`` has a block-diagonal A with blocks of ``sizes`` (they add up to n); complex pairs are [[a, b], [-b, a]]."""
 
     system: StateSpace
     sizes: tuple[int, ...]
-    separation: float
 
     @property
     def starts(self) -> tuple[int, ...]:
@@ -38,19 +34,19 @@ class ModalForm:
         return tuple(int(i) for i in np.cumsum([0, *self.sizes])[:-1])
 
 
-def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
+def modal_form(system: Any) -> ModalForm:
     """``system`` in real block-diagonal coordinates, slow blocks first; inputs, outputs and sample time are kept.
 
-    growth [-]: largest entry of a transform that separates two blocks; beyond, they stay one. Raises NumericalFailure when
-    the transform does not give the system back to 1e-9.
+    A transform that separates two blocks has entries up to 1e4, so that at most 4 digits are lost; beyond, the blocks stay one.
+    Raises NumericalFailure when the transform does not give the system back to 1e-9.
     """
     system = as_statespace(system)
     n = system.n_states
     if n == 0:
-        return ModalForm(system, (), 0.0)
+        return ModalForm(system, ())
     A, B, C, _ = balance_system(system.A, system.B, system.C)
     T, X = sla.schur(A, output="real")
-    T, X, Y, sizes, separation = _separated(T, X, growth)
+    T, X, Y, sizes = _separated(T, X)
     size = np.abs(A).max()
     if (
         not np.abs(A @ X - X @ T).max() <= _RESIDUAL * size * np.abs(X).max()
@@ -58,7 +54,7 @@ def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
     ):
         raise NumericalFailure(
             f"the modal form of a system with {n} states misses its matrix by more than {_RESIDUAL:g}; "
-            "reduce the controller's order or give a smaller growth"
+            "reduce the controller's order"
         )
     t = np.ones(n)
     start = 0
@@ -68,22 +64,19 @@ def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
     T, B, C = T * t / t[:, None], (Y @ B) / t[:, None], (C @ X) * t
     order, sizes = _slow_first(T, sizes, system.dt)
     T, B, C = T[np.ix_(order, order)], B[order], C[:, order]
-    return ModalForm(StateSpace(T, B, C, system.D, system.inputs, system.outputs, system.dt), sizes, separation)
+    return ModalForm(StateSpace(T, B, C, system.D, system.inputs, system.outputs, system.dt), sizes)
 
 
-def _separated(
-    T: np.ndarray, X: np.ndarray, growth: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, ...], float]:
-    """The real Schur form T (n, n) with vectors X made block-diagonal: T, X, X^-1, the sizes, the largest entry used."""
+def _separated(T: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, ...]]:
+    """The real Schur form T (n, n) with vectors X made block-diagonal: T, X, X^-1 and the sizes."""
     T, X, Y = T.copy(), X.copy(), X.T.copy()
-    n, start, separation = len(T), 0, 0.0
+    n, start = len(T), 0
     sizes: list[int] = []
     while start < n:
         end = start + _first_block(T, start)
         while end < n:
             R = _separator(T, start, end)
-            if R is not None and np.abs(R).max() <= growth:
-                separation = max(separation, float(np.abs(R).max()))
+            if R is not None and np.abs(R).max() <= _GROWTH:
                 X[:, end:] += X[:, start:end] @ R
                 Y[start:end] -= R @ Y[end:]
                 T[start:end, end:] = 0.0
@@ -91,7 +84,7 @@ def _separated(
             end = _take_nearest(T, X, Y, start, end)
         sizes.append(end - start)
         start = end
-    return T, X, Y, tuple(sizes), separation
+    return T, X, Y, tuple(sizes)
 
 
 def _first_block(T: np.ndarray, i: int) -> int:
