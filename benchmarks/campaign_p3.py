@@ -19,7 +19,7 @@ from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, spectral_abscissa
-from ambrose.core.worst_case.loop import corners, default_grid, gains, unstable_poles
+from ambrose.core.worst_case.loop import box_points, corners, default_grid, gains, unstable_poles
 from ambrose.core.worst_case.search import gain_bound, worst_gain
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
@@ -35,7 +35,6 @@ from ambrose.verification.robust import box_loops
 from ambrose.verification.worst_case_responses import (
     BoxUnbalance,
     PulseFamily,
-    box_members,
     loop_over_box,
     pulse_family,
     unbalance_over_box,
@@ -124,7 +123,7 @@ class Sensitivities:
 def sensitivities(plant: Plant, controller: Any) -> Sensitivities:
     """Of all members of the box."""
     output, input_, control = box_loops(plant, controller)
-    members = box_members(output.parameters)
+    members = box_points(output.parameters)
     omega = np.geomspace(1 * HZ, 5e3 * HZ, 240)
     unstable = unstable_poles(output, members)
     weights = machine_weights(plant.machine)

@@ -57,39 +57,33 @@ def campbell(plant_at: Callable[[float], Plant], speeds: np.ndarray, count: int,
     speeds = check_shape(speeds, "speeds", "(s)").astype(float)
     if speeds.size < 2 or (np.diff(speeds) <= 0).any():
         raise invalid("speeds", f"{speeds.size} values", "at least two, ascending", "give them in rad/s")
-    rows, shapes = _lowest(_ringing(plant_at(float(speeds[0])), controller), count)
-    poles = [rows.poles]
-    whirl = [rows.whirl]
+    rows = [_lowest(_ringing(plant_at(float(speeds[0])), controller), count)]
     for speed in speeds[1:]:
         candidates = _ringing(plant_at(float(speed)), controller)
-        order = _follow(poles[-1], shapes, candidates)
-        poles.append(candidates.poles[order])
-        whirl.append(candidates.whirl[order])
-        shapes = candidates.shapes[:, order]
-    p = np.array(poles).T
-    return CampbellMap(speeds, p.imag, damping_ratio(p), np.array(whirl).T)
+        rows.append(candidates[_follow(rows[-1], candidates)])
+    p = np.array([row.poles for row in rows]).T
+    return CampbellMap(speeds, p.imag, damping_ratio(p), np.array([row.whirl for row in rows]).T)
 
 
 def _ringing(plant: Plant, controller: Law | None) -> Modes:
     """Every oscillating mode of the plant or of its closed loop."""
     found = modes(plant.system if controller is None else closed_loop(plant, controller), plant.ports)
-    keep = found.poles.imag > 0
-    return Modes(found.poles[keep], found.whirl[keep], found.shapes[:, keep], found.ports)
+    return found[found.poles.imag > 0]
 
 
-def _lowest(found: Modes, count: int) -> tuple[Modes, np.ndarray]:
+def _lowest(found: Modes, count: int) -> Modes:
     chosen = np.flatnonzero(np.abs(found.damping) < OSCILLATORY)
     chosen = chosen[np.argsort(found.frequency[chosen], kind="stable")][:count]
     if len(chosen) < count:
         raise invalid(
             "the number of modes", count, f"at most {len(chosen)}", "ask for fewer, or keep more bending modes in the plant"
         )
-    shapes = found.shapes[:, chosen]
-    return Modes(found.poles[chosen], found.whirl[chosen], shapes, found.ports), shapes
+    return found[chosen]
 
 
-def _follow(poles: np.ndarray, shapes: np.ndarray, candidates: Modes) -> np.ndarray:
+def _follow(found: Modes, candidates: Modes) -> np.ndarray:
     """Which candidate continues which mode, (m,)."""
+    poles, shapes = found.poles, found.shapes
     if len(candidates.poles) < len(poles):
         raise invalid(
             "the number of oscillating modes", len(candidates.poles), f"{len(poles)} at every speed",

@@ -16,6 +16,8 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.plant.loop import Law, match_controller
 from ambrose.plant.model import Plant
 
+_LIGHTLY_DAMPED = 0.3  # damping ratio below which a pole has points of its own on a grid
+
 Matrices = np.ndarray  # (w, p, m) complex: one matrix per frequency
 
 
@@ -135,7 +137,6 @@ def frequency_grid(
     lowest: float,
     highest: float,
     per_decade: int = 150,
-    lightly_damped: float = 0.3,
 ) -> np.ndarray:
     """A logarithmic grid over ``[lowest, highest]`` [rad/s] with points packed around lightly damped poles (n,).
 
@@ -143,14 +144,14 @@ def frequency_grid(
     within a few per cent of a grid point whatever its damping.
     """
     count = max(2, int(np.ceil(np.log10(highest / lowest) * per_decade)))
-    return add_poles(np.geomspace(lowest, highest, count), poles, lightly_damped)
+    return add_poles(np.geomspace(lowest, highest, count), poles)
 
 
-def add_poles(omega: np.ndarray, poles: np.ndarray, lightly_damped: float = 0.3) -> np.ndarray:
+def add_poles(omega: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """omega (w,) with points packed around the lightly damped poles inside its range, sorted, without repeats."""
     modulus = np.abs(poles)
     with np.errstate(invalid="ignore", divide="ignore"):
-        chosen = poles[(poles.imag > 0) & (np.abs(poles.real) < lightly_damped * modulus)]
+        chosen = poles[(poles.imag > 0) & (np.abs(poles.real) < _LIGHTLY_DAMPED * modulus)]
     half_bandwidth = np.maximum(np.abs(chosen.real), 1e-9 * np.abs(chosen))
     resonance = np.sqrt(np.maximum(chosen.imag**2 - chosen.real**2, (0.1 * chosen.imag) ** 2))
     steps = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.5, 5.0, 10.0])

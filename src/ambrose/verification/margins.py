@@ -90,25 +90,21 @@ def _margins(at: np.ndarray, value: np.ndarray, gain_at: np.ndarray, gain_value:
     left = (value.real < 0) & (np.abs(value.imag) <= 1e-6 * np.abs(value))
     at, factor = at[left], -1 / value.real[left]
     up, down = factor > 1, factor <= 1
-    i = int(np.argmin(np.where(up, factor, np.inf))) if up.any() else -1
-    j = int(np.argmax(np.where(down, factor, -np.inf))) if down.any() else -1
     angle = np.angle(-gain_value)  # 0 at the critical point
     phase = np.abs(angle)
     lag = np.mod(angle, TWO_PI)  # a delay turns clockwise, from this angle down to 0
     with np.errstate(divide="ignore"):
         delay = lag / gain_at
-    k = int(np.argmin(phase)) if phase.size else -1
-    d = int(np.argmin(delay)) if delay.size else -1
+
+    def smallest(values: np.ndarray, where: np.ndarray) -> tuple[float, float]:
+        k = int(np.argmin(values)) if values.size else -1
+        return (float(values[k]), float(where[k])) if k >= 0 else (np.inf, np.nan)
+
+    fall, fall_at = smallest(-factor[down], at[down])
     return LoopMargins(
-        float(factor[i]) if i >= 0 else np.inf,
-        float(at[i]) if i >= 0 else np.nan,
-        float(factor[j]) if j >= 0 else 0.0,
-        float(at[j]) if j >= 0 else np.nan,
-        float(phase[k]) if k >= 0 else np.inf,
-        float(gain_at[k]) if k >= 0 else np.nan,
-        float(delay[d]) if d >= 0 else np.inf,
-        float(gain_at[d]) if d >= 0 else np.nan,
-    )
+        *smallest(factor[up], at[up]), -fall if np.isfinite(fall) else 0.0, fall_at,
+        *smallest(phase, gain_at), *smallest(delay, gain_at),
+    )  # fmt: skip
 
 
 @dataclass(slots=True)

@@ -41,6 +41,9 @@ class Modes:
     shapes: np.ndarray
     ports: tuple[str, ...]
 
+    def __getitem__(self, kept: np.ndarray) -> Modes:
+        return Modes(self.poles[kept], self.whirl[kept], self.shapes[:, kept], self.ports)
+
     @property
     def frequency(self) -> np.ndarray:
         """Damped natural frequency |Im| (n,) [rad/s]."""
@@ -115,14 +118,13 @@ def pairs(ports: tuple[str, ...]) -> tuple[list[int], list[int]]:
     return first, second
 
 
-def pole_checks(
-    found: Modes, requirements: Requirements, top_speed: float, listed_to: float = SENSITIVITY_RANGE.limits[0].value
-) -> list[Check]:
+def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> list[Check]:
     """The checks of this file's table.
 
     top_speed [rad/s]: modes up to it are held against the log decrement, whatever their direction; so is the first mode that
-    can ring and does not whirl backward. listed_to [rad/s]: a detail lists the five least damped modes up to there.
+    can ring and does not whirl backward. A detail lists the five least damped modes of the standard's range.
     """
+    listed_to = SENSITIVITY_RANGE.limits[0].value
     worst = int(np.argmax(found.poles.real))
     abscissa = float(found.poles[worst].real)
     stability = judge(
@@ -138,16 +140,10 @@ def pole_checks(
     low = ringing[found.frequency[ringing] <= ceiling * (1 + 1e-9)]
     if low.size:
         k = low[np.argmin(found.log_decrement[low])]
-        checks.append(
-            judge(
-                "poles.log_decrement.lowest",
-                "Log decrement of the modes up to the top speed",
-                found.log_decrement[k],
-                "-",
-                demand("log decrement", requirements),
-                f"{describe(found, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one included",
-            )
-        )
+        title = "Log decrement of the modes up to the top speed"
+        where = f"{describe(found, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one included"
+        wanted = demand("log decrement", requirements)
+        checks.append(judge("poles.log_decrement.lowest", title, found.log_decrement[k], "-", wanted, where))
     order = ringing[np.argsort(found.damping[ringing])]
     near = [k for k in order if found.frequency[k] <= listed_to][:5]
     least = order[0]

@@ -13,7 +13,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa, static_gain
-from ambrose.core.worst_case.loop import corners, samples
+from ambrose.core.worst_case.loop import box_points
 from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
@@ -59,7 +59,7 @@ def check_over_box(plant: Plant, controller: StateSpace) -> Checks:
     """
     controller = match_controller(controller, plant)
     names = [tolerance.parameter for tolerance in plant.machine.tolerances]
-    points = np.vstack([np.zeros((1, len(names))), corners(len(names)), samples(len(names), _INSIDE)])
+    points = box_points(len(names), _INSIDE)
     small = reduce(plant, _MODES) if plant.bending_modes is None else plant
     abscissa = np.empty(len(points))
     peak = np.empty(len(points))

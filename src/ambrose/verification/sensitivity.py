@@ -49,25 +49,17 @@ class _Quantity:
 
 _QUANTITIES = (
     _Quantity(
-        "sensitivity.output",
-        "output sensitivity",
-        "-",
-        LoopResponse.output_sensitivity,
-        "sensitivity of an axis",
-        "maximum singular value of a sensitivity",
+        "sensitivity.output", "output sensitivity", "-", LoopResponse.output_sensitivity,
+        "sensitivity of an axis", "maximum singular value of a sensitivity",
     ),
     _Quantity(
-        "sensitivity.input",
-        "input sensitivity",
-        "-",
-        LoopResponse.input_sensitivity,
-        "input sensitivity of an axis",
-        "maximum singular value of the input sensitivity",
+        "sensitivity.input", "input sensitivity", "-", LoopResponse.input_sensitivity,
+        "input sensitivity of an axis", "maximum singular value of the input sensitivity",
     ),
     _Quantity("complementary", "complementary sensitivity", "-", LoopResponse.complementary),
     _Quantity("control", "control sensitivity K S", "A/m", LoopResponse.control_sensitivity),
     _Quantity("compliance", "compliance", "m/N", LoopResponse.compliance, "information", "compliance"),
-)
+)  # fmt: skip
 
 
 def sensitivity_checks(
@@ -122,14 +114,6 @@ def _curve(
         limits = zone_lines(SENSITIVITY, requirements.sensitivity_peak)
     elif quantity.name == "compliance" and requirements.compliance_peak is not None:
         limits = (("required", requirements.compliance_peak),)
-    return Curve(
-        quantity.name,
-        quantity.title.capitalize() if quantity.name != "control" else "Control sensitivity K S",
-        "frequency",
-        response.omega,
-        values,
-        ("maximum singular value", *labels[1:]),
-        "rad/s",
-        quantity.unit,
-        limits,
-    )
+    title = quantity.title[0].upper() + quantity.title[1:]
+    labels = ("maximum singular value", *labels[1:])
+    return Curve(quantity.name, title, "frequency", response.omega, values, labels, "rad/s", quantity.unit, limits)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.statespace import StateSpace
-from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, gains, perturbed_matrix, samples
+from ambrose.core.worst_case.loop import BoxLoop, box_loop, box_points, gains, perturbed_matrix
 from ambrose.core.worst_case.search import gain_bound, worst_gain_at
 from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import Law, match_controller
@@ -113,11 +113,6 @@ def _residual(plant: Plant, residual: Unbalance | None) -> Unbalance:
     return found
 
 
-def box_members(parameters: int, count: int = 64, seed: int = 1) -> np.ndarray:
-    """The nominal point, the corners and ``count`` samples of the box (d, parameters)."""
-    return np.vstack([np.zeros((1, parameters)), corners(parameters), samples(parameters, count, seed)])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PulseFamily:
     """time (t,) [s]; responses (d, p, t) of the members delta (d, k) at the named outputs; stable (d,)."""
@@ -152,7 +147,7 @@ def pulse_family(
     step: float = 1e-4,
     tolerances: Sequence[Tolerance] | None = None,
 ) -> PulseFamily:
-    """Responses to a rectangular force pulse at a port, of every member delta (d, k) of the box (default: ``box_members``).
+    """Responses to a rectangular force pulse at a port, of every member delta (d, k) of the box (default: ``box_points``).
 
     force [N], width [s] (infinite: a step). The pulse's edges and the samples, ``step`` [s] apart, are met exactly (matrix
     exponentials). Raises InvalidInput, UnstableSystem.
@@ -160,7 +155,7 @@ def pulse_family(
     from scipy.linalg import expm
 
     loop = loop_over_box(plant, controller, [f"f_{port}"], outputs, tolerances)
-    members = box_members(loop.parameters) if delta is None else check_shape(delta, "delta", "(d, k)", k=loop.parameters)
+    members = box_points(loop.parameters) if delta is None else check_shape(delta, "delta", "(d, k)", k=loop.parameters)
     n, s = len(loop.owner), loop.system
     on = round(min(width, 2 * duration) / step)
     if width < duration and abs(on * step - width) > 1e-6 * step:

@@ -101,6 +101,11 @@ def samples(parameters: int, count: int = 64, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (count, parameters))
 
 
+def box_points(parameters: int, count: int = 64, seed: int = 1) -> np.ndarray:
+    """The nominal point, the corners and ``count`` samples of the box (d, parameters)."""
+    return np.vstack([np.zeros((1, parameters)), corners(parameters), samples(parameters, count, seed)])
+
+
 def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
     """Largest singular value of T(delta), (d, w), for M (w, n + p, n + m) of ``loop.at`` and delta (d, k)."""
     return np.linalg.norm(transfers(M, loop, delta), 2, axis=(2, 3))

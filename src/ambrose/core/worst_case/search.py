@@ -21,12 +21,12 @@ from ambrose.core.worst_case.loop import (
     BoxLoop,
     Sweep,
     box_loop,
+    box_points,
     corners,
     count_unstable,
     default_grid,
     gains,
     perturbed_matrix,
-    samples,
     sweep,
 )
 
@@ -48,11 +48,11 @@ class BoxMargin:
     frequency: float
 
 
-def box_margin(loop: BoxLoop, start: Sweep | None = None, seed: int = 0) -> BoxMargin:
+def box_margin(loop: BoxLoop, start: Sweep | None = None) -> BoxMargin:
     """The smallest destabilising perturbation found along the corners' directions and, from the best, beside them."""
     around = sweep(loop) if start is None else start
-    rng = np.random.default_rng(seed)
-    directions = corners(loop.parameters, seed)
+    rng = np.random.default_rng(0)
+    directions = corners(loop.parameters)
     finest = 1.05 if loop.parameters == 1 else 1.25
     low, high = 0.0, 0.1
     unstable = np.zeros(len(directions), bool)
@@ -89,22 +89,22 @@ def _shrink(loop: BoxLoop, directions: np.ndarray, low: float, high: float, arou
     return high, directions[0]
 
 
-def proved_margin(loop: BoxLoop, most: float, complex_part: float = 0.01, steps: int = 6) -> float:
+def proved_margin(loop: BoxLoop, most: float) -> float:
     """A factor by which the box may grow with stability proved for every point of it; 0 when nothing could be proved.
 
     The largest of a bisection up to ``most`` (see ``box_margin``) at which ``mu_certificate`` succeeds. With real parameters
     alone mu is discontinuous and its scalings grow without bound next to a real eigenvalue; each parameter is therefore allowed
-    to be complex by ``complex_part`` [-] of its size besides, which makes the proof a little stronger than needed.
+    to be complex by 1 % of its size besides, which makes the proof a little stronger than needed.
     """
     n, s = len(loop.owner), loop.system
     B, C, D = s.B[:, :n], s.C[:n], s.D[:n, :n]
-    e = complex_part
+    e = 0.01
     both = StateSpace(s.A, np.hstack([B, B]), np.vstack([C, e * C]), np.block([[D, D], [e * D, e * D]]))
     blocks: list[Block] = [*loop.blocks]
     blocks += [ComplexBlock(f"{block.name} complex", block.repeat) for block in loop.blocks]
     largest = min(most, _LARGEST_BOX)
     low, high = 0.0, largest
-    for i in range(steps):
+    for i in range(6):
         factor = (0.99 * largest, 0.95 * largest, 0.9 * largest)[i] if low == 0 and i < 3 else 0.5 * (low + high)
         if mu_certificate(both, blocks, 1 / factor, (0.0, _tail(both, 1 / factor))).proved:
             low = factor
@@ -140,15 +140,14 @@ def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxG
     return worst_gain(box_loop(system, blocks), seed=seed)
 
 
-def worst_gain(loop: BoxLoop, grid: np.ndarray | None = None, seed: int = 1) -> BoxGain:
+def worst_gain(loop: BoxLoop, seed: int = 1) -> BoxGain:
     """The largest singular value of T(delta) over the box and all frequencies, from below.
 
     Corners, samples and the centre on the grid, then from the best few: gradient steps in delta (L-BFGS-B, exact gradient of
     the singular value), and a narrowing net in frequency, in turn. The loop must be stable all over the box.
     """
-    grid = default_grid(loop) if grid is None else grid
-    k = loop.parameters
-    starts = np.vstack([np.zeros((1, k)), corners(k), samples(k, seed=seed)])
+    grid = default_grid(loop)
+    starts = box_points(loop.parameters, seed=seed)
     M = loop.at(grid)
     nominal = gains(M, loop, starts[:1])[0]
     kept = _gain_limit(M, len(loop.owner)) >= nominal.max()
@@ -160,20 +159,14 @@ def worst_gain(loop: BoxLoop, grid: np.ndarray | None = None, seed: int = 1) -> 
     return best
 
 
-def worst_gain_at(loop: BoxLoop, omega: float, seed: int = 1) -> BoxGain:
+def worst_gain_at(loop: BoxLoop, omega: float) -> BoxGain:
     """As ``worst_gain``, at one frequency [rad/s] that is held."""
-    from scipy.optimize import minimize
-
-    k = loop.parameters
     M = loop.at(np.array([omega]))
-    starts = np.vstack([np.zeros((1, k)), corners(k), samples(k, seed=seed)])
+    starts = box_points(loop.parameters)
     found = gains(M, loop, starts)[:, 0]
     best = BoxGain(-np.inf, omega, starts[0])
     for i in np.argsort(found)[::-1][:_STARTS]:
-        result = minimize(
-            lambda x: _log_gain(M[0], loop, x), starts[i], jac=True, bounds=[(-1, 1)] * k, method="L-BFGS-B"
-        )  # fmt: skip
-        delta = np.clip(result.x, -1, 1)
+        delta = _climb(M[0], loop, starts[i], {})
         value = float(gains(M, loop, delta[None])[0, 0])
         best = max(best, BoxGain(value, omega, delta), key=lambda item: item.value)
     return best
@@ -187,24 +180,27 @@ def _gain_limit(M: np.ndarray, n: int) -> np.ndarray:
 
 
 def _ascend(loop: BoxLoop, grid: np.ndarray, delta: np.ndarray, at: int) -> BoxGain:
-    from scipy.optimize import minimize
-
     omega, value = float(grid[at]), 0.0
     left, right = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, len(grid) - 1)])
     for _ in range(20):
         M = loop.at(np.array([omega]))[0]
 
-        def negative(x: np.ndarray, M: np.ndarray = M) -> tuple[float, np.ndarray]:
-            return _log_gain(M, loop, x)
-
-        result = minimize(negative, delta, jac=True, bounds=[(-1, 1)] * len(delta), method="L-BFGS-B", options={"maxiter": 30})
-        delta = np.clip(result.x, -1, 1)
+        delta = _climb(M, loop, delta, {"maxiter": 30})
         omega, new = peak_at(loop, delta, left, omega, right)
         if new <= value * (1 + 1e-9):
             break
         value = new
         left, right = omega / 1.05, omega * 1.05
     return BoxGain(value, omega, delta)
+
+
+def _climb(M: np.ndarray, loop: BoxLoop, delta: np.ndarray, options: dict[str, int]) -> np.ndarray:
+    """The point (k,) of the box with the largest gain near delta (k,), for M (n + p, n + m) at one frequency."""
+    from scipy.optimize import minimize
+
+    bounds = [(-1, 1)] * len(delta)
+    result = minimize(lambda x: _log_gain(M, loop, x), delta, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    return np.clip(result.x, -1, 1)
 
 
 def _log_gain(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> tuple[float, np.ndarray]:
@@ -233,14 +229,14 @@ def peak_at(loop: BoxLoop, delta: np.ndarray, left: float, middle: float, right:
     return best, value
 
 
-def gain_bound(loop: BoxLoop, omega: np.ndarray, start: float, tolerance: float = 2e-3, most: float = 100.0) -> float:
+def gain_bound(loop: BoxLoop, omega: np.ndarray, start: float) -> float:
     """An upper bound of the largest gain over the box at the frequencies omega (w,) [rad/s], and nowhere between.
 
     The smallest gamma found with mu(diag(I, I/gamma) M) < 1, mu with the parameters' real blocks and one full block (skewed
-    structured singular value; Fan & Tits 1992); ``start`` is a gain known from below. Infinite when ``most`` times it does not
+    structured singular value; Fan & Tits 1992); ``start`` is a gain known from below. Infinite when 100 times it does not
     suffice: the bound then cannot exclude instability in the box.
     """
-    n = len(loop.owner)
+    n, tolerance = len(loop.owner), 2e-3
     M = loop.at(omega)
     structure = structure_of([*loop.blocks, FullBlock("gain", M.shape[2] - n, M.shape[1] - n)])
 
@@ -262,7 +258,7 @@ def gain_bound(loop: BoxLoop, omega: np.ndarray, start: float, tolerance: float 
         active, low = active[left], high
         step = step**2
         high *= step
-        if high > most * start:
+        if high > 100 * start:
             return np.inf
     while high / low > 1 + tolerance:
         middle = np.sqrt(low * high)
