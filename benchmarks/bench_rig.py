@@ -17,11 +17,12 @@ from ambrose import load_machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import amplifier, coupling, magnet, seal
 from ambrose.simulation import virtual_rig
+from ambrose.simulation.disturbances import Prbs
 from ambrose.simulation.rig.controller import deployed
 from ambrose.simulation.rig.equilibrium import levitated, measurement
 from ambrose.simulation.rig.inputs import Drive, plan, stretch
 from ambrose.simulation.rig.state import Rig, build, compiled
-from ambrose.simulation.scenario import Prbs, Scenario
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4

@@ -35,7 +35,8 @@ from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.report.page import Report, write
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Prbs, Pulse, Scenario
+from ambrose.simulation.disturbances import Prbs, Pulse
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 from benchmarks.campaign_page import Condition, campaign_report
 

@@ -42,7 +42,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Chirp, Prbs, Pulse, Scenario, Sine, SteppedSine
+from ambrose.simulation.disturbances import Chirp, Prbs, Pulse, Sine, SteppedSine
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 HZ, BAR, DT = 2 * np.pi, 1e5, 1e-4

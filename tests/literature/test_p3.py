@@ -15,7 +15,8 @@ import pytest
 from ambrose.core.statespace import poles, spectral_abscissa
 from ambrose.plant.loop import closed_loop
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Pulse, Scenario
+from ambrose.simulation.disturbances import Pulse
+from ambrose.simulation.scenario import Scenario
 
 pytestmark = pytest.mark.literature
 FILE = Path(__file__).parents[2] / "benchmarks" / "campaign_p3.py"

@@ -22,7 +22,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import linear
-from ambrose.simulation.scenario import Pulse, Scenario, Sine, Unbalance, bundled_scenarios, load_scenario
+from ambrose.simulation.disturbances import Pulse, Sine, Unbalance
+from ambrose.simulation.scenario import Scenario, bundled_scenarios, load_scenario
 from ambrose.simulation.trace import Trace, peaks, settling
 from ambrose.synthesis.pid import pid_controller
 

@@ -17,8 +17,9 @@ from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
+from ambrose.simulation.disturbances import Pulse
 from ambrose.simulation.run_up import loops_over_speed, spin_up, steps
-from ambrose.simulation.scenario import Pulse, Scenario
+from ambrose.simulation.scenario import Scenario
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.pid import pid_synthesis
 

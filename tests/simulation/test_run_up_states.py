@@ -31,8 +31,9 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.simulation import linear
+from ambrose.simulation.disturbances import Pulse, Unbalance
 from ambrose.simulation.run_up import spin_up
-from ambrose.simulation.scenario import Pulse, Scenario, Unbalance
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 LOW, HIGH, KNOT = 60.0, 2800.0, 1500.0  # rad/s; of the table

@@ -4,17 +4,8 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.simulation.scenario import (
-    Chirp,
-    Prbs,
-    Pulse,
-    Scenario,
-    Sine,
-    Unbalance,
-    bundled_scenarios,
-    load_scenario,
-    read_scenario,
-)  # fmt: skip
+from ambrose.simulation.disturbances import Chirp, Prbs, Pulse, Sine, Unbalance
+from ambrose.simulation.scenario import Scenario, bundled_scenarios, load_scenario, read_scenario  # fmt: skip
 from ambrose.simulation.waveforms import waveforms
 
 FORCES = ("f_A_zeta", "f_A_eta", "f_center_x", "f_center_y")

@@ -10,7 +10,8 @@ from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.description import OperatingPoint, Runout
 from ambrose.machine.record.files import read_record
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Failure, PressureChange, Pulse, Scenario, load_scenario
+from ambrose.simulation.disturbances import Failure, PressureChange, Pulse
+from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")

@@ -13,11 +13,12 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import linear, virtual_rig
+from ambrose.simulation.disturbances import Prbs, Pulse, Unbalance
 from ambrose.simulation.rig.controller import sampled_law
 from ambrose.simulation.rig.equilibrium import state_at_rest
 from ambrose.simulation.rig.inputs import plan, stretch
 from ambrose.simulation.rig.state import build, compiled
-from ambrose.simulation.scenario import Prbs, Pulse, Scenario, Unbalance, load_scenario
+from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")

@@ -15,7 +15,8 @@ from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
 from ambrose.simulation import linear, virtual_rig
-from ambrose.simulation.scenario import Pulse, Scenario
+from ambrose.simulation.disturbances import Pulse
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.certificate import certify, generalized_certificate
 from ambrose.synthesis.pid import pid_controller
 from ambrose.verification import nominal, robust

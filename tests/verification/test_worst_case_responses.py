@@ -15,7 +15,8 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import linear
-from ambrose.simulation.scenario import Pulse, Scenario
+from ambrose.simulation.disturbances import Pulse
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 from ambrose.verification.unbalance import residual_unbalance
 from ambrose.verification.worst_case_responses import loop_over_box, pulse_family, unbalance_over_box

@@ -32,21 +32,6 @@ from ambrose.simulation.disturbances import (
     check_disturbance,
 )  # fmt: skip
 
-__all__ = [
-    "Chirp",
-    "Failure",
-    "Prbs",
-    "PressureChange",
-    "Pulse",
-    "Scenario",
-    "Sine",
-    "SteppedSine",
-    "Unbalance",
-    "bundled_scenarios",
-    "load_scenario",
-    "read_scenario",
-]  # fmt: skip
-
 LEVITATED = "levitated"
 INITIAL_STATES = (LEVITATED, "resting")
 

@@ -19,8 +19,8 @@ from ambrose.core.statespace import spectral_abscissa
 from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import Demand, judge
-from ambrose.verification.rotor_modes import OSCILLATORY, TWO_PI, Modes, damping_ratio, direction, modes
+from ambrose.verification.criteria import TWO_PI, Demand, judge
+from ambrose.verification.rotor_modes import OSCILLATORY, Modes, damping_ratio, direction, modes
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

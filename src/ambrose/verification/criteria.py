@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check
 
@@ -101,6 +103,7 @@ BALANCE_GRADE = Criterion(
 )
 CRITERIA: tuple[Criterion, ...] = (SENSITIVITY, SENSITIVITY_RANGE, CLEARANCE, LOG_DECREMENT, BALANCE_GRADE)
 
+TWO_PI = 2 * np.pi
 SPEED_RANGE_FACTOR = 3.0  # ISO 14839-3: multiples of the rated speed that the sensitivity is evaluated to
 
 
@@ -117,12 +120,7 @@ class Pulse:
     source: str
 
 
-CURRENT_PULSE = Pulse(
-    10e-3,
-    0.05,
-    0.05,
-    "Lauridsen, PhD thesis, paper P5 (10 ms, 0.05 A); the 5 % band is ours",
-)
+CURRENT_PULSE = Pulse(10e-3, 0.05, 0.05, "Lauridsen, PhD thesis, paper P5 (10 ms, 0.05 A); the 5 % band is ours")
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,11 +23,10 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import demand, information, judge
+from ambrose.verification.criteria import TWO_PI, demand, information, judge
 from ambrose.verification.loop_response import Evaluator, LoopResponse
 from ambrose.verification.peaks import peaks_of
 
-TWO_PI = 2 * np.pi
 SIDES = ("output", "input")
 _ITERATIONS = 30
 _TOLERANCE = 1e-11

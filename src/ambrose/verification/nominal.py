@@ -19,7 +19,7 @@ from ambrose.plant.loop import Law, closed_loop, match_controller
 from ambrose.plant.model import Plant, top_speed
 from ambrose.verification.campbell import speed_stability_check
 from ambrose.verification.checks import Check, Checks, Curve
-from ambrose.verification.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR
+from ambrose.verification.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
 from ambrose.verification.loop_response import add_poles, frequency_grid, loop_evaluator
 from ambrose.verification.margins import margin_checks
 from ambrose.verification.rotor_modes import modes, pole_checks, pole_curve
@@ -33,7 +33,6 @@ from ambrose.verification.unbalance import (
     unbalance_curve,
 )
 
-TWO_PI = 2 * np.pi
 _LOWEST = 0.5 * TWO_PI  # rad/s, start of the default grid
 _SPEEDS = 40  # speeds at which the rotor is assembled anew for unbalance
 _STABILITY_SPEEDS = 11

@@ -37,9 +37,8 @@ from ambrose.plant.model import Plant
 from ambrose.synthesis.problem import design_plant, with_performance_block
 from ambrose.synthesis.weights import Weights
 from ambrose.verification.checks import Check, Checks, Curve
-from ambrose.verification.criteria import SENSITIVITY, Demand, demand, information, judge, zone_lines
+from ambrose.verification.criteria import SENSITIVITY, TWO_PI, Demand, demand, information, judge, zone_lines
 
-TWO_PI = 2 * np.pi
 FAMILY = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _PROOF_STATES = 150  # largest closed loop whose stability is proved: the proof solves eigenproblems of twice the order
 _LOWEST, _HIGHEST = 0.1 * TWO_PI, 5e3 * TWO_PI  # rad/s, of the curves

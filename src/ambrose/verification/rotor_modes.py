@@ -20,9 +20,8 @@ import scipy.linalg as sla
 from ambrose.core.statespace import StateSpace, balance, index_of
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import SENSITIVITY_RANGE, Demand, demand, information, judge
+from ambrose.verification.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand, information, judge
 
-TWO_PI = 2 * np.pi
 PLANAR = 0.1  # below this modulus of the whirl measure a mode has no direction
 OSCILLATORY = 0.7071067811865476  # a damping ratio below this counts as a mode that can ring
 _REAL = 1e-7  # |Im|/|pole| up to which a pole is real: rounding splits a double real pole by about the root of 1e-16

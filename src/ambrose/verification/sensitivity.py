@@ -22,11 +22,9 @@ import numpy as np
 
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import SENSITIVITY, demand, judge, zone_lines
+from ambrose.verification.criteria import SENSITIVITY, TWO_PI, demand, judge, zone_lines
 from ambrose.verification.loop_response import Evaluator, LoopResponse
 from ambrose.verification.peaks import Peak, peaks_of
-
-TWO_PI = 2 * np.pi
 
 
 @dataclass(frozen=True, slots=True)

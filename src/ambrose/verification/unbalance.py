@@ -37,11 +37,9 @@ from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.loop import Law
 from ambrose.plant.model import Plant, top_speed
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import BALANCE_GRADE, demand, judge, machine_limit
+from ambrose.verification.criteria import BALANCE_GRADE, TWO_PI, demand, judge, machine_limit
 from ambrose.verification.loop_response import Evaluator, LoopResponse, loop_at
 from ambrose.verification.peaks import Peak, peaks_of
-
-TWO_PI = 2 * np.pi
 
 
 @dataclass(frozen=True, slots=True)

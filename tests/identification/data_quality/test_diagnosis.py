@@ -29,7 +29,8 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.report.identification.page import identification_report
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Prbs, Pulse, Scenario
+from ambrose.simulation.disturbances import Prbs, Pulse
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
 DT, K, LIMIT = 1e-4, 12000, 0.5

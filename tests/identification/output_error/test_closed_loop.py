@@ -25,7 +25,8 @@ from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Prbs, Scenario
+from ambrose.simulation.disturbances import Prbs
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 from whole_records import simulate_derivative
 

@@ -26,7 +26,8 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed, uncertain
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Scenario, SteppedSine
+from ambrose.simulation.disturbances import SteppedSine
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 HZ = 2 * np.pi

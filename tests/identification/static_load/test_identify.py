@@ -15,7 +15,8 @@ from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSet
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Pulse, Scenario, load_scenario
+from ambrose.simulation.disturbances import Pulse
+from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
