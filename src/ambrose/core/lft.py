@@ -179,16 +179,11 @@ def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.nd
         value = check_finite(delta.get(block.name, 0.0), f"delta of {block.name}")
         if np.iscomplexobj(value):
             raise invalid(f"delta of {block.name}", value, "real", "a real state space cannot hold a complex perturbation")
-        if isinstance(block, FullBlock):
-            value = (
-                check_shape(value, f"delta of {block.name}", "(w, z)", w=block.n_w, z=block.n_z)
-                if value.ndim
-                else value * np.eye(block.n_w, block.n_z)
-            )
-        elif value.ndim:
+        if not value.ndim:
+            value = value * np.eye(block.n_w, block.n_z)
+        elif not isinstance(block, FullBlock):
             raise invalid(f"delta of {block.name}", value.tolist(), "one number", "it multiplies the identity")
-        else:
-            value = value * np.eye(block.repeat)
+        check_shape(value, f"delta of {block.name}", "(w, z)", w=block.n_w, z=block.n_z)
         gain[i : i + block.n_w, j : j + block.n_z] = value
         i, j = i + block.n_w, j + block.n_z
     w, z = plant.w[: plant.n_w_blocks], plant.z[: plant.n_z_blocks]

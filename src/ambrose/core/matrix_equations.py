@@ -123,15 +123,11 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     G = B2 B2^T - gamma^-2 B1 B1^T. Failure is a ``status``, not an exception; raises InvalidInput only. Source: Laub 1979
     (Schur vectors of the Hamiltonian), with symplectic balancing (Benner 2001).
     """
-    a = check_shape(A, "A", "(n, n)")
-    n = a.shape[0]
+    A = check_shape(A, "A", "(n, n)")
+    n = A.shape[0]
     if n == 0:
         return RiccatiSolution(np.zeros((0, 0)), np.zeros(0, complex), 0.0, "solved")
-    return _solve_riccati(a, _symmetric(G, "G", n), _symmetric(Q, "Q", n))
-
-
-def _solve_riccati(A: np.ndarray, G: np.ndarray, Q: np.ndarray) -> RiccatiSolution:
-    n = A.shape[0]
+    G, Q = _symmetric(G, "G", n), _symmetric(Q, "Q", n)
     H = np.block([[A, -G], [-Q, -A.T]])
     scale = balance(H)[1]
     d = np.exp2(np.round(np.log2(scale[:n] / scale[n:]) / 2))  # diag(d, 1/d) is symplectic

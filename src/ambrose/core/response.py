@@ -20,7 +20,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_finite, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, check_shape, invalid
 from ambrose.core.statespace import StateSpace, as_statespace, balance
 
 _CHUNK = 2_000_000  # numbers held for one batch of blocks: 16 MB, whatever the record length
@@ -178,23 +178,19 @@ def held_derivative(
     return E[:n, :n], E[:n, n:], dE[..., :n, :n], dE[..., :n, n:]
 
 
-def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, final: ArrayLike = 0.0, start: float = 0.0) -> float:
+def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, start: float = 0.0) -> float:
     """The time [s] after ``start`` from which every channel stays within ``band`` times the largest excursion; inf if never.
 
-    time (k,) [s]; y (p, k) or (k,); band: fraction of the peak of |y - final| over all channels and times from ``start``;
-    final: scalar or (p,), the value to settle to. The last crossing is interpolated between samples. Raises InvalidInput.
+    time (k,) [s]; y (p, k) or (k,); band: fraction of the peak of |y| over all channels and times from ``start``. The last crossing is interpolated between samples. Raises InvalidInput.
     """
     time = check_shape(time, "time", "(k)")
     y = check_shape(np.atleast_2d(y), "y", "(p, k)", k=len(time))
-    target = np.asarray(check_finite(final, "final"))
-    target = np.full(len(y), target) if target.ndim == 0 else check_shape(target, "final", "(p)", p=len(y))
-    deviation = np.abs(y - target[:, None])
     if not 0 < band < 1:
         raise invalid("band", band, "between 0 and 1", "give a fraction of the peak, such as 0.05")
     kept = time >= start
     if not kept.any():
         raise invalid("start", start, f"at most the last time {time[-1] if len(time) else 0:g}", "give a longer record")
-    time, envelope = time[kept], deviation.max(axis=0)[kept]
+    time, envelope = time[kept], np.abs(y).max(axis=0)[kept]
     limit = band * envelope.max()
     outside = np.flatnonzero(envelope > limit)
     if not len(outside):

@@ -51,8 +51,9 @@ def c2d(system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prew
 def delayed(system: Any, samples: int) -> StateSpace:
     """A sampled system that receives its input ``samples`` samples late."""
     system = as_statespace(system)
+    names, one = system.inputs, np.eye(len(system.inputs))
     for _ in range(samples):
-        system = series(_unit_delay(system), system)
+        system = series(StateSpace(0 * one, one, one, 0 * one, names, names, system.dt), system)
     return system
 
 
@@ -107,12 +108,6 @@ def _tustin(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace:
     CE = np.linalg.solve(E.T, C.T).T
     D = system.D + half * CE @ B
     return StateSpace(Ad * t[:, None] / t, Bd * t[:, None], CE / t, D, system.inputs, system.outputs, dt)
-
-
-def _unit_delay(system: StateSpace) -> StateSpace:
-    m = len(system.inputs)
-    names = system.inputs
-    return StateSpace(np.zeros((m, m)), np.eye(m), np.eye(m), np.zeros((m, m)), names, names, system.dt)
 
 
 def pade(delay: float, order: int, input: str = "u1", output: str = "y1") -> StateSpace:

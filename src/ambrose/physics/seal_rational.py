@@ -18,7 +18,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.rational_fit import RationalFit, fit_on_poles, fit_rational
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.seals import GasSealGeometry, Seal
+from ambrose.machine.seals import Seal
 from ambrose.physics.gas_seal import gas_flow
 from ambrose.physics.seal import SealCoefficients, coefficients
 
@@ -72,7 +72,9 @@ def poles_of(seal: Seal, speed: float = 0.0) -> np.ndarray:
     if seal.geometry is not None:
         if seal.reference_pressure is None:
             raise invalid(f"the reference_pressure of seal {seal.name}", "missing", "given", "the poles are fitted there")
-        return _gas_poles(seal, seal.geometry, seal.poles, seal.reference_pressure, speed)
+        speed = speed if seal.geometry.speed is None else seal.geometry.speed
+        omega, samples, _ = _samples(seal, seal.reference_pressure, speed)
+        return _fitted(tuple(omega.tolist()), samples.tobytes(), seal.poles).poles
     axes = dict(seal.table.axes) if seal.table is not None else {}
     if len(axes.get("frequency", ())) < 2:
         raise InvalidInput(f"seal {seal.name} has no table over at least two frequencies, and no geometry; give one of them")
@@ -162,11 +164,6 @@ def _samples(seal: Seal, pressure: float, speed: float) -> tuple[np.ndarray, np.
     at = [coefficients(seal, pressure, speed, float(w)) for w in omega]
     table = np.array([[c.K + 1j * w * c.C, c.k + 1j * w * c.c] for c, w in zip(at, omega, strict=True)]).T
     return omega, table, at[0].M
-
-
-def _gas_poles(seal: Seal, geometry: GasSealGeometry, poles: int, pressure: float, speed: float) -> np.ndarray:
-    omega, data, _ = _samples(seal, pressure, speed if geometry.speed is None else geometry.speed)
-    return _fitted(tuple(omega.tolist()), data.tobytes(), poles).poles
 
 
 @lru_cache(maxsize=64)

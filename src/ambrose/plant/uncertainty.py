@@ -130,49 +130,34 @@ def _seal_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     letter, name = parameter.quantity, parameter.name
     item = next(item for item in plant.machine.seals if item.name == name)
     if has_states(item) and plant.point.seal_pressure > 0:
-        return _impedance_channels(plant, item, parameter)
-    nominal = float(getattr(seal_coefficients(item, plant.point), letter))
-    signal = "q" if letter in {"K", "k"} else "qdot"
+        nominal, factors = _impedance(plant, item, letter)
+    else:
+        nominal = float(getattr(seal_coefficients(item, plant.point), letter))
+        factors = {"q" if letter in {"K", "k"} else "qdot": 1.0}
+    both = ["xx", "yy"] if letter in {"K", "C"} else ["xy", "yx"]
+    entries = [_SEAL_ENTRIES[entry] for entry in ([parameter.component] if parameter.component else both)]
     return [
-        Channel(f"F_{name}_{row}", nominal, ((f"{signal}_{name}_{column}", sign),))
-        for row, column, sign in _seal_entries(parameter)
+        Channel(f"F_{name}_{row}", nominal, tuple((f"{kind}_{name}_{column}", sign * x) for kind, x in factors.items()))
+        for row, column, sign in entries
     ]
 
 
-def _seal_entries(parameter: Parameter) -> list[tuple[str, str, float]]:
-    """The matrix entries that a path names: (row, column, sign) of the force."""
-    both = ["xx", "yy"] if parameter.quantity in {"K", "C"} else ["xy", "yx"]
-    return [_SEAL_ENTRIES[entry] for entry in ([parameter.component] if parameter.component else both)]
+def _impedance(plant: Plant, item: Seal, letter: str) -> tuple[float, dict[str, float]]:
+    """Nominal value and factors on the signals of a seal with states.
 
-
-def _impedance_channels(plant: Plant, item: Seal, parameter: Parameter) -> list[Channel]:
-    """Of a seal with states: K, k are the static stiffness H(0); C, c scale H(s) - H(0), all that comes with motion.
-
+    K, k are the static stiffness H(0); C, c scale H(s) - H(0), all that comes with motion.
     Damping and the stiffness that rises with frequency are one mechanism and cannot change alone (Kramers and Kronig). A C or c
     of the size of the coefficient at the whirl frequency is the whole of H(s) - H(0).
     """
-    model, letter, name = seal_model(plant.machine, item, plant.point), parameter.quantity, parameter.name
+    model = seal_model(plant.machine, item, plant.point)
     cross = letter in {"k", "c"}
     still, lacking = (pair[cross] for pair in seal_rational.parts(model))
     if letter in {"K", "k"}:
-        return [
-            Channel(f"F_{name}_{row}", still, ((f"q_{name}_{column}", sign),)) for row, column, sign in _seal_entries(parameter)
-        ]
+        return still, {"q": 1.0}
     nominal = float(getattr(seal_coefficients(item, plant.point), letter))
     slope = model.static.c if cross else model.static.C
     unit = nominal if nominal else 1.0
-    return [
-        Channel(
-            f"F_{name}_{row}",
-            nominal,
-            (
-                (f"{'e' if cross else 'd'}_{name}_{column}", sign / unit),
-                (f"q_{name}_{column}", sign * lacking / unit),
-                (f"qdot_{name}_{column}", sign * slope / unit),
-            ),
-        )
-        for row, column, sign in _seal_entries(parameter)
-    ]
+    return nominal, {"e" if cross else "d": 1 / unit, "q": lacking / unit, "qdot": slope / unit}
 
 
 def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:

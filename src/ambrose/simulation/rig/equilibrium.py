@@ -101,17 +101,21 @@ def levitated_state(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray
 
 def landed_state(rig: Rig, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As ``levitated_state``, the rotor lying in the touchdown bearings, no current in the coils, the controller at zero."""
-    k, bearings = rig.constants, len(rig.machine.bearings)
-    gaps = k.touchdown[:, 0]
+    gaps = rig.constants.touchdown[:, 0]
     if not np.isfinite(gaps).all():
         raise invalid("the touchdown_gap of a bearing", "missing", "given for a start from rest", "add it to every bearing")
     direction = rig.machine.gravity_direction
     direction = _DOWN if direction is None else direction
-    plane = np.zeros(rig.modes)
-    plane[:2] = np.linalg.lstsq(k.shape[:bearings, :2], gaps, rcond=None)[0]
-    z = state_at_rest(rig, np.kron(plane, [np.cos(direction), np.sin(direction)]), np.zeros(len(rig.axes)))
+    z = _displaced(rig, gaps, [np.cos(direction), np.sin(direction)])
     z[rig.bias] = 0.0
     return z, np.zeros(len(law.A)), np.zeros(len(rig.axes))
+
+
+def _displaced(rig: Rig, distance: np.ndarray, direction: list[float]) -> np.ndarray:
+    """The state at rest without current, moved rigidly by distances (b,) [m] at the bearings in a direction (2,)."""
+    plane = np.zeros(rig.modes)
+    plane[:2] = np.linalg.lstsq(rig.constants.shape[: len(distance), :2], distance, rcond=None)[0]
+    return state_at_rest(rig, np.kron(plane, direction), np.zeros(len(rig.axes)))
 
 
 def _penetration(rig: Rig, q: np.ndarray) -> float:
@@ -144,12 +148,10 @@ def _differences(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, s
 
 def fastest_pole(rig: Rig, drives: list[Drive]) -> float:
     """The largest modulus [rad/s] of a pole of the rig, free and touching the touchdown bearings, in all of the drives."""
-    k, b, u = rig.constants, len(rig.machine.bearings), np.zeros(len(rig.axes))
+    gaps, u = rig.constants.touchdown[:, 0], np.zeros(len(rig.axes))
     states = [state_at_rest(rig, np.zeros(2 * rig.modes), u)]
-    if np.isfinite(k.touchdown[:, 0]).all():
-        plane = np.zeros(rig.modes)
-        plane[:2] = np.linalg.lstsq(k.shape[:b, :2], 1.05 * k.touchdown[:, 0], rcond=None)[0]
-        states.append(state_at_rest(rig, np.kron(plane, [1.0, 0.0]), u))
+    if np.isfinite(gaps).all():
+        states.append(_displaced(rig, 1.05 * gaps, [1.0, 0.0]))
     found = [np.abs(np.linalg.eigvals(linear_view(rig, drive, z, u)[0])).max() for drive in drives for z in states]
     return float(max(found))
 

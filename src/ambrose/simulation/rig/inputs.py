@@ -163,9 +163,8 @@ def _unbalance(plan: Plan) -> np.ndarray:
 
 def _seals(plan: Plan, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Coefficients (nodes or 1, seals, 5 + 2 l), looked up on a grid of some samples and linear between."""
-    seals, lags = plan.rig.machine.seals, plan.rig.constants.seal_lags.shape[1]
-    whirl = plan.rig.point.whirl_frequency
-    machine = plan.rig.machine
+    machine, lags, whirl = plan.rig.machine, plan.rig.constants.seal_lags.shape[1], plan.rig.point.whirl_frequency
+    seals = machine.seals
     poles = [seal_poles(machine, s) if seal_rational.has_states(s) else np.zeros(0) for s in seals]
     pressure = plan.pressures(nodes)
     constant = np.ptp(pressure) == 0 and (
