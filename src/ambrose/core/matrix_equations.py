@@ -123,20 +123,19 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     G = B2 B2^T - gamma^-2 B1 B1^T. Failure is a ``status``, not an exception; raises InvalidInput only. Source: Laub 1979
     (Schur vectors of the Hamiltonian), with symplectic balancing (Benner 2001).
     """
-    A = check_shape(A, "A", "(n, n)")
-    n = A.shape[0]
+    a = check_shape(A, "A", "(n, n)")
+    n = a.shape[0]
     if n == 0:
         return RiccatiSolution(np.zeros((0, 0)), np.zeros(0, complex), 0.0, "solved")
-    G, Q = _symmetric(G, "G", n), _symmetric(Q, "Q", n)
-    H = np.block([[A, -G], [-Q, -A.T]])
-    scale = balance(H)[1]
+    g, q = _symmetric(G, "G", n), _symmetric(Q, "Q", n)
+    scale = balance(np.block([[a, -g], [-q, -a.T]]))[1]
     d = np.exp2(np.round(np.log2(scale[:n] / scale[n:]) / 2))  # diag(d, 1/d) is symplectic
-    A, G, Q = A * d / d[:, None], G / d[:, None] / d, Q * d[:, None] * d
-    X, status = _stable_subspace(np.block([[A, -G], [-Q, -A.T]]))
+    a, g, q = a * d / d[:, None], g / d[:, None] / d, q * d[:, None] * d
+    X, status = _stable_subspace(np.block([[a, -g], [-q, -a.T]]))
     residual = np.inf
     if status == "solved":
-        X, residual = _refine(A, G, Q, X)
-        poles = np.linalg.eigvals(A - G @ X)
+        X, residual = _refine(a, g, q, X)
+        poles = np.linalg.eigvals(a - g @ X)
         if not residual <= _RESIDUAL:
             status = "inaccurate"
         elif poles.real.max() >= 0:

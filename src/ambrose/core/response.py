@@ -181,7 +181,8 @@ def held_derivative(
 def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, start: float = 0.0) -> float:
     """The time [s] after ``start`` from which every channel stays within ``band`` times the largest excursion; inf if never.
 
-    time (k,) [s]; y (p, k) or (k,); band: fraction of the peak of |y| over all channels and times from ``start``. The last crossing is interpolated between samples. Raises InvalidInput.
+    time (k,) [s]; y (p, k) or (k,); band: fraction of the peak of |y| over all channels and times from ``start``.
+    The last crossing is interpolated between samples. Raises InvalidInput.
     """
     time = check_shape(time, "time", "(k)")
     y = check_shape(np.atleast_2d(y), "y", "(p, k)", k=len(time))
