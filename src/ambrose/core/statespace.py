@@ -299,8 +299,9 @@ def match_signals(system: Any, inputs: Sequence[str], outputs: Sequence[str]) ->
 def append(*systems: Any) -> StateSpace:
     """Block-diagonal combination: all inputs and all outputs side by side (names must not repeat)."""
     parts = [as_statespace(s) for s in systems]
+    A, B, C, D = (sla.block_diag(*[getattr(s, letter) for s in parts]) for letter in "ABCD")
     return StateSpace(
-        *(sla.block_diag(*[getattr(s, letter) for s in parts]) for letter in "ABCD"),
+        A, B, C, D,
         [name for s in parts for name in s.inputs], [name for s in parts for name in s.outputs], _common_dt(parts),
     )  # fmt: skip
 
