@@ -21,7 +21,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.lpv.family import scaled_family
-from ambrose.synthesis.lpv.inequalities import Shape, first_program
+from ambrose.synthesis.lpv.inequalities import Shape, program
 from ambrose.synthesis.lpv.machine import plants_over_speed
 from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 
@@ -86,7 +86,7 @@ def _against_cvxpy(
 ) -> dict[str, Any]:
     """solver: None is cvxpy's own choice, SCS, which takes hours for the turboexpander."""
     family = scaled_family([plant_at(float(value)) for value in grid], grid)
-    cost, items = first_program(family, Shape("none", 0, 0.0))
+    cost, items = program(family, Shape("none", 0, 0.0))
     start = time.process_time()
     ours = minimise(cost, items, tolerance=1e-5)
     spent = time.process_time() - start

@@ -21,7 +21,7 @@ from ambrose.core.statespace import (
 from ambrose.machine.description import PidSettings
 from ambrose.plant.published import published_p5_pid
 from ambrose.synthesis.certificate import certify, continuous_equivalent, disk_margins, fastest_pole
-from ambrose.synthesis.pid import axes_controller, discrete
+from ambrose.synthesis.pid import axes_controller
 from eigenvalue_margins import loop_margins, opened
 
 AXES = ("A", "B")
@@ -101,7 +101,7 @@ class TestCertify:
     @pytest.mark.parametrize("delay", [0, 1, 2])
     def test_sampled_controller_closes_the_sampled_loop(self, delay):
         dt = 2e-4
-        plant, sampled = with_lag(levitated(1e4, 3e3)), discrete(pd_controller(5e4), dt, delay * dt)
+        plant, sampled = with_lag(levitated(1e4, 3e3)), c2d(pd_controller(5e4), dt, "tustin", delay * dt)
         certificate = certify(plant, sampled)
         loop = series(sampled, c2d(plant, dt))
         closed = loop.A - loop.B @ loop.C

@@ -9,6 +9,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
+from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
 from ambrose.machine.description import Amplifier, MagneticBearing, Notch, PidSettings, Sensor, ShaftSection
 from ambrose.machine.machine import Machine
@@ -17,7 +18,7 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.filters import lead, low_pass, notch
-from ambrose.synthesis.pid import channel, discrete, pid_controller, pid_synthesis, tilt_translate
+from ambrose.synthesis.pid import channel, pid_controller, pid_synthesis, tilt_translate
 from eigenvalue_margins import loop_margins, opened
 
 OMEGA = np.geomspace(1e-2, 1e5, 60)
@@ -227,7 +228,7 @@ def test_tilt_gain_moves_the_conical_poles_only():
 @pytest.mark.parametrize("delay", [0.0, 1e-4, 3e-4])
 def test_discrete_is_tustin_with_whole_samples_of_delay(delay):
     dt = 1e-4
-    sampled = discrete(pid_controller(KINDS["all"], machine()), dt, delay)
+    sampled = c2d(pid_controller(KINDS["all"], machine()), dt, "tustin", delay)
     assert sampled.dt == dt
     omega = np.geomspace(1.0, 0.98 * np.pi / dt, 40)
     z = np.exp(1j * omega * dt)
@@ -239,7 +240,7 @@ def test_discrete_is_tustin_with_whole_samples_of_delay(delay):
 
 def test_a_fractional_delay_is_refused():
     with pytest.raises(InvalidInput, match="whole number of samples"):
-        discrete(pid_controller(PLAIN, machine()), 1e-4, 1.5e-4)
+        c2d(pid_controller(PLAIN, machine()), 1e-4, "tustin", 1.5e-4)
 
 
 class TestSynthesize:

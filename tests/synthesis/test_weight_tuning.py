@@ -103,8 +103,6 @@ def test_mismatch_of_scaled_pid_controllers():
 
 
 def test_refusals():
-    with pytest.raises(InvalidInput, match="carries none"):
-        tune_control_weight(published_p5(), None, REFERENCE, fake(lambda level: 1.0))
     with pytest.raises(InvalidInput, match="without direct gain"):
         direct_gain_mismatch(static_gain(np.eye(2)), static_gain([[0.0, 1.0], [1.0, 0.0]]))
     with pytest.raises(InvalidInput, match="the controller's size"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -88,18 +87,18 @@ def synthesize(
         result = design(plant, method, options=options, progress=progress)
     write_controller(output, result)
     certificate = result.certificate.to_dict()
+    factor = None if result.weights is None else result.weights.control_factor
     if as_json:
-        summary: dict[str, Any] = {"controller": str(output), "method": method, "status": result.status}
-        summary["stopped_early"] = result.stopped_early
-        summary["control_weight_factor"] = None if result.weights is None else result.weights.control_factor
-        summary["notes"] = list(result.notes)
-        summary["certificate"] = certificate
+        summary = {
+            "controller": str(output), "method": method, "status": result.status, "stopped_early": result.stopped_early,
+            "control_weight_factor": factor, "notes": result.notes, "certificate": certificate,
+        }  # fmt: skip
         click.echo(json.dumps(summary))
     else:
-        rows = [(name.replace("_", " "), shown(value)) for name, value in certificate.items() if name != "margins"]
-        rows += [(name.replace("_", " "), shown(value)) for name, value in certificate["margins"].items()]
-        if result.weights is not None:
-            rows.append(("control weight factor", shown(result.weights.control_factor)))
+        numbers = {**certificate, **certificate["margins"]}
+        rows = [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name != "margins"]
+        if factor is not None:
+            rows.append(("control weight factor", shown(factor)))
         rows += [("note", note) for note in result.notes]
         early = "STOPPED EARLY: " if result.stopped_early else ""
         print_table(f"{method} controller, {early}{result.verdict}: {output}", ("certificate", "value"), rows)

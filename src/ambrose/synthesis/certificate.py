@@ -33,7 +33,7 @@ from ambrose.synthesis.result import Certificate, Status, Synthesis
 _SAME = 1e-5  # relative; margins recomputed elsewhere differ by rounding
 
 
-def certify(plant: Plant | StateSpace, controller: Any, label: str = "") -> Certificate:
+def certify(plant: Plant | StateSpace, controller: Any) -> Certificate:
     """Stability, output sensitivity and margins of the loop of core/lft.py, recomputed from plant and controller.
 
     plant: a Plant, or a StateSpace from currents u [A] to displacements y [m] (its signals matched to the controller's by
@@ -52,7 +52,7 @@ def certify(plant: Plant | StateSpace, controller: Any, label: str = "") -> Cert
     identity = np.eye(len(loop.outputs))
     abscissa = spectral_abscissa(feedback(loop, static_gain(identity, dt=loop.dt)))
     fastest = fastest_pole(controller)
-    label = label or _label(plant)
+    label = _label(plant)
     if not abscissa < 0:
         return Certificate(False, abscissa, float("inf"), fastest, {}, label)
     loop = continuous_equivalent(loop)  # margins and norms do not change under the bilinear map
@@ -62,7 +62,7 @@ def certify(plant: Plant | StateSpace, controller: Any, label: str = "") -> Cert
     return Certificate(True, abscissa, peak, fastest, margins, label)
 
 
-def generalized_certificate(plant: GeneralizedPlant, controller: Any, label: str = "") -> Certificate:
+def generalized_certificate(plant: GeneralizedPlant, controller: Any) -> Certificate:
     """Stability and norm of z = F_l(P, K) w, recomputed from a generalized plant and its controller u = K y.
 
     controller: its signals matched to y and u by place. ``closed_loop_norm`` is the H-infinity norm from all w to all z; an
@@ -72,11 +72,11 @@ def generalized_certificate(plant: GeneralizedPlant, controller: Any, label: str
     controller = as_statespace(controller)
     loop = lft(plant, controller)
     abscissa = spectral_abscissa(loop)
-    label = label or f"generalized plant with {plant.system.n_states} states"
     norm = float("inf")
     if abscissa < 0:
         with contextlib.suppress(UnstableSystem):
             norm = hinf_norm(loop).value
+    label = f"generalized plant with {plant.system.n_states} states"
     return Certificate(norm < np.inf, abscissa, norm, fastest_pole(controller), {}, label)
 
 

@@ -32,8 +32,6 @@ from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
 from ambrose.synthesis.weights import Weights
 from ambrose.version import __version__
 
-__all__ = ["controller_schema", "machine_hash", "read_controller", "write_controller"]
-
 FORMAT = "ambrose-controller"
 VERSION = 3  # 1 and 2 told less than a Synthesis says and are refused
 _UNITS = {"inputs": ("err_", "m"), "outputs": ("u_", "A")}
@@ -310,9 +308,8 @@ def _synthesis(table: ControllerTable) -> Synthesis:
     inputs, outputs = [item.name for item in table.inputs], [item.name for item in table.outputs]
 
     def system(letters: ControllerTable | SystemTable, where: str = "") -> StateSpace:
-        return StateSpace(
-            *_matrices(letters, where, len(table.A), len(inputs), len(outputs)), inputs, outputs, table.sample_time
-        )
+        parts = _matrices(letters, where, len(table.A), len(inputs), len(outputs))
+        return StateSpace(*parts, inputs, outputs, table.sample_time)
 
     scheduled = None
     if (plan := table.scheduling) is not None:
@@ -333,15 +330,12 @@ def _synthesis(table: ControllerTable) -> Synthesis:
 
 
 def _weights(table: WeightsTable) -> Weights:
+    def system(name: str, source: str, output: str) -> StateSpace:
+        part = getattr(table, name)
+        return StateSpace(*_matrices(part, f"weights.{name}.", len(part.A), 1, 1), [source], [output])
+
     sizes = table.model_dump(exclude={"performance", "control"})
-    performance = StateSpace(
-        *_matrices(table.performance, "weights.performance.", len(table.performance.A), 1, 1), ["err"], ["z1"]
-    )
-    return Weights(
-        performance,
-        StateSpace(*_matrices(table.control, "weights.control.", len(table.control.A), 1, 1), ["u"], ["z2"]),
-        **sizes,
-    )
+    return Weights(system("performance", "err", "z1"), system("control", "u", "z2"), **sizes)
 
 
 def _matrices(table: ControllerTable | SystemTable, where: str, n: int, m: int, p: int) -> Matrices:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ambrose.core.checks import check_positive
-from ambrose.core.statespace import StateSpace, static_gain, transfer_function
+from ambrose.core.statespace import StateSpace, transfer_function
 
 
 def pid_term(integral_time: float | None, derivative_time: float | None, derivative_filter: float) -> StateSpace:
@@ -11,8 +13,8 @@ def pid_term(integral_time: float | None, derivative_time: float | None, derivat
 
     integral_time T_i, derivative_time T_d [s]; None leaves the term out. derivative_filter eps [-]. Raises InvalidInput.
     """
-    system = static_gain([[1.0]])
-    A, B, C, D = [], [], [], 1.0
+    A: list[float] = []
+    B, C, D = [], [], 1.0
     if integral_time is not None:
         rate = 1 / check_positive(integral_time, "integral_time", "leave it out for a controller without integral action")
         A.append(0.0)
@@ -26,11 +28,7 @@ def pid_term(integral_time: float | None, derivative_time: float | None, derivat
         B.append(corner)
         C.append(-1 / derivative_filter)
         D += 1 / derivative_filter
-    if not A:
-        return system
-    n = len(A)
-    diagonal = [[A[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
-    return StateSpace(diagonal, [[b] for b in B], [C], [[D]])
+    return StateSpace(np.diag(A), np.reshape(B, (-1, 1)), np.reshape(C, (1, -1)), [[D]])
 
 
 def notch(frequency: float, pole_damping: float, zero_damping: float) -> StateSpace:

@@ -7,7 +7,6 @@ pulls the rotor back: it must exceed k_s / k_i before the loop has any stiffness
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -40,7 +39,7 @@ def pid_synthesis(plant: Plant, settings: PidSettings | None = None) -> Synthesi
     certificate = certify(plant, design)
     stable = certificate.stable
     if settings.sample_time is not None:
-        sampled = certify(plant, discrete(design, settings.sample_time, settings.delay))
+        sampled = certify(plant, c2d(design, settings.sample_time, "tustin", settings.delay))
         stable = stable and sampled.stable
         extra = {"sampled_spectral_abscissa": sampled.spectral_abscissa, "sampled_sensitivity_peak": sampled.closed_loop_norm}
         certificate = replace(certificate, margins={**certificate.margins, **extra})
@@ -119,11 +118,3 @@ def _directions(bearing: MagneticBearing) -> np.ndarray:
     """The unit vectors of zeta and eta as rows, in x and y."""
     c, s = np.cos(bearing.angle), np.sin(bearing.angle)
     return np.array([[c, s], [-s, c]])
-
-
-def discrete(controller: Any, sample_time: float, delay: float = 0.0) -> StateSpace:
-    """The controller as it runs: Tustin's map at sample_time [s], and a computing delay [s] of whole samples at its input.
-
-    Raises InvalidInput for a delay that is a fraction of a sample.
-    """
-    return c2d(controller, sample_time, method="tustin", delay=delay)

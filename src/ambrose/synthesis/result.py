@@ -115,7 +115,7 @@ class Synthesis(Presented):
     @property
     def verdict(self) -> str:
         """The status in words, with an early end."""
-        return self.status if self.stopped_early is None else f"{self.status}, but stopped early: {self.stopped_early}"
+        return str(self.status) if self.stopped_early is None else f"{self.status}, but stopped early: {self.stopped_early}"
 
     def facts(self) -> Mapping[str, Any]:
         known: dict[str, Any] = {"method": self.method, "status": self.verdict, "states": self.controller.n_states}

@@ -6,7 +6,7 @@ terms" as the PID in the middle of the frequency range (Lauridsen 2017, P5, sec.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +16,10 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import as_statespace
-from ambrose.machine.description import Tolerance
 from ambrose.plant.model import Plant
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Synthesis
-from ambrose.synthesis.weights import Weights, machine_weights, scale_control
+from ambrose.synthesis.weights import Weights, scale_control
 
 BAND = (0.0, 2 * np.pi * 200.0)  # [rad/s]
 _POINTS = 60
@@ -32,16 +31,14 @@ _LARGEST_STEP = np.log(30.0)
 class Tuning:
     """The tuned weights and the controller they gave.
 
-    mismatch: mean over axes and frequencies of ln(|K_ii| / |R_ii|), 0 when the direct gains agree on average; spread: its root
-    mean square, how far they differ at single frequencies; factor [-]: what W_u was multiplied by; converged: whether
-    |mismatch| is within the tolerance; history: factor and mismatch of every synthesis.
+    mismatch: mean over axes and frequencies of ln(|K_ii| / |R_ii|), 0 when the direct gains agree on average; factor [-]: what
+    W_u was multiplied by; converged: whether |mismatch| is within the tolerance; history: factor and mismatch of each.
     """
 
     weights: Weights
     synthesis: Synthesis
     factor: float
     mismatch: float
-    spread: float
     converged: bool
     history: tuple[Mapping[str, float], ...]
 
@@ -68,44 +65,35 @@ def direct_gain_mismatch(controller: Any, reference: Any, band: tuple[float, flo
 
 def tune_control_weight(
     plant: Plant | GeneralizedPlant,
-    weights: Weights | None,
+    weights: Weights,
     reference_controller: Any,
     synthesize: Callable[[GeneralizedPlant], Synthesis],
     *,
-    band: tuple[float, float] = BAND,
-    tolerances: Sequence[Tolerance] | None = None,
     uncertain: bool = True,
     tolerance: float = 0.02,
     max_syntheses: int = 12,
 ) -> Tuning:
     """W_u multiplied by the factor at which the synthesised controller's direct gains match the reference's in the band.
 
-    plant, weights, tolerances, uncertain: as for ``design_plant``; weights None: the machine's. reference_controller:
-    err_<axis> -> u_<axis>, usually the PID. synthesize: design problem -> Synthesis (H-infinity, mu). band [rad/s].
-    tolerance [-]: of the mean ln ratio, 0.02 is 2 % of gain. A bracketing secant search in ln(factor); where the gains cannot
-    be matched the nearest is returned with converged False. Raises InvalidInput, and what ``synthesize`` raises for the
-    weights it is first given.
+    plant, weights, uncertain: as for ``design_plant``. reference_controller: err_<axis> -> u_<axis>, usually the PID.
+    synthesize: design problem -> Synthesis (H-infinity, mu). tolerance [-]: of the mean ln ratio, 0.02 is 2 % of gain. A
+    bracketing secant search in ln(factor); where the gains cannot be matched the nearest is returned with converged False.
+    Raises what ``synthesize`` raises for the weights it is first given.
     """
-    if weights is None:
-        if not isinstance(plant, Plant):
-            raise InvalidInput("no weights were given, and a generalized plant carries none; pass Weights")
-        weights = machine_weights(plant.machine)
     check_positive(tolerance, "tolerance", "0.02 is 2 % of gain")
-    start = weights
-    found: dict[float, tuple[Synthesis, float, float]] = {}
+    trials: dict[float, tuple[Synthesis, float]] = {}
 
     def mismatch(x: float) -> float:
-        problem = design_plant(plant, scale_control(start, float(np.exp(x))), tolerances, uncertain)
-        made = synthesize(problem)
-        found[x] = (made, *direct_gain_mismatch(made.controller, reference_controller, band))
-        return found[x][1]
+        made = synthesize(design_plant(plant, scale_control(weights, float(np.exp(x))), uncertain=uncertain))
+        trials[x] = made, direct_gain_mismatch(made.controller, reference_controller)[0]
+        return trials[x][1]
 
     _search(mismatch, tolerance, max_syntheses)
-    x = min(found, key=lambda key: abs(found[key][1]))
-    made, mean, spread = found[x]
-    history = tuple({"factor": float(np.exp(key)), "mismatch": value[1]} for key, value in found.items())
+    x = min(trials, key=lambda key: abs(trials[key][1]))
+    made, mean = trials[x]
+    history = tuple({"factor": float(np.exp(key)), "mismatch": value} for key, (_, value) in trials.items())
     factor = float(np.exp(x))
-    return Tuning(scale_control(start, factor), made, factor, mean, spread, abs(mean) <= tolerance, history)
+    return Tuning(scale_control(weights, factor), made, factor, mean, abs(mean) <= tolerance, history)
 
 
 def _search(function: Callable[[float], float], tolerance: float, most: int) -> None:

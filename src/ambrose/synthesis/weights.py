@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import log
 from typing import Any
 
 import numpy as np
@@ -71,10 +70,11 @@ def performance_weight(peak: float, bandwidth: float, low_frequency_error: float
     """W_p = (s/M + w_B)/(s + w_B A_w): 1/A_w at zero frequency, 1 near w_B, 1/M far above.
 
     peak M [-] > 1: the largest sensitivity; bandwidth w_B [rad/s]: disturbances below it are reduced; low_frequency_error
-    A_w [-], 0 < A_w < 1: what is left of a constant disturbance (P5, eq. (7); P3, eq. (11)). Raises InvalidInput.
+    A_w [-], 0 < A_w < 1: what is left of a constant disturbance (P5, eq. (7); P3, eq. (11)). Above A_w w_B the weight is a PI
+    controller with the integral time 1/(M w_B) [s]. Raises InvalidInput.
     """
     peak = check_positive(peak, "peak", "3 is the border of zone A of ISO 14839-3")
-    bandwidth = check_positive(bandwidth, "bandwidth", "give it in rad/s; bandwidth_from_integral_time suggests one")
+    bandwidth = check_positive(bandwidth, "bandwidth", "give it in rad/s; 1/(peak T_i) for an integral time T_i [s]")
     error = check_positive(low_frequency_error, "low_frequency_error", "1e-3 stands for integral action")
     if peak <= 1:
         raise invalid("peak", f"{peak:g}", "above 1", "no loop around a strictly proper plant stays below (Bode's integral)")
@@ -109,26 +109,6 @@ def control_weight(level: float, crossover: float | None = None, order: int = 1,
     for _ in range(order):
         result = series(result, section)
     return result
-
-
-def bandwidth_from_integral_time(integral_time: float, peak: float) -> float:
-    """w_B [rad/s] = 1/(M T_i): W_p = (1 + 1/(T_i s))/M above A_w w_B is a PI controller with integral time T_i [s].
-
-    The synthesised controller takes its integral part from W_p, so that its integral time comes out close to T_i.
-    """
-    return 1 / (check_positive(peak, "peak", "3 is usual") * check_positive(integral_time, "integral_time", "in seconds"))
-
-
-def bandwidth_from_settling_time(settling_time: float, peak: float, band: float = 0.02) -> float:
-    """w_B [rad/s] = ln(M/band)/(M t_s): the sensitivity that W_p just allows settles within t_s [s].
-
-    1/W_p = M (s + A_w w_B)/(s + M w_B) answers a step of disturbance with M exp(-M w_B t); band [-]: fraction of the step.
-    """
-    peak = check_positive(peak, "peak", "3 is usual")
-    band = check_positive(band, "band", "0.02 is usual")
-    if band >= 1:
-        raise invalid("band", f"{band:g}", "below 1", "0.02 is usual")
-    return log(peak / band) / (peak * check_positive(settling_time, "settling_time", "in seconds"))
 
 
 def machine_weights(machine: Machine | DesignWeights) -> Weights:

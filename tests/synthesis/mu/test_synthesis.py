@@ -35,9 +35,9 @@ from ambrose.plant.reduce import reduce
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import RealRational, fit_magnitude
 from ambrose.synthesis.mu.d_step import d_blocks, d_step, fit_scaling
-from ambrose.synthesis.mu.matrix_fit import MatrixFit, fit_matrix
+from ambrose.synthesis.mu.matrix_fit import fit_matrix
 from ambrose.synthesis.mu.refine import peak_gain, refine
-from ambrose.synthesis.mu.scaling import Scaling, scalar_scaling, scaled_loop, scaled_plant
+from ambrose.synthesis.mu.scaling import BlockScaling, Scaling, scalar_scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import design_plant, published_p5_problem, with_performance_block
 
@@ -114,9 +114,9 @@ def matrix_of(order: int, r: int = 2) -> StateSpace:
     return StateSpace(A, B, np.hstack([np.zeros((r, 0)), *Y[1:]]), 2 * np.eye(r) + Y[0])
 
 
-def fit_error(fit: MatrixFit, omega: np.ndarray, X: np.ndarray) -> np.ndarray:
+def fit_error(fit: BlockScaling, omega: np.ndarray, X: np.ndarray) -> np.ndarray:
     """|X^-1/2 (D^H D - X) X^-1/2| (w,), the relative error of a fit."""
-    D = frequency_response(fit.system, omega).values
+    D = frequency_response(fit.left, omega).values
     values, vectors = np.linalg.eigh(X)
     root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().swapaxes(1, 2)
     return np.linalg.norm(root @ (D.conj().swapaxes(1, 2) @ D - X) @ root, 2, axis=(1, 2))
@@ -129,11 +129,11 @@ def test_matrix_fit_recovers_a_spectral_density_and_factors_it(order):
     assert np.linalg.eigvalsh(X).min() > 0
     fit = fit_matrix(OMEGA, X, order)
     assert fit_error(fit, OMEGA, X).max() < (1e-9 if order == 0 else 0.05)
-    assert is_stable(fit.system)
-    assert is_stable(fit.inverse)
-    product = frequency_response(series(fit.system, fit.inverse), OMEGA).values
+    assert is_stable(fit.left)
+    assert is_stable(fit.right)
+    product = frequency_response(series(fit.left, fit.right), OMEGA).values
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(2), product.shape), atol=1e-7)
-    assert fit.system.n_states == 2 * order
+    assert fit.left.n_states == 2 * order
 
 
 def test_refinement_lowers_the_peak_and_stays_inside():

@@ -69,7 +69,17 @@ def polish_synthesis(
     Raises InvalidInput (no real blocks, complex blocks, a controller that does not fit) and NumericalFailure (the reduced
     controller does not even stabilise the nominal plant).
     """
-    job = _Job.of(plant, start, order, deltas, iterations, rounds, time_limit, progress)
+    plant, controller = _box_problem(plant), as_statespace(start)
+    if controller.D.shape != (len(plant.u), len(plant.y)) or controller.dt is not None:
+        raise invalid("start", repr(controller), f"continuous with {len(plant.y)} inputs, {len(plant.u)} outputs", "match")
+    for number, name in ((iterations, "iterations"), (rounds, "rounds")):
+        if not isinstance(number, int | np.integer) or number < 1:
+            raise invalid(name, number, "a whole number, at least 1", "leave the default")
+    names = tuple(block.name for block in plant.blocks)
+    job = _Job(
+        plant, controller, controller.n_states if order is None else order, names, _first_models(len(names), deltas),
+        max(1, iterations // rounds), TimeLimit(time_limit), progress or (lambda _: None),
+    )  # fmt: skip
     reason: str | None = None
     best = _reduced(job)
     history = [_row(job, 0, best)]
@@ -83,7 +93,7 @@ def polish_synthesis(
                 gain, best = best.worst - polished.worst, polished
                 if np.isfinite(gain) and gain < 1e-4 * best.worst and number >= len(_POWERS):
                     break
-            if job.left <= 0:
+            if job.clock.left <= 0:
                 reason = job.clock.reached
                 break
     except KeyboardInterrupt:
@@ -107,55 +117,12 @@ class _Job:
     order: int
     names: tuple[str, ...]
     models: list[Delta]
-    iterations: int
-    rounds: int
+    iterations: int  # of a round
     clock: TimeLimit
-    progress: Callable[[str], None] | None
+    say: Callable[[str], None]
     extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
     start_worst: float = float("nan")
     reduced_worst: float = float("nan")
-
-    @classmethod
-    def of(
-        cls,
-        plant: GeneralizedPlant,
-        start: StateSpace,
-        order: int | None,
-        deltas: Sequence[float],
-        iterations: int,
-        rounds: int,
-        time_limit: float,
-        progress: Callable[[str], None] | None,
-    ) -> _Job:
-        blocks = [b for b in check_plant(plant).blocks if not (isinstance(b, FullBlock) and b.name == PERFORMANCE)]
-        if not blocks or not all(isinstance(b, RealBlock) for b in blocks):
-            found = ", ".join(type(b).__name__ for b in blocks) or "none"
-            raise invalid("the plant's blocks", found, "real parameters, one at least", "complex blocks need mu_synthesis")
-        plant = GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, blocks)
-        if len(plant.w) == plant.n_w_blocks or len(plant.z) == plant.n_z_blocks:
-            raise InvalidInput("the plant has no performance signals beyond its blocks; add w and z to be kept small")
-        controller = as_statespace(start)
-        if controller.D.shape != (len(plant.u), len(plant.y)) or controller.dt is not None:
-            raise invalid("start", repr(controller), f"continuous with {len(plant.y)} inputs, {len(plant.u)} outputs", "match")
-        values = np.unique(np.append(check_shape(deltas, "deltas", "(k)").astype(float), 0.0))
-        if np.abs(values).max() > 1:
-            raise invalid("deltas", values.tolist(), "within -1 and 1", "the plant's box is scaled to that")
-        for number, name in ((iterations, "iterations"), (rounds, "rounds")):
-            if not isinstance(number, int | np.integer) or number < 1:
-                raise invalid(name, number, "a whole number, at least 1", "leave the default")
-        clock = TimeLimit(time_limit)
-        names = tuple(block.name for block in blocks)
-        models: list[Delta] = [(float(v),) for v in values] if len(names) == 1 else _first_corners(len(names))
-        n = controller.n_states if order is None else order
-        return cls(plant, controller, n, names, models, iterations, rounds, clock, progress)
-
-    @property
-    def left(self) -> float:
-        return self.clock.left
-
-    def say(self, text: str) -> None:
-        if self.progress is not None:
-            self.progress(text)
 
     def model(self, delta: Delta) -> GeneralizedPlant:
         """The plant at parameter values, without blocks."""
@@ -172,7 +139,25 @@ class _Point:
     nominal: float
 
 
-def _first_corners(count: int) -> list[Delta]:
+def _box_problem(plant: GeneralizedPlant) -> GeneralizedPlant:
+    """The plant without performance block. Raises InvalidInput unless real blocks and performance signals remain."""
+    blocks = [b for b in check_plant(plant).blocks if not (isinstance(b, FullBlock) and b.name == PERFORMANCE)]
+    if not blocks or not all(isinstance(b, RealBlock) for b in blocks):
+        kinds = ", ".join(type(b).__name__ for b in blocks) or "none"
+        raise invalid("the plant's blocks", kinds, "real parameters, one at least", "complex blocks need mu_synthesis")
+    plant = GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, blocks)
+    if len(plant.w) == plant.n_w_blocks or len(plant.z) == plant.n_z_blocks:
+        raise InvalidInput("the plant has no performance signals beyond its blocks; add w and z to be kept small")
+    return plant
+
+
+def _first_models(count: int, deltas: Sequence[float]) -> list[Delta]:
+    """All ``deltas`` of a single parameter; of several the centre and a few corners. Raises InvalidInput."""
+    values = np.unique(np.append(check_shape(deltas, "deltas", "(k)").astype(float), 0.0))
+    if np.abs(values).max() > 1:
+        raise invalid("deltas", values.tolist(), "within -1 and 1", "the plant's box is scaled to that")
+    if count == 1:
+        return [(float(v),) for v in values]
     rng = np.random.default_rng(0)
     corners = [tuple(float(v) for v in rng.choice([-1.0, 1.0], count)) for _ in range(_CORNERS)]
     return [(0.0,) * count, (1.0,) * count, (-1.0,) * count, *dict.fromkeys(corners)]
@@ -268,9 +253,7 @@ def _round(job: _Job, point: _Point, number: int) -> _Point:
         A = form.matrices(trial)[0]
         return cost.abscissa(trial) <= limit and float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) <= fastest
 
-    x, used = descend(
-        lambda v: cost(v, power), allowed, x, max(1, job.iterations // job.rounds), 1e-4, lambda: job.left > 0
-    )  # fmt: skip
+    x, used = descend(lambda v: cost(v, power), allowed, x, job.iterations, 1e-4, lambda: job.clock.left > 0)
     polished = _judge(job, form.controller(x))
     job.say(
         f"round {number}: {used} steps at p = {power:g}, norm on the grid {cost.gains(x).max():.4f}, worst true norm "
@@ -297,13 +280,12 @@ def _proved(job: _Job, best: _Point) -> float:
     loop = lft(job.plant, best.controller)
     n = job.plant.n_z_blocks
     for factor in _PROOF:
-        if job.left <= 0:
+        if job.clock.left <= 0:
             break
         level = factor * best.worst
         gain = np.concatenate([np.ones(n), np.full(len(job.plant.z) - n, 1 / level)])
         scaled = StateSpace(loop.A, loop.B, gain[:, None] * loop.C, gain[:, None] * loop.D)
-        blocks = with_performance_block(job.plant).blocks
-        if proved_below(scaled, blocks, 1.0):
+        if proved_below(scaled, with_performance_block(job.plant).blocks, 1.0):
             return level
     return float("inf")
 

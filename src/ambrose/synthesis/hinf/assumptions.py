@@ -37,10 +37,6 @@ class Assumptions:
     rows: np.ndarray
     columns: np.ndarray
 
-    @property
-    def hold(self) -> bool:
-        return not self.findings
-
 
 def check_assumptions(plant: ScaledPlant) -> Assumptions:
     """Assumptions 1 to 5 on a scaled plant. Raises InvalidInput naming the mode where the first fails."""

@@ -227,14 +227,7 @@ def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
     n, q, r = len(plant.A), plant.B1.shape[1], len(plant.C1)
     m, p = plant.B2.shape[1], len(plant.C2)
     scale = _even(level.X, level.Y)
-    plant = replace(
-        plant,
-        A=plant.A * scale / scale[:, None],
-        B1=plant.B1 / scale[:, None],
-        B2=plant.B2 / scale[:, None],
-        C1=plant.C1 * scale,
-        C2=plant.C2 * scale,
-    )
+    plant = plant.in_states(np.diag(scale), np.diag(1 / scale))
     X, Y = level.X * scale[:, None] * scale, level.Y / scale[:, None] / scale
     F, L = _gains(plant, gamma, X), _gains(plant.dual(), gamma, Y).T
     F12, F2, L12, L2 = F[q - p : q], F[q:], L[:, r - m : r], L[:, r:]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -60,11 +61,11 @@ def hinf_synthesis(
         raise invalid("tolerance", tolerance, "between 1e-10 and 1", "1e-3 suits most uses")
     if method not in ("riccati", "lmi"):
         raise invalid("method", repr(method), '"riccati" or "lmi"', "leave it out for the Riccati equations")
-    job = _Job(check_plant(plant), backoff, tolerance, TimeLimit(time_limit), progress)
+    job = _Job(check_plant(plant), backoff, tolerance, TimeLimit(time_limit), progress or (lambda _: None))
     scaled = scale_plant(plant)
     assumptions = check_assumptions(scaled)
     design = _by_riccati if method == "riccati" else _by_lmi
-    if not assumptions.hold:
+    if assumptions.findings:
         return _regularised(job, scaled, assumptions, design)
     try:
         return _finish(job, design(job, scaled, 0.0))
@@ -87,11 +88,7 @@ class _Job:
     backoff: float
     tolerance: float
     clock: TimeLimit
-    progress: Callable[[str], None] | None
-
-    def say(self, text: str) -> None:
-        if self.progress is not None:
-            self.progress(text)
+    say: Callable[[str], None]
 
     def check_time(self, best: str = "") -> None:
         if self.clock.left <= 0:
@@ -238,21 +235,18 @@ def _regularised(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, metho
 def _finish(
     job: _Job, design: _Design, notes: tuple[str, ...] = (), history: tuple[dict[str, float], ...] | None = None
 ) -> Synthesis:
-    found = design.certificate
     margins = {
         "gamma_optimal": design.optimal,
         "gamma_lower": design.lower,
         "gamma_designed": design.designed,
         "epsilon": design.epsilon,
     }
-    certificate = Certificate(
-        found.stable, found.spectral_abscissa, found.closed_loop_norm, found.fastest_pole, margins, found.plant
-    )  # fmt: skip
+    certificate = replace(design.certificate, margins=margins)
     notes = (*notes, *design.notes, *_zero_control(job.plant, design))
     for note in notes:
         job.say(f"note: {note}")
     return Synthesis(
-        design.controller, "hinf", found.closed_loop_norm, Status.VERIFIED, certificate,
+        design.controller, "hinf", certificate.closed_loop_norm, Status.VERIFIED, certificate,
         design.history if history is None else history, notes,
     )  # fmt: skip
 
@@ -261,16 +255,11 @@ def _zero_control(plant: GeneralizedPlant, design: _Design) -> tuple[str, ...]:
     """A note where doing nothing is as good; raises NumericalFailure for a zero controller where it is not."""
     open_norm = np.inf
     if is_stable(plant.system):
-        try:
+        with contextlib.suppress(UnstableSystem):
             open_norm = hinf_norm(select(plant.system, plant.w, plant.z)).value
-        except UnstableSystem:
-            open_norm = np.inf
     if open_norm <= design.designed:
         return (f"no control does as well: the plant is stable and has norm {open_norm:.6g} without a controller",)
-    if not _has_gain(design.controller):
+    law = design.controller
+    if not (law.D.any() or (law.B.any() and law.C.any())):
         raise NumericalFailure("the controller found is zero, though no control is not optimal; rescale u and y")
     return ()
-
-
-def _has_gain(controller: StateSpace) -> bool:
-    return bool(controller.D.any() or (controller.B.any() and controller.C.any()))

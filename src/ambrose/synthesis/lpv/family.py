@@ -140,7 +140,7 @@ def _balanced(family: Family, middle: int) -> Family:
     moduli = moduli[moduli > 1e-6 * moduli.max(initial=1e-300)]
     rate = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
     try:
-        best = _level(family.plants[middle])
+        best = best_level(family.plants[middle])
         T, inverse = balancing_states(_disturbed(family.plants[middle], best))
     except NumericalFailure as failure:
         raise NumericalFailure(
@@ -150,7 +150,8 @@ def _balanced(family: Family, middle: int) -> Family:
     return replace(family, plants=slow, rate=rate).in_states(T, inverse).in_units(best.gamma)
 
 
-def _level(plant: ScaledPlant) -> Level:
+def best_level(plant: ScaledPlant) -> Level:
+    """The smallest gamma of one plant that H-infinity control reaches. Raises NumericalFailure."""
     return search_gamma(normal_form(plant)[0], 1e-3, lambda _: None).best
 
 
@@ -162,7 +163,7 @@ def _disturbed(plant: ScaledPlant, best: Level) -> Level:
     """
     more = full_regularisation(plant)
     for epsilon in _DISTURBANCES:
-        level = _level(plant.extended(more.rows, more.columns, epsilon))
+        level = best_level(plant.extended(more.rows, more.columns, epsilon))
         if level.gamma <= _HARDLY * best.gamma:
             return level
     return best

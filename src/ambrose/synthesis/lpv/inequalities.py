@@ -1,13 +1,8 @@
 """The linear matrix inequalities of gridded LPV synthesis: R and S common to all points, or one of them a polynomial.
 
-At every grid point and for both signs of the largest rate, with N_R spanning the null space of [B2^T D12^T], N_S that of
-[C2 D21],
-
-    N^T [A R + R A^T - R'  R C1^T   B1 ] N        N^T [A^T S + S A + S'  S B1    C1^T ] N         [R  I]
-        [C1 R          -gamma I  D11]   < 0           [B1^T S       -gamma I  D11^T]   < 0        [I  S] >= 0
-        [B1^T           D11^T  -gamma I]              [C1             D11   -gamma I]
-
-R' and S' are the time derivatives, zero for constant matrices, which therefore allow any rate. Two passes: gamma is made as
+They are those of hinf/lmi.py at every grid point and for both signs of the largest rate, with A R + R A^T - R' and
+A^T S + S A + S' in the corners. R' and S' are the time derivatives, zero for constant matrices, which therefore allow any
+rate. Two passes: gamma is made as
 small as it gets; then, a little above it, R S is driven away from I while R, S and the slack stay bounded, which keeps the
 controller's poles slow. Sources: Apkarian & Adams 1998, IEEE Trans. Control Systems Technology 6 (projected form);
 Wu, Yang, Packard & Becker 1996, Int. J. Robust Nonlinear Control 6 (rate bounds).
@@ -22,7 +17,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure
-from ambrose.core.semidefinite import Inequality, Minimum, minimise, side, smat, svec
+from ambrose.core.semidefinite import Inequality, minimise, side, smat, svec
 from ambrose.synthesis.hinf.lmi import existence, symmetric_basis
 from ambrose.synthesis.hinf.scaling import ScaledPlant
 from ambrose.synthesis.lpv.family import Family
@@ -43,15 +38,12 @@ class Lyapunov:
 
     def at(self, p: float) -> tuple[np.ndarray, np.ndarray]:
         """R and S (n, n) at a relative parameter."""
-        return _polynomial(self.R, p), _polynomial(self.S, p)
+        R, S = (np.tensordot(p ** np.arange(len(X)), X, 1) for X in (self.R, self.S))
+        return R, S
 
     def slope(self, p: float) -> tuple[np.ndarray, np.ndarray]:
         """dR/dp and dS/dp (n, n)."""
         return _slope(self.R, p), _slope(self.S, p)
-
-
-def _polynomial(coefficients: np.ndarray, p: float) -> np.ndarray:
-    return np.tensordot(p ** np.arange(len(coefficients)), coefficients, 1)
 
 
 def _slope(coefficients: np.ndarray, p: float) -> np.ndarray:
@@ -67,13 +59,6 @@ class Shape:
     degree: int
     rate: float
 
-    @property
-    def kind(self) -> str:
-        """ "none", "affine" or "polynomial" in the parameter."""
-        if self.varying == "none":
-            return "none"
-        return "affine" if self.degree == 1 else "polynomial"
-
     def terms(self, name: str) -> int:
         return 1 + self.degree if self.varying == name else 1
 
@@ -84,23 +69,23 @@ class Shape:
 
 def smallest_gamma(family: Family, shape: Shape, time_limit: float) -> tuple[float, float, Lyapunov]:
     """The smallest gamma in the family's units, a lower bound of it, and R and S there. Raises NumericalFailure."""
-    cost, items = first_program(family, shape)
+    cost, items = program(family, shape)
     found = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
-    _check(found, f"gamma cannot be minimised over the {len(family.grid)} grid points", time_limit)
+    inexact = found.status == "inexact" and found.primal_error < _TIGHT and found.value > 0
+    if not (found.status == "optimal" or inexact):  # an inexact end will do: everything is recomputed at the end
+        what = f"gamma cannot be minimised over the {len(family.grid)} grid points"
+        if found.status == "time limit":
+            raise NumericalFailure(f"{what} within {time_limit:.3g} s; raise time_limit or take fewer grid points")
+        raise NumericalFailure(f"{what} (the solver ended {found.status} with a residual of {found.primal_error:.2g})")
     bound = found.bound if found.dual_error < _TIGHT else float("nan")
     return found.value, bound, _lyapunov(found.x, family.n, shape)
-
-
-def first_program(family: Family, shape: Shape) -> tuple[np.ndarray, list[Inequality]]:
-    """Cost and inequalities of the first pass; the variables are svec(R_j), svec(S_j) and gamma."""
-    return _program(family, shape, None, 0.0, _LARGEST)
 
 
 def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapunov:
     """R and S strictly feasible at gamma = 1 with R S far from I. Raises NumericalFailure."""
     reasons = []
     for strict, largest in _MARGINS:
-        cost, items = _program(family, shape, 1.0, strict, largest)
+        cost, items = program(family, shape, 1.0, strict, largest)
         found = minimise(cost, items, tolerance=1e-3, time_limit=time_limit, hopeless=-1.0)
         reason = f"slack {strict:g}, R and S up to {largest:g}: {found.status}, t = {-found.value:.4g}"
         if found.primal_error < 1e-8 and -found.value > 1:
@@ -109,24 +94,16 @@ def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapuno
     raise NumericalFailure(f"no well-conditioned solution at this gamma ({reasons[-1]}); increase the back-off")
 
 
-def _check(found: Minimum, what: str, time_limit: float) -> None:
-    if found.status == "optimal" or (found.status == "inexact" and found.primal_error < _TIGHT and found.value > 0):
-        return  # an inexact end is accepted here because everything is recomputed at the end
-    if found.status == "time limit":
-        raise NumericalFailure(f"{what} within {time_limit:.3g} s; raise time_limit or take fewer grid points")
-    raise NumericalFailure(f"{what} (the solver ended {found.status} with a residual of {found.primal_error:.2g})")
-
-
 def _lyapunov(x: np.ndarray, n: int, shape: Shape) -> Lyapunov:
     count, a = n * (n + 1) // 2, shape.terms("R")
     matrices = smat(x[:-1].reshape(-1, count))
     return Lyapunov(matrices[:a], matrices[a:])
 
 
-def _program(
-    family: Family, shape: Shape, gamma: float | None, strict: float, largest: float
+def program(
+    family: Family, shape: Shape, gamma: float | None = None, strict: float = 0.0, largest: float = _LARGEST
 ) -> tuple[np.ndarray, list[Inequality]]:
-    """Variables svec(R_j), svec(S_j), then gamma (gamma None) or t: cost and inequalities."""
+    """Cost and inequalities of the first pass (gamma None), or the second; variables svec(R_j), svec(S_j), then gamma or t."""
     n = family.n
     count, a, b = n * (n + 1) // 2, shape.terms("R"), shape.terms("S")
     last = np.array([(a + b) * count])
@@ -144,13 +121,8 @@ def _program(
                 else:
                     slack = strict * svec(np.eye(side(len(constant))))
                     items.append(Inequality(rows, constant + gamma * of_gamma - slack, columns))
-    return _cost(len(last) + (a + b) * count, gamma), items + _coupling(family, shape, gamma, largest, (of_R, of_S, last))
-
-
-def _cost(size: int, gamma: float | None) -> np.ndarray:
-    cost = np.zeros(size)
-    cost[-1] = 1.0 if gamma is None else -1.0
-    return cost
+    cost = np.append(np.zeros((a + b) * count), 1.0 if gamma is None else -1.0)
+    return cost, items + _coupling(family, shape, gamma, largest, (of_R, of_S, last))
 
 
 def _existence(plant: ScaledPlant, dual: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -177,7 +149,8 @@ def _coupling(
     low = np.array([svec(sla.block_diag(zero, M)) for M in basis]).T
     off = svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
     bound, items = largest * svec(np.eye(n)), []
-    for p in {"none": family.relative[:1], "affine": family.relative[[0, -1]]}.get(shape.kind, family.relative):
+    ends = [0] if shape.varying == "none" else [0, -1] if shape.degree == 1 else slice(None)
+    for p in family.relative[ends]:
         powers_R, powers_S = p ** np.arange(shape.terms("R")), p ** np.arange(shape.terms("S"))
         rows = np.hstack([np.kron(powers_R, up), np.kron(powers_S, low)])
         if gamma is None:

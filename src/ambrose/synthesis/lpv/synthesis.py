@@ -20,10 +20,9 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.scheduled import ScheduledSystem, check_grid, interval_points
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf.riccati import normal_form, search_gamma
 from ambrose.synthesis.hinf.scaling import ScaledPlant, check_plant, original_matrices
 from ambrose.synthesis.lpv.controller import Factors, controller, factors
-from ambrose.synthesis.lpv.family import Family, scaled_family
+from ambrose.synthesis.lpv.family import Family, best_level, scaled_family
 from ambrose.synthesis.lpv.inequalities import Shape, Varying, smallest_gamma, well_conditioned
 from ambrose.synthesis.lpv.verification import Frozen, between, frozen
 from ambrose.synthesis.result import Certificate, Status, Synthesis
@@ -79,7 +78,7 @@ def lpv_synthesis(
         raise invalid("the number of plants", len(plants), f"{len(values)}, one per grid point", "give one for each")
     plant_at = plants if callable(plants) else between([check_plant(plant) for plant in plants], values)
     job = _Job(plant_at, rate, varying if rate is not None else "none", degree, backoff, points_between, parameter, unit,
-               check_positive(time_limit, "time_limit", "give seconds"), progress)  # fmt: skip
+               check_positive(time_limit, "time_limit", "give seconds"), progress or (lambda _: None))  # fmt: skip
     for _ in range(_REFINED + 1):
         design = _design(job, values)
         weak = [f.value for f in design.found if not f.guaranteed <= _HOLDS * design.family.unit]
@@ -101,11 +100,7 @@ class _Job:
     parameter: str
     unit: str
     time_limit: float
-    progress: Callable[[str], None] | None
-
-    def say(self, text: str) -> None:
-        if self.progress is not None:
-            self.progress(text)
+    say: Callable[[str], None]
 
     def shape(self, family: Family) -> Shape:
         return Shape(self.varying, self.degree, 0.0 if self.rate is None else family.relative_rate(self.rate))
@@ -158,7 +153,7 @@ def _design(job: _Job, values: np.ndarray) -> _Design:
 def _optimum(plant: ScaledPlant, family: Family, value: float) -> float:
     """The optimal gamma of the plant at one grid point, in original units. Raises NumericalFailure naming the point."""
     try:
-        return search_gamma(normal_form(plant)[0], 1e-3, lambda _: None).best.gamma * family.unit
+        return best_level(plant).gamma * family.unit
     except NumericalFailure as failure:
         raise NumericalFailure(f"the grid point {value:g} alone has no H-infinity controller: {failure}") from failure
 

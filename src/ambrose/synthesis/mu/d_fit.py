@@ -67,6 +67,11 @@ class RealRational:
         return StateSpace(A, B * root, C / root, [[self.gain * through]], [input], [output])
 
 
+def constant(gain: float) -> RealRational:
+    """d(s) = gain, of order 0."""
+    return RealRational(gain, np.zeros(0), np.zeros(0))
+
+
 def _corners(omega: np.ndarray, corner: np.ndarray) -> np.ndarray:
     """1/2 ln(1 + (w/c)^2), (w, corners)."""
     return 0.5 * np.log1p((omega[:, None] / corner) ** 2)

@@ -13,8 +13,8 @@ from ambrose.core.lft import Block, ComplexBlock, FullBlock
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.mu.structure import Structure, structure_of
 from ambrose.core.statespace import StateSpace, poles
-from ambrose.synthesis.mu.d_fit import RealRational, fit_magnitude
-from ambrose.synthesis.mu.matrix_fit import fit_matrix, matrix_scaling
+from ambrose.synthesis.mu.d_fit import RealRational, constant, fit_magnitude
+from ambrose.synthesis.mu.matrix_fit import fit_matrix
 from ambrose.synthesis.mu.refine import peak_gain, refine, tube
 from ambrose.synthesis.mu.scaling import BlockScaling, Scaling, scalar_scaling, scaled_gain
 
@@ -79,8 +79,7 @@ def d_step(loop: StateSpace, blocks: Sequence[Block], grid: np.ndarray, rounds: 
         omega = np.concatenate([omega, new])[order]
         M, upper, D = (np.concatenate([a, b])[order] for a, b in zip((M, upper, D), more, strict=True))
     structure = structure_of(blocks)
-    nothing = np.zeros((len(omega), 0))
-    middle, width = nothing, nothing
+    middle = width = np.zeros((len(omega), 0))
     if not _matrix_scaled(structure) and upper.max() > 0:
         log_d = np.log(np.stack([D[:, place.w.start, place.w.start].real for place in structure.places], axis=1))
         middle, width = tube(M, structure, log_d, upper + _TUBE * upper.max())
@@ -189,15 +188,14 @@ def _fewer(step: DStep, fitted: FittedScaling, enough: Callable[[FittedScaling],
 def _fit(step: DStep, orders: Sequence[int]) -> FittedScaling:
     places = step.structure.places
     weight = (step.upper / step.peak) ** _WEIGHT if step.peak > 0 else np.ones(len(step.omega))
-    nothing = np.zeros(0)
     if _matrix_scaled(step.structure):
         parts: list[BlockScaling] = []
         for place, n in zip(places, orders, strict=True):
             D = step.D_w[:, place.w, place.w]
             if isinstance(place.block, ComplexBlock) and place.block.repeat > 1:
-                parts.append(matrix_scaling(fit_matrix(step.omega, D @ D, n, weight)))
+                parts.append(fit_matrix(step.omega, D @ D, n, weight))
             elif place is places[-1]:
-                parts.append(scalar_scaling(place.block, RealRational(1.0, nothing, nothing)))
+                parts.append(scalar_scaling(place.block, constant(1.0)))
             else:
                 parts.append(scalar_scaling(place.block, fit_magnitude(step.omega, D[:, 0, 0].real, n, weight)))
         scaling = Scaling(tuple(parts))
@@ -207,4 +205,4 @@ def _fit(step: DStep, orders: Sequence[int]) -> FittedScaling:
         fit_magnitude(step.omega, np.exp(middle), n, width**-2.0)
         for middle, width, n in zip(step.middle.T, step.width.T, orders, strict=False)
     ]
-    return of_scalars(step, refine(step.M, step.omega, step.structure, [*fits, RealRational(1.0, nothing, nothing)]))
+    return of_scalars(step, refine(step.M, step.omega, step.structure, [*fits, constant(1.0)]))

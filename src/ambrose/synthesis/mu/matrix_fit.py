@@ -8,36 +8,21 @@ Riccati equation; Zhou, Doyle & Glover 1996, sec. 13.4). D is unique up to a con
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape, invalid
+from ambrose.core.lft import ComplexBlock
 from ambrose.core.matrix_equations import solve_riccati
-from ambrose.core.statespace import StateSpace
+from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.synthesis.mu.d_fit import fit_magnitude
-from ambrose.synthesis.mu.scaling import BlockScaling
+from ambrose.synthesis.mu.scaling import BlockScaling, scalar_scaling
 
 _CANDIDATES = 10  # pole positions of the first scan
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MatrixFit:
-    """D(s) (r, r), stable with a stable inverse; order: of every channel (r order states)."""
-
-    system: StateSpace
-    inverse: StateSpace
-    order: int
-
-
-def matrix_scaling(fit: MatrixFit) -> BlockScaling:
-    """The fit as the scaling of a repeated block."""
-    return BlockScaling(fit.system, fit.inverse, fit.order)
-
-
-def fit_matrix(omega: ArrayLike, X: ArrayLike, order: int, weight: ArrayLike | None = None) -> MatrixFit:
-    """D(s) with D(j w)^H D(j w) close to X: real poles inside the grid, stable, with a stable inverse.
+def fit_matrix(omega: ArrayLike, X: ArrayLike, order: int, weight: ArrayLike | None = None) -> BlockScaling:
+    """D(s) (r, r) with D(j w)^H D(j w) close to X: real poles inside the grid, stable, with a stable inverse.
 
     omega (w,) [rad/s]: positive, ascending. X (w, r, r): Hermitian positive definite. order: number of poles, each with r
     states. weight (w,): on the squared relative error. Where no fit of the order is positive on the whole axis, the scalar
@@ -51,7 +36,7 @@ def fit_matrix(omega: ArrayLike, X: ArrayLike, order: int, weight: ArrayLike | N
         raise invalid("the smallest eigenvalue of X", float(values.min()), "positive", "D scalings are positive definite")
     root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().swapaxes(1, 2)  # X^-1/2: errors become relative
     problem = _Linear(omega, root, np.sqrt(w / w.max()))
-    best: tuple[float, MatrixFit] | None = None
+    best: tuple[float, BlockScaling] | None = None
     for poles in _pole_sets(omega, order, problem):
         size, Y = problem.solve(poles)
         if best is None or size < best[0]:
@@ -60,7 +45,8 @@ def fit_matrix(omega: ArrayLike, X: ArrayLike, order: int, weight: ArrayLike | N
                 best = size, factor
     if best is not None:
         return best[1]
-    return _scalar(omega, np.exp(0.5 * np.log(values).mean(axis=1)), X.shape[1], order, w)
+    scalar = fit_magnitude(omega, np.exp(0.5 * np.log(values).mean(axis=1)), order, w)
+    return scalar_scaling(ComplexBlock("d", X.shape[1]), scalar)
 
 
 class _Linear:
@@ -123,7 +109,7 @@ def _pole_sets(omega: np.ndarray, order: int, problem: _Linear) -> list[np.ndarr
     return sets
 
 
-def _factor(Y: np.ndarray, poles: np.ndarray) -> MatrixFit | None:
+def _factor(Y: np.ndarray, poles: np.ndarray) -> BlockScaling | None:
     """W with W(-s)^T W(s) = Y(s) + Y(-s)^T, or None where that is not positive on the axis."""
     r, n = Y.shape[1], len(poles)
     R = 0.5 * (Y[0] + Y[0].T)
@@ -133,7 +119,7 @@ def _factor(Y: np.ndarray, poles: np.ndarray) -> MatrixFit | None:
     half = (vectors * np.sqrt(values)) @ vectors.T
     names = [f"i{k}" for k in range(r)], [f"o{k}" for k in range(r)]
     if n == 0:
-        return MatrixFit(StateSpace(*_empty(r), half, *names), StateSpace(*_empty(r), np.linalg.inv(half), *names), 0)
+        return BlockScaling(static_gain(half, *names), static_gain(np.linalg.inv(half), *names), 0)
     A = -np.diag(np.repeat(poles, r))
     size = np.repeat(np.sqrt(poles), r)
     B = size[:, None] * np.tile(np.eye(r), (n, 1))
@@ -146,16 +132,4 @@ def _factor(Y: np.ndarray, poles: np.ndarray) -> MatrixFit | None:
     inverse_half = np.linalg.inv(half)
     system = StateSpace(A, B, half @ K, half, *names)
     inverse = StateSpace(A - B @ K, B @ inverse_half, -K, inverse_half, *names)
-    return MatrixFit(system, inverse, n)
-
-
-def _empty(r: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return np.zeros((0, 0)), np.zeros((0, r)), np.zeros((r, 0))
-
-
-def _scalar(omega: np.ndarray, magnitude: np.ndarray, r: int, order: int, weight: np.ndarray) -> MatrixFit:
-    from ambrose.core.lft import ComplexBlock
-    from ambrose.synthesis.mu.scaling import scalar_scaling
-
-    part = scalar_scaling(ComplexBlock("d", r), fit_magnitude(omega, magnitude, order, weight))
-    return MatrixFit(part.left, part.right, order)
+    return BlockScaling(system, inverse, n)

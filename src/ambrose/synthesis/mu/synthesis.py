@@ -24,7 +24,7 @@ from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.synthesis.certificate import generalized_certificate
 from ambrose.synthesis.hinf.scaling import check_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.mu.d_fit import RealRational
+from ambrose.synthesis.mu.d_fit import constant
 from ambrose.synthesis.mu.d_step import (
     HIGHEST_ORDER,
     DStep,
@@ -80,7 +80,17 @@ def mu_synthesis(
     ``stopped_early`` says why. Raises InvalidInput (no blocks, or bad arguments) and NumericalFailure when not even the first
     controller could be verified. The controller keeps all its states: those of plant and scalings.
     """
-    job = _Job.of(plant, iterations, order, structure, backoff, fit_tolerance, omega, time_limit, progress)
+    if not isinstance(iterations, int | np.integer) or iterations < 0:
+        raise invalid("iterations", iterations, "a whole number, at least 0", "4 suits most problems")
+    if order != "auto" and (not isinstance(order, int | np.integer) or not 0 <= order <= 10):
+        raise invalid("order", repr(order), 'a whole number from 0 to 10, or "auto"', "1 or 2 is usual")
+    if structure not in ("scalar", "full"):
+        raise invalid("structure", repr(structure), '"scalar" or "full"', "it says how repeated blocks are scaled")
+    check_positive(fit_tolerance, "fit_tolerance", "0.02 suits most problems")
+    clock = TimeLimit(time_limit)
+    complete = _with_performance(check_plant(plant))
+    blocks, grid = d_blocks(complete.blocks, structure), _grid(plant, omega)
+    job = _Job(complete, blocks, order, backoff, fit_tolerance, grid, clock, progress or (lambda _: None))
     iterates: list[_Iterate] = []
     reason = ""
     try:
@@ -105,60 +115,40 @@ def mu_synthesis(
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
     plant: GeneralizedPlant  # with the performance block
-    blocks: tuple[Block, ...]  # of the D-step
+    blocks: Sequence[Block]  # of the D-step
     order: int | Literal["auto"]
     backoff: float
     fit_tolerance: float
     grid: np.ndarray
     clock: TimeLimit
-    progress: Callable[[str], None] | None
-
-    @classmethod
-    def of(
-        cls,
-        plant: GeneralizedPlant,
-        iterations: int,
-        order: int | Literal["auto"],
-        structure: Literal["scalar", "full"],
-        backoff: float,
-        fit_tolerance: float,
-        omega: ArrayLike | None,
-        time_limit: float,
-        progress: Callable[[str], None] | None,
-    ) -> _Job:
-        if not isinstance(iterations, int | np.integer) or iterations < 0:
-            raise invalid("iterations", iterations, "a whole number, at least 0", "4 suits most problems")
-        if order != "auto" and (not isinstance(order, int | np.integer) or not 0 <= order <= 10):
-            raise invalid("order", repr(order), 'a whole number from 0 to 10, or "auto"', "1 or 2 is usual")
-        if structure not in ("scalar", "full"):
-            raise invalid("structure", repr(structure), '"scalar" or "full"', "it says how repeated blocks are scaled")
-        check_positive(fit_tolerance, "fit_tolerance", "0.02 suits most problems")
-        clock = TimeLimit(time_limit)
-        if not check_plant(plant).blocks:
-            raise InvalidInput("the plant has no blocks; without uncertainty hinf_synthesis is the method")
-        complete = plant
-        if len(plant.w) > plant.n_w_blocks or len(plant.z) > plant.n_z_blocks:
-            complete = with_performance_block(plant)
-        if len(complete.blocks) < 2:
-            raise InvalidInput("the plant has one block only, so there is nothing to scale; use hinf_synthesis")
-        grid = design_grid(plant) if omega is None else np.unique(check_shape(omega, "omega", "(w)").astype(float))
-        if len(grid) < 3 or grid[0] <= 0:
-            raise invalid("omega", f"{len(grid)} frequencies from {grid.min(initial=0):g}", "3 or more, positive", "in rad/s")
-        blocks = tuple(d_blocks(complete.blocks, structure))
-        return cls(complete, blocks, order, backoff, fit_tolerance, grid, clock, progress)
+    say: Callable[[str], None]
 
     @property
     def left(self) -> float:
         """Seconds for a step; never below a millisecond, so that the step itself reports the time limit."""
         return max(self.clock.left, 1e-3)
 
-    def say(self, text: str) -> None:
-        if self.progress is not None:
-            self.progress(text)
-
     def check_time(self) -> None:
         if self.clock.left <= 0:
             raise NumericalFailure(self.clock.reached)
+
+
+def _with_performance(plant: GeneralizedPlant) -> GeneralizedPlant:
+    """The plant with a block for its performance, if it has any. Raises InvalidInput where there is nothing to scale."""
+    if not plant.blocks:
+        raise InvalidInput("the plant has no blocks; without uncertainty hinf_synthesis is the method")
+    if len(plant.w) > plant.n_w_blocks or len(plant.z) > plant.n_z_blocks:
+        plant = with_performance_block(plant)
+    if len(plant.blocks) < 2:
+        raise InvalidInput("the plant has one block only, so there is nothing to scale; use hinf_synthesis")
+    return plant
+
+
+def _grid(plant: GeneralizedPlant, omega: ArrayLike | None) -> np.ndarray:
+    grid = design_grid(plant) if omega is None else np.unique(check_shape(omega, "omega", "(w)").astype(float))
+    if len(grid) < 3 or grid[0] <= 0:
+        raise invalid("omega", f"{len(grid)} frequencies from {grid.min(initial=0):g}", "3 or more, positive", "in rad/s")
+    return grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,9 +200,7 @@ def _gamma(job: _Job, scaling: Scaling, tolerance: float = 1e-2) -> float:
     """The smallest gamma of a K-step; inf where there is none."""
     job.check_time()
     try:
-        made = hinf_synthesis(
-            scaled_plant(job.plant, scaling), backoff=1.1, tolerance=tolerance, time_limit=job.left
-        )  # fmt: skip
+        made = hinf_synthesis(scaled_plant(job.plant, scaling), backoff=1.1, tolerance=tolerance, time_limit=job.left)
     except NumericalFailure:
         return float("inf")
     return made.certificate.margins["gamma_optimal"]
@@ -243,13 +231,12 @@ def _first_scaling(job: _Job, start: _Iterate) -> FittedScaling:
     Where gamma is smallest over the level, D and K may be optimal for each other, with the optimum far away and no way to it
     but a crawl; off this point the D-step sees which way to go. So the best level and its neighbours are followed one step.
     """
-    peak, nothing = int(np.argmax(start.step.upper)), np.zeros(0)
+    peak = int(np.argmax(start.step.upper))
     size = [start.step.D_w[peak, place.w.start, place.w.start].real for place in start.step.structure.places]
     tried: dict[int, float] = {}
 
     def at(k: int) -> FittedScaling:
-        d = [RealRational(float(x) * _FACTOR**k, nothing, nothing) for x in size[:-1]]
-        return of_scalars(start.step, [*d, RealRational(1.0, nothing, nothing)])
+        return of_scalars(start.step, [*(constant(float(x) * _FACTOR**k) for x in size[:-1]), constant(1.0)])
 
     def gamma(k: int) -> float:
         if k not in tried:
@@ -291,14 +278,10 @@ def _evaluate(job: _Job, controller: StateSpace, used: FittedScaling | None, num
     fitted = fit_scaling(step, job.order, job.fit_tolerance)
     scalings = [fitted.scaling] if used is None else [fitted.scaling, used.scaling]
     gamma = min(hinf_norm(scaled_loop(loop, scaling)).value for scaling in scalings)
-    mu = _mu(job, step)
     row = {
         "iteration": float(number),
         "gamma": gamma,
-        "mu_complex": mu["mu_complex"],
-        "mu_mixed": mu["mu_mixed"],
-        "mu_mixed_lower": mu["mu_mixed_lower"],
-        "mu_frequency": mu["mu_frequency"],
+        **_mu(job, step),
         "order": float(controller.n_states),
         "d_order": float(max(used.scaling.orders)) if used is not None else 0.0,
         "scaling_states": float(used.scaling.states) if used is not None else 0.0,
