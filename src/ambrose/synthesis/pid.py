@@ -99,7 +99,7 @@ def tilt_translate(machine: Machine, tilt_gain: float) -> np.ndarray:
     if len(machine.bearings) != 2:
         raise invalid("the number of bearings", len(machine.bearings), "2 for tilt-translate coordinates", "use 'axes'")
     places = np.array([bearing.position for bearing in machine.bearings])
-    readings = np.array([_sensor_position(machine, bearing) for bearing in machine.bearings])
+    readings = np.array([next(s.position for s in machine.sensors if s.bearing == b.name) for b in machine.bearings])
     for what, values in (("bearing", places), ("sensor", readings)):
         if abs(values[1] - values[0]) < 1e-6:
             raise invalid(f"the {what} positions", values.tolist(), "apart from each other", "use coordinates 'axes'")
@@ -108,10 +108,6 @@ def tilt_translate(machine: Machine, tilt_gain: float) -> np.ndarray:
     S = np.vstack([np.hstack([d, d * (z - middle) / half]) for d, z in zip(directions, readings, strict=True)])
     V = np.vstack([np.hstack([d, d * (z - middle) / half]) for d, z in zip(directions, places, strict=True)])
     return np.linalg.solve(S.T, (V * [1, 1, gain, gain]).T).T
-
-
-def _sensor_position(machine: Machine, bearing: MagneticBearing) -> float:
-    return next(sensor.position for sensor in machine.sensors if sensor.bearing == bearing.name)  # every machine has it
 
 
 def _directions(bearing: MagneticBearing) -> np.ndarray:

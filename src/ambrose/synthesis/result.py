@@ -44,10 +44,6 @@ class Certificate(Presented):
     def facts(self) -> Mapping[str, Any]:
         return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "margins"}
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready data; numbers that are not finite become strings ("inf")."""
-        return {item.name: to_plain(getattr(self, item.name)) for item in fields(self)}
-
 
 @dataclass(frozen=True, slots=True)
 class Provenance:

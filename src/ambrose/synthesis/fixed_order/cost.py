@@ -33,16 +33,12 @@ class Form:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        return len(self.rate), len(self.u_scale), len(self.y_scale)
-
     def controller(self, x: np.ndarray) -> StateSpace:
         """The controller of the unknowns x (k,)."""
         return StateSpace(*self.matrices(x), self.inputs, self.outputs)
 
     def matrices(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        n, m, p = self.sizes
+        n, m, p = len(self.rate), len(self.u_scale), len(self.y_scale)
         count = int(self.mask.sum())
         a, b, c, d = np.split(x, np.cumsum([count, n * p, m * n]))
         root = np.sqrt(self.rate)
@@ -159,16 +155,13 @@ class Cost:
 
     def abscissa(self, x: np.ndarray) -> float:
         """The largest real part of any model's closed-loop pole [rad/s]."""
-        return max(float(poles.real.max()) for poles in self._poles(x))
-
-    def _poles(self, x: np.ndarray) -> list[np.ndarray]:
         A, B, C, D = self.form.matrices(x)
-        result = []
+        largest = -np.inf
         for Ap, Bp, Cp, Dp in self.systems:
             E = np.linalg.inv(np.eye(len(D)) - D @ Dp)  # u = E (D C_p x + C x_k)
             into = E @ np.hstack([D @ Cp, C])
             y = np.hstack([Cp, np.zeros((len(Cp), len(A)))]) + Dp @ into
             joint = np.vstack([np.hstack([Ap, np.zeros((len(Ap), len(A)))]) + Bp @ into, B @ y])
             joint[len(Ap) :, len(Ap) :] += A
-            result.append(sla.eigvals(joint, check_finite=False))
-        return result
+            largest = max(largest, float(sla.eigvals(joint, check_finite=False).real.max()))
+        return largest

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,13 +26,6 @@ from ambrose.synthesis.hinf.scaling import Matrices, ScaledPlant
 
 _MARGINS = ((1e-3, 1e3), (1e-4, 1e4), (1e-6, 1e6))  # (strictness of the inequalities, largest R and S) when designing
 _ROUNDS = 4  # solved again in coordinates and units in which R, S and gamma are close to 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
-    R: np.ndarray
-    S: np.ndarray
-    value: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,11 +48,11 @@ def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepar
     plant = plant.in_time(rate)
     gamma = plant.gain if plant.gain > 0 else 1.0
     for _ in range(_ROUNDS):
-        solution = _solve(plant.in_units(gamma), None, 0.0, np.inf, time_left())
-        last, gamma = gamma, gamma * solution.value
+        R, S, value = _solve(plant.in_units(gamma), None, 0.0, np.inf, time_left())
+        last, gamma = gamma, gamma * value
         if not gamma > 0:
             raise NumericalFailure(f"the matrix inequalities give gamma = {gamma:.3g}; w has no effect on z that matters")
-        plant = _balanced(plant, solution.R, solution.S)
+        plant = _balanced(plant, R, S)
         if abs(gamma / last - 1) < 5e-4:
             break
     return Prepared(gamma, plant, rate)
@@ -75,8 +67,8 @@ def lmi_controller(prepared: Prepared, gamma: float, time_left: Callable[[], flo
     reasons = []
     for strict, largest in _MARGINS:
         try:
-            solution = _solve(unit, 1.0, strict, largest, time_left())
-            A, B, C, D = _controller(unit, solution.R, solution.S)
+            R, S, _ = _solve(unit, 1.0, strict, largest, time_left())
+            A, B, C, D = _controller(unit, R, S)
         except (NumericalFailure, np.linalg.LinAlgError) as reason:
             reasons.append(str(reason))
             continue
@@ -98,32 +90,26 @@ def _balanced(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> ScaledPlant:
     return plant.in_states(T, np.linalg.inv(T))
 
 
-def _solve(plant: ScaledPlant, gamma: float | None, strict: float, largest: float, time_limit: float) -> _Solution:
-    """Minimise gamma; or at a given gamma maximise t in [R tI; tI S] >= 0 under ``strict`` and ``largest``.
+def _solve(
+    plant: ScaledPlant, gamma: float | None, strict: float, largest: float, time_limit: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """R, S and the least gamma; or at a given gamma the largest t in [R tI; tI S] >= 0 under ``strict`` and ``largest``.
 
-    ``value``: gamma or t. Raises NumericalFailure.
+    Raises NumericalFailure.
     """
     n = len(plant.A)
     count = n * (n + 1) // 2
     free_gamma = 1.0 if gamma is None else 0.0
-    first = partial(existence, plant.A, plant.B1, plant.B2, plant.C1, plant.D11, plant.D12)
-    second = partial(existence, plant.A.T, plant.C1.T, plant.C2.T, plant.B1.T, plant.D11.T, plant.D21.T)
     blocks = []
-    for place, inequality in ((0, first), (1, second)):
-        of_matrix, of_gamma, constant = inequality()
+    for place, half in ((0, plant), (1, plant.dual())):
+        of_matrix, of_gamma, constant = existence(half)
         rows = np.zeros((len(constant), 2 * count + 1))
         rows[:, place * count : (place + 1) * count] = of_matrix
         rows[:, -1] = free_gamma * of_gamma
         identity = svec(np.eye(side(len(constant))))
         blocks.append((rows, constant + (0.0 if gamma is None else gamma) * of_gamma - strict * identity))
-    basis = symmetric_basis(n)
-    coupling = np.zeros((2 * n * (2 * n + 1) // 2, 2 * count + 1))
-    coupling[:, :-1] = np.array(
-        [svec(sla.block_diag(b, np.zeros((n, n)))) for b in basis] + [svec(sla.block_diag(np.zeros((n, n)), b)) for b in basis]
-    ).T.reshape(-1, 2 * count)
-    off = svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
-    coupling[:, -1] = (1 - free_gamma) * off
-    blocks.append((coupling, free_gamma * off))
+    of_R, of_S, off = coupling(n)
+    blocks.append((np.column_stack([of_R, of_S, (1 - free_gamma) * off]), free_gamma * off))
     if np.isfinite(largest):
         for place in range(2):
             rows = np.zeros((count, 2 * count + 1))
@@ -134,26 +120,35 @@ def _solve(plant: ScaledPlant, gamma: float | None, strict: float, largest: floa
     x = _clarabel(cost, blocks, time_limit)
     if gamma is not None and not x[-1] > 1:
         raise NumericalFailure(f"the largest t is {x[-1]:.6g}, but must exceed 1")
-    return _Solution(smat(x[:count]), smat(x[count:-1]), float(x[-1]))
+    return smat(x[:count]), smat(x[count:-1]), float(x[-1])
 
 
-def existence(
-    A: np.ndarray, B1: np.ndarray, B2: np.ndarray, C1: np.ndarray, D11: np.ndarray, D12: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """svec of minus the first inequality above: coefficients of svec(R) (k, n(n+1)/2), of gamma (k,), and the constant (k,)."""
-    n, r, q = len(A), len(C1), B1.shape[1]
-    null = sla.null_space(np.hstack([B2.T, D12.T]), rcond=1e-12)
+def existence(plant: ScaledPlant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """svec of minus the first inequality above: coefficients of svec(R) (k, n(n+1)/2), of gamma (k,), and the constant (k,).
+
+    The second one is the first one of the dual plant.
+    """
+    n, r, q = len(plant.A), len(plant.C1), plant.B1.shape[1]
+    null = sla.null_space(np.hstack([plant.B2.T, plant.D12.T]), rcond=1e-12)
     N = sla.block_diag(null, np.eye(q))
-    left = N.T @ np.vstack([A, C1, np.zeros((q, n))])
+    left = N.T @ np.vstack([plant.A, plant.C1, np.zeros((q, n))])
     right = N.T @ np.eye(n + r + q, n)
     basis = symmetric_basis(n)
     products = left @ basis @ right.T
     products = -(products + products.swapaxes(1, 2))
     of_matrix = np.array([svec(M) for M in products]).T.reshape(-1, len(basis))
-    gains = np.vstack([B1, D11])
+    gains = np.vstack([plant.B1, plant.D11])
     constant = -N.T @ np.block([[np.zeros((n + r, n + r)), gains], [gains.T, np.zeros((q, q))]]) @ N
     of_gamma = N.T @ np.diag(np.repeat([0.0, 1.0], [n, r + q])) @ N
     return of_matrix, svec(of_gamma), svec(constant)
+
+
+def coupling(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """svec of [R tI; tI S]: coefficients of svec(R) and of svec(S) (n(2n+1), n(n+1)/2), and of t (n(2n+1),)."""
+    zero = np.zeros((n, n))
+    up = np.array([svec(sla.block_diag(M, zero)) for M in symmetric_basis(n)]).T
+    low = np.array([svec(sla.block_diag(zero, M)) for M in symmetric_basis(n)]).T
+    return up, low, svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
 
 
 def symmetric_basis(n: int) -> np.ndarray:

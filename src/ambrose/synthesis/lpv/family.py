@@ -85,8 +85,6 @@ class Family:
 
 def scaled_family(plants: Sequence[GeneralizedPlant], grid: np.ndarray) -> Family:
     """The plants at the grid's values, scaled together. Raises InvalidInput where they differ in signals or states."""
-    if len(plants) != len(grid):
-        raise invalid("the number of plants", len(plants), f"{len(grid)}, one per grid point", "give one for each")
     check_alike([plant.system for plant in plants], "plant")
     for side in "wuzy":
         if any(getattr(p, side) != getattr(plants[0], side) for p in plants):

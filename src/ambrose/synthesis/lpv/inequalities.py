@@ -10,15 +10,14 @@ Wu, Yang, Packard & Becker 1996, Int. J. Robust Nonlinear Control 6 (rate bounds
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.semidefinite import Inequality, minimise, side, smat, svec
-from ambrose.synthesis.hinf.lmi import existence, symmetric_basis
+from ambrose.synthesis.hinf.lmi import coupling, existence
 from ambrose.synthesis.hinf.scaling import ScaledPlant
 from ambrose.synthesis.lpv.family import Family
 
@@ -128,11 +127,9 @@ def program(
 def _existence(plant: ScaledPlant, dual: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """``existence`` for R, or for S; and what the derivative of the matrix adds, (k, n(n+1)/2)."""
     P = plant.dual() if dual else plant
-    of_matrix, of_gamma, constant = existence(P.A, P.B1, P.B2, P.C1, P.D11, P.D12)
-    zero = np.zeros_like
     half = (1 if dual else -1) / 2 * np.eye(len(P.A))
-    of_rate = existence(half, zero(P.B1), P.B2, zero(P.C1), zero(P.D11), P.D12)[0]
-    return of_matrix, of_gamma, constant, of_rate
+    of_rate = existence(replace(P, A=half, B1=0 * P.B1, C1=0 * P.C1, D11=0 * P.D11))[0]
+    return *existence(P), of_rate
 
 
 def _coupling(
@@ -144,10 +141,7 @@ def _coupling(
     """
     n = family.n
     of_R, of_S, last = columns
-    basis, zero = symmetric_basis(n), np.zeros((n, n))
-    up = np.array([svec(sla.block_diag(M, zero)) for M in basis]).T
-    low = np.array([svec(sla.block_diag(zero, M)) for M in basis]).T
-    off = svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
+    up, low, off = coupling(n)
     bound, items = largest * svec(np.eye(n)), []
     ends = [0] if shape.varying == "none" else [0, -1] if shape.degree == 1 else slice(None)
     for p in family.relative[ends]:

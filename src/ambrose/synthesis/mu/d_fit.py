@@ -77,9 +77,13 @@ def _corners(omega: np.ndarray, corner: np.ndarray) -> np.ndarray:
     return 0.5 * np.log1p((omega[:, None] / corner) ** 2)
 
 
-def fit_magnitude(
-    omega: ArrayLike, magnitude: ArrayLike, order: int, weight: ArrayLike | None = None
-) -> RealRational:  # fmt: skip
+def corner_slopes(omega: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """-d ln|1 + j w/c| / d ln c, (w, corners)."""
+    ratio = (omega[:, None] / corner) ** 2
+    return ratio / (1 + ratio)
+
+
+def fit_magnitude(omega: ArrayLike, magnitude: ArrayLike, order: int, weight: ArrayLike | None = None) -> RealRational:
     """The RealRational of an order whose log magnitude is nearest to the data, least squares.
 
     omega (w,) [rad/s]: positive, ascending; its ends bound poles and zeros. magnitude (w,): positive. order: number of poles
@@ -129,9 +133,8 @@ class _Problem:
         return self._centred((self._shape(theta) - self.data)[:, None])[:, 0]
 
     def jacobian(self, theta: np.ndarray) -> np.ndarray:
-        ratio = (self.omega[:, None] / np.exp(theta)) ** 2
         signs = np.where(np.arange(len(theta)) % 2 == 0, 1.0, -1.0)
-        return self._centred(-signs * ratio / (1 + ratio))
+        return self._centred(-signs * corner_slopes(self.omega, np.exp(theta)))
 
     def cost(self, theta: np.ndarray) -> float:
         r = self.residual(theta)

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.core.mu.structure import Structure
-from ambrose.synthesis.mu.d_fit import RealRational
+from ambrose.synthesis.mu.d_fit import RealRational, corner_slopes
 
 _POWER = 40.0
 _REACH = 6.0  # largest half-width of a tube, in ln d
@@ -92,7 +92,7 @@ def refine(M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[R
         for x, place in zip(new[:-1], structure.places[:-1], strict=True):
             slope = (np.abs(U[:, place.z, 0]) ** 2).sum(axis=1) - (np.abs(Vh[:, 0, place.w]) ** 2).sum(axis=1)
             slope = slope * share / total
-            gradient += [[slope.sum()], -slope @ _slopes(omega, x.zeros), slope @ _slopes(omega, x.poles)]
+            gradient += [[slope.sum()], -slope @ corner_slopes(omega, x.zeros), slope @ corner_slopes(omega, x.poles)]
         return float((ratio.max() + np.log(total)) / _POWER), np.concatenate(gradient)
 
     if not np.isfinite(start).all():
@@ -101,9 +101,3 @@ def refine(M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[R
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS})
     better = [*unpack(found.x), d[-1]]
     return better if peak_gain(M, omega, structure, better).max() < level else list(d)
-
-
-def _slopes(omega: np.ndarray, corner: np.ndarray) -> np.ndarray:
-    """-d ln|1 + j w/c| / d ln c, (w, corners)."""
-    ratio = (omega[:, None] / corner) ** 2
-    return ratio / (1 + ratio)
