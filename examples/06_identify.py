@@ -10,7 +10,11 @@ import ambrose as amb
 
 machine = amb.load_machine("seal-rig")
 controller = amb.design(machine, "pid")
-record = amb.simulate(machine, controller, "prbs").record  # a binary sequence of 0.1 A on each axis
+
+# The experiment: a binary sequence on each axis, the four nearly uncorrelated; half as loud as the bundled one, and shorter.
+scenario = amb.load_scenario("prbs")
+sequences = tuple(replace(sequence, amplitude=0.1) for sequence in scenario.sequences)
+record = amb.simulate(machine, controller, replace(scenario, duration=2.0, sequences=sequences)).record
 
 # K_i and K_s of every axis, the amplifiers' lag and the seal's cross-coupled stiffness; the record is checked first.
 # The machine that comes back has these values, their uncertainty as tolerances: what a robust controller is designed on next.
