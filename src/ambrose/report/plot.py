@@ -134,17 +134,13 @@ def _systems(systems: dict) -> Any:
 @plot.register
 def _schedule(schedule: ScheduledSystem, name: str = "Schedule") -> Any:
     chosen = np.unique(np.linspace(0, len(schedule.systems) - 1, _FAMILY).astype(int))
-    members = [(_value(float(schedule.grid[i]), schedule.unit), schedule.systems[i]) for i in chosen]
+    members = [(units.quantity(float(schedule.grid[i]), schedule.unit), schedule.systems[i]) for i in chosen]
     omega = np.unique(np.concatenate([grid_of(system) for _, system in members]))
     lines = [Line(label, omega, frequency_response(system, omega).values[:, 0, 0]) for label, system in members]
     unit = unit_of(frequency_response(members[0][1], omega[:1]))
     picture = bode_figure(lines, unit, sample_time=members[0][1].dt, style=theme.family_styles([line.name for line in lines]))
     axis = units.axis_name(schedule.outputs[0])
     return _titled(picture, f"{name}: {axis} from {units.axis_name(schedule.inputs[0])} over {schedule.parameter}")
-
-
-def _value(value: float, unit: str) -> str:
-    return units.quantity(value, unit)
 
 
 @plot.register
@@ -270,8 +266,7 @@ def _mu_bounds(bounds: MuBounds) -> Any:
     looks = theme.styles(["upper bound", "lower bound"])
     picture = go.Figure()
     for (name, look), values in zip(looks.items(), (bounds.upper, bounds.lower), strict=True):
-        line = {"color": look.colour, "dash": look.dash, "width": look.width}
-        picture.add_trace(go.Scatter(y=values, mode="lines", name=name, line=line))
+        theme.scatter(picture, {}, None, values, name, shown=True, line=look.line)
     theme.dress(picture, 300, legend=True)
     picture.update_xaxes(title_text="Number of the matrix")
     picture.update_yaxes(title_text="µ", rangemode="tozero")

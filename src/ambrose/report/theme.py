@@ -7,10 +7,13 @@ in a black-and-white print.
 from __future__ import annotations
 
 import html
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 INK = "#1c2329"
 MUTED = "#66717b"
@@ -35,19 +38,22 @@ class Style:
     symbol: str
     width: float = 1.8
 
+    @property
+    def line(self) -> dict[str, Any]:
+        """The line as plotly takes it."""
+        return {"color": self.colour, "dash": self.dash, "width": self.width}
+
 
 def styles(labels: Sequence[str]) -> dict[str, Style]:
     """One style per label, by the label's place in the list: the same list gives the same colours in every figure."""
-    unique = list(dict.fromkeys(labels))
-    size = len(_COLOURS)
-    return {label: Style(_COLOURS[i % size], _DASHES[i % size], _SYMBOLS[i % size]) for i, label in enumerate(unique)}
+    looks = itertools.cycle(zip(_COLOURS, _DASHES, _SYMBOLS, strict=True))
+    return {label: Style(*look) for label, look in zip(dict.fromkeys(labels), looks, strict=False)}
 
 
 def candidate_styles(labels: Sequence[str]) -> dict[str, Style]:
     """One style per controller where several are overlaid: other colours than those of the operating points."""
-    unique = list(dict.fromkeys(labels))
-    size = len(_CANDIDATES)
-    return {label: Style(*_CANDIDATES[i % size], _SYMBOLS[i % size], 1.9) for i, label in enumerate(unique)}
+    looks = itertools.cycle(zip(_CANDIDATES, _SYMBOLS, strict=False))
+    return {label: Style(*look, symbol, 1.9) for label, (look, symbol) in zip(dict.fromkeys(labels), looks, strict=False)}
 
 
 def family_styles(labels: Sequence[str]) -> dict[str, Style]:
@@ -62,17 +68,9 @@ def family_styles(labels: Sequence[str]) -> dict[str, Style]:
 
 def overlay_styles(labels: Sequence[str]) -> dict[str, Style]:
     """For "is it the same?": the first label broad and pale, the others thin and dark on top of it."""
-    unique = list(dict.fromkeys(labels))
-    result = {
-        label: Style(colour, dash, symbol, 1.3) for label, (colour, dash, symbol) in zip(unique, _overlay(), strict=False)
-    }
-    if unique:
-        result[unique[0]] = Style("#a9bccb", "solid", "circle-open", 5.0)
-    return result
-
-
-def _overlay() -> list[tuple[str, str, str]]:
-    return [("#a9bccb", "solid", "circle-open"), (INK, "solid", "x-thin"), *zip(_COLOURS, _DASHES, _SYMBOLS, strict=True)]
+    thin = [(INK, "solid", "x-thin"), *zip(_COLOURS, _DASHES, _SYMBOLS, strict=True)]
+    looks = [Style("#a9bccb", "solid", "circle-open", 5.0), *(Style(*look, 1.3) for look in thin)]
+    return dict(zip(dict.fromkeys(labels), looks, strict=False))
 
 
 def plain(text: str) -> str:
@@ -120,11 +118,28 @@ def heading(figure: Any, place: Mapping[str, int], text: str, size: int = 13, **
     )  # fmt: skip
 
 
-def guide(figure: Any, place: Mapping[str, int], x: Any, y: Any, **line: Any) -> None:
-    """A line that is no data: without entry in the legend and without hover."""
+def scatter(
+    figure: Any, place: Mapping[str, int], x: Any, y: Any, label: str | None = None, *, shown: bool = False, **trace: Any
+) -> None:
+    """Add a trace: a line unless ``mode`` says otherwise. label: its group in the legend and, without ``name``, its entry."""
     import plotly.graph_objects as go
 
-    figure.add_trace(go.Scatter(x=x, y=y, mode="lines", line=line, showlegend=False, hoverinfo="skip"), **place)
+    text = None if label is None else plain(label)
+    known: dict[str, Any] = {"mode": "lines", "name": text, "legendgroup": text, "showlegend": shown}
+    figure.add_trace(go.Scatter(x=x, y=y, **{**known, **trace}), **place)
+
+
+def guide(figure: Any, place: Mapping[str, int], x: Any, y: Any, **line: Any) -> None:
+    """A line that is no data: without entry in the legend and without hover."""
+    scatter(figure, place, x, y, line=line, hoverinfo="skip")
+
+
+def band(figure: Any, place: Mapping[str, int], x: Any, low: Any, high: Any, colour: str, name: str = "") -> None:
+    """The area between two lines over x (n,), in the legend where it has a name."""
+    scatter(
+        figure, place, np.float32(np.r_[x, x[::-1]]), np.float32(np.r_[high, low[::-1]]), shown=bool(name), name=name,
+        fill="toself", fillcolor=colour, line={"width": 0}, hoverinfo="skip",
+    )  # fmt: skip
 
 
 def decades(low: float, high: float) -> dict[str, Any]:

@@ -215,4 +215,4 @@ def test_a_disc_is_the_cylinder_with_its_mass_and_inertias() -> None:
 
 def test_shapes_of_the_wrong_length_are_refused(machine: Machine) -> None:
     with pytest.raises(InvalidInput, match="shapes"):
-        rotor_drawing(machine, np.linspace(0, 0.86, 40), np.ones((39, 2)))
+        rotor_drawing(machine, np.linspace(0, 0.86, 40), np.ones((39, 2)), np.ones(2))

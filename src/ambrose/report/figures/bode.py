@@ -103,7 +103,6 @@ def bode_figure(
     lines: Sequence[Line], unit: str = "", *, sample_time: float | None = None, style: Mapping[str, theme.Style] | None = None
 ) -> Any:
     """Magnitude and, of complex gains, phase over frequency. sample_time [s]: half of its rate is marked. Returns a Figure."""
-    import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     phased = [line for line in lines if np.iscomplexobj(line.gain)]
@@ -120,14 +119,10 @@ def bode_figure(
         if line in phased:
             pictures.append((2, phase(line.gain), "°"))
         for row, y, name in pictures:
-            figure.add_trace(
-                go.Scatter(
-                    x=drawn(line.omega / units.TWO_PI), y=drawn(y), mode="lines", name=theme.plain(line.name),
-                    legendgroup=theme.plain(line.name), showlegend=row == 1,
-                    line={"color": look.colour, "dash": look.dash, "width": look.width},
-                    hovertemplate=f"{theme.plain(line.name)}<br>%{{x:.4g}} Hz · %{{y:.4g}} {name}<extra></extra>",
-                ),
-                row=row, col=1,
+            hover = f"{theme.plain(line.name)}<br>%{{x:.4g}} Hz · %{{y:.4g}} {name}<extra></extra>"
+            theme.scatter(
+                figure, {"row": row, "col": 1}, drawn(line.omega / units.TWO_PI), drawn(y), line.name, shown=row == 1,
+                line=look.line, hovertemplate=hover,
             )  # fmt: skip
     theme.dress(figure, _HEIGHT if phased else 300, legend=True)
     omega = np.concatenate([line.omega for line in lines])

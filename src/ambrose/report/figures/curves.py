@@ -85,8 +85,7 @@ def _arrange(curves: Labelled) -> tuple[list[Panel], list[list[Any]], list[int]]
 def _draw(
     figure: Any, panel: Panel, curves: Labelled, axes: Axes, style: Mapping[str, theme.Style], *, first: bool, overlay: bool
 ) -> None:
-    import plotly.graph_objects as go
-
+    place = {"row": panel.row, "col": panel.column}
     shown: set[str] = set()
     for label, curve in curves:
         look = style[label]
@@ -97,19 +96,14 @@ def _draw(
             y = values * axes.y_factor
             words = f"{theme.plain(label)}<br>{theme.plain(units.axis_name(name))}"
             hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
-            figure.add_trace(
-                go.Scatter(
-                    x=drawn(x), y=drawn(y), mode="lines", legendgroup=theme.plain(label),
-                    showlegend=first and label not in shown,
-                    name=theme.plain(label) + _legend_text(panel, label, curves, axes, overlay=overlay),
-                    line={"color": look.colour, "dash": _dash(name, look, curve), "width": look.width if panel.main else 1.4},
-                    hovertemplate=hover,
-                ),
-                row=panel.row, col=panel.column,
+            theme.scatter(
+                figure, place, drawn(x), drawn(y), label, shown=first and label not in shown, hovertemplate=hover,
+                name=theme.plain(label) + _legend_text(panel, label, curves, axes, overlay=overlay),
+                line={"color": look.colour, "dash": _dash(name, look, curve), "width": look.width if panel.main else 1.4},
             )  # fmt: skip
             shown.add(label)
             if panel.main and len(panel.names) == 1 and _peaked(curve) and not overlay:
-                mark_peak(figure, {"row": panel.row, "col": panel.column}, x, y, look)
+                mark_peak(figure, place, x, y, look)
     if is_map(curves[0][1]):
         _map_furniture(figure, panel, curves, axes)
 
@@ -160,15 +154,13 @@ def _peak_text(rows: np.ndarray, curve: Curve, axes: Axes) -> str:
 
 def mark_peak(figure: Any, place: dict[str, int], x: np.ndarray, y: np.ndarray, look: theme.Style) -> None:
     """A circle at the maximum of a line, unless it lies at one of its ends; x, y (n,) in shown units."""
-    import plotly.graph_objects as go
-
     if not np.isfinite(y).any():
         return
     i = int(np.nanargmax(y))
     if i in {0, len(y) - 1}:
         return
     marker = {"color": "white", "size": 7, "line": {"color": look.colour, "width": 1.6}}
-    figure.add_trace(go.Scatter(x=[x[i]], y=[y[i]], mode="markers", marker=marker, showlegend=False, hoverinfo="skip"), **place)
+    theme.scatter(figure, place, [x[i]], [y[i]], mode="markers", marker=marker, hoverinfo="skip")
 
 
 def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> None:

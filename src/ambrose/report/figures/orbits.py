@@ -11,14 +11,13 @@ import numpy as np
 from ambrose.machine.record.record import Record
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import drawn
-from ambrose.report.figures.stations import Station, largest, window
+from ambrose.report.figures.stations import NEAR, Station, largest, window
 
 _CLOUD, _LINE = 2500, 900  # points
 _SECTORS = 72  # directions whose farthest point is kept
 _MOST, _PER_ROW = 8, 4
 _SIDE, _GAP = 225, 58  # [px]
 _ALL, _PEAK, _END = "#c3ccd4", "#d55e00", "#0072b2"
-_NEAR = 2.2  # a touchdown circle up to this many times the largest orbit is drawn
 
 
 def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -> Any:
@@ -33,7 +32,7 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
     rows = math.ceil(len(shown) / columns)
     reach = 1.08 * max(float(station.radius.max()) for station in shown) or 1e-6
     gaps = [station.gap for station in shown if station.gap is not None]
-    if gaps and min(gaps) <= _NEAR * reach:
+    if gaps and min(gaps) <= NEAR * reach:
         reach = max(reach, 1.08 * min(gaps))
     factor, unit = units.scale("m", reach)
     total = rows * _SIDE + (rows - 1) * _GAP
@@ -74,14 +73,9 @@ def _panel(
     *,
     first: bool,
 ) -> None:
-    import plotly.graph_objects as go
-
     def add(x: np.ndarray, y: np.ndarray, name: str, **look: Any) -> None:
         hover = f"x %{{x:.4g}} · y %{{y:.4g}} {unit}<extra>{name}</extra>"
-        figure.add_trace(
-            go.Scatter(x=drawn(x), y=drawn(y), name=name, legendgroup=name, showlegend=first, hovertemplate=hover, **look),
-            **place,
-        )
+        theme.scatter(figure, place, drawn(x), drawn(y), name, shown=first, hovertemplate=hover, **look)
 
     if station.bearing:
         _own_axes(figure, station, place, reach * factor)
@@ -90,19 +84,17 @@ def _panel(
     for name, colour, part in spans:
         step = max(1, (part.stop - part.start) // _LINE)
         x, y = (row[part][::step] * factor for row in (station.x, station.y))
-        add(x, y, name, mode="lines", line={"color": colour, "width": 1.6})
+        add(x, y, name, line={"color": colour, "width": 1.6})
     words = f"{units.number(float(station.radius.max()) * factor)} {unit}"
     if station.gap is not None:
         if station.gap <= reach:
             turn = np.linspace(0, 2 * np.pi, 181)
             line = {"color": theme.LIMIT, "width": 1.4, "dash": "1.5px,2px"}
             circle = station.gap * factor * np.array([np.cos(turn), np.sin(turn)])
-            add(circle[0], circle[1], "touchdown circle", mode="lines", line=line)
+            add(circle[0], circle[1], "touchdown circle", line=line)
         share = float(station.radius.max()) / station.gap
         words += f" · {percent(share)} of gap"
-    where = "sensor" if station.at_sensor else "bearing" if station.bearing else ""
-    name = theme.plain(" ".join(filter(None, (where, units.axis_name(station.name)))))
-    theme.heading(figure, place, f"<b>{name}</b> [{unit}]<br>{words}", 12, align="left")
+    theme.heading(figure, place, f"<b>{station.title}</b> [{unit}]<br>{words}", 12, align="left")
 
 
 def percent(share: float) -> str:

@@ -85,22 +85,16 @@ def _draw(
     *,
     mark_peaks: bool,
 ) -> None:
-    import plotly.graph_objects as go
-
     for label, curve in panel.curves:
         look = style[label]
         grid = _abscissae(curve.x * axes.x_factor)
         for name, row in zip(curve.labels, curve.y, strict=True):
             y = row * axes.y_factor
             words = "<br>".join(theme.plain(units.axis_name(part)) for part in dict.fromkeys((label, name)))
-            figure.add_trace(
-                go.Scatter(
-                    **grid, y=drawn(y), mode="lines", legendgroup=theme.plain(label), showlegend=label not in shown,
-                    name=theme.plain(label), line={"color": look.colour, "dash": look.dash, "width": look.width},
-                    hovertemplate=f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>",
-                ),
-                **place,
-            )  # fmt: skip
+            hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
+            theme.scatter(
+                figure, place, y=drawn(y), label=label, shown=label not in shown, line=look.line, hovertemplate=hover, **grid
+            )
             shown.add(label)
             if mark_peaks:
                 mark_peak(figure, place, curve.x * axes.x_factor, y, look)
@@ -111,7 +105,7 @@ def _abscissae(x: np.ndarray) -> dict[str, Any]:
     if len(x) > 2:
         step = (x[-1] - x[0]) / (len(x) - 1)
         if np.allclose(x, x[0] + step * np.arange(len(x)), rtol=0, atol=1e-6 * abs(step)):
-            return {"x0": float(x[0]), "dx": float(step)}
+            return {"x": None, "x0": float(x[0]), "dx": float(step)}
     return {"x": drawn(x)}
 
 

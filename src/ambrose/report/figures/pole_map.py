@@ -42,47 +42,39 @@ def pole_zero_map(systems: Mapping[str, Any], reach: float | None = None) -> Any
         max(traces, key=lambda trace: len(trace.x)).showlegend = True
     theme.dress(figure, 340, legend=True)
     for column, (title, (crosses, _)) in enumerate(zip(titles, points.values(), strict=True), 1):
-        count = int((crosses.real > 0).sum())
-        verdict = (
-            f"{count} of {crosses.size} poles right of the axis" if count else f"all {crosses.size} poles left of the axis"
-        )
+        verdict, unstable = _where(crosses), bool((crosses.real > 0).any())
         hidden = int((np.abs(crosses) > radius).sum())
         verdict += f" ({hidden} beyond the edge)" if hidden else ""
         figure.add_annotation(
             text=f"<b>{title}</b><br>{verdict}", xref="x domain", yref="y domain", x=0, y=1.02, xanchor="left",
             yanchor="bottom", showarrow=False, align="left", row=1, col=column,
-            font={"size": 13, "color": theme.LIMIT if count else theme.INK},
+            font={"size": 13, "color": theme.LIMIT if unstable else theme.INK},
         )  # fmt: skip
     figure.update_layout(margin_t=70)
     return figure
 
 
 def _panel(figure: Any, column: int, title: str, crosses: np.ndarray, circles: np.ndarray, radius: float) -> None:
-    import plotly.graph_objects as go
-
+    place = {"row": 1, "col": column}
     kinds = (("poles", crosses, "x-thin", theme.INK), ("zeros", circles, "circle-open", "#0072b2"))
     for kind, values, symbol, colour in kinds:
         inside = values[np.abs(values) <= radius]
         unstable = inside.real > 0
         colours = [theme.LIMIT if bad and kind == "poles" else colour for bad in unstable]
-        figure.add_trace(
-            go.Scatter(
-                x=drawn(inside.real), y=drawn(inside.imag), mode="markers", name=kind, legendgroup=kind,
-                showlegend=False,
-                marker={"symbol": symbol, "size": 10, "color": colours, "line": {"width": 1.8, "color": colours}},
-                hovertemplate=f"{title}<br>%{{x:.5g}} %{{y:+.5g}}j rad/s<extra>{kind}</extra>",
-            ),
-            row=1, col=column,
+        theme.scatter(
+            figure, place, drawn(inside.real), drawn(inside.imag), kind, mode="markers",
+            marker={"symbol": symbol, "size": 10, "color": colours, "line": {"width": 1.8, "color": colours}},
+            hovertemplate=f"{title}<br>%{{x:.5g}} %{{y:+.5g}}j rad/s<extra>{kind}</extra>",
         )  # fmt: skip
     edge = 1.08 * radius
-    figure.update_xaxes(title_text="Real part [rad/s]", range=[-edge, edge], row=1, col=column)
-    figure.update_yaxes(title_text="Imaginary part [rad/s]" if column == 1 else None, range=[-edge, edge], row=1, col=column)
-    figure.add_vline(x=0, line={"color": theme.LIMIT, "width": 1}, row=1, col=column)
-    figure.add_vrect(x0=0, x1=edge, fillcolor=theme.LIMIT, opacity=0.07, line_width=0, layer="below", row=1, col=column)
+    figure.update_xaxes(title_text="Real part [rad/s]", range=[-edge, edge], **place)
+    figure.update_yaxes(title_text="Imaginary part [rad/s]" if column == 1 else None, range=[-edge, edge], **place)
+    figure.add_vline(x=0, line={"color": theme.LIMIT, "width": 1}, **place)
+    figure.add_vrect(x0=0, x1=edge, fillcolor=theme.LIMIT, opacity=0.07, line_width=0, layer="below", **place)
     if not circles.size:
         figure.add_annotation(
             text="no finite zero", xref="x domain", yref="y domain", x=0.98, y=0.02, xanchor="right", yanchor="bottom",
-            showarrow=False, font={"size": 12, "color": theme.MUTED}, row=1, col=column,
+            showarrow=False, font={"size": 12, "color": theme.MUTED}, **place,
         )  # fmt: skip
 
 
@@ -105,6 +97,9 @@ def describe(title: str, system: Any) -> str:
     if not values.size:
         return f"{title}: no pole"
     rightmost = values[int(np.argmax(values.real))]
+    return f"{title}: {_where(values)}, rightmost {units.number(rightmost.real)} {rightmost.imag:+.3g}j rad/s"
+
+
+def _where(values: np.ndarray) -> str:
     count = int((values.real > 0).sum())
-    where = f"{count} of {values.size} poles right of the axis" if count else f"all {values.size} poles left of the axis"
-    return f"{title}: {where}, rightmost {units.number(rightmost.real)} {rightmost.imag:+.3g}j rad/s"
+    return f"{count} of {values.size} poles right of the axis" if count else f"all {values.size} poles left of the axis"

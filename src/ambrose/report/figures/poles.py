@@ -18,7 +18,6 @@ _TICKS = (-1.0, -0.1, -0.01, -0.001, 0.0, 0.001, 0.01, 0.1, 1.0)
 
 def pole_figure(curves: Sequence[tuple[str, Curve]], style: Mapping[str, theme.Style]) -> Any:
     """A figure of curves of kind "poles" (x real, y imaginary part [rad/s]); conjugates are drawn once, above the axis."""
-    import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     figure = make_subplots(rows=1, cols=2, column_widths=[0.42, 0.58], horizontal_spacing=0.1)
@@ -30,19 +29,17 @@ def pole_figure(curves: Sequence[tuple[str, Curve]], style: Mapping[str, theme.S
         frequency = np.abs(poles) / units.TWO_PI
         marker = {"color": look.colour, "symbol": look.symbol, "size": 9, "line": {"width": 1.6, "color": look.colour}}
         hover = f"{theme.plain(label)}<br>%{{customdata[0]:.5g}} Hz, damping ratio %{{customdata[1]:.3g}}<extra></extra>"
-        common: dict[str, Any] = {
-            "mode": "markers", "marker": marker, "legendgroup": theme.plain(label), "hovertemplate": hover,
-            "customdata": drawn(np.column_stack([frequency, ratio])),
-        }  # fmt: skip
         name = theme.plain(label) + _least_damped(frequency, ratio)
-        figure.add_trace(go.Scatter(x=drawn(poles.real), y=drawn(poles.imag / units.TWO_PI), name=name, **common), row=1, col=1)
-        away = frequency > 0
-        common["customdata"] = common["customdata"][away]
-        figure.add_trace(
-            go.Scatter(x=drawn(frequency[away]), y=drawn(_fold(ratio[away])), name=name, showlegend=False, **common),
-            row=1,
-            col=2,
-        )
+        common: dict[str, Any] = {"name": name, "mode": "markers", "marker": marker, "hovertemplate": hover}
+        data, away = drawn(np.column_stack([frequency, ratio])), frequency > 0
+        for column, x, y, kept in (
+            (1, poles.real, poles.imag / units.TWO_PI, slice(None)),
+            (2, frequency, _fold(ratio), away),
+        ):
+            place = {"row": 1, "col": column}
+            theme.scatter(
+                figure, place, drawn(x[kept]), drawn(y[kept]), label, shown=column == 1, customdata=data[kept], **common
+            )
     theme.dress(figure, 310, legend=True)
     _axes(figure, everything, reach)
     return figure

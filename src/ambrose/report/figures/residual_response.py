@@ -22,7 +22,6 @@ def residual_figure(result: ResidualIdentification, segment: float = 0.2) -> Any
     segment [s]: of the spectra. Where the band reaches the bottom, the axis shows no difference from the machine as modelled.
     Raises InvalidInput where the excitations of the axes cannot be told apart.
     """
-    import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     factors = result.factors
@@ -39,19 +38,12 @@ def residual_figure(result: ResidualIdentification, segment: float = 0.2) -> Any
     for i in range(len(axes)):
         first, place = i == 0, {"row": 1, "col": i + 1}
         low, high = np.maximum(size[:, i, i] - half[:, i, i], floor), np.maximum(size[:, i, i] + half[:, i, i], floor)
-        figure.add_trace(
-            go.Scatter(
-                x=drawn(np.r_[f, f[::-1]]), y=drawn(np.r_[high, low[::-1]]), fill="toself", fillcolor=_BAND,
-                line={"width": 0}, name="95 % band", showlegend=first, hoverinfo="skip",
-            ), **place,
-        )  # fmt: skip
+        theme.band(figure, place, f, low, high, _BAND, "95 % band" if first else "")
         for name, values, line in (
             ("measured, no model", size[:, i, i], {"color": _MEASURED, "width": 1.2}),
             ("S(theta) identified", np.abs(model[:, i, i]), {"color": theme.INK, "width": 1.8}),
         ):
-            figure.add_trace(
-                go.Scatter(x=drawn(f), y=drawn(values), mode="lines", name=name, line=line, showlegend=first), **place
-            )
+            theme.scatter(figure, place, drawn(f), drawn(values), name, shown=first, line=line)
         figure.update_xaxes(title_text="Frequency [Hz]", **theme.decades(float(f[0]), float(f[-1])), **place)
         figure.update_yaxes(**theme.decades(floor, 2 * float(max(size.max(), np.abs(model).max()))), **place)
     figure.update_yaxes(title_text="|S| [µm/A]", row=1, col=1)

@@ -15,14 +15,13 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import drawn
-from ambrose.report.figures.stations import Station, largest, window
+from ambrose.report.figures.stations import NEAR, Station, largest, window
 
 _FRAMES, _ROUNDS = 72, 12
 _FRAME_TIME = 45  # [ms]
 _SIZE = 0.10  # largest displacement on the page, in rotor lengths
 _OBLIQUE = np.array([-0.42, -0.30])  # where x points on the page
 _HEIGHT = 300  # [px]
-_NEAR = 2.2  # a touchdown circle up to this many times the largest orbit is drawn
 
 
 def rotor_animation(record: Record, places: Sequence[Station], machine: Machine, speed: np.ndarray) -> Any:
@@ -43,12 +42,9 @@ def rotor_animation(record: Record, places: Sequence[Station], machine: Machine,
     moving = len(figure.data)
     line = {"color": theme.INK, "width": 2.5}
     marker = {"size": 9, "color": [_colour(s) for s in ordered], "line": {"color": "white", "width": 1}}
-    figure.add_trace(
-        go.Scatter(
-            x=drawn(axis[:, 0, 0]), y=drawn(axis[:, 1, 0]), mode="lines+markers", line=line, marker=marker, showlegend=False,
-            hoverinfo="skip",
-        )
-    )  # fmt: skip
+    theme.scatter(
+        figure, {}, drawn(axis[:, 0, 0]), drawn(axis[:, 1, 0]), mode="lines+markers", line=line, marker=marker, hoverinfo="skip"
+    )
     figure.frames = [
         go.Frame(name=names[j], traces=[moving], data=[go.Scatter(x=drawn(axis[:, 0, j]), y=drawn(axis[:, 1, j]))])
         for j in range(len(moments))
@@ -80,18 +76,15 @@ def _colour(station: Station) -> str:
 
 def _still(figure: Any, ordered: Sequence[Station], paths: Sequence[np.ndarray], machine: Machine, magnified: float) -> None:
     """What does not move: the centre line, the orbits, the touchdown circles, the names."""
-
-    def add(x: Any, y: Any, **line: Any) -> None:
-        theme.guide(figure, {}, drawn(x), drawn(y), **line)
-
-    add([0, machine.length], [0, 0], color=theme.MUTED, width=1, dash="12px,3px,3px,3px")
+    theme.guide(figure, {}, drawn([0, machine.length]), drawn([0, 0]), color=theme.MUTED, width=1, dash="12px,3px,3px,3px")
     turn = np.linspace(0, 2 * np.pi, 121)
     for station, path in zip(ordered, paths, strict=True):
         step = max(1, path.shape[1] // 400)
-        add(path[0, ::step], path[1, ::step], color=_colour(station), width=1.1)
-        if station.gap is not None and station.gap * magnified <= _NEAR * _SIZE * machine.length:
+        theme.guide(figure, {}, drawn(path[0, ::step]), drawn(path[1, ::step]), color=_colour(station), width=1.1)
+        if station.gap is not None and station.gap * magnified <= NEAR * _SIZE * machine.length:
             x, y = station.gap * magnified * np.cos(turn), station.gap * magnified * np.sin(turn)
-            add(station.position + _OBLIQUE[0] * x, _OBLIQUE[1] * x + y, color=theme.LIMIT, width=1.2, dash="1.5px,2px")
+            circle = drawn([station.position + _OBLIQUE[0] * x, _OBLIQUE[1] * x + y])
+            theme.guide(figure, {}, *circle, color=theme.LIMIT, width=1.2, dash="1.5px,2px")
         figure.add_annotation(
             x=station.position, y=-1.42 * 1.25 * _SIZE * machine.length, text=theme.plain(units.axis_name(station.name)),
             showarrow=False, yanchor="top", font={"size": 12, "color": theme.INK},

@@ -24,6 +24,7 @@ _PIXELS = 800  # width of the plot area that the height is computed for [px]
 _ROW, _GAP = 74, 14  # height of one mode shape, space between two [px]
 _STEEL, _LAMINATION, _DISC = "#dfe4e8", "#b9c3cb", "#c9d0d6"
 _KINDS = {"bearing": "#0072b2", "sensor": "#1c2329", "seal": "#a3341f", "coupling": "#66717b", "disc": "#1c2329"}
+_SEES = {"bearing": "square", "sensor": "circle-open", "seal": "diamond"}  # on a mode shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +45,8 @@ def machine_drawing(machine: Machine, bending_modes: int = 2) -> Any:
     return rotor_drawing(machine, rotor.positions, modes.shapes[0::4, plane], modes.frequencies[plane])
 
 
-def rotor_drawing(
-    machine: Machine,
-    node_positions: ArrayLike,
-    shapes: ArrayLike | None = None,
-    frequencies: ArrayLike | None = None,
-) -> Any:
-    """The rotor with its stations and, where given, its mode shapes in one plane.
+def rotor_drawing(machine: Machine, node_positions: ArrayLike, shapes: ArrayLike, frequencies: ArrayLike) -> Any:
+    """The rotor with its stations and its mode shapes in one plane.
 
     machine: the description. node_positions (n,) [m]: the finite-element nodes. shapes (n, k) [any]: lateral displacement
     of the nodes, each mode scaled to its largest. frequencies (k,) [rad/s]: 0 for a rigid-body mode. Returns a plotly Figure.
@@ -59,14 +55,16 @@ def rotor_drawing(
     import plotly.graph_objects as go
 
     nodes = check_shape(node_positions, "node_positions", "(n,)") * 1e3
-    modes = np.zeros((nodes.size, 0)) if shapes is None else check_shape(shapes, "shapes", "(n, k)", n=nodes.size)
-    omega = None if frequencies is None else check_shape(frequencies, "frequencies", "(k,)", k=modes.shape[1])
+    modes = check_shape(shapes, "shapes", "(n, k)", n=nodes.size)
+    omega = check_shape(frequencies, "frequencies", "(k,)", k=modes.shape[1])
     length = machine.length * 1e3
     pixel = 1.08 * length / _PIXELS  # mm per pixel
     figure = go.Figure()
     _shaft(figure, machine)
     for disc in machine.discs:
-        _disc(figure, machine, disc)
+        if (size := equivalent_cylinder(disc)) is not None:
+            half, place = max(size[1] * 500, machine.length * 2.5), disc.position * 1e3
+            _patch(figure, place - half, place + half, -size[0] * 1e3, size[0] * 1e3, _DISC)
     stations = _stations(machine, pixel)
     for station in stations:
         _symbol(figure, machine, station, pixel)
@@ -96,14 +94,10 @@ def _shaft(figure: Any, machine: Machine) -> None:
 def _patch(
     figure: Any, left: float, right: float, low: float, high: float, fill: str, *, hatched: bool = False, dash: str = "solid"
 ) -> None:
-    import plotly.graph_objects as go
-
     pattern = {"shape": "/", "fgcolor": theme.MUTED, "bgcolor": "white", "size": 5, "solidity": 0.25} if hatched else None
-    figure.add_trace(
-        go.Scatter(
-            x=[left, right, right, left, left], y=[low, low, high, high, low], mode="lines", fill="toself", fillcolor=fill,
-            fillpattern=pattern, line={"color": theme.INK, "width": 0.9, "dash": dash}, hoverinfo="skip", showlegend=False,
-        )
+    theme.scatter(
+        figure, {}, [left, right, right, left, left], [low, low, high, high, low], fill="toself", fillcolor=fill,
+        fillpattern=pattern, line={"color": theme.INK, "width": 0.9, "dash": dash}, hoverinfo="skip",
     )  # fmt: skip
 
 
@@ -114,15 +108,6 @@ def equivalent_cylinder(disc: Disc) -> tuple[float, float] | None:
         return None
     radius = math.sqrt(2 * disc.polar_inertia / disc.mass)
     return radius, math.sqrt(max(12 * disc.diametral_inertia / disc.mass - 3 * radius**2, 0.0))
-
-
-def _disc(figure: Any, machine: Machine, disc: Disc) -> None:
-    size = equivalent_cylinder(disc)
-    if size is None:
-        return
-    radius, half = size[0] * 1e3, max(size[1] * 500, machine.length * 2.5)
-    position = disc.position * 1e3
-    _patch(figure, position - half, position + half, -radius, radius, _DISC)
 
 
 def _radius_at(machine: Machine, position: float) -> float:
@@ -157,12 +142,8 @@ def _symbol(figure: Any, machine: Machine, station: Station, pixel: float) -> No
     outlines: list[tuple[list[float], list[float]]] = []
     if station.kind == "bearing":  # a horseshoe: two poles and a yoke
         a, b, yoke = 16 * pixel, 6 * pixel, reach - 9 * pixel
-        outlines = [
-            (
-                [x - a, x - a, x + a, x + a, x + b, x + b, x - b, x - b, x - a],
-                [gap, reach, reach, gap, gap, yoke, yoke, gap, gap],
-            )
-        ]
+        sides = [x - a, x - a, x + a, x + a, x + b, x + b, x - b, x - b, x - a]
+        outlines = [(sides, [gap, reach, reach, gap, gap, yoke, yoke, gap, gap])]
     elif station.kind == "sensor":  # a probe pointing at the shaft
         a = 5 * pixel
         outlines = [([x, x - a, x - a, x + a, x + a, x], [gap, gap + a, reach, reach, gap + a, gap])]
@@ -174,34 +155,20 @@ def _symbol(figure: Any, machine: Machine, station: Station, pixel: float) -> No
     elif station.kind == "coupling":  # a spring to ground, below only
         turns = np.linspace(-gap, -reach, 9)
         side = np.array([0, 0, 5, -5, 5, -5, 5, 0, 0]) * pixel
-        _line(figure, list(x + side), list(turns), colour)
-        _line(figure, [x - 9 * pixel, x + 9 * pixel], [-reach, -reach], colour, width=2.5)
+        theme.guide(figure, {}, list(x + side), list(turns), color=colour, width=1.3)
+        theme.guide(figure, {}, [x - 9 * pixel, x + 9 * pixel], [-reach, -reach], color=colour, width=2.5)
         return
     elif reach > _radius_at(machine, x) + pixel and not _has_size(machine, station.name):  # a disc of unknown size
-        _line(figure, [x, x], [-reach, reach], colour, width=3)
+        theme.guide(figure, {}, [x, x], [-reach, reach], color=colour, width=3)
         return
+    look = {"fill": "toself", "fillcolor": colour, "line": {"color": colour, "width": 0.8}, "hoverinfo": "skip"}
     for xs, ys in outlines:
         for sign in (1, -1):
-            _filled(figure, xs, [sign * y for y in ys], colour)
+            theme.scatter(figure, {}, xs, [sign * y for y in ys], **look)
 
 
 def _has_size(machine: Machine, name: str) -> bool:
     return any(disc.name == name and equivalent_cylinder(disc) is not None for disc in machine.discs)
-
-
-def _line(figure: Any, x: Sequence[float], y: Sequence[float], colour: str, width: float = 1.3) -> None:
-    theme.guide(figure, {}, list(x), list(y), color=colour, width=width)
-
-
-def _filled(figure: Any, x: Sequence[float], y: Sequence[float], colour: str) -> None:
-    import plotly.graph_objects as go
-
-    figure.add_trace(
-        go.Scatter(
-            x=list(x), y=list(y), mode="lines", fill="toself", fillcolor=colour, line={"color": colour, "width": 0.8},
-            hoverinfo="skip", showlegend=False,
-        )
-    )  # fmt: skip
 
 
 def _labels(figure: Any, stations: Sequence[Station], machine: Machine, pixel: float) -> tuple[float, float]:
@@ -219,10 +186,11 @@ def _labels(figure: Any, stations: Sequence[Station], machine: Machine, pixel: f
             level = next((i for i, end in enumerate(taken) if station.position - half > end), len(taken))
             taken[level : level + 1] = [station.position + half]
             y = sign * (high + (4 + 16 * level) * pixel)
-            _line(figure, [station.position] * 2, [sign * station.reach, y], _KINDS[station.kind], width=0.7)
+            colour = _KINDS[station.kind]
+            theme.guide(figure, {}, [station.position] * 2, [sign * station.reach, y], color=colour, width=0.7)
             figure.add_annotation(
                 x=station.position, y=y, text=theme.plain(text), showarrow=False, yanchor="bottom" if sign > 0 else "top",
-                xanchor="center", font={"size": 12.5, "color": _KINDS[station.kind]},
+                xanchor="center", font={"size": 12.5, "color": colour},
             )  # fmt: skip
             extent[0 if sign > 0 else 1] = max(extent[0], y + 18 * pixel) if sign > 0 else min(extent[1], y - 18 * pixel)
     return extent[0], extent[1]
@@ -230,15 +198,11 @@ def _labels(figure: Any, stations: Sequence[Station], machine: Machine, pixel: f
 
 def _centre_line(figure: Any, nodes: np.ndarray, length: float) -> None:
     """The axis of rotation and the finite-element nodes on it."""
-    import plotly.graph_objects as go
-
     ends = [-0.03 * length, 1.03 * length]
     theme.guide(figure, {}, ends, [0, 0], color=theme.MUTED, width=0.8, dash="12px,3px,2px,3px")
-    figure.add_trace(
-        go.Scatter(
-            x=nodes, y=np.zeros(nodes.size), mode="markers", marker={"size": 4, "color": theme.INK}, showlegend=False,
-            customdata=np.arange(1, nodes.size + 1), hovertemplate="node %{customdata} at %{x:.1f} mm<extra></extra>",
-        )
+    theme.scatter(
+        figure, {}, nodes, np.zeros(nodes.size), mode="markers", marker={"size": 4, "color": theme.INK},
+        customdata=np.arange(1, nodes.size + 1), hovertemplate="node %{customdata} at %{x:.1f} mm<extra></extra>",
     )  # fmt: skip
 
 
@@ -262,13 +226,11 @@ def _layout(figure: Any, length: float, y_range: tuple[float, float], shares: tu
 
 
 def _shapes(
-    figure: Any, nodes: np.ndarray, modes: np.ndarray, omega: np.ndarray | None, stations: Sequence[Station], high: float
+    figure: Any, nodes: np.ndarray, modes: np.ndarray, omega: np.ndarray, stations: Sequence[Station], high: float
 ) -> None:
     """Free-free shapes, one row each, with guides and dots where bearings, sensors and seals see them."""
-    import plotly.graph_objects as go
-
     order = np.argsort(nodes)
-    sensed = [station for station in stations if station.kind in {"bearing", "sensor", "seal"}]
+    sensed = [station for station in stations if station.kind in _SEES]
     for station in sensed if modes.size else []:
         line = {"color": theme.FAINT, "width": 1}
         at = station.position
@@ -278,34 +240,24 @@ def _shapes(
         axis = f"y{i + 2}"
         peak = float(np.abs(modes[:, i]).max()) or 1.0
         shape = modes[order, i] / peak * (1.0 if modes[order[0], i] >= 0 else -1.0)
-        figure.add_trace(go.Scatter(x=nodes[order[[0, -1]]], y=[0, 0], mode="lines", line={"color": theme.MUTED, "width": 0.8},
-                                    yaxis=axis, hoverinfo="skip", showlegend=False))  # fmt: skip
-        figure.add_trace(
-            go.Scatter(
-                x=nodes[order], y=shape, mode="lines", line={"color": theme.INK, "width": 1.8}, yaxis=axis, showlegend=False,
-                fill="tozeroy", fillcolor="rgba(102,113,123,0.13)", hovertemplate="%{x:.0f} mm: %{y:.3f}<extra></extra>",
-            )
+        zero = {"color": theme.MUTED, "width": 0.8}
+        theme.scatter(figure, {}, nodes[order[[0, -1]]], [0, 0], line=zero, yaxis=axis, hoverinfo="skip")
+        theme.scatter(
+            figure, {}, nodes[order], shape, line={"color": theme.INK, "width": 1.8}, yaxis=axis, fill="tozeroy",
+            fillcolor="rgba(102,113,123,0.13)", hovertemplate="%{x:.0f} mm: %{y:.3f}<extra></extra>",
         )  # fmt: skip
         for station in sensed:
             there = float(np.interp(station.position, nodes[order], shape))
-            symbol = {"bearing": "square", "sensor": "circle-open", "seal": "diamond"}[station.kind]
-            marker = {
-                "symbol": symbol,
-                "size": 7,
-                "color": _KINDS[station.kind],
-                "line": {"width": 1.5, "color": _KINDS[station.kind]},
-            }
-            figure.add_trace(
-                go.Scatter(
-                    x=[station.position], y=[there], mode="markers", marker=marker, yaxis=axis, showlegend=False,
-                    hovertemplate=f"{station.kind} {theme.plain(station.name)}: %{{y:.3f}}<extra></extra>",
-                )
+            symbol, colour = _SEES[station.kind], _KINDS[station.kind]
+            theme.scatter(
+                figure, {}, [station.position], [there], mode="markers", yaxis=axis,
+                marker={"symbol": symbol, "size": 7, "color": colour, "line": {"width": 1.5, "color": colour}},
+                hovertemplate=f"{station.kind} {theme.plain(station.name)}: %{{y:.3f}}<extra></extra>",
             )  # fmt: skip
-        rigid = omega is not None and omega[i] < 1e-6 * float(omega.max(initial=1.0))
-        kind = "rigid" if rigid else "bending"
+        kind = "rigid" if omega[i] < 1e-6 * float(omega.max(initial=1.0)) else "bending"
         counts[kind] += 1
-        name = f"{kind} {counts[kind]}" if omega is not None else f"mode {i + 1}"
-        text = f"<b>{name}</b>" + (f"<br>{units.quantity(float(omega[i]), 'rad/s')}" if omega is not None and not rigid else "")
+        text = f"<b>{kind} {counts[kind]}</b>"
+        text += f"<br>{units.quantity(float(omega[i]), 'rad/s')}" if kind == "bending" else ""
         figure.add_annotation(
             x=0, xref="paper", y=0, yref=axis, text=text, showarrow=False, xanchor="right", align="right", xshift=-8,
             font={"size": 12.5},

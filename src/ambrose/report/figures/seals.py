@@ -21,6 +21,7 @@ _NAMES = {
 }  # fmt: skip
 _MEASURED, _BAND = "#0072b2", "rgba(0,114,178,0.22)"
 _CONFIDENCE, _PREDICTION = "rgba(0,114,178,0.30)", "rgba(0,114,178,0.12)"
+_MARK = {"dash": "dash", "color": theme.MUTED, "width": 1.2}
 _TRUTH = theme.Style(theme.INK, "2px,3px", "x", 1.4)
 
 Truth = Callable[[float], np.ndarray]  # pressure [Pa] -> K, k, C, c
@@ -61,8 +62,7 @@ def response_figure(
             _modelled(figure, item, model, label, look[label], factor, column)
         if valid_to and title in valid_to:
             for row in (1, 2, 3, 4):
-                mark = {"line_dash": "dash", "line_color": theme.MUTED, "line_width": 1.2}
-                figure.add_vline(x=valid_to[title] / units.TWO_PI, row=row, col=column, **mark)
+                figure.add_vline(x=valid_to[title] / units.TWO_PI, row=row, col=column, line=_MARK)
     theme.dress(figure, 620, legend=True)
     _response_axes(figure, measured, sizes, factor, unit)
     return figure
@@ -73,13 +73,14 @@ def _measured(figure: Any, item: Frf, factor: float, column: int, points: bool) 
     size, angle = np.abs(value), phase(value)
     half = item.radius()[:, 0, 0]
     slack = np.degrees(np.arcsin(np.minimum(half / np.maximum(size, 1e-300), 1.0)))
-    _fill(figure, f, np.maximum(size - half, 1e-3 * size) * factor, (size + half) * factor, _BAND, 1, column)
-    _fill(figure, f, angle - slack, angle + slack, _BAND, 2, column)
-    _fill(figure, f, np.full(len(f), 1e-3), 100 * half / size, _BAND, 3, column)
-    first = column == 1
+    low = np.maximum(size - half, 1e-3 * size) * factor
+    theme.band(figure, {"row": 1, "col": column}, f, low, (size + half) * factor, _BAND)
+    theme.band(figure, {"row": 2, "col": column}, f, angle - slack, angle + slack, _BAND)
+    theme.band(figure, {"row": 3, "col": column}, f, np.full(len(f), 1e-3), 100 * half / size, _BAND)
+    look = theme.Style(_MEASURED, "solid", "circle", 1.3)
     for row, y in ((1, size * factor), (2, angle), (4, item.coherence[:, 0])):
-        _line(figure, f, y, "measured, with 95 %", theme.Style(_MEASURED, "solid", "circle", 1.3), row, column,
-              shown=first and row == 1, points=points)  # fmt: skip
+        place, shown = {"row": row, "col": column}, column == 1 and row == 1
+        _line(figure, place, f, y, "measured, with 95 %", look, shown=shown, points=points)
 
 
 def _modelled(
@@ -87,14 +88,14 @@ def _modelled(
 ) -> None:
     f, value = model.omega / units.TWO_PI, model.values[:, 0, 0]
     shown = not any(trace.name == theme.plain(label) and trace.showlegend for trace in figure.data)
-    _line(figure, f, np.abs(value) * factor, label, look, 1, column, shown=shown)
+    _line(figure, {"row": 1, "col": column}, f, np.abs(value) * factor, label, look, shown=shown)
     near = phase(item.values[:, 0, 0])
     angle = phase(value)
     if len(angle) == len(near):
         angle = angle + 360 * np.round((near - angle) / 360)  # the branch of the measured phase
-    _line(figure, f, angle, label, look, 2, column)
+    _line(figure, {"row": 2, "col": column}, f, angle, label, look)
     if len(angle) == len(near):
-        _line(figure, f, 100 * np.abs(value / item.values[:, 0, 0] - 1), label, look, 3, column)
+        _line(figure, {"row": 3, "col": column}, f, 100 * np.abs(value / item.values[:, 0, 0] - 1), label, look)
 
 
 def _response_axes(figure: Any, measured: Mapping[str, Frf], sizes: Sequence[np.ndarray], factor: float, unit: str) -> None:
@@ -135,25 +136,24 @@ def frequency_figure(
         if fit.systematic.any():
             one = fit.at(float(fit.pressures[0]))
             look = theme.Style("#9aa5ad", "solid", "x-thin", 1.0)
-            _points(figure, one.frequency / units.TWO_PI, one.systematic[:, number] * factor, None, "model's error, taken off",
-                    look, unit, place, shown=number == 0)  # fmt: skip
+            f, error = one.frequency / units.TWO_PI, one.systematic[:, number] * factor
+            _points(figure, place, f, error, None, "model's error, taken off", look, unit, shown=number == 0)
         for label, pressure, move in zip(labels, fit.pressures.tolist(), shift, strict=True):
             one = fit.at(pressure)
             values, deviations = one.column(letter)
             f = one.frequency / units.TWO_PI
             bars = COVERAGE * deviations * factor
-            _points(figure, f + move, values * factor, bars, label, style[label], unit, place, shown=number == 0)
+            _points(figure, place, f + move, values * factor, bars, label, style[label], unit, shown=number == 0)
             ends = np.array([0.0, f.max()])
             if constants is not None:
                 level = np.full(2, constants.at(pressure).column(letter)[0][0] * factor)
-                _line(figure, ends, level, label, style[label], place["row"], place["col"])
+                _line(figure, place, ends, level, label, style[label])
             if truth is not None:
                 level = np.full(2, truth(pressure)[number] * factor)
                 shown = bool(number == 0 and pressure == fit.pressures[-1])
-                _line(figure, ends, level, "truth", _TRUTH, place["row"], place["col"], shown=shown)
+                _line(figure, place, ends, level, "truth", _TRUTH, shown=shown)
         if valid_to is not None:
-            mark = {"line_dash": "dash", "line_color": theme.MUTED, "line_width": 1.2}
-            figure.add_vline(x=valid_to / units.TWO_PI, **place, **mark)
+            figure.add_vline(x=valid_to / units.TWO_PI, **place, line=_MARK)
         inside = fit.frequency <= (np.inf if valid_to is None else valid_to * 1.01)
         figure.update_yaxes(title_text=f"[{unit}]", range=_view(fit.rows(inside), letter, factor), **place)
     theme.dress(figure, 520, legend=True)
@@ -174,7 +174,7 @@ def pressure_figure(
     top = max(float(fit.pressure.max()), nominal or 0.0) * 1.05
     span = np.linspace(0.0, top, 60)
     for number, letter in enumerate(COEFFICIENTS):
-        row, column = number // 2 + 1, number % 2 + 1
+        place = {"row": number // 2 + 1, "col": number % 2 + 1}
         factor, unit = units.coefficient_scale(letter)
         first = number == 0
         if letter in lines:
@@ -185,20 +185,19 @@ def pressure_figure(
                 (line.confidence(span), _CONFIDENCE, "true line, 95 %"),
             ):
                 low, high = (middle - half) * factor, (middle + half) * factor
-                _fill(figure, span * factor_x, low, high, colour, row, column, name if first else "")
+                theme.band(figure, place, span * factor_x, low, high, colour, name if first else "")
             ink = theme.Style(theme.INK, "solid", "x", 1.5)
-            _line(figure, span * factor_x, middle * factor, "regression", ink, row, column, shown=first)
+            _line(figure, place, span * factor_x, middle * factor, "regression", ink, shown=first)
         if truth is not None:
             values = np.array([truth(float(p))[number] for p in span]) * factor
-            _line(figure, span * factor_x, values, "truth", _TRUTH, row, column, shown=first)
+            _line(figure, place, span * factor_x, values, "truth", _TRUTH, shown=first)
         values, deviations = fit.column(letter)
         look = theme.Style(_MEASURED, "solid", "circle", 1.5)
-        place, bars = {"row": row, "col": column}, COVERAGE * deviations * factor
-        _points(figure, fit.pressure * factor_x, values * factor, bars, "identified, 95 %", look, unit, place, shown=first)
+        bars = COVERAGE * deviations * factor
+        _points(figure, place, fit.pressure * factor_x, values * factor, bars, "identified, 95 %", look, unit, shown=first)
         if nominal is not None:
-            mark = {"line_dash": "dash", "line_color": theme.MUTED, "line_width": 1.2}
-            figure.add_vline(x=nominal * factor_x, row=row, col=column, **mark)
-        figure.update_yaxes(title_text=f"[{unit}]", row=row, col=column)
+            figure.add_vline(x=nominal * factor_x, **place, line=_MARK)
+        figure.update_yaxes(title_text=f"[{unit}]", **place)
     theme.dress(figure, 520, legend=True)
     figure.update_xaxes(title_text=f"Pressure difference [{unit_x}]", row=2)
     figure.update_xaxes(range=[0, top * factor_x])
@@ -221,49 +220,22 @@ def _view(fit: SealFit, letter: str, factor: float) -> list[float]:
 
 
 def _line(
-    figure: Any, x: np.ndarray, y: np.ndarray, name: str, look: theme.Style, row: int, column: int, *, shown: bool = False,
+    figure: Any, place: Mapping[str, int], x: np.ndarray, y: np.ndarray, name: str, look: theme.Style, *, shown: bool = False,
     points: bool = False,
 ) -> None:  # fmt: skip
-    import plotly.graph_objects as go
-
-    figure.add_trace(
-        go.Scatter(
-            x=np.float32(x), y=np.float32(y), mode="lines+markers" if points else "lines", name=theme.plain(name),
-            legendgroup=theme.plain(name), showlegend=shown, marker={"size": 4},
-            line={"color": look.colour, "dash": look.dash, "width": look.width},
-            hovertemplate=f"{theme.plain(name)}: %{{x:.4g}} · %{{y:.4g}}<extra></extra>",
-        ),
-        row=row, col=column,
+    theme.scatter(
+        figure, place, np.float32(x), np.float32(y), name, shown=shown, mode="lines+markers" if points else "lines",
+        marker={"size": 4}, line=look.line, hovertemplate=f"{theme.plain(name)}: %{{x:.4g}} · %{{y:.4g}}<extra></extra>",
     )  # fmt: skip
 
 
 def _points(
-    figure: Any, x: np.ndarray, y: np.ndarray, bars: np.ndarray | None, name: str, look: theme.Style, unit: str,
-    place: dict[str, int], *, shown: bool,
+    figure: Any, place: Mapping[str, int], x: np.ndarray, y: np.ndarray, bars: np.ndarray | None, name: str, look: theme.Style,
+    unit: str, *, shown: bool,
 ) -> None:  # fmt: skip
-    import plotly.graph_objects as go
-
     error = None if bars is None else {"type": "data", "array": np.float32(bars), "thickness": 1.2, "width": 2}
-    figure.add_trace(
-        go.Scatter(
-            x=np.float32(x), y=np.float32(y), mode="markers", name=theme.plain(name), legendgroup=theme.plain(name),
-            showlegend=shown, error_y=error,
-            marker={"color": look.colour, "symbol": look.symbol, "size": 6, "line": {"color": look.colour, "width": 1.2}},
-            hovertemplate=f"{theme.plain(name)}: %{{x:.4g}} · %{{y:.4g}} {unit}<extra></extra>",
-        ),
-        **place,
-    )  # fmt: skip
-
-
-def _fill(
-    figure: Any, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, row: int, column: int, name: str = ""
-) -> None:
-    import plotly.graph_objects as go
-
-    figure.add_trace(
-        go.Scatter(
-            x=np.float32(np.r_[x, x[::-1]]), y=np.float32(np.r_[high, low[::-1]]), fill="toself", fillcolor=colour,
-            line={"width": 0}, mode="lines", name=name, showlegend=bool(name), hoverinfo="skip",
-        ),
-        row=row, col=column,
+    theme.scatter(
+        figure, place, np.float32(x), np.float32(y), name, shown=shown, mode="markers", error_y=error,
+        marker={"color": look.colour, "symbol": look.symbol, "size": 6, "line": {"color": look.colour, "width": 1.2}},
+        hovertemplate=f"{theme.plain(name)}: %{{x:.4g}} · %{{y:.4g}} {unit}<extra></extra>",
     )  # fmt: skip

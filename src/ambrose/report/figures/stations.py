@@ -10,10 +10,12 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.ports import Port, ports, sensor_ports
+from ambrose.report import theme, units
 from ambrose.simulation.scenario import Scenario
 
 _FEWEST = 32  # samples in a window
 _PERIODS = 3.0
+NEAR = 2.2  # a touchdown circle up to this many times the largest orbit is drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +33,12 @@ class Station:
     gap: float | None = None
     bearing: bool = False
     at_sensor: bool = False
+
+    @property
+    def title(self) -> str:
+        """The name as it stands above a picture: "bearing A", "sensor B", a disc's own; for plotly."""
+        where = "sensor" if self.at_sensor else "bearing" if self.bearing else ""
+        return theme.plain(" ".join(filter(None, (where, units.axis_name(self.name)))))
 
     @property
     def radius(self) -> np.ndarray:

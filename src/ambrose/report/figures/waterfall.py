@@ -29,19 +29,61 @@ def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarra
 
     Returns a plotly Figure; None where the record is too short for a spectrum.
     """
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+
     shown = [station for station in places if station.bearing][:2] or list(places)[:2]
     turns = speed / (2 * np.pi)
     length = _window(record, turns)
     if len(speed) < 2 * _SHORTEST or length < _SHORTEST:
         return None
     spectra = [spectrum(station, record.sample_rate_hz, length) for station in shown]
-    frequency, middle = spectra[0][0], spectra[0][1]
+    frequency, middle, _ = spectra[0]
     sizes = [size for _, _, size in spectra]
     top = max(float(size.max()) for size in sizes)
     if top <= 0:
         return None
     reach = _reach(frequency, sizes, top, float(np.abs(turns).max()))
-    return _draw(record, shown, turns, frequency, middle, sizes, top, reach)
+    factor, unit = units.scale("m", top)
+    kept = np.flatnonzero(np.abs(frequency) <= reach)
+    pool = max(1, int(np.ceil(len(kept) / _ROWS)))
+    kept = kept[: len(kept) // pool * pool]
+    rows = frequency[kept].reshape(-1, pool).mean(axis=1)
+    time = record.start_time + middle / record.sample_rate_hz
+    seconds, second = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
+    total = _HEIGHT * len(shown) + _GAP * (len(shown) - 1)
+    figure = make_subplots(rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=_GAP / total)
+    for i, (station, size) in enumerate(zip(shown, sizes, strict=True)):
+        place = {"row": i + 1, "col": 1}
+        level = size[kept].reshape(-1, pool, size.shape[1]).max(axis=1) * factor
+        level = np.log10(np.maximum(level, top * factor * 10 ** (-_DECADES - 1)))
+        hover = f"%{{x:.4g}} {second} · %{{y:.4g}} Hz · %{{customdata:.3g}} {unit}<extra></extra>"
+        figure.add_trace(
+            go.Heatmap(
+                x=drawn(time * seconds), y=drawn(rows), z=drawn(level), customdata=drawn(10**level), coloraxis="coloraxis",
+                hovertemplate=hover,
+            ),
+            **place,
+        )  # fmt: skip
+        _speed_lines(figure, place, record, turns, reach, seconds)
+        theme.heading(figure, place, f"<b>{station.title}</b> [Hz]")
+    theme.dress(figure, total, legend=False)
+    high = np.log10(top * factor)
+    ticks = np.arange(np.ceil(high - _DECADES), np.floor(high) + 1)
+    figure.update_layout(
+        margin={"r": 110},
+        coloraxis={
+            "colorscale": [list(pair) for pair in _COLOURS], "cmin": high - _DECADES, "cmax": high,
+            "colorbar": {
+                "title": {"text": f"radius [{unit}]", "side": "right"}, "tickvals": ticks.tolist(),
+                "ticktext": [units.number(10.0**t) for t in ticks], "thickness": 14, "outlinewidth": 0, "x": 1.03, "len": 0.95,
+            },
+        },
+    )  # fmt: skip
+    figure.update_yaxes(range=[-reach, reach], showgrid=False)
+    figure.update_xaxes(showgrid=False, range=[float(record.time[0]) * seconds, float(record.time[-1]) * seconds])
+    _time_axis(figure, record, turns, seconds, second, len(shown))
+    return figure
 
 
 def spectrum(station: Station, rate: float, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -77,63 +119,6 @@ def _reach(frequency: np.ndarray, sizes: Sequence[np.ndarray], top: float, faste
     visible = np.max([size.max(axis=1) for size in sizes], axis=0) > top * 10 ** (0.5 - _DECADES)
     highest = float(np.abs(frequency[visible]).max())
     return min(float(frequency.max()), 1.15 * max(highest, 2.05 * fastest, 20.0))
-
-
-def _draw(
-    record: Record,
-    shown: Sequence[Station],
-    turns: np.ndarray,
-    frequency: np.ndarray,
-    middle: np.ndarray,
-    sizes: Sequence[np.ndarray],
-    top: float,
-    reach: float,
-) -> Any:
-    import plotly.graph_objects as go
-    from plotly.subplots import make_subplots
-
-    factor, unit = units.scale("m", top)
-    kept = np.flatnonzero(np.abs(frequency) <= reach)
-    pool = max(1, int(np.ceil(len(kept) / _ROWS)))
-    kept = kept[: len(kept) // pool * pool]
-    rows = frequency[kept].reshape(-1, pool).mean(axis=1)
-    time = record.start_time + middle / record.sample_rate_hz
-    seconds, second = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
-    total = _HEIGHT * len(shown) + _GAP * (len(shown) - 1)
-    figure = make_subplots(rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=_GAP / total)
-    for i, (station, size) in enumerate(zip(shown, sizes, strict=True)):
-        place = {"row": i + 1, "col": 1}
-        level = size[kept].reshape(-1, pool, size.shape[1]).max(axis=1) * factor
-        level = np.log10(np.maximum(level, top * factor * 10 ** (-_DECADES - 1)))
-        hover = f"%{{x:.4g}} {second} · %{{y:.4g}} Hz · %{{customdata:.3g}} {unit}<extra></extra>"
-        figure.add_trace(
-            go.Heatmap(
-                x=drawn(time * seconds), y=drawn(rows), z=drawn(level), customdata=drawn(10**level), coloraxis="coloraxis",
-                hovertemplate=hover,
-            ),
-            **place,
-        )  # fmt: skip
-        _speed_lines(figure, place, record, turns, reach, seconds)
-        where = "sensor" if station.at_sensor else "bearing" if station.bearing else ""
-        name = theme.plain(" ".join(filter(None, (where, units.axis_name(station.name)))))
-        theme.heading(figure, place, f"<b>{name}</b> [Hz]")
-    theme.dress(figure, total, legend=False)
-    high = np.log10(top * factor)
-    ticks = np.arange(np.ceil(high - _DECADES), np.floor(high) + 1)
-    figure.update_layout(
-        margin={"r": 110},
-        coloraxis={
-            "colorscale": [list(pair) for pair in _COLOURS], "cmin": high - _DECADES, "cmax": high,
-            "colorbar": {
-                "title": {"text": f"radius [{unit}]", "side": "right"}, "tickvals": ticks.tolist(),
-                "ticktext": [units.number(10.0**t) for t in ticks], "thickness": 14, "outlinewidth": 0, "x": 1.03, "len": 0.95,
-            },
-        },
-    )  # fmt: skip
-    figure.update_yaxes(range=[-reach, reach], showgrid=False)
-    figure.update_xaxes(showgrid=False, range=[float(record.time[0]) * seconds, float(record.time[-1]) * seconds])
-    _time_axis(figure, record, turns, seconds, second, len(shown))
-    return figure
 
 
 def _speed_lines(figure: Any, place: dict[str, int], record: Record, turns: np.ndarray, reach: float, seconds: float) -> None:

@@ -53,12 +53,10 @@ def change_figure(result: ParameterEstimate) -> Any:
     value = np.array([100 * (result.values[i] / result.start[i] - 1) for i in shown])
     half = np.array([100 * COVERAGE * result.standard_deviations[i] / abs(result.start[i]) for i in shown])
     figure = go.Figure()
-    figure.add_trace(
-        go.Scatter(
-            x=value, y=names, mode="markers", marker={"size": 8, "color": "#0072b2"},
-            error_x={"type": "data", "array": half, "color": "#0072b2", "thickness": 2, "width": 6},
-            hovertemplate="%{y}: %{x:.3g} ± %{error_x.array:.2g} %<extra></extra>", showlegend=False,
-        )
+    theme.scatter(
+        figure, {}, value, names, mode="markers", marker={"size": 8, "color": "#0072b2"},
+        error_x={"type": "data", "array": half, "color": "#0072b2", "thickness": 2, "width": 6},
+        hovertemplate="%{y}: %{x:.3g} ± %{error_x.array:.2g} %<extra></extra>",
     )  # fmt: skip
     figure.add_vline(x=0, line={"color": theme.INK, "width": 1})
     for name, at, width in zip(names, value, half, strict=True):
@@ -77,9 +75,7 @@ def overlay_figure(piece: SimulatedOutput) -> tuple[Any, str]:
     """Measured over model and what is left between them, in a window around the largest motion; and the words for it."""
     part = _telling(piece)
     time = piece.record.time[part]
-    rows = []
-    for first in range(0, len(piece.signals), 2):
-        rows.append([_panel(piece, i, time, part) for i in range(first, min(first + 2, len(piece.signals)))])
+    rows = _in_pairs([_panel(piece, i, time, part) for i in range(len(piece.signals))])
     style = theme.overlay_styles(["measured", "model", "residual"])
     figure, beyond = panel_figure(rows, style, height=190)
     span = f"{units.number(float(time[0]), 4)} to {units.number(float(time[-1]), 4)} s"
@@ -112,19 +108,20 @@ def _telling(piece: SimulatedOutput) -> slice:
 
 def residual_figure(piece: SimulatedOutput) -> tuple[Any, str]:
     """The residual over the whole record, on its own scale: does it stay equally small throughout?"""
-    time = piece.record.time
-    rows = []
-    for first in range(0, len(piece.signals), 2):
-        row = []
-        for i in range(first, min(first + 2, len(piece.signals))):
-            unit = piece.record.units[piece.record.signals.index(piece.signals[i])]
-            at, thin = thinned(time, piece.residual[i : i + 1])
-            curve = Curve("identification.residual", "", "time", at, thin, (piece.signals[i],), "s", unit)
-            sizes = (float(np.std(piece.residual[i])), float(np.std(piece.measured[i])))
-            words = " of ".join(units.quantity(size, unit, 2) for size in sizes) + " rms"
-            row.append(Panel(units.axis_name(piece.signals[i]), (("residual", curve),), (("", words),)))
-        rows.append(row)
-    return panel_figure(rows, {"residual": theme.Style("#0072b2", "solid", "circle-open", 1.0)}, height=120)
+    panels = []
+    for i, signal in enumerate(piece.signals):
+        unit = piece.record.units[piece.record.signals.index(signal)]
+        at, thin = thinned(piece.record.time, piece.residual[i : i + 1])
+        curve = Curve("identification.residual", "", "time", at, thin, (signal,), "s", unit)
+        sizes = (float(np.std(piece.residual[i])), float(np.std(piece.measured[i])))
+        words = " of ".join(units.quantity(size, unit, 2) for size in sizes) + " rms"
+        panels.append(Panel(units.axis_name(signal), (("residual", curve),), (("", words),)))
+    style = {"residual": theme.Style("#0072b2", "solid", "circle-open", 1.0)}
+    return panel_figure(_in_pairs(panels), style, height=120)
+
+
+def _in_pairs(panels: Sequence[Panel]) -> list[Sequence[Panel]]:
+    return [panels[i : i + 2] for i in range(0, len(panels), 2)]
 
 
 def correlation_figure(result: ParameterEstimate) -> Any:

@@ -21,21 +21,23 @@ from ambrose.report.figures.seals import response_figure
 _DECADES = 4.0  # of magnitude that are shown
 
 
-def frf_figure(machine: Machine, checked: LoopIdentification, axes: Sequence[str] = ()) -> tuple[Any, str] | None:
+def frf_figure(machine: Machine, checked: LoopIdentification) -> tuple[Any, str] | None:
     """The plant from the amplifiers' command u + e to the displacements, axis by axis, measured, identified and as it was.
 
     Measured by the joint input-output method, or None where the records do not allow it (u_ or some excitations are missing, or
-    several excitations are the same). axes: those shown (default: the first four). With the figure: up to where the model
-    agrees, in words.
+    several excitations are the same). The first four axes are shown. With the figure: up to where the model agrees, in words.
     """
-    result, shown = checked.result, tuple(axes) or machine.axes[:4]
-    records = [piece.record for piece in checked.outputs if _same_point(piece.record, checked)]
+    result, shown = checked.result, machine.axes[:4]
+    at = (result.point.seal_pressure, result.point.speed)
+    records = [o.record for o in checked.outputs if (o.record.point.seal_pressure, o.record.point.speed) == at]
     whole = _measured(records, machine.axes)
     if whole is None:
         return None
     whole = _visible(whole)
-    values = {"identified": result.values, "start": result.start}
-    models = {label: _model(machine, checked, theta, whole) for label, theta in values.items()}
+    models = {}
+    for label, theta in (("identified", result.values), ("start", result.start)):
+        values = dict(zip(result.paths, theta.tolist(), strict=True))
+        models[label] = model_response(whole, plant_at(machine, result.point, values, checked.bending_modes).system)
     validity = compare(whole, models["identified"])
     names = {axis: units.axis_name(axis) for axis in shown}
     measured = {names[axis]: whole.select(f"v_{axis}", f"y_{axis}") for axis in shown}
@@ -54,11 +56,6 @@ def frf_figure(machine: Machine, checked: LoopIdentification, axes: Sequence[str
     return figure, words
 
 
-def _same_point(record: Record, checked: LoopIdentification) -> bool:
-    point = checked.result.point
-    return record.point.seal_pressure == point.seal_pressure and record.point.speed == point.speed
-
-
 def _measured(records: Sequence[Record], axes: Sequence[str]) -> frf.Frf | None:
     if not records:
         return None
@@ -68,12 +65,6 @@ def _measured(records: Sequence[Record], axes: Sequence[str]) -> frf.Frf | None:
         return frf.closed_loop(records, inputs, outputs, segment=min(0.5, shortest / 8))
     except InvalidInput:
         return None
-
-
-def _model(machine: Machine, checked: LoopIdentification, theta: np.ndarray, measured: frf.Frf) -> FrequencyResponse:
-    """The plant with these parameters on the measured lines."""
-    values = dict(zip(checked.result.paths, theta.tolist(), strict=True))
-    return model_response(measured, plant_at(machine, checked.result.point, values, checked.bending_modes).system)
 
 
 def _visible(measured: frf.Frf) -> frf.Frf:

@@ -53,15 +53,15 @@ def static_report(checked: StaticIdentification, *, compared: Sequence[Agreement
         ),
     )
     words = "to be doubted; see below" if count else "identified, and nothing speaks against it"
-    facts = [
+    facts = (
         ("Records", ", ".join(checked.provenance.records)),
         ("Operating point", result.point.label),
         ("Levels", f"{len(result.levels.loads)}, loads at {', '.join(units.axis_name(port) for port in result.levels.ports)}"),
         ("Largest force of a magnet", units.quantity(float(np.abs(result.forces).max()), "N")),
-    ]
+    )
     return Report(
         "Force per current from static loads", machine, tuple(sections), verdicts,
-        tuple((name, text) for name, text in facts if text), date, result=Verdict("Result", not count, words),
+        facts, date, result=Verdict("Result", not count, words),
     )  # fmt: skip
 
 
@@ -109,7 +109,6 @@ def levels_table(result: StaticLoad) -> Table:
 
 def line_figure(result: StaticLoad) -> Any:
     """Magnet force less the straight line [N] over the control current [A], an axis each, with the cubic through the levels."""
-    import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     lefts = [_beyond(result, i) for i in range(len(result.axes))]
@@ -119,23 +118,18 @@ def line_figure(result: StaticLoad) -> Any:
         for axis, share in zip(result.axes, shares, strict=True)
     ]
     figure = make_subplots(rows=1, cols=len(titles), subplot_titles=titles, shared_yaxes=True, horizontal_spacing=0.02)
-    for column, current in enumerate(result.levels.current.T, 1):
-        i = column - 1
-        place = {"row": 1, "col": column}
-        left = lefts[i]
+    for i, (current, left) in enumerate(zip(result.levels.current.T, lefts, strict=True)):
+        place = {"row": 1, "col": i + 1}
         bars = COVERAGE * result.values[i] * result.levels.current_deviation[:, i]
-        figure.add_trace(
-            go.Scatter(
-                x=current, y=left, mode="markers", marker={"size": 7, "color": "#0072b2"}, showlegend=False,
-                error_y={"type": "data", "array": bars, "thickness": 1.2, "width": 3},
-                hovertemplate="%{x:.4g} A: %{y:.3g} N beyond the line<extra></extra>",
-            ), **place,
+        theme.scatter(
+            figure, place, current, left, mode="markers", marker={"size": 7, "color": "#0072b2"},
+            error_y={"type": "data", "array": bars, "thickness": 1.2, "width": 3},
+            hovertemplate="%{x:.4g} A: %{y:.3g} N beyond the line<extra></extra>",
         )  # fmt: skip
         if len(current) > 5:
             span = np.linspace(current.min(), current.max(), 60)
             cubic = np.polynomial.Polynomial.fit(current, left, 3)
-            look = {"color": theme.INK, "width": 1.5}
-            figure.add_trace(go.Scatter(x=span, y=cubic(span), mode="lines", line=look, showlegend=False), **place)
+            theme.scatter(figure, place, span, cubic(span), line={"color": theme.INK, "width": 1.5})
         figure.add_hline(y=0, line={"color": theme.MUTED, "width": 1}, **place)
         figure.update_xaxes(title_text="Control current [A]", **place)
     figure.update_yaxes(title_text="Force beyond the line [N]", row=1, col=1)

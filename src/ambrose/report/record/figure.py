@@ -87,21 +87,16 @@ def _signals(
     figure: Any, record: Record, row: int, title: str, names: list[str], style: dict[str, theme.Style], seconds: float,
     named: set[str],
 ) -> None:  # fmt: skip
-    import plotly.graph_objects as go
-
     unit = record.units[record.signals.index(names[0])]
     time, values = thinned(record.time, record.select(names).values)
     factor, shown = units.scale(unit, float(np.abs(values).max()))
     for name, line in zip(names, values, strict=True):
         axis = _axis(name)
-        look, label = style[axis], theme.plain(units.axis_name(axis))
-        figure.add_trace(
-            go.Scatter(
-                x=drawn(time * seconds), y=drawn(line * factor), mode="lines", name=label, legendgroup=label,
-                showlegend=label not in named, line={"color": look.colour, "dash": look.dash, "width": 1.4},
-                hovertemplate=f"{theme.plain(units.axis_name(name))}<br>%{{x:.4g}} · %{{y:.4g}} {shown}<extra></extra>",
-            ),
-            row=row, col=1,
+        look, label = style[axis], units.axis_name(axis)
+        theme.scatter(
+            figure, {"row": row, "col": 1}, drawn(time * seconds), drawn(line * factor), label, shown=label not in named,
+            line={"color": look.colour, "dash": look.dash, "width": 1.4},
+            hovertemplate=f"{theme.plain(units.axis_name(name))}<br>%{{x:.4g}} · %{{y:.4g}} {shown}<extra></extra>",
         )  # fmt: skip
         named.add(label)
     theme.heading(figure, {"row": row, "col": 1}, f"<b>{title}</b> [{shown}]")
@@ -119,21 +114,17 @@ def _orbits(names: list[str]) -> list[tuple[str, tuple[str, str]]]:
 
 
 def _orbit(figure: Any, record: Record, row: int, column: int, station: str, pair: tuple[str, str]) -> None:
-    import plotly.graph_objects as go
-
+    place = {"row": row, "col": column}
     x, y = record[pair[0]], record[pair[1]]
     step = max(1, len(x) // _ORBIT_POINTS)
     factor, unit = units.scale("m", float(max(np.abs(x).max(), np.abs(y).max())))
-    figure.add_trace(
-        go.Scatter(
-            x=drawn(x[::step] * factor), y=drawn(y[::step] * factor), mode="lines", showlegend=False,
-            line={"color": theme.INK, "width": 0.8}, hovertemplate=f"%{{x:.4g}} · %{{y:.4g}} {unit}<extra></extra>",
-        ),
-        row=row, col=column,
+    theme.scatter(
+        figure, place, drawn(x[::step] * factor), drawn(y[::step] * factor), line={"color": theme.INK, "width": 0.8},
+        hovertemplate=f"%{{x:.4g}} · %{{y:.4g}} {unit}<extra></extra>",
     )  # fmt: skip
     first, second = (units.axis_name(name.rpartition("_")[2]) for name in pair)
     words = f"<b>{theme.plain(units.axis_name(station))}</b>, {second} over {first} [{unit}]"
-    theme.heading(figure, {"row": row, "col": column}, words)
+    theme.heading(figure, place, words)
 
 
 def _square(figure: Any, row: int, count: int) -> None:
