@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report.record.curves import trace_curves
@@ -26,8 +24,3 @@ def test_signals_are_grouped_by_kind_in_the_order_of_the_axes(machine: Machine) 
     assert displacement.limits == ()  # the machine has no touchdown gap
     assert (current.name, current.labels) == ("push.current", ("A_zeta",))
     assert current.limits == (("largest control current", 4.0), ("largest control current", -4.0))
-
-
-def test_an_unknown_kind_is_refused(machine: Machine) -> None:
-    with pytest.raises(InvalidInput, match="one of y, i, u"):
-        trace_curves(trace(), machine, kinds=("z",))

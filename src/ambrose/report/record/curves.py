@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report.figures.stations import Station
@@ -15,30 +14,29 @@ from ambrose.verification.checks import Curve
 
 _BINS = 1000  # of a thinned curve, each with its lowest and highest value
 _DRIVEN = (("e", "Current excitation"), ("r", "Reference"), ("d", "Output disturbance"), ("f", "Applied forces"))
-_KINDS = {"y": ("displacement", "m"), "i": ("current", "A"), "u": ("controller output", "A")}
+_Limits = tuple[tuple[str, float], ...]
 
 
 def radius_curve(record: Record, places: Sequence[Station], machine: Machine) -> Curve:
     """Distance of the shaft's centre from the middle of every bearing (of every station, where no bearing is known)."""
     shown = [station for station in places if station.bearing] or list(places)
-    values = np.array([station.radius for station in shown])
+    time, values = thinned(record.time, np.array([station.radius for station in shown]))
     labels = tuple(station.name for station in shown)
     limits = tightest("touchdown gap", [station.gap for station in shown])[:1]
-    return _curve(record, "radius", "Distance from the middle of the bearing", values, labels, "m", limits)
+    return Curve("record.radius", "Distance from the middle of the bearing", "time", time, values, labels, "s", "m", limits)
 
 
 def signal_curves(record: Record, machine: Machine) -> list[Curve]:
     """Currents against their limit, magnet forces, what was driven, and what varied of the operating point."""
     curves: list[Curve | None] = []
-    currents = [bearing.max_current for bearing in machine.bearings]
-    forces = [bearing.max_force for bearing in machine.bearings]
+    currents, forces = _current_limits(machine), tightest("largest force", [bearing.max_force for bearing in machine.bearings])
     for kind, title, unit, limits in (
-        ("u", "Controller output", "A", tightest("largest control current", currents)),
-        ("i", "Control currents in the coils", "A", tightest("largest control current", currents)),
-        ("f_magnet", "Magnet forces", "N", tightest("largest force", forces)),
+        ("u", "Controller output", "A", currents),
+        ("i", "Control currents in the coils", "A", currents),
+        ("f_magnet", "Magnet forces", "N", forces),
         ("y", "Displacements at the sensors", "m", ()),
     ):
-        names = [name for axis in machine.axes if (name := f"{kind}_{axis}") in record.signals]
+        names = _at_axes(record, machine, kind)
         curves.append(_signals(record, kind, title, names, unit, limits))
     for kind, title in _DRIVEN:
         names = [n for n in record.signals if n.startswith(f"{kind}_") and not n.startswith("f_magnet_") and record[n].any()]
@@ -52,13 +50,12 @@ def signal_curves(record: Record, machine: Machine) -> list[Curve]:
 
 def zoomed_curves(record: Record, machine: Machine, part: slice) -> list[tuple[str, Curve]]:
     """Controller outputs and coil currents in these samples, as (label, Curve) pairs for one figure."""
-    limits = tightest("largest control current", [bearing.max_current for bearing in machine.bearings])
     pairs = []
     for kind, label in (("u", "controller output"), ("i", "coil current")):
-        names = [name for axis in machine.axes if (name := f"{kind}_{axis}") in record.signals]
-        if names:
+        if names := _at_axes(record, machine, kind):
             labels = tuple(name.removeprefix(f"{kind}_") for name in names)
             time, values = record.time[part], record.select(names).values[:, part]
+            limits = _current_limits(machine)
             pairs.append((label, Curve("record.near", "Currents", "time", time, values, labels, "s", "A", limits)))
     return pairs
 
@@ -82,60 +79,42 @@ def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _signals(
-    record: Record,
-    kind: str,
-    title: str,
-    names: Sequence[str],
-    unit: str,
-    limits: tuple[tuple[str, float], ...],
-    *,
-    whole: bool = False,
+    record: Record, kind: str, title: str, names: Sequence[str], unit: str, limits: _Limits, *, whole: bool = False
 ) -> Curve | None:
     if not names:
         return None
     labels = tuple(name if whole else name.removeprefix(f"{kind}_") for name in names)
-    return _curve(record, kind, title, record.select(names).values, labels, unit, limits)
+    time, values = thinned(record.time, record.select(names).values)
+    return Curve(f"record.{kind}", title, "time", time, values, labels, "s", unit, limits)
 
 
-def _curve(
-    record: Record,
-    kind: str,
-    title: str,
-    values: np.ndarray,
-    labels: tuple[str, ...],
-    unit: str,
-    limits: tuple[tuple[str, float], ...],
-) -> Curve:
-    time, shown = thinned(record.time, values)
-    return Curve(f"record.{kind}", title, "time", time, shown, labels, "s", unit, limits)
-
-
-def trace_curves(trace: Trace, machine: Machine, kinds: Sequence[str] = ("y", "i")) -> tuple[Curve, ...]:
-    """The signals of a trace at the control axes, grouped: "y" displacements [m], "i" currents, "u" controller output [A].
+def trace_curves(trace: Trace, machine: Machine) -> tuple[Curve, ...]:
+    """The displacements [m] and currents [A] of a trace at the control axes, those that its record holds.
 
     The curves are named "<scenario>.<kind in words>", so that traces of one scenario at several operating points share
-    figures, and carry the touchdown gap or the largest control current of the bearings as limits. Kinds that the record does
-    not hold are left out. Raises InvalidInput for an unknown kind.
+    figures, and carry the touchdown gap or the largest control current of the bearings as limits.
     """
     curves = []
     gaps = tightest("touchdown gap", [bearing.touchdown_gap for bearing in machine.bearings])
-    currents = tightest("largest control current", [bearing.max_current for bearing in machine.bearings])
-    for kind in kinds:
-        if kind not in _KINDS:
-            raise InvalidInput(f"the kind of signal is {kind!r}, but must be one of y, i, u")
-        words, unit = _KINDS[kind]
-        names = tuple(name for axis in machine.axes if (name := f"{kind}_{axis}") in trace.record.signals)
-        if names:
-            values = trace.record.select(names).values
-            title = f"{trace.scenario}: {words}"
+    for kind, words, unit, limits in (("y", "displacement", "m", gaps), ("i", "current", "A", _current_limits(machine))):
+        if names := _at_axes(trace.record, machine, kind):
+            time, values = trace.record.time, trace.record.select(names).values
             labels = tuple(name.removeprefix(f"{kind}_") for name in names)
-            limits = gaps if kind == "y" else currents
-            name = f"{trace.scenario}.{words.replace(' ', '_')}"
-            curves.append(Curve(name, title, "time", trace.record.time, values, labels, "s", unit, limits))
+            name, title = f"{trace.scenario}.{words}", f"{trace.scenario}: {words}"
+            curves.append(Curve(name, title, "time", time, values, labels, "s", unit, limits))
     return tuple(curves)
 
 
-def tightest(words: str, values: Sequence[float | None]) -> tuple[tuple[str, float], ...]:
+def _at_axes(record: Record, machine: Machine, kind: str) -> list[str]:
+    """The record's signals of that kind at the control axes, in the machine's order."""
+    return [name for axis in machine.axes if (name := f"{kind}_{axis}") in record.signals]
+
+
+def _current_limits(machine: Machine) -> _Limits:
+    return tightest("largest control current", [bearing.max_current for bearing in machine.bearings])
+
+
+def tightest(words: str, values: Sequence[float | None]) -> _Limits:
     """The smallest of several limits, on both sides; none where none is known."""
     known = [value for value in values if value is not None]
     return ((words, min(known)), (words, -min(known))) if known else ()

@@ -119,11 +119,10 @@ def _facts(record: Record, speed: np.ndarray) -> tuple[tuple[str, str], ...]:
     rpm = [units.number(value * units.RPM, 4) for value in (float(speed[0]), float(speed[-1]))]
     changes = float(np.ptp(speed)) > 0
     rate = units.number(record.sample_rate_hz, 6)
-    known = [
+    return (
         ("Record", f"{units.number((k - 1) / record.sample_rate_hz, 4)} s at {rate} Hz, {len(record.signals)} signals"),
         ("Operating point", record.point.label),
         ("Speed", f"{rpm[0]} to {rpm[1]} rpm" if changes else f"{rpm[0]} rpm"),
         ("Seal pressure", units.quantity(record.point.seal_pressure, "Pa")),
         *((key.replace("_", " "), text) for key, text in record.notes if key not in {"outcome", "complete", "scenario"}),
-    ]
-    return tuple((name, text) for name, text in known if text)
+    )

@@ -32,7 +32,8 @@ def record_verdicts(record: Record, machine: Machine, places: Sequence[Station],
     if dict(record.notes).get("complete") == "false":
         verdicts.append(Verdict("Record", None, "the run was interrupted; the record ends before its time"))
     judged = [station for station in places if station.gap is not None]
-    first = _free_since(record, judged)
+    starts = [lifted(station, record.sample_rate_hz) for station in judged]
+    first = None if None in starts else max((start or 0 for start in starts), default=0)  # None: never free of all of them
     verdicts += _clearance(record, judged, first)
     kind, title = ("u", "Controller output") if f"u_{machine.axes[0]}" in record.signals else ("i", "Control current")
     verdicts += _against(record, machine, kind, title, "A", [b.max_current for b in machine.bearings], first or 0)
@@ -48,12 +49,6 @@ def lifted(station: Station, rate: float) -> int | None:
     needed = max(1, round(_CLEAR * rate))
     run = np.convolve(free, np.ones(needed), "valid") >= needed - 0.5
     return int(run.argmax()) if run.any() else None
-
-
-def _free_since(record: Record, judged: Sequence[Station]) -> int | None:
-    """The first sample from which the rotor is free of all touchdown bearings; None: never."""
-    starts = [lifted(station, record.sample_rate_hz) for station in judged]
-    return None if None in starts else max((start or 0 for start in starts), default=0)
 
 
 def _clearance(record: Record, judged: Sequence[Station], first: int | None) -> list[Verdict]:
