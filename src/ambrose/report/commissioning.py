@@ -8,7 +8,7 @@ import numpy as np
 
 from ambrose.evaluation import Candidate
 from ambrose.identification.result import LoopIdentification
-from ambrose.report import tables, units
+from ambrose.report import units
 from ambrose.report.identification.figures import change_figure
 from ambrose.report.identification.tables import findings_table, parameters_table
 from ambrose.report.page import Cell, Figure, Row, Section, Table
@@ -39,16 +39,15 @@ def commissioning_section(
 
     from_code: whether the rig ran compiled code (otherwise its law in Python).
     """
-    shown = [
+    shown = (
         _rig_table(reference, commissioned, points, "compiled C code" if from_code else "its law in Python"),
-        tables.named_table("The code", deployed, ("What", "")),
+        Table("The code", ("What", ""), tuple(deployed)),
         _verdict(checked),
-    ]
-    shown.append(parameters_table(checked.result))
-    if checked.doubts:
-        shown.append(findings_table(checked.doubts))
+        parameters_table(checked.result),
+        *([findings_table(checked.doubts)] if checked.doubts else []),
+    )
     figures = (Figure("What the record changed", change_figure(checked.result), _CHANGE),)
-    return Section("Commissioned on the rig", _WORDS, figures, tuple(shown), True)
+    return Section("Commissioned on the rig", _WORDS, figures, shown, True)
 
 
 def _verdict(checked: LoopIdentification) -> Table:

@@ -3,14 +3,8 @@
     report = Report("Verification", machine, sections=(Section("Closed loop", "What to look at ...", figures, tables),))
     write(report, Path("report.html"))                                  # atomic: complete or not there at all
 
-The nouns are generic; a study fills them as it likes:
-    Report    title, machine, sections, verdicts (label, passed, text), facts (name, text) for the head
-    Section   title, text (paragraphs separated by an empty line), figures, tables
-    Figure    a plotly figure (plots.figure, rotor_drawing.machine_drawing) and a caption that says what to look at
-    Table     title, columns, rows of text or Cell; Cell("4.1", "fail") carries a verdict as colour AND symbol
-``verification.verification_report`` builds the standard report of a verified loop from Checks, ``verification.curve_figures``
-the figures of many curves, ``traces.trace_curves`` the curves of a simulation, ``tables`` the tables. All text is plain text:
-it is escaped here. jinja2 and plotly are imported inside the functions.
+The nouns are generic; ``verification``, ``comparison``, ``identification`` and ``record`` fill them. All text is plain text: it
+is escaped here. jinja2 and plotly are imported inside the functions.
 """
 
 from __future__ import annotations
@@ -149,7 +143,8 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the end.
+    """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the end. Facts without a text
+    are left out.
 
     result: how it all turned out (None: whether every verdict is good, in words of the page).
     """

@@ -29,11 +29,8 @@ def verdict(checks: Checks) -> Verdict:
     if not judged:
         return Verdict(checks.label, True, "stable; no limits were given to check against")
     counted = f"all {len(judged)}" if not failed else f"{len(judged) - len(failed)} of {len(judged)}"
-    return Verdict(checks.label, checks.passed, f"stable, {counted} checks passed" + _reasons(failed))
-
-
-def _reasons(failed: Sequence[Check]) -> str:
-    return "; fails: " + ", ".join(reason(check) for check in failed) if failed else ""
+    why = "; fails: " + ", ".join(reason(check) for check in failed) if failed else ""
+    return Verdict(checks.label, checks.passed, f"stable, {counted} checks passed{why}")
 
 
 def reason(check: Check) -> str:
@@ -86,17 +83,12 @@ def overview_tables(verifications: Sequence[Checks]) -> tuple[Table, ...]:
 
     Many operating points are cut into several tables, so that each fits on paper.
     """
-    names = _judged(verifications)
+    every = [check for checks in verifications for check in checks.checks]
+    judged = [check for check in every if check.passed is not None]
+    names = list(dict.fromkeys(check.name for check in judged or every))  # of all checks where none has a limit
     starts = range(0, len(verifications), _WIDEST)
     parts = [verifications[i : i + _WIDEST] for i in starts]
     return tuple(_overview_table(part, names, i + 1 if len(parts) > 1 else 0) for i, part in enumerate(parts))
-
-
-def _judged(verifications: Sequence[Checks]) -> list[str]:
-    """The names of the checks that have a verdict somewhere (of all checks where none has)."""
-    every = [check for checks in verifications for check in checks.checks]
-    judged = [check for check in every if check.passed is not None]
-    return list(dict.fromkeys(check.name for check in judged or every))
 
 
 def _overview_table(verifications: Sequence[Checks], names: Sequence[str], part: int) -> Table:
@@ -182,13 +174,3 @@ def _pair_of(name: str, values: tuple[float, float] | None, unit: str) -> list[s
     if math.isclose(*values, rel_tol=1e-12):
         return [f"{name} {units.quantity(values[0], unit)}"]
     return [f"{name} {units.quantity(values[0], unit)} (ζ), {units.quantity(values[1], unit)} (η)"]
-
-
-def assumed_table(machine: Machine) -> Table:
-    """The parameters of the machine that were chosen, not measured or published."""
-    return Table("Chosen, not measured", ("Parameter", "Reason"), machine.assumed)
-
-
-def named_table(title: str, rows: Sequence[tuple[str, str]], columns: tuple[str, str]) -> Table:
-    """A two-column table, e.g. of model sizes."""
-    return Table(title, columns, tuple(rows))

@@ -9,10 +9,11 @@ from ambrose.report import tables, units
 from ambrose.report.captions import caption
 from ambrose.report.figures.plots import figure
 from ambrose.report.figures.rotor_drawing import machine_drawing
-from ambrose.report.page import Figure, Report, Section
+from ambrose.report.page import Figure, Report, Section, Table
 from ambrose.verification.checks import Checks, Curve
 
 Labelled = Sequence[tuple[str, Curve]]
+OVER_SPEED = "The closed loop assembled anew at every speed; where a mode meets the line of the speed, unbalance drives it."
 
 
 def verification_report(
@@ -37,10 +38,7 @@ def verification_report(
     """
     order = [checks.label for checks in verifications]
     loops = [(checks.label, curve) for checks in verifications for curve in checks.curves]
-    sections = [
-        _overview(machine, verifications),
-        machine_section(machine, models),
-    ]
+    sections = [_overview(machine, verifications), machine_section(machine, models)]
     if loops:
         text = (
             "Every operating point keeps its colour and dash in all figures. Drag to zoom, double-click to see everything. "
@@ -48,14 +46,11 @@ def verification_report(
         )
         sections.append(Section("Closed loop", text, curve_figures(loops, order)))
     if over_speed:
-        text = "The closed loop assembled anew at every speed; where a mode meets the line of the speed, unbalance drives it."
-        sections.append(Section("Over speed", text, curve_figures(over_speed, order)))
+        sections.append(Section("Over speed", OVER_SPEED, curve_figures(over_speed, order)))
     if responses:
         text = "Linear model: valid while currents and displacements stay well inside their limits."
         sections.append(Section("Time responses", text, curve_figures(responses, order)))
-    if comparison:
-        text = "The reference is drawn broad and pale, the others on top: where a thin line leaves the broad one, they differ."
-        sections.append(Section("Model against model", text, curve_figures(comparison, (), overlay=True)))
+    sections += models_section(comparison)
     detailed = tuple(tables.checks_table(checks) for checks in verifications if checks.checks)
     sections.append(Section("All checks in detail", "", (), detailed))
     return Report(title, machine, tuple(sections), tuple(map(tables.verdict, verifications)), tuple(facts), date)
@@ -69,6 +64,12 @@ def curve_figures(curves: Labelled, order: Sequence[str], *, overlay: bool = Fal
         words = "" if overlay else caption(same[0][1])
         figures.append(Figure(units.prose(same[0][1].title), figure(same, order=order, overlay=overlay), words))
     return tuple(figures)
+
+
+def models_section(comparison: Labelled) -> list[Section]:
+    """The curves of several models laid over each other; none without any."""
+    words = "The reference is drawn broad and pale, the others on top: where a thin line leaves the broad one, they differ."
+    return [Section("Model against model", words, curve_figures(comparison, (), overlay=True))] if comparison else []
 
 
 def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
@@ -92,7 +93,7 @@ def machine_section(machine: Machine, models: Sequence[tuple[str, str]]) -> Sect
     drawing = Figure("Rotor and free-free modes", machine_drawing(machine), words)
     shown = [tables.stations_table(machine)]
     if models:
-        shown.append(tables.named_table("Models", models, ("Model", "Size")))
+        shown.append(Table("Models", ("Model", "Size"), tuple(models)))
     if machine.assumed:
-        shown.append(tables.assumed_table(machine))
+        shown.append(Table("Chosen, not measured", ("Parameter", "Reason"), machine.assumed))
     return Section("Machine", "", (drawing,), tuple(shown))

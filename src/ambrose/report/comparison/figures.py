@@ -42,7 +42,7 @@ def loop_figures(candidates: Sequence[Candidate], points: Sequence[str]) -> tupl
         if curves:
             picture, hidden = panel_figure(_wrapped(panels), style, mark_peaks=True)
             words = f"{caption(curves[0])} Above each panel: its peaks, as in the tables."
-            figures.append(Figure(_title(curves[0]), picture, _with(words, hidden)))
+            figures.append(Figure(units.prose(curves[0].title), picture, _with(words, hidden)))
     return tuple(figures)
 
 
@@ -54,7 +54,7 @@ def _loop_panel(candidate: Candidate, points: Sequence[str], name: str, check: s
         if checks is not None and not checks.stable:
             notes.append((point, "unstable"))
         elif curve is not None:
-            curves.append((point, _first_line(curve)))
+            curves.append((point, _line(curve, curve.labels[0])))
             match = find(checks, check)
             notes += [(point, units.quantity(match.value, match.unit))] if match is not None else []
     return Panel(candidate.name, tuple(curves), _one_unit(notes))
@@ -87,22 +87,18 @@ def _family_figure(machine: Machine, boxes: Sequence[tuple[Candidate, Checks]], 
         style = theme.candidate_styles([candidate.name for candidate, _ in boxes])
         panel = Panel("", tuple((candidate.name, curve) for candidate, _, curve in families))
         picture, hidden = panel_figure([[panel]], style, mark_peaks=True)
-        return Figure(_title(first), picture, _with("The controllers overlaid.", hidden))
+        return Figure(units.prose(first.title), picture, _with("The controllers overlaid.", hidden))
     longest = max((curve.labels for _, _, curve in families), key=len)
     shown = _family_labels(machine, longest)
     panels = []
     for candidate, checks, curve in families:
         lines = tuple((shown.get(label, label), _line(curve, label)) for label in curve.labels)
         panels.append(Panel(candidate.name, lines, (("", _family_note(checks, name, longest, curve.labels)),)))
-    style = theme.family_styles([shown[label] for label in longest])
-    style |= {
-        label: look
-        for label, look in theme.family_styles([n for p in panels for n, _ in p.curves]).items()
-        if label not in style
-    }
+    others = theme.family_styles([name for panel in panels for name, _ in panel.curves])
+    style = {**others, **theme.family_styles([shown[label] for label in longest])}
     picture, hidden = panel_figure(_wrapped(panels), style, mark_peaks=True)
     words = f"{caption(first)} Lines that are missing belong to unstable loops. Model: {families[0][1].label}."
-    return Figure(_title(first), picture, _with(words, hidden))
+    return Figure(units.prose(first.title), picture, _with(words, hidden))
 
 
 def _family_note(checks: Checks, name: str, every: Sequence[str], stable: Sequence[str]) -> str:
@@ -199,7 +195,7 @@ def _time_figure(
     if span is not None and span[1] - span[0] < 0.99 * whole:
         shown = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"
         words += f" Shown from {shown} of the {units.quantity(whole, 's')} computed; a double-click shows all."
-    return Figure(_title(first), picture, _with(words, hidden))
+    return Figure(units.prose(first.title), picture, _with(words, hidden))
 
 
 def _ending(trace: Trace) -> str:
@@ -231,18 +227,10 @@ def _curve(checks: Checks | None, name: str) -> Curve | None:
     return next((curve for curve in checks.curves if curve.name == name), None) if checks is not None else None
 
 
-def _first_line(curve: Curve) -> Curve:
-    """The curve's first line alone: the largest singular value, the worst case."""
-    return replace(curve, y=curve.y[:1], labels=curve.labels[:1])
-
-
 def _line(curve: Curve, label: str) -> Curve:
+    """One line of the curve alone."""
     i = curve.labels.index(label)
     return replace(curve, y=curve.y[i : i + 1], labels=(label,))
-
-
-def _title(curve: Curve) -> str:
-    return units.prose(curve.title)
 
 
 def _with(words: str, hidden: str) -> str:

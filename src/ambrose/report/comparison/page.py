@@ -19,7 +19,14 @@ from ambrose.report.comparison import figures
 from ambrose.report.comparison import tables as comparison_tables
 from ambrose.report.page import Cell, Report, Row, Section, Table, numbers
 from ambrose.report.record.curves import trace_curves
-from ambrose.report.verification import Labelled, curve_figures, machine_section, verification_report
+from ambrose.report.verification import (
+    OVER_SPEED,
+    Labelled,
+    curve_figures,
+    machine_section,
+    models_section,
+    verification_report,
+)
 
 __all__ = ["Candidate", "comparison_report"]
 
@@ -75,7 +82,7 @@ def comparison_report(
         sections.append(Section("Time responses", words, responses))
     sections += [*_over_speed(over_speed), *extra]
     sections.append(machine_section(machine, models))
-    sections += _models(comparison)
+    sections += models_section(comparison)
     sections.append(_details(candidates, points))
     verdicts = comparison_tables.verdicts_of(candidates, points)
     outcome = comparison_tables.result(candidates)
@@ -135,21 +142,13 @@ def _history(candidate: Candidate) -> Table:
 def _over_speed(over_speed: Labelled) -> list[Section]:
     if not over_speed:
         return []
-    words = "The closed loop assembled anew at every speed; where a mode meets the line of the speed, unbalance drives it."
     labels = list(dict.fromkeys(label for label, _ in over_speed))
     pictures = [
         replace(figure, title=figure.title + (f", {label}" if len(labels) > 1 else ""))
         for label in labels
         for figure in curve_figures([pair for pair in over_speed if pair[0] == label], (label,))
     ]
-    return [Section("Over speed", words, tuple(pictures))]
-
-
-def _models(comparison: Labelled) -> list[Section]:
-    if not comparison:
-        return []
-    words = "The reference is drawn broad and pale, the others on top: where a thin line leaves the broad one, they differ."
-    return [Section("Model against model", words, curve_figures(comparison, (), overlay=True))]
+    return [Section("Over speed", OVER_SPEED, tuple(pictures))]
 
 
 def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:

@@ -40,12 +40,10 @@ _IMPLIED = {"stability.abscissa", "robust.stability.box", "robust.performance"} 
 def result(candidates: Sequence[Candidate]) -> Verdict:
     """How it all turned out: "1 of 3 controllers passes every check: mu"."""
     good = [candidate.name for candidate in candidates if candidate.passed]
-    count = (
-        f"{len(good)} of {len(candidates)} controllers {'passes' if len(good) == 1 else 'pass'} every check"
-        if good
-        else "no controller passes every check"
-    )
-    return Verdict("", bool(good), count + (f": {', '.join(good)}" if good else ""))
+    if not good:
+        return Verdict("", False, "no controller passes every check")
+    passes = "passes" if len(good) == 1 else "pass"
+    return Verdict("", True, f"{len(good)} of {len(candidates)} controllers {passes} every check: {', '.join(good)}")
 
 
 def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Verdict, ...]:
@@ -103,7 +101,8 @@ def _verdict_cell(checks: Checks | None) -> Cell:
 def _box_cell(checks: Checks | None) -> Cell:
     if checks is None:
         return Cell("not evaluated", "muted")
-    margin, worst, proved = (find(checks, name) for name in _IN_THE_BOX_WORDS)
+    names = ("robust.stability.margin", "robust.sensitivity.worst", "robust.stability.proved")
+    margin, worst, proved = (find(checks, name) for name in names)
     if not checks.stable:
         return Cell("unstable", "fail", detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip())
     if margin is not None and margin.passed is False:
@@ -113,9 +112,6 @@ def _box_cell(checks: Checks | None) -> Cell:
         return Cell("; ".join(reason(check) for check in failed[:_MOST_REASONS]), "fail", detail=_proof(proved))
     size = "" if worst is None else f"worst output sensitivity {units.number(worst.value)}"
     return Cell("passes", "pass", detail="; ".join(part for part in (size, _proof(proved)) if part))
-
-
-_IN_THE_BOX_WORDS = ("robust.stability.margin", "robust.sensitivity.worst", "robust.stability.proved")
 
 
 def _proof(check: Check | None) -> str:
@@ -160,8 +156,7 @@ def _point_table(candidates: Sequence[Candidate], points: Sequence[str], names: 
     rows: list[Row] = [("Stability", "", *(_stability_cell(checks) for group in grouped for checks in group))]
     for name, better in names:
         groups = [[_entry(checks, name) for checks in group] for group in grouped]
-        cells = _row([entry for group in groups for entry in group], better, group=len(candidates))
-        rows.append(cells)
+        rows.append(_row([entry for group in groups for entry in group], better, group=len(candidates)))
     title = "At every operating point" if len(points) > 1 else f"At {points[0]}"
     rest = 72 // max(len(points) * len(candidates), 6)
     widths = (100 - 6 - rest * len(points) * len(candidates), 6, *[rest] * (len(points) * len(candidates)))
@@ -218,16 +213,13 @@ def _row(entries: Sequence[_Entry], better: Better, *, group: int = 0) -> Row:
         best = _best([entry.check for entry in part], shown, better)
         for entry, text in zip(part, shown, strict=True):
             own = "" if entry.check is None or len(limits) == 1 else f"limit {_limit(entry.check, factor) or 'none'}"
-            cells.append(_cell(entry, text, ", ".join(part for part in (entry.words, own) if part), best=text in best))
+            if entry.check is None:
+                cells.append(Cell(entry.words, "muted"))
+                continue
+            mark = {None: "", True: "pass", False: "fail"}[entry.check.passed]
+            cells.append(Cell(text, mark, text in best, ", ".join(part for part in (entry.words, own) if part)))
     title = units.prose(first.title) + (f" [{unit}]" if unit else "")
     return (title, limits.pop() if len(limits) == 1 else "", *cells)
-
-
-def _cell(entry: _Entry, text: str, detail: str, *, best: bool) -> Cell:
-    if entry.check is None:
-        return Cell(entry.words, "muted")
-    mark = {None: "", True: "pass", False: "fail"}[entry.check.passed]
-    return Cell(text, mark, best, detail)
 
 
 def _limit(check: Check, factor: float) -> str:

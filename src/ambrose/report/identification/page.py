@@ -180,7 +180,7 @@ def _facts(checked: LoopIdentification) -> tuple[tuple[str, str], ...]:
     ]  # fmt: skip
     rate = units.number(checked.outputs[0].record.sample_rate_hz, 6)
     delay, modes = checked.computing_delay, checked.bending_modes
-    known = [
+    return (
         ("Records", f"{', '.join(checked.provenance.records) or len(spans)} ({', '.join(spans)} at {rate} Hz)"),
         ("Controller", checked.provenance.controller),
         ("Operating point", result.point.label),
@@ -190,5 +190,4 @@ def _facts(checked: LoopIdentification) -> tuple[tuple[str, str], ...]:
             "Model",
             f"{modes} bending mode{'s' * (modes != 1)} per plane, computing delay {delay:g} sample{'s' * (delay != 1)}",
         ),
-    ]
-    return tuple((name, text) for name, text in known if text)
+    )
