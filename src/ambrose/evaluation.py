@@ -28,7 +28,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import with_offsets_of
 from ambrose.simulation import linear, virtual_rig
-from ambrose.simulation.run_up import Step, spin_up
+from ambrose.simulation.run_up import Step, spin_up, steps
 from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.result import Synthesis
@@ -39,6 +39,7 @@ from ambrose.verification.verification import Verification
 
 Progress = Callable[[str], None]
 SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance patterns of P5
+RUN_UP = "spin-up-steps"  # P3: 20 to 300 Hz in 1 s, a step of force or set point every 50 ms
 _CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10
 
 
@@ -379,3 +380,24 @@ def evaluate(
         progress(f"virtual rig at {label}")
         traces.append((label, _on_the_rig(real, running.program, SCENARIOS[-1])))
     return Candidate(name, synthesis, checks, box, tuple(traces), left_out)
+
+
+def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress) -> tuple[RunUp, ...]:
+    """The scheduled candidates and the robust ones beside them while the machine runs up, on the linear loop and on the virtual
+    rig; none where no schedule covers the scenario's speeds."""
+    scenario = load_scenario(RUN_UP)
+    low, high = scenario.speed_at(0.0), scenario.speed_at(scenario.duration)
+    schedules = [c.synthesis.scheduled for c in candidates if c.synthesis.scheduled is not None]
+    if not any(s.range[0] <= low * (1 + 1e-9) and high <= s.range[1] * (1 + 1e-9) for s in schedules):
+        return ()
+    runs = []
+    for candidate in candidates:
+        if candidate.synthesis.method not in {"lpv", "mu"}:  # the scheduled one, and the fixed one that is robust
+            continue
+        law = candidate.synthesis.law
+        progress(f"{candidate.name}: running up, {RUN_UP}")
+        linear = spin_up(plant, law, scenario)
+        rig = virtual_rig.run(plant.machine, law, scenario, point=plant.point)
+        y = plant.named("y")
+        runs.append(RunUp(candidate.name, linear, rig, steps(linear, scenario, y), steps(rig, scenario, y)))
+    return tuple(runs)

@@ -7,14 +7,13 @@ commissions: it identifies the machine from a record of the virtual rig and runs
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.presentation import Presented, data_frame, to_plain
-from ambrose.evaluation import Candidate, RunUp, campbell_map, evaluate, full_plants, plant_gain, points_of
+from ambrose.evaluation import Candidate, Progress, RunUp, campbell_map, evaluate, full_plants, plant_gain, points_of, run_ups
 from ambrose.machine.atomic_write import write_json
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
@@ -22,11 +21,9 @@ from ambrose.plant.reduce import reduce
 from ambrose.stages.commissioning import NAME, Commissioning, commission
 from ambrose.stages.control import resume_or_design
 from ambrose.stages.plants import schedulable
-from ambrose.stages.run_up import run_ups
 from ambrose.synthesis.design import methods_for
 from ambrose.verification.checks import Curve, check_columns
 
-Progress = Callable[[str], None]
 TITLES = {"pid": "PID", "hinf": "H-infinity", "mu": "mu", "polish": "mu, polished", "lpv": "LPV"}
 
 

@@ -148,7 +148,7 @@ def test_titles_are_escaped(source: str, page: Page) -> None:
 
 def test_a_script_in_a_label_cannot_close_the_data_element(machine: Machine) -> None:
     curve = Curve("c", "c", "frequency", np.array([1.0, 2.0]), np.ones((1, 2)), ("max",), "rad/s", "-")
-    from ambrose.report.figures import plots
+    from ambrose.report.figures import curves as plots
 
     picture = plots.figure([("</script><script>alert(1)</script>", curve)])
     text = document.render(Report("t", machine, (Section("s", "", (Figure("</script>", picture),)),)))

@@ -33,8 +33,8 @@ from ambrose.report import theme, units
 from ambrose.report.comparison import tables as comparison_tables
 from ambrose.report.comparison.figures import loop_figures
 from ambrose.report.figures.bode import Line, bode_figure, entries, grid_of, unit_of
+from ambrose.report.figures.curves import figure
 from ambrose.report.figures.limits import BEYOND
-from ambrose.report.figures.plots import figure
 from ambrose.report.figures.pole_map import pole_zero_map
 from ambrose.report.figures.residual_response import residual_figure
 from ambrose.report.figures.rotor_drawing import machine_drawing

@@ -92,13 +92,11 @@ def dress(figure: Any, height: int, *, legend: bool) -> Any:
         hovermode="closest",
         hoverlabel={"bgcolor": "white", "bordercolor": MUTED, "font": {"family": FONT, "size": 12, "color": INK}},
         legend={
-            "orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom", "yref": "container",
+            "orientation": "h", "x": 0, "xanchor": "left", "y": 0.995, "yanchor": "top", "yref": "container",
             "font": {"size": 13}, "itemwidth": 34, "traceorder": "normal",
         },
         dragmode="zoom",
     )  # fmt: skip
-    if legend:
-        figure.update_layout(legend={"y": 0.995, "yanchor": "top"})
     axis = {
         "showline": True, "linecolor": INK, "linewidth": 1, "ticks": "outside", "ticklen": 4, "tickcolor": INK,
         "gridcolor": FAINT, "gridwidth": 1, "zeroline": False, "automargin": True,
@@ -115,6 +113,24 @@ def heading(figure: Any, place: Mapping[str, int], text: str, size: int = 13, **
     figure.add_annotation(
         xref="x domain", yref="y domain", x=0, y=1, xanchor="left", yanchor="bottom", showarrow=False, text=text,
         font={"size": size, "color": INK}, **annotation, **place,
+    )  # fmt: skip
+
+
+def subplots(rows: int, cols: int, **options: Any) -> Any:
+    """A figure with a grid of plots, as plotly's make_subplots."""
+    from plotly.subplots import make_subplots
+
+    return make_subplots(rows=rows, cols=cols, **options)
+
+
+def note(
+    figure: Any, place: Mapping[str, int], text: str, x: Any, y: Any, xanchor: str, yanchor: str, *, colour: str = MUTED,
+    **annotation: Any,
+) -> None:  # fmt: skip
+    """Small words (plotly's HTML) at a point, without an arrow."""
+    figure.add_annotation(
+        text=text, x=x, y=y, xanchor=xanchor, yanchor=yanchor, showarrow=False, font={"size": 12, "color": colour},
+        **place, **annotation,
     )  # fmt: skip
 
 

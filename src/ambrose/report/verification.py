@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.captions import caption
-from ambrose.report.figures.plots import figure
+from ambrose.report.figures.curves import figure
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Figure, Report, Section, Table
 from ambrose.verification.checks import Checks, Curve

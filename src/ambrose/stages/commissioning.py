@@ -6,7 +6,6 @@ C code -> the law read back out of the running code, verified -> the code on the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from ambrose.deployment.c.compiler import has_compiler
 from ambrose.deployment.discretisation.deployment import Deployment, deploy, unmet_limits
 from ambrose.deployment.pipeline import SAMPLE_TIME, machine_limits
 from ambrose.deployment.provenance import provenance_lines
-from ambrose.evaluation import Candidate, Deployed, evaluate, full_plants
+from ambrose.evaluation import Candidate, Deployed, Progress, evaluate, full_plants
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.machine.atomic_write import write_text
@@ -43,7 +42,6 @@ METHOD = "polish"
 EXCITATION = "prbs"
 _RECORDED = 2.0  # s
 _COMPUTING = 1  # sample
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from ambrose.core.checks import AmbroseError
+from ambrose.evaluation import Progress
 from ambrose.plant.model import Plant
 from ambrose.synthesis.certificate import contradiction
 from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design, provenance
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.result import Synthesis
-
-Progress = Callable[[str], None]
 
 
 def resume_or_design(

@@ -12,7 +12,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Disc
 from ambrose.machine.machine import Machine
 from ambrose.report import theme
-from ambrose.report.figures import plots
+from ambrose.report.figures import curves as plots
 from ambrose.report.figures.poles import pole_figure
 from ambrose.report.figures.rotor_drawing import equivalent_cylinder, rotor_drawing
 from ambrose.verification.checks import Checks, Curve

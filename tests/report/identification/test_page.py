@@ -23,11 +23,11 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.report.identification.figures import (
     change_figure,
     correlation_figure,
+    frf_figure,
     residual_tests_figure,
     short,
     telling_records,
 )
-from ambrose.report.identification.frequency_response import frf_figure
 from ambrose.report.identification.page import identification_report
 from ambrose.report.identification.tables import fixed, parameters_table
 from ambrose.report.page import render

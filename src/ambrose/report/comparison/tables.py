@@ -210,14 +210,14 @@ def _row(entries: Sequence[_Entry], better: Better, *, group: int = 0) -> Row:
     for start in range(0, len(entries), size):
         part = entries[start : start + size]
         shown = [_amount(entry.check, factor) if entry.check is not None else "" for entry in part]
-        best = _best([entry.check for entry in part], shown, better)
+        best = _best([(e.check.value, text) for e, text in zip(part, shown, strict=True) if e.check is not None], better)
         for entry, text in zip(part, shown, strict=True):
             own = "" if entry.check is None or len(limits) == 1 else f"limit {_limit(entry.check, factor) or 'none'}"
             if entry.check is None:
                 cells.append(Cell(entry.words, "muted"))
                 continue
             mark = {None: "", True: "pass", False: "fail"}[entry.check.passed]
-            cells.append(Cell(text, mark, text in best, ", ".join(part for part in (entry.words, own) if part)))
+            cells.append(Cell(text, mark, text == best, ", ".join(part for part in (entry.words, own) if part)))
     title = units.prose(first.title) + (f" [{unit}]" if unit else "")
     return (title, limits.pop() if len(limits) == 1 else "", *cells)
 
@@ -233,12 +233,9 @@ def _amount(check: Check, factor: float) -> str:
     return units.pair(check.value * factor, check.limit * factor, "")[0]
 
 
-def _best(checks: Sequence[Check | None], shown: Sequence[str], better: Better) -> set[str]:
-    """The texts of the best; none without a rival."""
-    known = [(check.value, text) for check, text in zip(checks, shown, strict=True) if check is not None]
-    if len(known) < 2 or len({text for _, text in known}) == 1:
-        return set()
-    return {better(known)[1]}
+def _best(known: Sequence[tuple[float, str]], better: Better) -> str | None:
+    """The text of the best of some values; none without a rival that reads otherwise."""
+    return str(better(known)[1]) if len({text for _, text in known}) > 1 else None
 
 
 def _names(every: Sequence[Checks], chosen: Mapping[str, Better]) -> list[tuple[str, Better]]:
@@ -321,7 +318,7 @@ def _numbers(values: Sequence[float], details: Sequence[str] = (), *, better: Be
     """Plain numbers as cells, the best of them marked; NaN where there is none."""
     shown = [units.number(value) for value in values]
     known = [(value, text) for value, text in zip(values, shown, strict=True) if not math.isnan(value)]
-    best = better(known)[1] if len({text for _, text in known}) > 1 else None
+    best = _best(known, better)
     details = details or [""] * len(values)
     return [
         Cell(absent, "muted") if math.isnan(value) else Cell(text, "", text == best, detail)

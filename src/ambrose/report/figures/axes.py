@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ambrose.report import units
+from ambrose.report import theme, units
 from ambrose.verification.checks import Curve
 
 _DECADES, _OVERLAY_DECADES = 4.0, 7.0  # of a logarithmic view below its top; models differ where they are small
@@ -60,6 +61,12 @@ def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False, view:
     x_factor, x_text = _x_scale(first.kind, x)
     ranges = _x_range(x * x_factor, log_x), (low * factor, high * factor)
     return Axes(x_factor, x_text, factor, y_unit, log_x, log_y, *ranges, cut)
+
+
+def set_ranges(figure: Any, axes: Axes) -> None:
+    """Show these ranges, logarithmic or not, in every panel."""
+    figure.update_xaxes(**(theme.decades(*axes.x_range) if axes.log_x else {"range": list(axes.x_range)}))
+    figure.update_yaxes(**(theme.decades(*axes.y_range) if axes.log_y else {"range": list(axes.y_range)}))
 
 
 def _finite(curves: Sequence[tuple[str, Curve]]) -> list[np.ndarray]:

@@ -103,11 +103,9 @@ def bode_figure(
     lines: Sequence[Line], unit: str = "", *, sample_time: float | None = None, style: Mapping[str, theme.Style] | None = None
 ) -> Any:
     """Magnitude and, of complex gains, phase over frequency. sample_time [s]: half of its rate is marked. Returns a Figure."""
-    from plotly.subplots import make_subplots
-
     phased = [line for line in lines if np.iscomplexobj(line.gain)]
     looks = dict(theme.styles([line.name for line in phased])) if style is None else dict(style)
-    figure = make_subplots(
+    figure = theme.subplots(
         rows=2 if phased else 1, cols=1, row_heights=[0.62, 0.38] if phased else None, shared_xaxes=True, vertical_spacing=0.06
     )
     sizes = [np.abs(line.gain) for line in lines]

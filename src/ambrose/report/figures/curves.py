@@ -1,4 +1,7 @@
-"""Curves against frequency, speed and time: operating points overlaid, one small panel per axis where there are several."""
+"""Curves as plotly figures: operating points or models overlaid, one small panel per axis where there are several.
+
+Figures convert from SI to the units of the page; they are never downsampled, and a view that hides part of the data says so.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,17 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.report import theme, units
-from ambrose.report.figures.axes import Axes, axes_of, drawn, is_map
+from ambrose.report.figures.axes import Axes, axes_of, drawn, is_map, set_ranges
 from ambrose.report.figures.limits import amount, beyond, draw_limits, limit_levels
+from ambrose.report.figures.poles import pole_figure
 from ambrose.verification.checks import Curve
 
 Labelled = Sequence[tuple[str, Curve]]
 
 _ENVELOPE = re.compile(r"max|worst|sigma|σ|envelope|largest|all axes", re.IGNORECASE)
+_KINDS = ("frequency", "speed", "time", "poles")
 _MOST_PANELS = 8
 _AGREEMENT = 0.05  # the legend says up to where an overlaid model stays this close to the reference
 _MAIN_HEIGHT, _ONLY_HEIGHT, _SMALL_HEIGHT, _GAP = 280, 320, 140, 68  # [px]
@@ -33,14 +39,46 @@ class Panel:
     main: bool
 
 
-def line_figure(curves: Labelled, style: Mapping[str, theme.Style], *, overlay: bool = False) -> Any:
-    """A figure of curves of kind "frequency", "speed" or "time"; all of one kind and unit (see plots.figure)."""
-    from plotly.subplots import make_subplots
+def figure(curves: Sequence[tuple[str, Curve]], *, order: Sequence[str] = (), overlay: bool = False) -> Any:
+    """One figure of the same curve at several operating points (or of several models).
 
+    curves: (label, Curve) pairs, all of one kind and one unit. order: the labels in the order that fixes their colours, the
+    same for every figure of a report (default: as they come). overlay: compare models, the first label is the reference drawn
+    broad and pale. Several lines per curve become small panels; a line named "max..." or "worst..." gets the large one. Returns
+    a plotly Figure. Raises InvalidInput.
+    """
+    _check_curves(curves)
+    labels = [*order, *(label for label, _ in curves)]
+    style = theme.overlay_styles(labels) if overlay else theme.styles(labels)
+    return pole_figure(curves, style) if curves[0][1].kind == "poles" else line_figure(curves, style, overlay=overlay)
+
+
+def _check_curves(curves: Sequence[tuple[str, Curve]]) -> None:
+    if not curves:
+        raise InvalidInput("a figure was asked for without curves; give at least one (label, Curve)")
+    first = curves[0][1]
+    if first.kind not in _KINDS:
+        raise invalid(f"the kind of curve {first.name}", repr(first.kind), f"one of {', '.join(_KINDS)}", "set Curve.kind")
+    for label, curve in curves:
+        here = f"curve {curve.name} at {label}"
+        if (curve.kind, curve.x_unit, curve.y_unit) != (first.kind, first.x_unit, first.y_unit):
+            given = f"{curve.kind} in {curve.y_unit or '-'} over {curve.x_unit}"
+            wanted = f"{first.kind} in {first.y_unit or '-'} over {first.x_unit} like the first one"
+            raise invalid(here, given, wanted, "put different quantities into different figures")
+        shape = (len(curve.labels), len(curve.x))
+        if np.shape(curve.y) != shape or np.iscomplexobj(curve.y):
+            given = f"of shape {np.shape(curve.y)}{' and complex' if np.iscomplexobj(curve.y) else ''}"
+            raise invalid(
+                f"y of {here}", given, f"real, of shape {shape} (lines, points)", "give magnitudes, one row per label"
+            )
+
+
+def line_figure(curves: Labelled, style: Mapping[str, theme.Style], *, overlay: bool = False) -> Any:
+    """A figure of curves of kind "frequency", "speed" or "time"; all of one kind and unit (see figure)."""
     panels, specs, heights = _arrange(curves)
     axes = axes_of(curves, overlay=overlay)
     total = sum(heights) + _GAP * (len(heights) - 1)
-    figure = make_subplots(
+    figure = theme.subplots(
         rows=len(heights), cols=len(specs[0]), specs=specs, row_heights=[h / sum(heights) for h in heights],
         horizontal_spacing=0.042 if len(specs[0]) > 2 else 0.06, vertical_spacing=_GAP / total,
     )  # fmt: skip
@@ -170,18 +208,12 @@ def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> N
     high = min(axes.x_range[1] / 60, axes.y_range[1])
     low = min(axes.x_range[0] / 60, high)
     theme.guide(figure, place, [low * 60, high * 60], [low, high], color=theme.MUTED, width=1, dash="2px,3px")
-    figure.add_annotation(
-        x=high * 33, y=high * 0.55, text="1× speed", showarrow=False, xanchor="left", yanchor="top", xshift=5,
-        font={"size": 12, "color": theme.MUTED}, **place,
-    )  # fmt: skip
+    theme.note(figure, place, "1× speed", high * 33, high * 0.55, "left", "top", xshift=5)
     if 1 < len(panel.names) <= 16:
-        for level, name in _spread(
-            [(float(row[-1]) * axes.y_factor, n) for n, row in zip(first.labels, first.y, strict=True)], axes
-        ):
-            figure.add_annotation(
-                xref="x domain", x=1.0, y=level, text=theme.plain(units.axis_name(name)), showarrow=False, xanchor="left",
-                xshift=5, font={"size": 12, "color": theme.INK}, **place,
-            )  # fmt: skip
+        ends = [(float(row[-1]) * axes.y_factor, n) for n, row in zip(first.labels, first.y, strict=True)]
+        for level, name in _spread(ends, axes):
+            text, look = theme.plain(units.axis_name(name)), {"xref": "x domain", "xshift": 5, "colour": theme.INK}
+            theme.note(figure, place, text, 1.0, level, "left", "auto", **look)
 
 
 def _spread(ends: Sequence[tuple[float, str]], axes: Axes) -> list[tuple[float, str]]:
@@ -194,14 +226,7 @@ def _spread(ends: Sequence[tuple[float, str]], axes: Axes) -> list[tuple[float, 
 
 
 def _scale_axes(figure: Any, panels: Sequence[Panel], axes: Axes, rows: int) -> None:
-    x: dict[str, Any] = {"range": list(axes.x_range)}
-    y: dict[str, Any] = {"range": list(axes.y_range)}
-    if axes.log_x:
-        x = theme.decades(*axes.x_range)
-    if axes.log_y:
-        y = theme.decades(*axes.y_range)
-    figure.update_xaxes(**x)
-    figure.update_yaxes(**y)
+    set_ranges(figure, axes)
     for panel in panels:
         place = {"row": panel.row, "col": panel.column}
         bottom = panel.main or (not panels[0].main and panel.row == rows)
@@ -222,10 +247,7 @@ def _beyond(figure: Any, curves: Labelled, axes: Axes) -> None:
     """One line, upper right, that names what lies outside the view."""
     words = beyond(curves, axes)
     if words:
-        figure.add_annotation(
-            xref="paper", yref="paper", x=1, y=1, xanchor="right", yanchor="bottom", showarrow=False,
-            text=theme.plain(words), font={"size": 12, "color": theme.MUTED},
-        )  # fmt: skip
+        theme.note(figure, {}, theme.plain(words), 1, 1, "right", "bottom", xref="paper", yref="paper")
 
 
 def _panel_title(figure: Any, panel: Panel, axes: Axes, *, many: bool) -> None:

@@ -54,11 +54,9 @@ def draw_limits(
             if abs(pixel - at) < 15 and start < right and right - width < end:
                 right = start
         taken.append((at, right - width, right))
-        figure.add_annotation(
-            xref="x domain", x=right, y=y, text=theme.plain(words), showarrow=False, xanchor="right", yanchor="bottom",
-            yshift=-1, bgcolor="rgba(255, 255, 255, 0.85)", borderpad=0,  # a line just above does not strike it through
-            font={"size": 12, "color": theme.LIMIT}, **place,
-        )  # fmt: skip
+        clear = {"bgcolor": "rgba(255, 255, 255, 0.85)", "borderpad": 0}  # a line just above does not strike it through
+        look = {"xref": "x domain", "yshift": -1, "colour": theme.LIMIT, **clear}
+        theme.note(figure, place, theme.plain(words), right, y, "right", "bottom", **look)
 
 
 def beyond(curves: Sequence[tuple[str, Curve]], axes: Axes) -> str:

@@ -25,8 +25,6 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
 
     places: from stations.stations. speed (k,) [rad/s]. Returns a plotly Figure.
     """
-    from plotly.subplots import make_subplots
-
     shown = tuple(places)[:_MOST]
     columns = len(shown) if len(shown) in {3, 5} else min(_PER_ROW, max(len(shown), 3))
     rows = math.ceil(len(shown) / columns)
@@ -36,7 +34,9 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
         reach = max(reach, 1.08 * min(gaps))
     factor, unit = units.scale("m", reach)
     total = rows * _SIDE + (rows - 1) * _GAP
-    figure = make_subplots(rows=rows, cols=columns, horizontal_spacing=0.05, vertical_spacing=_GAP / total if rows > 1 else 0.0)
+    figure = theme.subplots(
+        rows=rows, cols=columns, horizontal_spacing=0.05, vertical_spacing=_GAP / total if rows > 1 else 0.0
+    )
     centre = largest(shown)[1]
     peak, last = window(record, shown, speed, centre), window(record, shown, speed, len(speed) - 1)
     spans = [(_span(record, "largest", peak), _PEAK, peak)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.report import theme, units
-from ambrose.report.figures.axes import Axes, axes_of, drawn
+from ambrose.report.figures.axes import Axes, axes_of, drawn, set_ranges
 from ambrose.report.figures.curves import mark_peak
 from ambrose.report.figures.limits import beyond, draw_limits, limit_levels
 from ambrose.verification.checks import Curve
@@ -49,8 +49,6 @@ def panel_figure(
     curves that choose the range of y where not all are to (default: all). span: the visible range of x (SI unit; default:
     all). mark_peaks: a circle at every line's maximum.
     """
-    from plotly.subplots import make_subplots
-
     everything = tuple(pair for row in rows for panel in row for pair in panel.curves)
     axes = axes_of(everything, view=view)
     if span is not None:
@@ -58,7 +56,7 @@ def panel_figure(
     columns = max(len(row) for row in rows)
     gap = _TITLE_GAP if any(panel.title or panel.notes for row in rows[1:] for panel in row) else _LEAST_GAP
     total = height * len(rows) + gap * (len(rows) - 1)
-    figure = make_subplots(
+    figure = theme.subplots(
         rows=len(rows), cols=columns, horizontal_spacing=0.028, vertical_spacing=gap / total,
         specs=[[{} if j < len(row) else None for j in range(columns)] for row in rows],
     )  # fmt: skip
@@ -124,8 +122,7 @@ def _words(figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str,
 
 
 def _scale(figure: Any, rows: Sequence[Sequence[Panel]], axes: Axes) -> None:
-    figure.update_xaxes(**(theme.decades(*axes.x_range) if axes.log_x else {"range": list(axes.x_range)}))
-    figure.update_yaxes(**(theme.decades(*axes.y_range) if axes.log_y else {"range": list(axes.y_range)}))
+    set_ranges(figure, axes)
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):
             place = {"row": i + 1, "col": j + 1}

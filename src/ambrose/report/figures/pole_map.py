@@ -23,8 +23,6 @@ def pole_zero_map(systems: Mapping[str, Any], reach: float | None = None) -> Any
     modulus shown, the same in all panels (None: up to the widest gap between the moduli beyond all unstable ones). Raises
     InvalidInput for sampled systems, and for more than four.
     """
-    from plotly.subplots import make_subplots
-
     if not 1 <= len(systems) <= _MOST:
         raise invalid("the number of systems", len(systems), f"1 to {_MOST}", "draw several maps")
     given = {title: as_statespace(system) for title, system in systems.items()}
@@ -34,7 +32,7 @@ def pole_zero_map(systems: Mapping[str, Any], reach: float | None = None) -> Any
     points = {title: (poles(system), invariant_zeros(system)) for title, system in given.items()}
     radius = _reach(points) if reach is None else check_positive(reach, "reach", "in rad/s")
     titles = [theme.plain(title) for title in points]
-    figure = make_subplots(rows=1, cols=len(points), horizontal_spacing=0.3 / (2 + len(points)))
+    figure = theme.subplots(rows=1, cols=len(points), horizontal_spacing=0.3 / (2 + len(points)))
     for column, (title, (crosses, circles)) in enumerate(points.items(), 1):
         _panel(figure, column, theme.plain(title), crosses, circles, radius)
     for kind in ("poles", "zeros"):  # one entry in the legend, of a panel that has some
@@ -72,10 +70,7 @@ def _panel(figure: Any, column: int, title: str, crosses: np.ndarray, circles: n
     figure.add_vline(x=0, line={"color": theme.LIMIT, "width": 1}, **place)
     figure.add_vrect(x0=0, x1=edge, fillcolor=theme.LIMIT, opacity=0.07, line_width=0, layer="below", **place)
     if not circles.size:
-        figure.add_annotation(
-            text="no finite zero", xref="x domain", yref="y domain", x=0.98, y=0.02, xanchor="right", yanchor="bottom",
-            showarrow=False, font={"size": 12, "color": theme.MUTED}, **place,
-        )  # fmt: skip
+        theme.note(figure, place, "no finite zero", 0.98, 0.02, "right", "bottom", xref="x domain", yref="y domain")
 
 
 def _reach(points: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> float:

@@ -18,9 +18,7 @@ _TICKS = (-1.0, -0.1, -0.01, -0.001, 0.0, 0.001, 0.01, 0.1, 1.0)
 
 def pole_figure(curves: Sequence[tuple[str, Curve]], style: Mapping[str, theme.Style]) -> Any:
     """A figure of curves of kind "poles" (x real, y imaginary part [rad/s]); conjugates are drawn once, above the axis."""
-    from plotly.subplots import make_subplots
-
-    figure = make_subplots(rows=1, cols=2, column_widths=[0.42, 0.58], horizontal_spacing=0.1)
+    figure = theme.subplots(rows=1, cols=2, column_widths=[0.42, 0.58], horizontal_spacing=0.1)
     everything = [(label, _upper_half(curve)) for label, curve in curves]
     reach = max((_slow_radius(poles) for _, poles in everything), default=1.0)
     for label, poles in everything:
@@ -99,15 +97,11 @@ def _axes(figure: Any, everything: Sequence[tuple[str, np.ndarray]], reach: floa
     figure.add_hline(y=0, line=boundary, row=1, col=2)
     figure.add_vrect(x0=0, x1=10 * reach, fillcolor=theme.LIMIT, opacity=0.07, line_width=0, layer="below", row=1, col=1)
     figure.add_hrect(y0=-20, y1=0, fillcolor=theme.LIMIT, opacity=0.07, line_width=0, layer="below", row=1, col=2)
-    small = {"showarrow": False, "font": {"size": 12, "color": theme.MUTED}, "yref": "y domain", "yanchor": "bottom", "y": 1.0}
-    figure.add_annotation(
-        text=f"slow poles ({inside} of {poles.size} in view)", xref="x domain", x=0, xanchor="left", row=1, col=1, **small
-    )
+    left, right_half = {"row": 1, "col": 1}, {"row": 1, "col": 2}
+    ends = {"xref": "x domain", "yref": "y domain"}
+    theme.note(figure, left, f"slow poles ({inside} of {poles.size} in view)", 0, 1.0, "left", "bottom", **ends)
     origin = int(poles.size - frequency.size)
     words = "all poles" if origin == 0 else f"all poles but {origin} at the origin"
-    figure.add_annotation(text=words, xref="x domain", x=0, xanchor="left", row=1, col=2, **small)
+    theme.note(figure, right_half, words, 0, 1.0, "left", "bottom", **ends)
     if unstable:
-        figure.add_annotation(
-            text="unstable", xref="x domain", x=1, xanchor="right", yref="y2", y=0, yanchor="top", showarrow=False,
-            font={"size": 12, "color": theme.LIMIT}, row=1, col=2,
-        )  # fmt: skip
+        theme.note(figure, right_half, "unstable", 1, 0, "right", "top", xref="x domain", yref="y2", colour=theme.LIMIT)

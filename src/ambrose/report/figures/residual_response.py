@@ -22,14 +22,12 @@ def residual_figure(result: ResidualIdentification, segment: float = 0.2) -> Any
     segment [s]: of the spectra. Where the band reaches the bottom, the axis shows no difference from the machine as modelled.
     Raises InvalidInput where the excitations of the axes cannot be told apart.
     """
-    from plotly.subplots import make_subplots
-
     factors = result.factors
     measured = frf.h1(result.signals, factors.alpha, factors.eps, segment=segment)
     model = 1e6 * frequency_response(result.residual, measured.omega).values
     f = measured.omega / units.TWO_PI
     axes = [name.removeprefix("alpha_u_") for name in factors.alpha]
-    figure = make_subplots(
+    figure = theme.subplots(
         rows=1, cols=len(axes), shared_yaxes=True, horizontal_spacing=0.02,
         subplot_titles=[f"<b>{theme.plain(units.axis_name(axis))}</b>" for axis in axes],
     )  # fmt: skip

@@ -56,11 +56,8 @@ def rotor_animation(record: Record, places: Sequence[Station], machine: Machine,
     )
     figure.update_yaxes(visible=False, range=[-1.7 * reach, 1.55 * reach], scaleanchor="x")
     _controls(figure, record, moments, names)
-    figure.add_annotation(
-        xref="paper", yref="paper", x=0, y=1, xanchor="left", yanchor="bottom", showarrow=False,
-        text=f"displacements magnified {units.number(magnified, 2)} times against the shaft",
-        font={"size": 12, "color": theme.MUTED},
-    )  # fmt: skip
+    words = f"displacements magnified {units.number(magnified, 2)} times against the shaft"
+    theme.note(figure, {}, words, 0, 1, "left", "bottom", xref="paper", yref="paper")
     return figure
 
 
@@ -85,10 +82,8 @@ def _still(figure: Any, ordered: Sequence[Station], paths: Sequence[np.ndarray],
             x, y = station.gap * magnified * np.cos(turn), station.gap * magnified * np.sin(turn)
             circle = drawn([station.position + _OBLIQUE[0] * x, _OBLIQUE[1] * x + y])
             theme.guide(figure, {}, *circle, color=theme.LIMIT, width=1.2, dash="1.5px,2px")
-        figure.add_annotation(
-            x=station.position, y=-1.42 * 1.25 * _SIZE * machine.length, text=theme.plain(units.axis_name(station.name)),
-            showarrow=False, yanchor="top", font={"size": 12, "color": theme.INK},
-        )  # fmt: skip
+        name, below = theme.plain(units.axis_name(station.name)), -1.42 * 1.25 * _SIZE * machine.length
+        theme.note(figure, {}, name, station.position, below, "auto", "top", colour=theme.INK)
 
 
 def _controls(figure: Any, record: Record, moments: np.ndarray, names: list[str]) -> None:

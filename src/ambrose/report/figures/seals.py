@@ -41,12 +41,10 @@ def response_figure(
     measured: title -> Frf of one input and one output; models: title -> label -> response. valid_to: title -> frequency
     [rad/s] marked by a dashed line. points: draw the measured lines as points (stepped sines). Raises InvalidInput.
     """
-    from plotly.subplots import make_subplots
-
     if not measured:
         raise InvalidInput("no measured response was given; a figure needs at least one")
     titles = [f"<b>{theme.plain(title)}</b>" for title in measured]
-    figure = make_subplots(
+    figure = theme.subplots(
         rows=4, cols=len(measured), row_heights=[0.4, 0.22, 0.22, 0.16], shared_xaxes=True, shared_yaxes="rows",
         horizontal_spacing=0.02, vertical_spacing=0.04, subplot_titles=titles,
     )  # fmt: skip
@@ -205,10 +203,10 @@ def pressure_figure(
 
 
 def _four_panels() -> Any:
-    from plotly.subplots import make_subplots
-
     titles = [f"<b>{_NAMES[letter]}</b>" for letter in COEFFICIENTS]
-    return make_subplots(rows=2, cols=2, subplot_titles=titles, shared_xaxes=True, horizontal_spacing=0.1, vertical_spacing=0.1)
+    return theme.subplots(
+        rows=2, cols=2, subplot_titles=titles, shared_xaxes=True, horizontal_spacing=0.1, vertical_spacing=0.1
+    )
 
 
 def _view(fit: SealFit, letter: str, factor: float) -> list[float]:

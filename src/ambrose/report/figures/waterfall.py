@@ -30,7 +30,6 @@ def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarra
     Returns a plotly Figure; None where the record is too short for a spectrum.
     """
     import plotly.graph_objects as go
-    from plotly.subplots import make_subplots
 
     shown = [station for station in places if station.bearing][:2] or list(places)[:2]
     turns = speed / (2 * np.pi)
@@ -52,7 +51,7 @@ def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarra
     time = record.start_time + middle / record.sample_rate_hz
     seconds, second = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
     total = _HEIGHT * len(shown) + _GAP * (len(shown) - 1)
-    figure = make_subplots(rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=_GAP / total)
+    figure = theme.subplots(rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=_GAP / total)
     for i, (station, size) in enumerate(zip(shown, sizes, strict=True)):
         place = {"row": i + 1, "col": 1}
         level = size[kept].reshape(-1, pool, size.shape[1]).max(axis=1) * factor

@@ -21,12 +21,12 @@ from ambrose.report.figures.seals import pressure_figure
 from ambrose.report.identification.figures import (
     change_figure,
     correlation_figure,
+    frf_figure,
     overlay_figure,
     residual_figure,
     residual_tests_figure,
     telling_records,
 )
-from ambrose.report.identification.frequency_response import frf_figure
 from ambrose.report.identification.tables import (
     compared_table,
     findings_table,

@@ -109,15 +109,13 @@ def levels_table(result: StaticLoad) -> Table:
 
 def line_figure(result: StaticLoad) -> Any:
     """Magnet force less the straight line [N] over the control current [A], an axis each, with the cubic through the levels."""
-    from plotly.subplots import make_subplots
-
     lefts = [_beyond(result, i) for i in range(len(result.axes))]
     shares = [100 * float(np.abs(left).max() / np.ptp(result.forces[:, i])) for i, left in enumerate(lefts)]
     titles = [
         f"<b>{units.axis_name(axis)}</b>, {units.number(share, 2)} % of its range"
         for axis, share in zip(result.axes, shares, strict=True)
     ]
-    figure = make_subplots(rows=1, cols=len(titles), subplot_titles=titles, shared_yaxes=True, horizontal_spacing=0.02)
+    figure = theme.subplots(rows=1, cols=len(titles), subplot_titles=titles, shared_yaxes=True, horizontal_spacing=0.02)
     for i, (current, left) in enumerate(zip(result.levels.current.T, lefts, strict=True)):
         place = {"row": 1, "col": i + 1}
         bars = COVERAGE * result.values[i] * result.levels.current_deviation[:, i]

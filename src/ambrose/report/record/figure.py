@@ -27,8 +27,6 @@ _ORBIT_POINTS = 4000
 
 def record_figure(record: Record) -> Any:
     """Displacements, currents and what was driven over time, thinned without losing a peak; beneath, one orbit per station."""
-    from plotly.subplots import make_subplots
-
     groups = _grouped(record)
     orbits = _orbits(groups[0][1]) if groups and groups[0][0] == "Displacement" else []
     columns = max(len(orbits), 1)
@@ -38,7 +36,7 @@ def record_figure(record: Record) -> Any:
         specs.append([{} for _ in orbits])
         heights.append(_ORBIT)
     total = sum(heights) + _GAP * (len(heights) - 1)
-    figure = make_subplots(
+    figure = theme.subplots(
         rows=len(heights), cols=columns, specs=specs, row_heights=[height / sum(heights) for height in heights],
         vertical_spacing=_GAP / total, horizontal_spacing=0.08,
     )  # fmt: skip

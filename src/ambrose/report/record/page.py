@@ -11,8 +11,8 @@ import numpy as np
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.report import units
+from ambrose.report.figures.curves import figure
 from ambrose.report.figures.orbits import orbit_figure
-from ambrose.report.figures.plots import figure
 from ambrose.report.figures.rotor_animation import rotor_animation
 from ambrose.report.figures.stations import largest, rotor_speed, stations, window
 from ambrose.report.figures.waterfall import waterfall_figure
