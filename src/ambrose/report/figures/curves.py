@@ -212,8 +212,8 @@ def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> N
     if 1 < len(panel.names) <= 16:
         ends = [(float(row[-1]) * axes.y_factor, n) for n, row in zip(first.labels, first.y, strict=True)]
         for level, name in _spread(ends, axes):
-            text, look = theme.plain(units.axis_name(name)), {"xref": "x domain", "xshift": 5, "colour": theme.INK}
-            theme.note(figure, place, text, 1.0, level, "left", "auto", **look)
+            text = theme.plain(units.axis_name(name))
+            theme.note(figure, place, text, 1.0, level, "left", "auto", colour=theme.INK, xref="x domain", xshift=5)
 
 
 def _spread(ends: Sequence[tuple[float, str]], axes: Axes) -> list[tuple[float, str]]:

@@ -55,8 +55,8 @@ def draw_limits(
                 right = start
         taken.append((at, right - width, right))
         clear = {"bgcolor": "rgba(255, 255, 255, 0.85)", "borderpad": 0}  # a line just above does not strike it through
-        look = {"xref": "x domain", "yshift": -1, "colour": theme.LIMIT, **clear}
-        theme.note(figure, place, theme.plain(words), right, y, "right", "bottom", **look)
+        where: dict[str, Any] = {"xref": "x domain", "yshift": -1, **clear}
+        theme.note(figure, place, theme.plain(words), right, y, "right", "bottom", colour=theme.LIMIT, **where)
 
 
 def beyond(curves: Sequence[tuple[str, Curve]], axes: Axes) -> str:
