@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ambrose.report import theme, units
 from ambrose.verification.checks import Curve
@@ -31,7 +32,7 @@ class Axes:
     cut: bool  # part of the data lies outside the view
 
 
-def drawn(values: np.ndarray) -> np.ndarray:
+def drawn(values: ArrayLike) -> np.ndarray:
     """Coordinates as the page carries them: every point, to seven digits (half the weight of sixteen)."""
     return np.asarray(values, dtype=np.float32)
 

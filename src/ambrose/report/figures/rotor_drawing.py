@@ -161,7 +161,7 @@ def _symbol(figure: Any, machine: Machine, station: Station, pixel: float) -> No
     elif reach > _radius_at(machine, x) + pixel and not _has_size(machine, station.name):  # a disc of unknown size
         theme.guide(figure, {}, [x, x], [-reach, reach], color=colour, width=3)
         return
-    look = {"fill": "toself", "fillcolor": colour, "line": {"color": colour, "width": 0.8}, "hoverinfo": "skip"}
+    look: dict[str, Any] = {"fill": "toself", "fillcolor": colour, "line": {"color": colour, "width": 0.8}, "hoverinfo": "skip"}
     for xs, ys in outlines:
         for sign in (1, -1):
             theme.scatter(figure, {}, xs, [sign * y for y in ys], **look)
