@@ -18,7 +18,7 @@ from ambrose.machine.record.record import Record
 from ambrose.physics import amplifier, coupling, magnet, seal
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Prbs
-from ambrose.simulation.rig.controller import deployed
+from ambrose.simulation.rig.controller import sampled_law
 from ambrose.simulation.rig.equilibrium import levitated, measurement
 from ambrose.simulation.rig.inputs import Drive, plan, stretch
 from ambrose.simulation.rig.state import Rig, build, compiled
@@ -135,8 +135,8 @@ def _scipy(scenario: Scenario, method: str, rtol: float, with_ours: bool) -> tup
     rig = build(MACHINE)
     task = plan(rig, scenario, DT, 0)
     drive = stretch(task, 0, task.samples)
-    law = deployed(PID, MACHINE, DT, 0.0, 1)
-    z, x, held = levitated(rig, drive, law)
+    law = sampled_law(PID, MACHINE, DT, 0.0, 1)
+    z, x, held = levitated_state(rig, drive, law)
     C, slope, work, dz = measurement(rig), compiled()[1], rig.work(), np.zeros(rig.states)
     now, plain = np.zeros(len(rig.axes)), _in_python(rig, drive)
 

@@ -82,7 +82,7 @@ def identify(
             from ambrose.report.page import write
 
             progress("writing the report")
-            make = static_report if done.method == "static" else identification_report
+            make: Any = static_report if done.method == "static" else identification_report
             write(make(done, compared=compared), report)
     if as_json:
         rows = None if compared is None else [row.to_dict() for row in compared]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -39,8 +40,9 @@ def update_seal(machine: Machine, fit: SealFit, form: str = "line") -> Machine:
     check_reach(machine, item.name, table.axes[0][1][0], table.axes[0][1][-1])
     still = tuple(x for x in item.scales_with_pressure if x == "M")
     dependence = item.frequency_dependence if form == "frequency" else "synchronous"
+    zero: dict[str, Any] = dict.fromkeys(COEFFICIENTS, 0.0)
     changed = replace(
-        item, **dict.fromkeys(COEFFICIENTS, 0.0), table=table, geometry=None, frequency_dependence=dependence,
+        item, **zero, table=table, geometry=None, frequency_dependence=dependence,
         scales_with_pressure=still,
     )  # fmt: skip
     tolerances = list(machine.tolerances)
