@@ -18,9 +18,11 @@ from ambrose import load_machine
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty, lft
 from ambrose.core.statespace import StateSpace, is_stable
 from ambrose.machine.parameters import operating_point
+from ambrose.plant.assemble import assemble
+from ambrose.plant.reduce import reduce
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import machine_problem, published_p5_problem, with_performance_block
+from ambrose.synthesis.problem import design_plant, published_p5_problem, with_performance_block
 
 
 def run() -> list[dict[str, Any]]:
@@ -75,7 +77,7 @@ def _polished() -> dict[str, Any]:
 
 def _eight_reals() -> dict[str, Any]:
     machine = load_machine("turboexpander")
-    plant = machine_problem(machine, operating_point(machine, "140 Hz (P3)"))
+    plant = design_plant(reduce(assemble(machine, operating_point(machine, "140 Hz (P3)"))), uncertain=True)
     seconds, result = _timed(plant, order=1, iterations=2)
     corners = _unstable(plant, result.controller)
     text = f"order {result.controller.n_states}, complex mu {result.gamma:.3f}, {corners} of 256 corners unstable"

@@ -19,7 +19,7 @@ from ambrose.physics import amplifier, coupling, magnet, seal
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Prbs
 from ambrose.simulation.rig.controller import sampled_law
-from ambrose.simulation.rig.equilibrium import levitated, measurement
+from ambrose.simulation.rig.equilibrium import levitated_state, measurement
 from ambrose.simulation.rig.inputs import Drive, plan, stretch
 from ambrose.simulation.rig.state import Rig, build, compiled
 from ambrose.simulation.scenario import Scenario
