@@ -1,6 +1,7 @@
 """The structure stays: rooms that one can overlook, no import circle, packages are nouns. (The layers: `lint-imports`.)"""
 
 import inspect
+from importlib import import_module
 from pathlib import Path
 
 import grimp
@@ -97,3 +98,10 @@ def test_a_package_is_a_noun():
 
 def test_every_folder_of_modules_is_a_package():
     assert {name_of(path.parent) for path in MODULES} == {name_of(folder) for folder in PACKAGES}
+
+
+@pytest.mark.parametrize(
+    "name", sorted(path.stem for path in (SOURCE.parents[1] / "benchmarks").glob("*.py") if "__" not in path.stem)
+)
+def test_every_benchmark_finds_what_it_imports(name):
+    import_module(f"benchmarks.{name}")

@@ -1,4 +1,4 @@
-"""Control of rotors on active magnetic bearings with destabilising seal forces: ``import ambrose as amb``, see api.py."""
+"""Control of rotors on active magnetic bearings with destabilising seal forces: help(ambrose.api)."""
 
 from __future__ import annotations
 

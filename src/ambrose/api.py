@@ -70,7 +70,7 @@ def reduce(plant: Plant, bending_modes: int | None = None) -> Plant:
 
 def design(
     machine: Machine | Plant | str,
-    method: str = "mu",
+    method: str,
     *,
     point: OperatingPoint | str | None = None,
     progress: Progress = _quiet,
@@ -209,6 +209,6 @@ def law_of(controller: Any) -> Any:
         controller = read_controller(controller)
     if hasattr(controller, "law"):
         return controller.law
-    if isinstance(controller, ScheduledSystem | ControlProgram) or (callable(controller) and not hasattr(controller, "A")):
+    if isinstance(controller, ScheduledSystem | ControlProgram):
         return controller
     return as_statespace(controller)

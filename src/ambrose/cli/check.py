@@ -34,7 +34,8 @@ def check(machine: str, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(known))
         return
-    print_table(f"{known['machine']}: {known['description']}", ("quantity", "value"), _facts_in_words(known))
+    title = ": ".join(text for text in (known["machine"], known["description"]) if text)
+    print_table(title, ("quantity", "value"), _facts_in_words(known))
 
 
 def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:

@@ -92,8 +92,10 @@ def match_shape(actual: tuple[int, ...], shape: str, sizes: dict[str, int]) -> b
     return True
 
 
-def check_positive(x: float, name: str, remedy: str, *, zero_allowed: bool = False) -> float:
+def check_positive(x: Any, name: str, remedy: str, *, zero_allowed: bool = False) -> float:
     """``x`` as a float, after refusing NaN, infinity and numbers below (or at) zero. Raises InvalidInput."""
+    if isinstance(x, str):
+        raise invalid(name, repr(x), "a number", remedy)
     array = check_finite(x, name)
     if array.ndim or np.iscomplexobj(array):
         raise invalid(name, array.tolist() if array.size < 5 else f"of shape {array.shape}", "one real number", remedy)

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from ambrose.core.checks import invalid
 from ambrose.machine.kinds import (
     Angle,
     Choice,
@@ -273,6 +274,12 @@ class OperatingPoint(Part):
     bias_current: Annotated[Current | None, "bias current; default: that of each bearing"] = None
     whirl_frequency: Annotated[Rate | None, "frequency at which frequency-dependent seals are read; default: the speed"] = None
     label: Annotated[Words, "its name in reports"] = ""
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "seal_pressure", "bias_current", "whirl_frequency"):
+            value = getattr(self, name)
+            if isinstance(value, str):
+                raise invalid(f"{name} of an operating point", repr(value), "a number in SI", "units are for machine files")
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -136,7 +136,7 @@ def operating_point(
             raise InvalidInput(f'operating point: unknown keyword "{name}"; {suggestion(name, _POINT_UNITS)}')
         if value is not None or name not in _MAY_BE_NONE:
             remedy = f"give it in {_POINT_UNITS[name]}"
-            check_positive(value, name, remedy, zero_allowed=name != "bias_current")  # type: ignore[arg-type]
+            check_positive(value, name, remedy, zero_allowed=name != "bias_current")
     changed = {name: None if value is None else float(value) for name, value in values.items()}
     if all(getattr(point, name) == value for name, value in changed.items()):
         return point

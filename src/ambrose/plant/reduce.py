@@ -83,8 +83,10 @@ def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: boo
     machine, point = plant.machine, plant.point
     rotor = plant.rotor_model
     available = bending_modes_of(rotor)
-    if not 0 <= bending_modes <= available:
-        raise invalid("bending_modes", bending_modes, f"between 0 and {available}", "refine the mesh or keep fewer modes")
+    if bending_modes not in range(available + 1):
+        raise invalid(
+            "bending_modes", bending_modes, f"a whole number from 0 to {available}", "refine the mesh or keep fewer modes"
+        )
     full = attached_rotor(machine, point, rotor)
     kept = 4 + 2 * min(available, bending_modes + _EXTRA_MODES)  # all other modal coordinates are held at zero
     second_order = project(full, np.eye(full.n)[:, :kept])

@@ -72,7 +72,7 @@ def design(
     if not isinstance(plant, Plant):
         raise invalid("plant", type(plant).__name__, "a Plant", "assemble(machine, point) gives one")
     if method not in METHODS:
-        raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", "choose one of them")
+        raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", suggestion(str(method).lower(), METHODS))
     if options.order is not None and method != "polish":
         raise invalid("order", options.order, f"None for method {method!r}", "only method 'polish' can choose it")
     if options.speeds is not None and method != "lpv":

@@ -108,6 +108,10 @@ class Synthesis(Presented):
         """What runs: the schedule where there is one, else the controller."""
         return self.controller if self.scheduled is None else self.scheduled
 
+    def to_control(self) -> Any:
+        """The controller as a python-control system."""
+        return self.controller.to_control()
+
     @property
     def verdict(self) -> str:
         """The status in words, with an early end."""

@@ -40,7 +40,9 @@ def write_record(record: Record, path: str | Path) -> Path:
     from ambrose.machine.record.csv_file import write_csv
     from ambrose.machine.record.hdf5_file import write_hdf5
 
-    path = Path(path)
+    path = check_path(path, "record")
+    if not isinstance(record, Record):
+        raise invalid("the record", type(record).__name__, "a Record", "read_record and simulate give one")
     writer = _by_suffix(path, {".h5": write_hdf5, ".hdf5": write_hdf5, ".csv": write_csv})
     with draft_of(path, "record") as draft:
         writer(record, draft)
