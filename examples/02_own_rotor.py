@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 
 import ambrose as amb
-from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 
 machine = amb.load_machine(Path(__file__).with_name("bench_rotor.toml"))
-rotor = finite_element_rotor(machine)
-mass = mass_properties(rotor).mass
-bending_hz = free_bending_frequencies(rotor, 2) / (2 * np.pi)
+rotor = amb.finite_element_rotor(machine)
+mass = amb.mass_properties(rotor).mass
+bending_hz = amb.free_bending_frequencies(rotor, 2) / (2 * np.pi)
 result = amb.design(machine, "pid")
 
 

@@ -4,8 +4,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 import ambrose as amb
-from ambrose.core.statespace import spectral_abscissa
-from ambrose.plant.loop import closed_loop
 
 machine = amb.load_machine("seal-rig")
 full = amb.assemble(machine)
@@ -15,7 +13,7 @@ controller = amb.design(machine, "pid").controller
 
 def abscissa(plant, delta):
     """Largest real part of the closed-loop poles [rad/s] with k at (1 + delta) times its nominal value."""
-    return spectral_abscissa(closed_loop(amb.perturbed(plant, {"seal.center.k": delta}), controller))
+    return amb.spectral_abscissa(amb.closed_loop(amb.perturbed(plant, {"seal.center.k": delta}), controller))
 
 
 limit = brentq(lambda delta: abscissa(small, delta), 0.0, 1.0, xtol=1e-6)

@@ -3,7 +3,6 @@
 import numpy as np
 
 import ambrose as amb
-from ambrose.simulation.run_up import steps
 
 machine = amb.load_machine("turboexpander")  # its gas seal stiffens tenfold from 20 to 300 Hz
 speeds = (2 * np.pi * 20, 2 * np.pi * 300)
@@ -18,7 +17,7 @@ traces = {
     name: amb.simulate(machine, result, scenario, point="140 Hz", linear=True)
     for name, result in {"LPV": lpv, "H-infinity of 140 Hz": fixed}.items()
 }
-windows = steps(traces["LPV"], scenario, [f"y_{axis}" for axis in machine.axes])
+windows = amb.run_up_steps(traces["LPV"], scenario, [f"y_{axis}" for axis in machine.axes])
 
 
 def picture():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ambrose.version import __version__
 
-_HOME = {  # public name -> module; imported on first use, so that ``import ambrose`` stays fast
+_HOME = {  # public name -> module[:name there]; imported on first use, so that ``import ambrose`` stays fast
     **dict.fromkeys(("assemble", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"),
     **dict.fromkeys(("bundled_machines", "load_machine"), "machine.file.toml"),
     **dict.fromkeys(("read_record", "write_record"), "machine.record.files"),
@@ -34,7 +34,25 @@ _HOME = {  # public name -> module; imported on first use, so that ``import ambr
     "hinf_norm": "core.norms",
     "worst_case_gain": "core.worst_case.search",
     "frequency_response": "core.frequency",
+    "time_response": "core.response:simulate",
+    **dict.fromkeys(("connect", "poles", "select", "spectral_abscissa"), "core.statespace"),
+    **dict.fromkeys(
+        ("coprime_factors", "injection_gain", "observer_controller", "residual_system"), "core.realisation.coprime"
+    ),
+    "minimal": "core.realisation.zeros",
+    "delayed": "core.sampling",
+    "lft": "core.lft",
+    "mu_peak": "core.mu.bounds",
+    "Tolerance": "machine.description",
+    **dict.fromkeys(("finite_element_rotor", "free_bending_frequencies", "mass_properties"), "physics.rotor"),
+    "closed_loop": "plant.loop",
+    "free_mode_reduction": "plant.reduce",
     "perturbed": "plant.uncertainty",
+    "identify_residual": "identification.youla.identify:identify_injected",
+    "run_up_steps": "simulation.run_up:steps",
+    "with_performance_block": "synthesis.problem",
+    "performance_weight": "synthesis.weights",
+    **dict.fromkeys(("CompiledBlock", "read_law"), "deployment.c.compiled"),
 }
 
 __all__ = ["__version__", *_HOME]  # noqa: PLE0604
@@ -54,7 +72,8 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     """Public names are imported on first use."""
     if name in _HOME:
-        item = getattr(import_module(f"ambrose.{_HOME[name]}"), name)
+        module, _, there = _HOME[name].partition(":")
+        item = getattr(import_module(f"ambrose.{module}"), there or name)
         globals()[name] = item
         return item
     raise AttributeError(f"module 'ambrose' has no attribute {name!r}; dir(ambrose) lists what it has")
