@@ -80,7 +80,7 @@ def _titled(picture: Any, title: str) -> Any:
     for note in [item for item in picture.layout.annotations if item.text.startswith(BEYOND)]:  # no room for it when narrow
         lines.append(f'<span style="font-size: 12px; color: {theme.MUTED}">{note.text}</span>')
         picture.layout.annotations = [item for item in picture.layout.annotations if item is not note]
-    top = 24 * len(lines) + 34
+    top = 24 * len(lines) + 50  # the unit stands between title and axis
     legend = bool(picture.layout.showlegend)
     before = picture.layout.margin
     inside = picture.layout.height - before.t - before.b
@@ -110,8 +110,11 @@ def _plant(plant: Plant) -> Any:
     label = plant.point.label or "plant"
     size = "full model" if plant.bending_modes is None else f"{plant.bending_modes} bending modes"
     unstable = int((poles(plant.system).real > 0).sum())
-    words = f"{plant.machine.name}, {label}: {size}, {plant.system.n_states} states, {unstable} unstable poles"
-    return _titled(figure([(label, curve)]), words)
+    words = f"{plant.machine.name}, {label}: largest gain from currents to displacements"
+    picture = figure([(label, curve)], overlay=True)  # seven decades: the bending modes stay in view
+    picture.layout.annotations = [item for item in picture.layout.annotations if not item.text.startswith(BEYOND)]
+    picture.update_traces(line={"width": 2, "color": theme.styles([label])[label].colour})
+    return _titled(picture, f"{words}; {size}, {plant.system.n_states} states, {unstable} unstable poles")
 
 
 @plot.register
