@@ -112,7 +112,7 @@ def test_weights_survive_the_machine_file():
         ("peak = 0.9", "peak is 0.9, but must be above 1"),
         ("low_frequency_error = 2", "low_frequency_error is 2, but must be below 1"),
         ("control_limit = 5", "control_limit needs control_crossover"),
-        ('bandwidth = "-1 rad/s"', "bandwidth is -1, but must be positive"),
+        ('bandwidth = "-1 rad/s"', "bandwidth is -1 rad/s, but must be positive"),
         ('error_scale = "1 A"', "error_scale"),
         ("colour = 1", 'unknown key "colour"'),
         ("control_order = 1.5", "a whole number"),

@@ -18,7 +18,7 @@ from ambrose.identification.data_quality.controller import controller_match
 from ambrose.identification.data_quality.diagnosis import diagnose_records
 from ambrose.identification.data_quality.signals import flat_tops
 from ambrose.identification.findings import Code, Finding, refuse
-from ambrose.identification.loop import usual_unknowns
+from ambrose.identification.loop import identify_loop, usual_unknowns
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.machine.description import SealTable, Tolerance
@@ -502,8 +502,10 @@ def test_an_unknown_that_is_not_excited_is_doubted_or_refused():
     values = synthetic().values.copy()
     record = replace(synthetic(), values=values)
     unknown = (*NINE, "coupling.coupling.damping.zeta", "coupling.coupling.damping.eta", "seal.center.C", "seal.center.c")
-    checked = pipeline.identify(machine, [record], controller, unknown=unknown)
+    checked = identify_loop(machine, [record], controller, unknown)
     assert not checked.passed and any(finding.code == Code.HARDLY_VISIBLE for finding in checked.findings)
+    with pytest.raises(InvalidInput, match=r"damping \(zeta\) is -.*must be zero or positive"):  # no machine has such values
+        pipeline.identify(machine, [record], controller, unknown=unknown)
     assert plant.axes == AXES
 
 

@@ -359,7 +359,7 @@ def test_what_was_measured_replaces_what_was_computed_from_geometry():
 
 
 def test_a_table_must_reach_the_operating_points():
-    with pytest.raises(InvalidInput, match='take form "line"'):
+    with pytest.raises(InvalidInput, match='take the form "line"'):
         update_seal(rig(), measured((0.7e5, 1.0e5, 1.2e5)), "table")
     with pytest.raises(InvalidInput, match="form"):
         update_seal(rig(), measured(), "curve")

@@ -149,7 +149,12 @@ def _proportional(pressure):
     [
         ((0.0, 0.6e5), "line", {}, "number of seal pressures for a line is 2, but must be at least 3"),
         ((0.6e5,), "table", {}, "at least 2"),
-        ((0.0, 0.6e5), "table", {}, "operating point '120000 Pa' is 120000 Pa, but must be within the pressures recorded"),
+        (
+            (0.0, 0.6e5),
+            "table",
+            {},
+            "operating point '120000 Pa' is 120000 Pa, but must be within 0 to 60000 Pa, the pressures",
+        ),
         (PRESSURES, "curve", {}, "the form of the seal"),
         (PRESSURES, "line", {"seal": "left"}, "one of the machine's seals: center"),
         (PRESSURES, "line", {"start": {"seal.center.q": 1.0}}, "seal.center.q"),

@@ -32,7 +32,7 @@ def levels_of(loads, ports, y=None):
     m = len(loads)
     y = np.zeros((m, 4)) if y is None else y
     zero = np.zeros((m, 4))
-    return Levels(tuple(ports), np.array(loads, dtype=float), y, zero, zero, zero, np.ones(m, dtype=int), np.arange(m))
+    return Levels(tuple(ports), np.array(loads, dtype=float), y, zero, zero, np.ones(m, dtype=int), np.arange(m))
 
 
 def test_balance_of_forces_and_moments_by_hand():

@@ -48,6 +48,16 @@ def positive_definite(F: np.ndarray) -> np.ndarray:
     return np.ones(len(F), bool)
 
 
+def _inverse(F: np.ndarray) -> np.ndarray:
+    """Inverses of positive definite F (b, n, n). One that rounding made singular, at the very edge of the feasible set, is
+    lifted by its own rounding: the barrier there is as steep as the arithmetic can tell, and the descent stops or turns back."""
+    try:
+        return np.linalg.inv(F)
+    except np.linalg.LinAlgError:
+        lift = np.finfo(float).eps * np.maximum(np.linalg.norm(F, axis=(1, 2)), np.finfo(float).tiny)
+        return np.linalg.inv(F + lift[:, None, None] * np.eye(F.shape[-1]))
+
+
 class _Path:
     """The barrier at (x, beta) for a batch of M (b, n_z, n_w)."""
 
@@ -58,11 +68,11 @@ class _Path:
         S = basis.assemble(x)
         V = np.concatenate([beta[:, None, None] * np.eye(n_w), M], axis=1)
         F, X = V.conj().swapaxes(1, 2) @ S[:, : n_w + n_z, : n_w + n_z] @ V, S[:, n_w + n_z :, n_w + n_z :]
-        P = np.linalg.inv(F)
+        P = _inverse(F)
         P = 0.5 * (P + P.conj().swapaxes(1, 2))
         K = np.zeros_like(S)
         K[:, : n_w + n_z, : n_w + n_z] = V @ P @ V.conj().swapaxes(1, 2)
-        K[:, n_w + n_z :, n_w + n_z :] = np.linalg.inv(X)
+        K[:, n_w + n_z :, n_w + n_z :] = _inverse(X)
         self.basis, self.S, self.V, self.P, self.kernel = basis, S, V, P, K
         self.gradient = basis.trace - basis.traces(K)
         self.hessian = basis.curvature(K)
