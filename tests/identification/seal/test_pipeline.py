@@ -153,7 +153,7 @@ def _proportional(pressure):
             (0.0, 0.6e5),
             "table",
             {},
-            "operating point '120000 Pa' is 120000 Pa, but must be within 0 to 60000 Pa, the pressures",
+            "operating point '120000 Pa' is 120000 Pa, but must be within 0 to 60000 Pa",
         ),
         (PRESSURES, "curve", {}, "the form of the seal"),
         (PRESSURES, "line", {"seal": "left"}, "one of the machine's seals: center"),

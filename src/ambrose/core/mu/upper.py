@@ -50,7 +50,7 @@ def positive_definite(F: np.ndarray) -> np.ndarray:
 
 def _inverse(F: np.ndarray) -> np.ndarray:
     """Inverses of positive definite F (b, n, n). One that rounding made singular, at the very edge of the feasible set, is
-    lifted by its own rounding: the barrier there is as steep as the arithmetic can tell, and the descent stops or turns back."""
+    lifted by its own rounding: the barrier is as steep there as the arithmetic can tell, and the descent turns back."""
     try:
         return np.linalg.inv(F)
     except np.linalg.LinAlgError:
