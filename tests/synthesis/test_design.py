@@ -29,7 +29,7 @@ REFUSED = {
     "a method that is no text": (None, {}, "method is None"),
     "an unknown option": ("mu", {"rates": 1e4}, r"no option 'rates'; did you mean \"rate\""),
     "a rate below zero": ("mu", {"rate": -1.0}, "rate is -1.0, but must be positive; 10000 Hz is usual"),
-    "a rate as text": ("mu", {"rate": "fast"}, "rate is not numeric"),
+    "a rate as text": ("mu", {"rate": "fast"}, "rate is .fast., but must be a number"),
     "a delay below zero": ("mu", {"rate": 1e4, "delay_samples": -1}, "computing delay .* is -1, but must be a whole number"),
     "a loss without a rate": ("mu", {"loss": 0.05}, "rate is None, but must be given with a loss"),
     "a loss below zero": ("mu", {"loss": -0.05, "rate": 1e4}, "loss is -0.05"),
