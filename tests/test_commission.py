@@ -16,7 +16,9 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.deployment.c.compiler import has_compiler
-from ambrose.evaluation import evaluate, full_plants, verify_points
+from ambrose.evaluation.candidate import evaluate
+from ambrose.evaluation.plants import full_plants
+from ambrose.evaluation.verdict import verify_points
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.record.files import read_record

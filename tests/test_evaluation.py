@@ -11,7 +11,9 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.evaluation import Candidate, evaluate, simulate_linear, simulate_scenario, verify_controller
+from ambrose.evaluation.candidate import Candidate, evaluate
+from ambrose.evaluation.trial import simulate_linear, simulate_scenario
+from ambrose.evaluation.verdict import verify_controller
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
@@ -75,8 +77,12 @@ def test_a_rate_verifies_the_controller_as_it_runs(small, made):
     one = replace(small.machine, tolerances=small.machine.tolerances[:1])
     box = verify_controller(replace(small, machine=one), made.controller, rate=8000.0).tolerances
     assert box is not None and box["sampled.stability.box"].value >= 0  # nothing was said of the tolerances before
-    with pytest.raises(InvalidInput, match="sampled at 8000 Hz"):
-        verify_controller(small, late, rate=8000.0)
+    own = c2d(made.controller, 1 / 8000, "tustin")  # a sampled law is known to run at its own rate, and late as any other
+    for law, samples in ((own, None), (late, 0)):
+        same = verify_controller(small, law, tolerances=False, delay_samples=samples)
+        assert same.points[0].to_dict() == nominal.check(small, late).to_dict()
+    with pytest.raises(InvalidInput, match=r"sample time is 0\.000125 s, but must be 0\.00025 s"):
+        verify_controller(small, own, rate=4000.0)
     with pytest.raises(InvalidInput, match="rate"):
         verify_controller(small, made, rate=0.0)
 
@@ -98,9 +104,9 @@ def test_simulations_take_labels_scenarios_and_syntheses(small, made):
 
 
 def test_evaluation_keeps_what_a_schedule_leaves_out(coarse, schedule, made, monkeypatch):
-    monkeypatch.setattr("ambrose.evaluation._on_the_rig", lambda plant, program, scenario: None)
-    monkeypatch.setattr("ambrose.evaluation.SCENARIOS", ("impulse-parallel",))
-    monkeypatch.setattr("ambrose.evaluation.simulate_linear", lambda plant, law, scenario: None)
+    monkeypatch.setattr("ambrose.evaluation.candidate.run_on_rig", lambda plant, program, scenario, timing: None)
+    monkeypatch.setattr("ambrose.evaluation.candidate.SCENARIOS", ("impulse-parallel",))
+    monkeypatch.setattr("ambrose.evaluation.candidate.simulate_linear", lambda plant, law, scenario, timing: None)
     bare = replace(coarse, tolerances=())
     labels = ("standstill", "140 Hz (P3)")
     plants = [reduce(assemble(bare, point), 1) for point in bare.operation.points if point.label in labels]

@@ -102,20 +102,24 @@ def verify(
     points: Sequence[OperatingPoint | str] | OperatingPoint | str | None = None,
     tolerances: bool = True,
     rate: float | None = None,
+    delay_samples: int | None = None,
     progress: Progress = _quiet,
 ) -> Verification:
-    """The controller judged on the full plant: at every operating point, and over all tolerances at the first.
+    """The controller judged on the full plant: at every operating point, and over all tolerances around each.
 
-    points: of the machine, one or several (None: all, the one that designs are made for first). rate [Hz]: as it runs, sampled
-    by Tustin's map and one sample late. Points that a schedule does not cover are listed as left out, and the verification is
+    points: of the machine, one or several (None: all, the one that designs are made for first). rate [Hz], delay_samples: the
+    loop as it runs, sampled by Tustin's map and late (None: as the controller or the machine file says; where neither knows a
+    rate the continuous loop is judged). Points that a schedule does not cover are listed as left out, and the verification is
     not passed. Raises InvalidInput where the controller is not one for this machine.
     """
-    from ambrose.evaluation import verify_controller
+    from ambrose.evaluation.verdict import verify_controller
     from ambrose.plant.model import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
-    return verify_controller(place, law_of(controller), several, tolerances=tolerances, rate=rate, progress=progress)
+    return verify_controller(
+        place, _known(controller), several, tolerances=tolerances, rate=rate, delay_samples=delay_samples, progress=progress
+    )
 
 
 def simulate(
@@ -130,13 +134,14 @@ def simulate(
     """A scenario on the nonlinear virtual rig (``linear``: on the linear loop): its record and its outcome.
 
     scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine runs (None: the nominal
-    one). options: as for ``simulation.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
+    one). options: rate [Hz] and delay_samples of the controller (None: as it or the machine file says); others as for
+    ``simulation.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
-    from ambrose.evaluation import simulate_scenario
+    from ambrose.evaluation.trial import simulate_scenario
     from ambrose.plant.model import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    return simulate_scenario(place, law_of(controller), scenario, point=point, linear=linear, **options)
+    return simulate_scenario(place, _known(controller), scenario, point=point, linear=linear, **options)
 
 
 def identify(machine: Machine | str, records: Any, controller: Any = None, **options: Any) -> Identification:
@@ -198,17 +203,23 @@ def machine_of(machine: Any) -> Machine:
     return load_machine(machine)
 
 
+def _known(controller: Any) -> Any:
+    """A controller with all that is known of it: a Synthesis, from its file too; else the law. Raises InvalidInput."""
+    from ambrose.synthesis.controller_file import read_controller
+
+    if isinstance(controller, str | os.PathLike):
+        controller = read_controller(controller)
+    return controller if hasattr(controller, "law") else law_of(controller)
+
+
 def law_of(controller: Any) -> Any:
     """What runs: of a Synthesis or a controller file its law, else the system itself. Raises InvalidInput for anything else."""
     from ambrose.core.scheduled import ScheduledSystem
     from ambrose.core.statespace import as_statespace
     from ambrose.plant.control_program import ControlProgram
-    from ambrose.synthesis.controller_file import read_controller
 
-    if isinstance(controller, str | os.PathLike):
-        controller = read_controller(controller)
-    if hasattr(controller, "law"):
-        return controller.law
+    if isinstance(controller, str | os.PathLike) or hasattr(controller, "law"):
+        return _known(controller).law
     if isinstance(controller, ScheduledSystem | ControlProgram):
         return controller
     return as_statespace(controller)

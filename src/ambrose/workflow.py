@@ -13,7 +13,9 @@ from typing import Any
 
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.presentation import Presented, data_frame, to_plain
-from ambrose.evaluation import Candidate, Progress, RunUp, campbell_map, evaluate, full_plants, plant_gain, points_of, run_ups
+from ambrose.evaluation.candidate import Candidate, evaluate, points_of, run_ups
+from ambrose.evaluation.plants import Progress, campbell_map, full_plants, plant_gain
+from ambrose.evaluation.trial import RunUp
 from ambrose.machine.atomic_write import write_json
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
@@ -87,7 +89,8 @@ class Study(Presented):
                     "certificate": c.synthesis.certificate.to_dict(),
                     "points": [checks.to_dict() for checks in c.checks],
                     "left_out": list(c.left_out),
-                    "robust": c.robust.to_dict() if c.robust else None,
+                    "boxes": [box.to_dict() for box in c.boxes],
+                    "timing": c.timing,
                 }
                 for c in self.candidates
             },
@@ -192,7 +195,8 @@ def write_report(result: Study, path: Path) -> None:
         over_speed=[(full.point.label, curve) for curve in result.speed_curves],
         extra=sections,
         facts=(
-            ("Verified on", f"the full model at {len(result.plants)} operating points, and over all tolerances"),
+            ("Verified on", f"the full model at {len(result.plants)} operating points, and over all tolerances around each"),
+            ("Loop judged", "; ".join(dict.fromkeys(candidate.timing for candidate in result.candidates))),
             *((f"{NAME} verified on", "the identified machine, as it runs: sampled, late") for _ in [done] if done),
             *((f"No {name}", why) for name, why in result.failed),
         ),

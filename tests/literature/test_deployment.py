@@ -18,11 +18,12 @@ from ambrose.deployment.discretisation.deployment import deploy, unmet_limits
 from ambrose.deployment.pipeline import machine_limits
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import Timing, loop_delay
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
-from ambrose.synthesis.loop_delay import apply_delay, loop_delay
+from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 from ambrose.synthesis.pid import pid_synthesis
 from ambrose.synthesis.problem import design_plant, design_tolerances, open_model
@@ -116,7 +117,7 @@ def test_the_running_code_has_the_verification_of_the_design(mu, deployment, pla
 
 def test_half_the_states_suffice_at_a_loss_of_five_per_cent(plants, synthesis, problem):
     """By reduction in the closed loop alone; judged in the sampled loop on a plant that bends."""
-    measure = sampled_sensitivity(reduce(plants["nominal pressure"], 1), SAMPLE)
+    measure = sampled_sensitivity(reduce(plants["nominal pressure"], 1), Timing(SAMPLE))
     found = find_lowest_order(problem, synthesis.controller, measure, 0.05, polishing=False)
     assert (synthesis.controller.n_states, found.controller.n_states) == (28, 14)
     assert found.measure <= 1.05 * found.reference

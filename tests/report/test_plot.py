@@ -17,7 +17,7 @@ from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.evaluation import Candidate
+from ambrose.evaluation.candidate import Candidate
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import to_statespace
-from ambrose.evaluation import simulate_linear
+from ambrose.evaluation.trial import simulate_linear
 from ambrose.machine.description import ShaftSection
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point

@@ -8,11 +8,11 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import loop_delay
 from ambrose.synthesis import design as module
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.loop_delay import loop_delay
 from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
@@ -39,7 +39,6 @@ REFUSED = {
     "speeds of a fixed controller": ("mu", {"speeds": (1.0, 2.0)}, "only method 'lpv' is scheduled"),
     "speeds exchanged": ("lpv", {"speeds": (2.0, 1.0)}, "speeds is 2 and 1 rad/s"),
     "one speed": ("lpv", {"speeds": (2.0,)}, "speeds"),
-    "a sampled schedule": ("lpv", {"rate": 1e4}, "rate is 10000.0, but must be None for method 'lpv'"),
     "gain matched perhaps": ("mu", {"match_reference": "perhaps"}, "match_reference is 'perhaps'"),
 }
 
@@ -103,5 +102,5 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
     assert seen["judge"] is None and "loss" not in seen
     design(plant, "polish", match_reference=False, rate=1e4, loss=0.05)
     assert seen["states"] == states + 4 and callable(seen["judge"]) and seen["loss"] == 0.05  # a Pade state per axis
-    assert DesignOptions(rate=1e4, delay_samples=2).delay == loop_delay(1e-4, 2)
-    assert DesignOptions().delay == 0.0
+    assert DesignOptions(rate=1e4, delay_samples=2).timing().lag == loop_delay(1e-4, 2)
+    assert DesignOptions().timing() is None

@@ -10,8 +10,9 @@ from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import select
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import loop_delay
 from ambrose.synthesis.design import design
-from ambrose.synthesis.loop_delay import apply_delay, loop_delay
+from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.problem import open_model
 from ambrose.verification.sampled import check_over_box
 

@@ -9,8 +9,9 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import Timing, loop_delay
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.loop_delay import apply_delay, loop_delay
+from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.weights import machine_weights
@@ -27,7 +28,7 @@ def task():
         design_plant(apply_delay(open_model(reduce(plant), None, flag), loop_delay(SAMPLE)), weights, uncertain=flag)
         for flag in (True, False)
     )
-    return problem, hinf_synthesis(nominal).controller, sampled_sensitivity(reduce(plant, 1), SAMPLE)
+    return problem, hinf_synthesis(nominal).controller, sampled_sensitivity(reduce(plant, 1), Timing(SAMPLE))
 
 
 def test_reduction_stays_within_the_stated_loss(task):
@@ -61,5 +62,5 @@ def test_refusals(task):
         find_lowest_order(problem, wrong, measure, 0.1)
     machine = replace(load_machine("seal-rig"), tolerances=())
     with pytest.raises(InvalidInput, match="tolerances"):
-        sampled_sensitivity(reduce(assemble(machine)), SAMPLE)
+        sampled_sensitivity(reduce(assemble(machine)), Timing(SAMPLE))
     assert np.isinf(measure(wrong))

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, load, progress_shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, load, progress_shown
 
 
 @click.command()
@@ -21,6 +21,8 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, progress_shown
 @click.option("--bending-modes", type=int, default=1, show_default=True, help="Bending modes per plane of the rig.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
+@RATE
+@DELAY
 @click.option("--report", type=click.Path(path_type=Path), help="A page of the run: orbits, waterfall, currents, animation.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
 @AS_JSON
@@ -33,6 +35,8 @@ def simulate(
     bending_modes: int,
     seed: int,
     point: str | None,
+    rate_hz: float | None,
+    delay_samples: int | None,
     report: Path | None,
     output: Path,
     as_json: bool,
@@ -41,7 +45,7 @@ def simulate(
 
     An *.h5 record of the rig grows while it runs, as *.partial.h5, which stays readable when the run is interrupted.
     """
-    from ambrose.evaluation import simulate_scenario
+    from ambrose.evaluation.trial import simulate_scenario
     from ambrose.machine.record.files import write_record
     from ambrose.synthesis.controller_file import read_controller
 
@@ -52,7 +56,10 @@ def simulate(
     if not linear:
         options |= {"bending_modes": bending_modes, "seed": seed, "path": output if growing else None}
     with progress_shown(as_json) as progress:
-        trace = simulate_scenario(description, controller, scenario, point=point, linear=linear, progress=progress, **options)
+        trace = simulate_scenario(
+            description, controller, scenario, point=point, linear=linear, rate=rate_hz, delay_samples=delay_samples,
+            progress=progress, **options,
+        )  # fmt: skip
     if not growing:
         write_record(trace.record, output)
     if report is not None:
@@ -60,6 +67,12 @@ def simulate(
         from ambrose.report.record.page import record_report
 
         write(record_report(trace, description), report)
-    summary = {"record": str(output), "outcome": trace.outcome, "text": trace.text, "report": str(report) if report else None}
+    summary = {
+        "record": str(output),
+        "outcome": trace.outcome,
+        "text": trace.text,
+        "stable": trace.stable,
+        "report": str(report) if report else None,
+    }
     click.echo(json.dumps(summary) if as_json else f"{output}: {trace.text}")
-    sys.exit(0 if trace.outcome == "completed" else 1)
+    sys.exit(0 if trace.outcome == "completed" and trace.stable else 1)

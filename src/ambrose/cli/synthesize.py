@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_shown, shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, load, print_table, progress_shown, shown
 
 
 @click.command()
@@ -22,13 +22,13 @@ from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_s
 )
 @click.option("--order", type=int, default=None, help="States of the polished controller; default: half of what mu needs.")
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: the design point.")
-@click.option("--rate-hz", type=float, default=None, help="Design for the delay of a loop sampled at this rate.")
-@click.option("--delay-samples", type=int, default=1, show_default=True, help="With --rate-hz: computing delay.")
+@RATE
+@DELAY
 @click.option(
     "--loss",
     type=float,
     default=None,
-    help="With --rate-hz: lower the order until the worst sensitivity rises by so many percent.",
+    help="With a rate: lower the order until the worst sensitivity rises by so many percent.",
 )
 @click.option(
     "--speeds-hz",
@@ -47,7 +47,7 @@ def synthesize(
     order: int | None,
     point: str | None,
     rate_hz: float | None,
-    delay_samples: int,
+    delay_samples: int | None,
     loss: float | None,
     speeds_hz: tuple[float, float] | None,
     output: Path,
@@ -55,7 +55,7 @@ def synthesize(
 ) -> None:
     """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.evaluation import plant_at
+    from ambrose.evaluation.plants import plant_at
     from ambrose.synthesis.controller_file import write_controller
     from ambrose.synthesis.design import design
     from ambrose.synthesis.options import DesignOptions
@@ -63,8 +63,6 @@ def synthesize(
 
     description = load(machine)
     hertz = 6.283185307179586  # rad/s
-    if loss is not None and rate_hz is None:
-        raise invalid("--rate-hz", "not given", "given with --loss", "say at which rate the controller will run")
     if loss is not None:  # before the design, which takes a while
         check_positive(loss, "--loss", "5 allows 5 %", zero_allowed=True)
     if speeds_hz is not None and not 0 < speeds_hz[0] < speeds_hz[1]:

@@ -12,6 +12,10 @@ import click
 ALL = click.option("--all", "everything", is_flag=True, help="Show the quantities without a limit as well.")
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 MACHINE = click.argument("machine")
+RATE = click.option("--rate-hz", type=float, default=None, help="Sample rate; default: the controller's or the machine file's.")
+DELAY = click.option(
+    "--delay-samples", type=int, default=None, help="From measured errors to currents set; default: the machine file's, or 1."
+)
 
 
 def load(machine: str) -> Any:

@@ -8,31 +8,31 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, progress_shown
+from ambrose.cli.terminal import ALL, AS_JSON, DELAY, MACHINE, RATE, load, print_checks, progress_shown
 
 
 @click.command()
 @MACHINE
 @click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
+@RATE
+@DELAY
 @ALL
 @AS_JSON
-def verify(machine: str, path: Path, everything: bool, as_json: bool) -> None:
-    """Check a controller on the full plant: at every operating point of the machine, and over all its tolerances."""
-    from ambrose.evaluation import verify_controller
+def verify(machine: str, path: Path, rate_hz: float | None, delay_samples: int | None, everything: bool, as_json: bool) -> None:
+    """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
+    from ambrose.evaluation.verdict import verify_controller
     from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)
     controller = read_controller(path)
     with progress_shown(as_json) as progress:
-        result = verify_controller(description, controller, progress=progress)
-    box = result.tolerances
+        result = verify_controller(description, controller, rate=rate_hz, delay_samples=delay_samples, progress=progress)
     if as_json:
-        points = {"points": [checks.to_dict() for checks in result.points], "robust": box.to_dict() if box else None}
-        left_out = {"left_out": list(result.left_out)} if result.left_out else {}
-        click.echo(json.dumps({"machine": description.name, **points, **left_out}))
+        click.echo(json.dumps({"machine": description.name, **result.to_dict()}))
     else:
-        for checks in [*result.points, *([box] if box else [])]:
+        for _, checks in result.labelled:
             print_checks(checks, everything)
+        click.echo(f"The loop that was judged is {result.timing}.")
         for label in result.left_out:
             click.echo(f"{label}: left out, the schedule does not cover this operating point")
     sys.exit(0 if result.passed else 1)

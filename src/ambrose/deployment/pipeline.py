@@ -20,7 +20,14 @@ from ambrose.deployment.block.fixed import ControlBlock, build_block
 from ambrose.deployment.block.names import check_identifier
 from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block, check_speed_limits
 from ambrose.deployment.c.code import Arithmetic, Precision, check_precision, generate
-from ambrose.deployment.discretisation.deployment import Deployment, Progress, ScheduledDeployment, deploy, deploy_scheduled
+from ambrose.deployment.discretisation.deployment import (
+    Deployment,
+    Progress,
+    ScheduledDeployment,
+    deploy,
+    deploy_scheduled,
+    unmet_limits,
+)
 from ambrose.deployment.fmu.archive import generate_fmus
 from ambrose.deployment.mat import generate_mat
 from ambrose.deployment.provenance import provenance_lines
@@ -29,9 +36,9 @@ from ambrose.machine.atomic_write import check_place, write_files
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
+from ambrose.plant.timing import DEFAULT, Timing, timing_of
 from ambrose.synthesis.result import Synthesis
 
-SAMPLE_TIME = 1e-4  # s, where neither the caller nor the controller says one
 Target = Literal["c", "mat", "fmu", "st"]
 TARGETS: Mapping[Target, tuple[Arithmetic, ...]] = {  # with what each can compute in
     "c": ("double", "float", "fixed32", "fixed16"), "mat": ("double",), "fmu": ("double", "float", "fixed32", "fixed16"),
@@ -43,8 +50,9 @@ TARGETS: Mapping[Target, tuple[Arithmetic, ...]] = {  # with what each can compu
 class ExportOptions:
     """How a controller is written.
 
-    name: prefix of every name in the code, a C identifier. arithmetic: of the code. rate [Hz]: of the samples (None: the
-    controller's own, or 10 kHz); delay_samples: from measured errors to currents set; sampling: "tustin", exact at ``prewarp``
+    name: prefix of every name in the code, a C identifier. arithmetic: of the code. rate [Hz]: of the samples, delay_samples:
+    from measured errors to currents set (None: as the controller or the machine file says, ``plant.timing.timing_of``; 10 kHz
+    and one sample where nobody does); sampling: "tustin", exact at ``prewarp``
     [rad/s] if given, or "zoh". error_limit [m], current_limit [A]: one number or one per axis (None: the bearings' gaps, or
     twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in ``build_block``. speed_limit
     [rad/s], speed_rate [rad/s^2]: of a scheduled controller, as in ``build_scheduled_block``. sources_only: an FMU without a
@@ -54,7 +62,7 @@ class ExportOptions:
     name: str = "controller"
     arithmetic: Arithmetic = "double"
     rate: float | None = None
-    delay_samples: int = 1
+    delay_samples: int | None = None
     sampling: Method = "tustin"
     prewarp: float | None = None
     error_limit: ArrayLike | None = None
@@ -70,8 +78,8 @@ class ExportOptions:
         check_identifier(self.name, "the name of the block", "choose letters, digits and underscores")
         if self.rate is not None:
             check_positive(self.rate, "rate", "give it in Hz")
-        if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int) or self.delay_samples < 0:
-            raise invalid("delay_samples", self.delay_samples, "a whole number, zero or more", "1 is usual")
+        if self.delay_samples is not None:
+            Timing(1.0, self.delay_samples)  # refuses what is no number of samples
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -89,12 +97,19 @@ class Delivery(Presented):
             "target": self.target, "verified": self.deployment.verified, "states": self.block.n_states,
             "rate_hz": 1 / self.block.sample_time, "files": [path.name for path in self.paths],
         }  # fmt: skip
-        return facts | ({"problems": list(self.deployment.problems)} if self.deployment.problems else {})
+        found = {"problems": list(self.deployment.problems), "unmet_limits": list(self.unmet_limits)}
+        return facts | {name: items for name, items in found.items() if items}
+
+    @property
+    def unmet_limits(self) -> tuple[str, ...]:
+        """The limits that the loop misses as it runs, at an operating point or over the tolerances, in words."""
+        return unmet_limits(self.deployment)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data: target, paths of the files, whether the controller is verified, and what speaks against it."""
         paths, problems = [str(path) for path in self.paths], list(self.deployment.problems)
-        return {"target": self.target, "files": paths, "verified": self.deployment.verified, "problems": problems}
+        return {"target": self.target, "files": paths, "verified": self.deployment.verified, "problems": problems,
+                "unmet_limits": list(self.unmet_limits)}  # fmt: skip
 
 
 def export(
@@ -182,8 +197,12 @@ def _deploy(
     limits: tuple[ArrayLike, ArrayLike],
     progress: Progress,
 ) -> tuple[Deployment | ScheduledDeployment, ControlBlock | ScheduledBlock]:
-    dt = 1 / options.rate if options.rate is not None else synthesis.controller.dt or SAMPLE_TIME
-    delay, sampling = options.delay_samples * dt, {"method": options.sampling, "prewarp": options.prewarp}
+    asked = options.delay_samples if options.rate is not None or timing_of(machine, synthesis) is not None else None
+    timing = timing_of(machine, synthesis, options.rate, asked) or replace(
+        DEFAULT, delay_samples=DEFAULT.delay_samples if options.delay_samples is None else options.delay_samples
+    )
+    dt = timing.sample_time
+    delay, sampling = timing.delay_samples * dt, {"method": options.sampling, "prewarp": options.prewarp}
     how: dict[str, Any] = {**sampling, "force": options.force, "progress": progress}
     guards: dict[str, Any] = {"windup_time": options.windup_time, "hold_samples": options.hold_samples}
     if synthesis.scheduled is None:

@@ -248,7 +248,7 @@ class PidSettings(Part):
     """The reference controller K_p (1 + 1/(T_i s) + T_d s/(eps T_d s + 1)) per axis.
 
     gain in the order of the machine's axes; coordinates "axes" (decentralised) or "tilt-translate"; sample_time and delay
-    describe the deployed controller.
+    are those of every controller that runs on the machine (``plant.timing``).
     """
 
     gain: Annotated[tuple[float, ...], ListOf("current per displacement", scalar=True), "K_p, one for all axes or one per axis"]
@@ -262,7 +262,9 @@ class PidSettings(Part):
     coordinates: Annotated[str, Choice(CONTROLLER_COORDINATES), "controlled coordinates"] = "axes"
     tilt_gain: Annotated[Ratio, "gain of the tilting part relative to the translating part"] = 1.0
     sample_time: Annotated[Time | None, "sample time of the deployed controller; default: continuous"] = None
-    delay: Annotated[Time, "computing delay of the deployed controller"] = 0.0
+    delay: Annotated[
+        Time | None, "from the displacements read to the currents set, a whole number of samples; default: one sample"
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -309,12 +311,14 @@ class Operation(Part):
 class Tolerance(Part):
     """One uncertain parameter, named by its path ("seal.center.k", "bearing.A.negative_stiffness.zeta").
 
-    relative: half-width as a fraction of the nominal value; or absolute: half-width in SI units. One of the two.
+    relative: half-width as a fraction of the nominal value; or absolute: half-width in SI units. One of the two. around: labels
+    of the operating points around which it holds; by default every one.
     """
 
     parameter: str
     relative: float | None = None
     absolute: float | None = None
+    around: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, repr=False)

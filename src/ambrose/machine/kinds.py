@@ -202,6 +202,23 @@ class Choice(_Kind):
 
 
 @dataclass(frozen=True, slots=True)
+class Texts(_Kind):
+    """A list of texts."""
+
+    @property
+    def expects(self) -> str:
+        return "a list of labels"
+
+    def read(self, value: object) -> tuple[str, ...]:
+        if not isinstance(value, list) or not all(isinstance(element, str) for element in value):
+            raise ValueError(f"is {shown(value)}, but must be a list of texts; give {self.expects}")
+        return tuple(value)
+
+    def schema(self) -> dict[str, Any]:
+        return {"type": "array", "items": {"type": "string"}}
+
+
+@dataclass(frozen=True, slots=True)
 class Choices(_Kind):
     """A list of different strings out of a few."""
 

@@ -102,6 +102,17 @@ def with_offsets_of(plant: Plant, source: Plant) -> Plant:
     return perturbed(plant, {t.parameter: delta for t, delta in source.offsets}, [t for t, _ in source.offsets])
 
 
+def tolerances_around(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> tuple[Tolerance, ...]:
+    """The tolerances (None: the machine's) that hold around the plant's operating point.
+
+    Left out are those that the machine file gives for other points (``around``), and relative ones of what is zero here, such
+    as a seal without pressure. Raises InvalidInput for a path that leads nowhere.
+    """
+    chosen = plant.machine.tolerances if tolerances is None else tuple(tolerances)
+    here = (item for item in chosen if not item.around or plant.point.label in item.around)
+    return tuple(t for t in here if t.relative is None or any(c.nominal != 0 for c in channels(plant, t.parameter)))
+
+
 def _half_widths(tolerance: Tolerance, places: Sequence[Channel]) -> list[float]:
     if tolerance.absolute is not None:
         # The same absolute change in every occurrence, with the sign that the occurrence gives the parameter.

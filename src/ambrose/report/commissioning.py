@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.evaluation import Candidate
+from ambrose.evaluation.candidate import Candidate
 from ambrose.identification.result import LoopIdentification
 from ambrose.report import units
 from ambrose.report.identification.figures import change_figure

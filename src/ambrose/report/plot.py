@@ -19,7 +19,9 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.mu.bounds import MuBounds, MuPeak
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, poles, select
-from ambrose.evaluation import Candidate, RunUp, plant_gain, points_of
+from ambrose.evaluation.candidate import Candidate, points_of
+from ambrose.evaluation.plants import plant_gain
+from ambrose.evaluation.trial import RunUp
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.result import Identification
@@ -189,7 +191,7 @@ def _verification(verification: Verification) -> Any:
 
 @plot.register
 def _candidate(candidate: Candidate) -> Any:
-    return _verification(Verification(candidate.checks, candidate.robust, candidate.left_out))
+    return _verification(Verification(candidate.checks, candidate.boxes, candidate.left_out, candidate.timing))
 
 
 def _sensitivity(points: Sequence[tuple[str, Checks]], verdict: str) -> Any:

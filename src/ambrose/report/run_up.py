@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.evaluation import RunUp
+from ambrose.evaluation.trial import RunUp
 from ambrose.report import theme, units
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Cell, Figure, Row, Section, Table, numbers

@@ -18,6 +18,7 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.plant.control_program import ControlProgram, ScheduledProgram
 from ambrose.plant.loop import Law, axis_order
+from ambrose.plant.timing import DEFAULT, Timing, machine_timing
 from ambrose.simulation.rig.controller import (
     SampledLaw,
     changes_with_speed,
@@ -58,7 +59,7 @@ def run(
     bending_modes: int = 1,
     dt: float | None = None,
     seed: int = 0,
-    computing_delay: int = 1,
+    computing_delay: int | None = None,
     every: int = 1,
     path: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
@@ -69,9 +70,9 @@ def run(
     ``plant.loop.match_controller``; or, scheduled, a function from speed [rad/s] to one, always in the same states; or a
     ControlProgram such as compiled C code. Continuous, it is sampled by Tustin's map
     at the scenario's or the machine's sample time (else 10 kHz); its output, limited to max_current, acts ``computing_delay``
-    (0 or 1) samples later. second: takes over without a bump at the scenario's switch_at. point: bias current, speed and seal
-    pressure at the start, where the scenario does not say otherwise (None: the nominal one). bending_modes: per plane. dt [s]:
-    longest integration step (None: by the machine's fastest pole). seed: of the sensors' noise. every: only each so many-th
+    samples later (None: the machine's, else one). second: takes over without a bump at the scenario's switch_at. point: bias
+    current, speed and seal pressure at the start, where the scenario does not say otherwise (None: the nominal one).
+    bending_modes: per plane. dt [s]: longest integration step (None: by the machine's fastest pole). seed: of the sensors' noise. every: only each so many-th
     sample is recorded. path (.h5): where the record is written while it grows; what was run so far stays readable when the run
     is interrupted. progress: is reported how far it is.
 
@@ -82,6 +83,9 @@ def run(
     task = plan(build(machine, point, bending_modes), scenario, sample_time(controller, machine, scenario.sample_time), seed)
     if (second is None) != (scenario.switch_at is None):
         raise InvalidInput("a second controller and the scenario's switch_at belong together; give both or neither")
+    if computing_delay is None:
+        computing_delay = (machine_timing(machine) or DEFAULT).delay_samples
+    computing_delay = Timing(task.dt, computing_delay).delay_samples  # refuses what is no number of samples
     program = _program(controller, second, computing_delay)
     recorder = Recorder(task, every, seed, path)
     begun = time.perf_counter()

@@ -13,22 +13,23 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.c.code import write_code
 from ambrose.deployment.c.compiled import CompiledBlock, read_law
 from ambrose.deployment.c.compiler import has_compiler
 from ambrose.deployment.discretisation.deployment import Deployment, deploy, unmet_limits
-from ambrose.deployment.pipeline import SAMPLE_TIME, machine_limits
+from ambrose.deployment.pipeline import machine_limits
 from ambrose.deployment.provenance import provenance_lines
-from ambrose.evaluation import Candidate, Deployed, Progress, evaluate, full_plants
+from ambrose.evaluation.candidate import Candidate, Deployed, evaluate
+from ambrose.evaluation.plants import Progress, full_plants
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.file.update import machine_text
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
+from ambrose.plant.timing import DEFAULT, Timing, machine_timing
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
 from ambrose.stages.control import resume_or_design
@@ -41,7 +42,6 @@ NAME = "commissioned"
 METHOD = "polish"
 EXCITATION = "prbs"
 _RECORDED = 2.0  # s
-_COMPUTING = 1  # sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +71,7 @@ class Commissioning:
     def in_words(self) -> tuple[tuple[str, str], ...]:
         """(what, words) about the sampled controller and its code."""
         deployed = self.deployment
-        rate = 1 / (deployed.controller.dt or SAMPLE_TIME)
+        rate = 1 / deployed.controller.dt if deployed.controller.dt else float("nan")
         rows = [
             ("Controller", f"{deployed.controller.n_states} states, {rate:g} Hz, {deployed.delay} sample of computing delay"),
             ("Runs on the rig as", "its law in Python: no C compiler here" if self.apart is None else "the compiled C code"),
@@ -112,11 +112,12 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     machine = identification.machine
     known = full_plants(machine)
     progress("controller for the identified machine and its sampled loop")
-    options = DesignOptions(rate=1 / _sample_time(machine), delay_samples=_COMPUTING)
+    timing = machine_timing(machine) or DEFAULT
+    options = DesignOptions(rate=timing.rate, delay_samples=timing.delay_samples)
     synthesis = resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
     deployment, program, files = compile_controller(known, directory, progress)
     law, apart = read_running_law(program, deployment)
-    running = Deployed(delayed(law, deployment.delay), program, plants)
+    running = Deployed(law, program, plants, Timing(timing.sample_time, deployment.delay))
     tolerances = design_tolerances(known[0].machine)
     candidate = evaluate(NAME, synthesis, known, progress, deployed=running, tolerances=tolerances)
     return Commissioning(identification, candidate, deployment, files, apart)
@@ -155,9 +156,10 @@ def compile_controller(
 ) -> tuple[Deployment, CompiledBlock | StateSpace, tuple[Path, ...]]:
     """Sampled, verified as it will run, written as C and, where there is a compiler, running; else its law in Python."""
     machine = plants[0].machine
-    file, dt = read_controller(directory / "controller.json"), _sample_time(machine)
+    file, timing = read_controller(directory / "controller.json"), machine_timing(machine) or DEFAULT
     narrow = tuple(replace(plant, machine=replace(machine, tolerances=design_tolerances(machine))) for plant in plants)
-    deployment = deploy(file, dt, _COMPUTING * dt, plants=narrow, progress=progress)
+    delay = timing.delay_samples * timing.sample_time
+    deployment = deploy(file, timing.sample_time, delay, plants=narrow, progress=progress)
     errors, currents = machine_limits(machine)
     if errors is None or currents is None:
         raise InvalidInput(f"machine {machine.name!r} states no gap or max_current of a bearing; the code needs both as limits")
@@ -174,8 +176,3 @@ def read_running_law(program: CompiledBlock | StateSpace, deployment: Deployment
     law = read_law(program)
     pairs = [(getattr(law, letter), getattr(program.system, letter)) for letter in "ABCD"]
     return law, max(float(np.abs(found - meant).max() / np.abs(meant).max()) for found, meant in pairs if meant.any())
-
-
-def _sample_time(machine: Machine) -> float:
-    settings = machine.controller
-    return settings.sample_time if settings is not None and settings.sample_time is not None else SAMPLE_TIME

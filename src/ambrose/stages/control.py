@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ambrose.core.checks import AmbroseError
-from ambrose.evaluation import Progress
+from ambrose.evaluation.plants import Progress
 from ambrose.plant.model import Plant
+from ambrose.synthesis.as_it_runs import sampled_margins
 from ambrose.synthesis.certificate import contradiction
 from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design, provenance
@@ -22,13 +23,13 @@ def resume_or_design(
     The same: package version, machine, operating point, method and options. What is taken up is certified again on the full
     plant, a scheduled controller at every speed of its grid; where the margins are not those of the file it is designed anew.
     """
-    options = options or DesignOptions()
+    options = (options or DesignOptions()).on(plant.machine)
     try:
         kept = read_controller(path)
     except AmbroseError:
         kept = None  # absent, or not readable any more
     if kept is not None and kept.provenance.key == provenance(plant, method, options).key:
-        wrong = contradiction(plant, kept)
+        wrong = contradiction(plant, kept, sampled_margins(plant, kept.law, options.timing()))
         if not wrong:
             return kept
         progress(f"{path.name} is not taken up: {wrong}; designing it anew")

@@ -111,15 +111,19 @@ def certify_on_full_plant(plant: Plant, result: Synthesis, margins: Mapping[str,
     return replace(result, certificate=certificate, status=result.status if stable else Status.UNSTABLE)
 
 
-def contradiction(plant: Plant, result: Synthesis) -> str:
-    """Which margin, recomputed on the full plant, is not what the certificate says; "" where all are."""
+def contradiction(plant: Plant, result: Synthesis, sampled: Mapping[str, float]) -> str:
+    """Which margin, recomputed on the full plant, is not what the certificate says; "" where all are.
+
+    sampled: those of the loop as it runs, recomputed as well (``as_it_runs.sampled_margins``).
+    """
     said = result.certificate
     margins = {
         "full_spectral_abscissa": said.spectral_abscissa, "full_sensitivity_peak": said.closed_loop_norm, **said.margins
     }  # fmt: skip
-    for name, value in full_plant_margins(plant, result.law)[1].items():
-        if not (value == margins[name] or abs(value - margins[name]) <= _SAME * abs(value)):
-            return f"{name} is {value:.6g}, but its certificate says {margins[name]:.6g}"
+    for name, value in {**full_plant_margins(plant, result.law)[1], **sampled}.items():
+        said_of_it = margins.get(name, np.nan)
+        if not (value == said_of_it or abs(value - said_of_it) <= _SAME * abs(value)):
+            return f"{name} is {value:.6g}, but its certificate says {said_of_it:.6g}"
     return ""
 
 

@@ -15,6 +15,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
 from ambrose.synthesis.certificate import certify_on_full_plant
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
@@ -62,11 +63,12 @@ def design(
     speed). options: all of them, or single ones by name as ``choices``: rate, delay_samples, loss, order, bending_modes,
     match_reference, speeds (``DesignOptions``).
 
-    The delay of a sampled loop is inside the design model only: the certificate is of the continuous controller without it, and
-    the verification of the sampled loop is ``verification.sampled``'s. Polishing for a rate is judged round by round by the
-    worst sampled sensitivity. The certificate's margins gain "full_spectral_abscissa" and "full_sensitivity_peak", recomputed
-    on ``plant``; a controller that does not hold it has the status "unstable". Raises InvalidInput for an unknown method or
-    option or a machine file that lacks what the method needs.
+    Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
+    "lpv", nor of "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
+    are residualised. The certificate's margins gain "full_spectral_abscissa" and "full_sensitivity_peak", recomputed on
+    ``plant``, with a rate also "sampled_spectral_abscissa" and "sampled_sensitivity_peak" of the loop as it runs; a controller
+    that does not hold one of the two has the status "unstable". Raises InvalidInput for an unknown method or option or a
+    machine file that lacks what the method needs.
     """
     options = _chosen(options, choices)
     if not isinstance(plant, Plant):
@@ -77,10 +79,9 @@ def design(
         raise invalid("order", options.order, f"None for method {method!r}", "only method 'polish' can choose it")
     if options.speeds is not None and method != "lpv":
         raise invalid("speeds", options.speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
-    if options.rate is not None and method == "lpv":
-        raise invalid("rate", options.rate, "None for method 'lpv'", "choose another method, or sample it much faster")
+    options = options.on(plant.machine)
     if method == "pid":
-        result = pid_synthesis(plant)
+        result = pid_synthesis(plant, timing=options.timing())
     elif method == "lpv":
         grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
         result = design_over_speed(plant, grid, bending_modes=options.bending_modes, progress=progress)
@@ -89,6 +90,8 @@ def design(
     if options.loss is not None:
         progress("lowering the order")
         result = reduce_order(plant, result, options, progress)
+    if method != "pid":
+        result = certify_as_it_runs(plant, result, options.timing())
     return replace(result, provenance=provenance(plant, method, options))
 
 
@@ -103,7 +106,12 @@ def _chosen(options: DesignOptions | None, choices: dict[str, Any]) -> DesignOpt
 
 def provenance(plant: Plant, method: str, options: DesignOptions) -> Provenance:
     """Machine and settings of a design: its key decides which controller comes out."""
-    settings = {"method": method, **asdict(options), "point": asdict(plant.point), "plant_states": plant.system.n_states}
+    settings = {
+        "method": method,
+        **asdict(options.on(plant.machine)),
+        "point": asdict(plant.point),
+        "plant_states": plant.system.n_states,
+    }
     machine = plant.machine
     return Provenance(machine=machine.name, machine_hash=machine_hash(machine), settings=to_plain(settings))
 
@@ -113,7 +121,8 @@ def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Pro
     machine, weights = plant.machine, machine_weights(plant.machine)
     uncertain = method in {"mu", "polish"}
     wide = design_tolerances(machine) if uncertain else None
-    model = apply_delay(open_model(reduce(plant, options.bending_modes), wide, uncertain), options.delay)
+    small, timing = reduce(plant, options.bending_modes), options.timing()
+    model = apply_delay(open_model(small, wide, uncertain), 0.0 if timing is None else timing.lag)
     synthesis = hinf_synthesis if method == "hinf" else lambda problem: mu_synthesis(problem, order=SCALING_ORDER)
     reference = None if machine.controller is None else pid_controller(machine.controller, machine)
     margins: dict[str, float] = {}
@@ -131,9 +140,9 @@ def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Pro
         result = synthesis(design_plant(model, weights, uncertain=uncertain))
     if method == "polish":
         start, judge = result, None
-        if options.sample_time is not None:
-            judge = sampled_sensitivity(reduce(plant, options.bending_modes + 1), options.sample_time, options.delay_samples)
-        delay_states = len(machine.axes) if options.delay else 0
+        if timing is not None:
+            judge = sampled_sensitivity(reduce(plant, options.bending_modes + 1), timing)
+        delay_states = len(machine.axes) if timing is not None else 0
         result = polish_synthesis(
             design_plant(model, weights),
             start.controller,
@@ -144,6 +153,8 @@ def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Pro
         )
         early = [result.stopped_early, start.stopped_early and f"its start, by mu: {start.stopped_early}"]
         result = replace(result, stopped_early="; ".join(filter(None, early)) or None)  # or polishing would hide the start's
+    if timing is not None:
+        result = without_fast_poles(result, timing, design_plant(small, weights, uncertain=False))
     if reference is not None:  # of the controller that is returned: polishing moves it
         margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
     return certify_on_full_plant(plant, replace(result, weights=weights), margins)

@@ -6,21 +6,9 @@ late: the half sample is the mean age of a held value. The delay enters the desi
 
 from __future__ import annotations
 
-from ambrose.core.checks import check_positive, invalid
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.sampling import pade
 from ambrose.core.statespace import append, connect, rename
-
-
-def loop_delay(sample_time: float, computing_samples: int = 1) -> float:
-    """The delay [s] by which a sampled controller's currents are late on average: computing and half a sample of holding.
-
-    Raises InvalidInput for a sample time that is not positive, and for computing_samples below zero.
-    """
-    check_positive(sample_time, "the sample time", "give it in seconds")
-    if computing_samples < 0:
-        raise invalid("the computing delay", f"{computing_samples} samples", "zero or more", "1 is usual")
-    return (computing_samples + 0.5) * sample_time
 
 
 def apply_delay(model: GeneralizedPlant, delay: float, order: int = 1) -> GeneralizedPlant:

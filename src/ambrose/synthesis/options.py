@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import check_positive, check_shape, invalid
-from ambrose.synthesis.loop_delay import loop_delay
+from ambrose.machine.machine import Machine
+from ambrose.plant.timing import Timing, machine_timing, timing_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignOptions:
-    """rate [Hz]: the loop runs sampled, its controller ``delay_samples`` late; None: it is designed without delay.
+    """rate [Hz]: the loop runs sampled, its controller ``delay_samples`` late. None: as the machine file says; where that
+    states no rate either, the controller is designed without delay.
 
     loss [-]: with a rate, the order is reduced until the worst sampled sensitivity has risen by this share (0.05: 5 %). order:
     states of the polished controller (None: half of what mu needs). bending_modes: how many the design model keeps per plane.
@@ -24,7 +26,7 @@ class DesignOptions:
     """
 
     rate: float | None = None
-    delay_samples: int = 1
+    delay_samples: int | None = None
     loss: float | None = None
     order: int | None = None
     bending_modes: int = 0
@@ -34,14 +36,13 @@ class DesignOptions:
     def __post_init__(self) -> None:
         if self.rate is not None:
             check_positive(self.rate, "rate", "10000 Hz is usual")
-        _check_count(self.delay_samples, "the computing delay (delay_samples)", "1 is usual")
+        if self.delay_samples is not None:
+            _check_count(self.delay_samples, "the computing delay (delay_samples)", "1 is usual")
         _check_count(self.bending_modes, "bending_modes", "0 designs for the rigid rotor")
         if self.order is not None:
             _check_count(self.order, "order", "None takes half of what mu needs")
         if self.loss is not None:
             check_positive(self.loss, "loss", "0.05 allows 5 %", zero_allowed=True)
-            if self.rate is None:
-                raise invalid("rate", None, "given with a loss", "say at which rate [Hz] the controller will run")
         if self.match_reference not in (None, True, False):
             raise invalid(
                 "match_reference", repr(self.match_reference), "True, False or None", "None decides by the machine file"
@@ -51,15 +52,19 @@ class DesignOptions:
             if not 0 <= low < high:
                 raise invalid("speeds", f"{low:g} and {high:g} rad/s", "the lower speed, then the higher", "swap the two")
 
-    @property
-    def sample_time(self) -> float | None:
-        """[s]; None without a rate."""
-        return None if self.rate is None else 1 / self.rate
+    def on(self, machine: Machine) -> DesignOptions:
+        """These options with the rate and the delay that hold on a machine. Raises InvalidInput for a loss without a rate."""
+        timing = self.timing(machine)
+        if timing is None:
+            if self.loss is not None:
+                raise invalid("rate", None, "given with a loss", "say at which rate [Hz] the controller will run")
+            return replace(self, delay_samples=1)
+        return replace(self, rate=timing.rate, delay_samples=timing.delay_samples)
 
-    @property
-    def delay(self) -> float:
-        """What the design model is delayed by [s]: computing, and half a sample of holding; 0 without a rate."""
-        return 0.0 if self.rate is None else loop_delay(1 / self.rate, self.delay_samples)
+    def timing(self, machine: Machine | None = None) -> Timing | None:
+        """When the controller will act; None where no rate is known."""
+        asked = self.delay_samples if self.rate is not None or machine_timing(machine) is not None else None
+        return timing_of(machine, None, self.rate, asked)
 
 
 def _check_count(value: Any, name: str, remedy: str) -> None:

@@ -13,11 +13,11 @@ import numpy as np
 
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, invalid
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty
-from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case.loop import corners
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import Timing
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.certificate import certify, certify_on_full_plant, generalized_certificate
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
@@ -108,18 +108,18 @@ def reduce_order(plant: Plant, result: Synthesis, options: DesignOptions, progre
     certificate is made anew on the full plant; margins gain "sampled_sensitivity" and, of the controller before,
     "sampled_sensitivity_given". Raises InvalidInput for a machine without tolerances or weights, or options without a loss.
     """
-    loss, sample_time = options.loss, options.sample_time
-    if loss is None or sample_time is None:
+    loss, timing = options.loss, options.timing()
+    if loss is None or timing is None:
         raise invalid("loss and rate", "not given", "given", "0.05 at 10000 Hz allows 5 %")
     weights = machine_weights(plant.machine) if result.weights is None else result.weights
     small = reduce(plant, options.bending_modes)
-    problem = design_plant(apply_delay(open_model(small, design_tolerances(plant.machine), True), options.delay), weights)
-    measure = sampled_sensitivity(reduce(plant, options.bending_modes + 1), sample_time, options.delay_samples)
+    problem = design_plant(apply_delay(open_model(small, design_tolerances(plant.machine), True), timing.lag), weights)
+    measure = sampled_sensitivity(reduce(plant, options.bending_modes + 1), timing)
     lowest = find_lowest_order(problem, result.controller, measure, loss, progress=progress)
     before, after = result.controller.n_states, lowest.controller.n_states
     note = (
         f"lowered from {before} to {after} states: worst sampled sensitivity {lowest.reference:.3g} -> {lowest.measure:.3g} "
-        f"over the tolerances, at {1 / sample_time:g} Hz with {options.delay_samples} samples of delay"
+        f"over the tolerances, {timing}"
     )
     margins = {"sampled_sensitivity": lowest.measure, "sampled_sensitivity_given": lowest.reference}
     certificate = generalized_certificate(design_plant(small, weights, uncertain=False), lowest.controller)
@@ -134,11 +134,11 @@ def reduce_order(plant: Plant, result: Synthesis, options: DesignOptions, progre
     return certify_on_full_plant(plant, fresh, margins)
 
 
-def sampled_sensitivity(plant: Plant, sample_time: float, computing_samples: int = 1) -> Measure:
+def sampled_sensitivity(plant: Plant, timing: Timing) -> Measure:
     """A measure: the largest sigma_max(S_o) of the sampled loop over the design's tolerances, at corners or five levels.
 
-    plant: reduced, its bending modes kept so that spillover counts. sample_time [s]; the controller is sampled by Tustin's map
-    and acts ``computing_samples`` later. Raises InvalidInput for a machine without tolerances.
+    plant: reduced, its bending modes kept so that spillover counts. The controller is sampled by Tustin's map.
+    Raises InvalidInput for a machine without tolerances.
     """
     names = [tolerance.parameter for tolerance in design_tolerances(plant.machine)]
     if not names:
@@ -147,7 +147,7 @@ def sampled_sensitivity(plant: Plant, sample_time: float, computing_samples: int
     plants = [perturbed(plant, dict(zip(names, point.tolist(), strict=True))) for point in points]
 
     def measure(controller: StateSpace) -> float:
-        running = delayed(c2d(controller, sample_time, "tustin"), computing_samples)
+        running = timing.in_loop(controller)
         return max(certify(item, running).closed_loop_norm for item in plants)
 
     return measure

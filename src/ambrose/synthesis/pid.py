@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid
-from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
 from ambrose.machine.description import MagneticBearing, PidSettings
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
+from ambrose.plant.timing import Timing, machine_timing
+from ambrose.synthesis.as_it_runs import certify_as_it_runs
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.filters import lead, low_pass, notch, pid_term
 from ambrose.synthesis.result import Status, Synthesis
@@ -23,11 +24,11 @@ from ambrose.synthesis.result import Status, Synthesis
 COORDINATES = ("axes", "tilt-translate")
 
 
-def pid_synthesis(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
+def pid_synthesis(plant: Plant, settings: PidSettings | None = None, timing: Timing | None = None) -> Synthesis:
     """The PID controller of the settings (None: of the plant's machine), certified on the plant.
 
-    The controller returned is continuous. Where the settings give a sample_time, the sampled and delayed one is certified
-    as well (margins ``sampled_...``), and both must be stable for the status "verified"; otherwise it is "unstable", which
+    The controller returned is continuous. With a timing (None: that of the settings) the sampled and delayed one is certified
+    as well (``certify_as_it_runs``), and both must be stable for the status "verified"; otherwise it is "unstable", which
     is a verdict and raises nothing. Raises InvalidInput for settings that describe no controller.
     """
     settings = plant.machine.controller if settings is None else settings
@@ -37,13 +38,9 @@ def pid_synthesis(plant: Plant, settings: PidSettings | None = None) -> Synthesi
         )
     design = pid_controller(settings, plant.machine)
     certificate = certify(plant, design)
-    stable = certificate.stable
-    if settings.sample_time is not None:
-        sampled = certify(plant, c2d(design, settings.sample_time, "tustin", settings.delay))
-        stable = stable and sampled.stable
-        extra = {"sampled_spectral_abscissa": sampled.spectral_abscissa, "sampled_sensitivity_peak": sampled.closed_loop_norm}
-        certificate = replace(certificate, margins={**certificate.margins, **extra})
-    return Synthesis(design, "pid", float("nan"), Status.VERIFIED if stable else Status.UNSTABLE, certificate)
+    status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
+    result = Synthesis(design, "pid", float("nan"), status, certificate)
+    return certify_as_it_runs(plant, result, timing or machine_timing(replace(plant.machine, controller=settings)))
 
 
 def pid_controller(settings: PidSettings, machine: Machine) -> StateSpace:

@@ -73,7 +73,8 @@ class Curve(Presented):
 class Checks(Presented):
     """The verdict on one closed loop at one operating point; ``stable`` False means that nothing else was evaluated.
 
-    notes: what was left out or approximated, and why, one sentence each.
+    notes: what was left out or approximated, and why, one sentence each. found: where in the tolerance box the searches found
+    their worst, by parameter, as ``plant.uncertainty.perturbed`` takes it.
     """
 
     label: str
@@ -81,6 +82,7 @@ class Checks(Presented):
     checks: tuple[Check, ...]
     curves: tuple[Curve, ...] = ()
     notes: tuple[str, ...] = ()
+    found: tuple[Mapping[str, float], ...] = ()
 
     @property
     def passed(self) -> bool:

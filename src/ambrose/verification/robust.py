@@ -86,7 +86,7 @@ def check(
     checks, notes = _stability(output, tell)
     box_holds = checks[0].value == 0
     tell("sensitivity over the box", 0.4)
-    more, curves = _sensitivity(output, input_, grid, requirements, box_holds)
+    more, curves, worst = _sensitivity(output, input_, grid, requirements, box_holds)
     checks += more
     if not box_holds:
         notes.append("The loop is unstable somewhere in the box: the worst-case gains are infinite.")
@@ -96,7 +96,31 @@ def check(
         checks.append(found)
         curves.append(curve)
     tell("done", 1.0)
-    return Checks(label, True, tuple(checks), tuple(curves), tuple(notes))
+    return Checks(label, True, tuple(checks), tuple(curves), tuple(notes), _points(output, worst))
+
+
+def examine(plant: Plant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Checks:
+    """Stability and the worst output sensitivity over the box by search alone: no bound, no proof, no curves.
+
+    Arguments, verdict on an unstable nominal loop and errors as for ``check``.
+    """
+    unit = _unit_problem(plant, tolerances)
+    closed = lft(unit, _matched(controller, plant, unit))
+    if not is_stable(closed):
+        return check(plant, controller, tolerances)
+    output, _ = _sensitivity_loops(closed, unit)
+    around = box_sweep(output)
+    checks = [_corner_check(output, around), _margin_check(output, box_margin(output, around))]
+    worst = worst_gain(output) if checks[0].value == 0 else None
+    checks.append(_worst_check(output, worst, plant.machine.requirements))
+    return Checks(_label(plant), True, tuple(checks), (), (), _points(output, worst))
+
+
+def _points(loop: BoxLoop, worst: BoxGain | None) -> tuple[dict[str, float], ...]:
+    """Where a search found the worst gain, by parameter; none where the box does not hold."""
+    if worst is None:
+        return ()
+    return ({block.name: float(value) for block, value in zip(loop.blocks, worst.delta, strict=True)},)
 
 
 def stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Check:
@@ -215,16 +239,11 @@ def _margin_check(loop: BoxLoop, margin: BoxMargin) -> Check:
 
 def _sensitivity(
     output: BoxLoop, input_: BoxLoop, grid: np.ndarray, requirements: Requirements, box_holds: bool
-) -> tuple[list[Check], list[Curve]]:
-    rule = demand("maximum singular value of a sensitivity", requirements)
+) -> tuple[list[Check], list[Curve], BoxGain | None]:
     members = _members(output)
     stable = np.ones(len(members), bool) if box_holds else unstable_poles(output, members) == 0
     worst = worst_gain(output) if box_holds else None
-    value = worst.value if worst is not None else np.inf
-    detail = "the loop is unstable in the box"
-    if worst is not None:
-        detail = f"{_named(output, worst.delta)}, {worst.frequency / TWO_PI:.4g} Hz, by search"
-    checks = [judge("robust.sensitivity.worst", "Worst-case output sensitivity over the box", value, "-", rule, detail)]
+    checks = [_worst_check(output, worst, requirements)]
     if worst is not None:
         checks.append(_bound(output, grid, worst))
         drive = worst_gain(input_)
@@ -243,7 +262,15 @@ def _sensitivity(
             (input_, ".input", "Input sensitivity over the tolerances", zone_lines(SENSITIVITY)),
         )
     ]
-    return checks, curves
+    return checks, curves, worst
+
+
+def _worst_check(loop: BoxLoop, worst: BoxGain | None, requirements: Requirements) -> Check:
+    rule = demand("maximum singular value of a sensitivity", requirements)
+    value, detail = np.inf, "the loop is unstable in the box"
+    if worst is not None:
+        value, detail = worst.value, f"{_named(loop, worst.delta)}, {worst.frequency / TWO_PI:.4g} Hz, by search"
+    return judge("robust.sensitivity.worst", "Worst-case output sensitivity over the box", value, "-", rule, detail)
 
 
 def _members(loop: BoxLoop) -> np.ndarray:

@@ -6,7 +6,8 @@ eigenvalues and norms at corners and samples of the box (loop diagram in core/lf
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,14 +15,16 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa, static_gain
 from ambrose.core.worst_case.loop import box_points
+from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.plant.uncertainty import perturbed
+from ambrose.plant.uncertainty import perturbed, tolerances_around
 from ambrose.synthesis.certificate import certify
 from ambrose.verification import nominal
 from ambrose.verification.checks import Check, Checks
-from ambrose.verification.criteria import Demand, information, judge
+from ambrose.verification.criteria import Demand, demand, information, judge
+from ambrose.verification.verification import box_label
 
 _FULL_POINTS = 40  # points of the box at which the eigenvalues of the full plant's loop are computed
 _MODES = 3  # bending modes per plane of the plant on which all points are examined
@@ -32,18 +35,20 @@ Progress = Callable[[str], None]
 def verify_sampled(
     plants: Sequence[Plant], controller: StateSpace, progress: Progress = lambda stage: None
 ) -> tuple[tuple[Checks, ...], tuple[Checks, ...]]:
-    """The checks at every plant, and over the tolerances of the first one's machine (none: empty).
+    """The checks at every plant, and over the tolerances around each with a stable loop and any tolerance.
 
-    plants: full, the nominal one first. controller: sampled, with its delay. Raises InvalidInput.
+    plants: full. controller: sampled, with its delay. Raises InvalidInput.
     """
     checks = []
     for plant in plants:
         progress(f"verifying the sampled loop at {plant.point.label}")
         checks.append(check_sampled(plant, controller))
-    if not plants or not plants[0].machine.tolerances:
-        return tuple(checks), ()
-    progress("verifying the sampled loop over the tolerances")
-    return tuple(checks), (check_over_box(plants[0], controller),)
+    boxes = []
+    for plant, point in zip(plants, checks, strict=True):
+        if point.stable and (held := tolerances_around(plant)):
+            progress(f"verifying the sampled loop over the tolerances around {plant.point.label}")
+            boxes.append(replace(check_over_box(plant, controller, held), label=f"{box_label(plant.point.label)}, sampled"))
+    return tuple(checks), tuple(boxes)
 
 
 def check_sampled(plant: Plant, controller: StateSpace) -> Checks:
@@ -51,24 +56,33 @@ def check_sampled(plant: Plant, controller: StateSpace) -> Checks:
     return nominal.check(plant, match_controller(controller, plant))
 
 
-def check_over_box(plant: Plant, controller: StateSpace) -> Checks:
-    """Stability and the sampled output sensitivity of a loop over its machine's tolerances, at corners and samples.
+def check_over_box(
+    plant: Plant,
+    controller: StateSpace,
+    tolerances: Sequence[Tolerance] | None = None,
+    also: Sequence[Mapping[str, float]] = (),
+) -> Checks:
+    """Stability and the sampled output sensitivity of a loop over its tolerances, at corners, samples and points given.
 
-    By eigenvalues. plant: the full one. controller: sampled, with its delay. Unlike ``robust.check`` it proves nothing
-    between the points: a sampled plant depends on its parameters through a matrix exponential. Raises InvalidInput.
+    By eigenvalues. plant: the full one. controller: sampled, with its delay. tolerances: None: the machine's. also: further
+    points, by parameter. Unlike ``robust.check`` it proves nothing between the points: a sampled plant depends on its
+    parameters through a matrix exponential. Raises InvalidInput.
     """
     controller = match_controller(controller, plant)
-    names = [tolerance.parameter for tolerance in plant.machine.tolerances]
+    held = plant.machine.tolerances if tolerances is None else tuple(tolerances)
+    names = [tolerance.parameter for tolerance in held]
+    extra = np.array([[point[name] for name in names] for point in also]).reshape(-1, len(names))
     points = box_points(len(names), _INSIDE)
+    points = np.vstack([points[:1], extra, points[1:]])
     small = reduce(plant, _MODES) if plant.bending_modes is None else plant
     abscissa = np.empty(len(points))
     peak = np.empty(len(points))
     for i, point in enumerate(points):
         delta = dict(zip(names, point.tolist(), strict=True))
-        certificate = certify(perturbed(small, delta), controller)
+        certificate = certify(perturbed(small, delta, held), controller)
         abscissa[i], peak[i] = certificate.spectral_abscissa, certificate.closed_loop_norm
         if i < _FULL_POINTS:
-            abscissa[i] = max(abscissa[i], _abscissa(perturbed(plant, delta), controller))
+            abscissa[i] = max(abscissa[i], _abscissa(perturbed(plant, delta, held), controller))
     unstable = abscissa >= 0
     worst = int(np.argmax(np.where(unstable, np.inf, peak)))
     outermost = int(abscissa.argmax())
@@ -78,7 +92,7 @@ def check_over_box(plant: Plant, controller: StateSpace) -> Checks:
 
     example = f"; for one, {where(outermost)} ({abscissa[outermost]:+.4g} rad/s)" if unstable.any() else ""
     full = min(_FULL_POINTS, len(points))
-    extent = f"{len(points)} corners and samples, {full} of them on the full plant{example}"
+    extent = f"{len(points)} corners, samples and worst cases found, {full} of them on the full plant{example}"
     value = np.inf if unstable.any() else float(peak[worst])
     checks: list[Check] = [
         judge(
@@ -86,7 +100,10 @@ def check_over_box(plant: Plant, controller: StateSpace) -> Checks:
             Demand(0.0, "<=", "every tolerance"), extent,
         ),
         information("sampled.abscissa.box", "Outermost pole over the box", float(abscissa.max()), "rad/s", where(outermost)),
-        information("sampled.sensitivity.box", "Sampled output sensitivity over the box", value, "-", where(worst)),
+        judge(
+            "sampled.sensitivity.box", "Largest sampled output sensitivity found in the box", value, "-",
+            demand("maximum singular value of a sensitivity", plant.machine.requirements), where(worst),
+        ),
     ]  # fmt: skip
     return Checks("over the tolerances, sampled", not unstable[0], tuple(checks))
 

@@ -10,26 +10,38 @@ from typing import Any
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.verification.checks import Check, Checks, check_columns, checks_table
 
-OVER_TOLERANCES = "over all tolerances"  # the row label of ``tolerances`` in ``to_frame`` and in the details of ``worst``
+OVER_TOLERANCES = "over all tolerances"
+CONTINUOUS = "continuous: no sample rate is known"
+
+
+def box_label(point: str) -> str:
+    """The label of the checks over the tolerances around an operating point."""
+    return f"{OVER_TOLERANCES} around {point}"
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Verification(Presented):
-    """points: the checks at each operating point. tolerances: the checks over the tolerance box, None where none were made.
+    """points: the checks at each operating point. boxes: those over the tolerances around each, labelled by ``box_label``.
 
-    left_out: the operating points that could not be verified, such as those outside a controller's schedule, each with its
-    reason; a verification that leaves a point out is not passed.
+    A point without a box has no tolerance around it, or an unstable loop. left_out: the operating points that could not be
+    verified, such as those outside a controller's schedule; a verification that leaves a point out is not passed. timing: what
+    loop was judged, "continuous" or "sampled at 10000 Hz, ...".
     """
 
     points: tuple[Checks, ...]
-    tolerances: Checks | None = None
+    boxes: tuple[Checks, ...] = ()
     left_out: tuple[str, ...] = ()
+    timing: str = CONTINUOUS
 
     @property
     def labelled(self) -> tuple[tuple[str, Checks], ...]:
         """Every point's label with its checks, those over the tolerances last."""
-        box = () if self.tolerances is None else ((OVER_TOLERANCES, self.tolerances),)
-        return (*((checks.label, checks) for checks in self.points), *box)
+        return tuple((checks.label, checks) for checks in (*self.points, *self.boxes))
+
+    @property
+    def tolerances(self) -> Checks | None:
+        """The checks over the tolerances around the first point that has any; None where none were made."""
+        return self.boxes[0] if self.boxes else None
 
     @property
     def stable(self) -> bool:
@@ -74,6 +86,7 @@ class Verification(Presented):
             "failed": list(dict.fromkeys(check.name for _, checks in self.labelled for check in checks.failed)),
             **({"left_out": self.left_out} if self.left_out else {}),
             "points": [label for label, _ in self.labelled],
+            "loop": self.timing,
         }
 
     def _repr_html_(self) -> str:
@@ -87,8 +100,9 @@ class Verification(Presented):
             "passed": self.passed,
             "stable": self.stable,
             "points": [checks.to_dict() for checks in self.points],
-            "tolerances": None if self.tolerances is None else self.tolerances.to_dict(),
+            "tolerances": [checks.to_dict() for checks in self.boxes],
             "left_out": list(self.left_out),
+            "timing": self.timing,
         }
 
     def to_frame(self) -> Any:

@@ -12,7 +12,8 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.evaluation import SCENARIOS, Candidate, points_of, simulate_linear
+from ambrose.evaluation.candidate import SCENARIOS, Candidate, points_of
+from ambrose.evaluation.trial import simulate_linear
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce

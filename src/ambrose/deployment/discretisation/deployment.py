@@ -278,7 +278,7 @@ def unmet_limits(deployment: Deployment | ScheduledDeployment) -> tuple[str, ...
     scheduled = isinstance(deployment, ScheduledDeployment)
     points = deployment.points if isinstance(deployment, ScheduledDeployment) else ()
     worst: dict[str, tuple[float, str, int]] = {}
-    for checks in (*deployment.checks, *points):
+    for checks in (*deployment.checks, *points, *deployment.box):
         for check in checks.checks:
             if check.passed is not False or check.limit is None:
                 continue

@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Material, Tolerance
-from ambrose.machine.kinds import Choices, ListOf, NestedOf, Quantity, Ratio, Text, Version
+from ambrose.machine.kinds import Choices, ListOf, NestedOf, Quantity, Ratio, Text, Texts, Version
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.part import Part
 from ambrose.machine.seals import SEAL_AXES, SEAL_COEFFICIENTS, SealTable
@@ -84,6 +84,9 @@ class ToleranceTable(Table):
     )
     relative: Ratio = optional("half-width as a fraction of the nominal value")
     absolute: float = optional("half-width in the parameter's own unit")
+    around: Annotated[tuple[str, ...], Texts()] = optional(
+        "labels of the operating points around which it holds; default: every one"
+    )
 
     @field_validator("absolute", mode="plain", json_schema_input_type=float | str)
     @classmethod

@@ -125,6 +125,11 @@ def _controller(machine: MachineDescription) -> Iterator[str]:
     times, filters = ("integral_time", "derivative_time", "derivative_filter"), ("low_pass", "low_pass_damping", "lead")
     yield from not_positive(where, pid, "leave it out where there is none", *times, *filters, "tilt_gain", "sample_time")
     yield from not_positive(where, pid, "a controller cannot see ahead", "delay", zero=True)
+    if pid.delay is not None and pid.delay > 0:
+        samples = pid.delay / pid.sample_time if pid.sample_time else 0.5
+        if abs(samples - round(samples)) > 1e-6:
+            remedy = "round it up: outputs are set when a sample is taken" if pid.sample_time else "add sample_time"
+            yield complaint(where, "delay", f"{pid.delay:g} s", "a whole number of samples of sample_time", remedy)
     for i, notch in enumerate(pid.notches):
         inside = f"[[controller.notch]] {i + 1}"
         yield from not_positive(inside, notch, "leave the notch out where there is none", "frequency", "pole_damping")
@@ -174,6 +179,9 @@ def _tolerances(machine: MachineDescription) -> Iterator[str]:
             both = "both relative and absolute are" if tolerance.relative is not None else "neither relative nor absolute is"
             yield f"{named}: {both} given; give one of the two"
         yield from not_positive(named, tolerance, "give the half-width, or remove the tolerance", "relative", "absolute")
+        labels = [point.label for point in machine.operation.points]
+        for unknown in (label for label in tolerance.around if label not in labels):
+            yield f'{named}: around names "{unknown}", which is no point\'s label; {suggestion(unknown, labels)}'
     for one, other in combinations(uncertain, 2):
         if one.overlaps(other):
             yield (

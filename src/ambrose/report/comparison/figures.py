@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.core.frequency import frequency_response
-from ambrose.evaluation import Candidate, find
+from ambrose.evaluation.candidate import Candidate, find
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.captions import caption

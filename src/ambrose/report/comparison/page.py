@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ambrose.evaluation import Candidate, points_of
+from ambrose.evaluation.candidate import Candidate, points_of
 from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.comparison import figures
@@ -93,12 +93,11 @@ def _with_box(report: Report, machine: Machine, candidate: Candidate) -> Report:
     """The verification report of one controller, and what was found over the tolerance box."""
     if candidate.robust is None:
         return report
-    label = f"whole tolerance box ({candidate.robust.label})"
-    table = replace(tables.checks_table(candidate.robust), title=label)
-    section = Section("Over the tolerances", "", figures.family_figures(machine, [candidate]), (table,))
-    verdict = replace(tables.verdict(candidate.robust), label=label)
+    shown = tuple(replace(tables.checks_table(box), title=box.label) for box in candidate.boxes)
+    section = Section("Over the tolerances", "", figures.family_figures(machine, [candidate]), shown)
+    verdicts = tuple(replace(tables.verdict(box), label=box.label) for box in candidate.boxes)
     sections = (*report.sections[:-1], section, report.sections[-1])
-    return replace(report, sections=sections, verdicts=(*report.verdicts, verdict))
+    return replace(report, sections=sections, verdicts=(*report.verdicts, *verdicts))
 
 
 def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
@@ -124,8 +123,10 @@ def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
     for candidate in candidates:
         made = candidate.synthesis
         order = Cell(str(made.controller.n_states), "number")
-        rows.append((candidate.name, made.method, order, made.verdict, made.certificate.plant, " ".join(made.notes)))
-    columns = ("Controller", "Method", "Order", "Status", "Certified on", "Notes")
+        rows.append(
+            (candidate.name, made.method, order, made.verdict, made.certificate.plant, candidate.timing, " ".join(made.notes))
+        )
+    columns = ("Controller", "Method", "Order", "Status", "Certified on", "Loop judged", "Notes")
     shown = [Table("How they were made", columns, tuple(rows))]
     shown += [_history(candidate) for candidate in candidates if any("mu_mixed" in row for row in candidate.synthesis.history)]
     return Section("Controllers", "", figures.gain_figures(machine, candidates), tuple(shown))
@@ -156,7 +157,7 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
     shown = []
     for candidate in candidates:
         ordered = [checks for point in points if (checks := candidate.at(point)) is not None]
-        for checks in [*ordered, *([candidate.robust] if candidate.robust is not None else [])]:
+        for checks in [*ordered, *candidate.boxes]:
             where, words = checks.label, tables.verdict(checks).text.partition(";")[0]
             if checks is candidate.robust:  # "stable" would be said of the nominal loop only
                 where, words = f"whole tolerance box ({checks.label})", words.removeprefix("stable, ")

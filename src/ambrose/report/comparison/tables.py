@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from ambrose.evaluation import Candidate, find
+from ambrose.evaluation.candidate import Candidate, find
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Table, Verdict
 from ambrose.report.tables import RELATION, place, reason, verdict
 from ambrose.verification.checks import Check, Checks
+from ambrose.verification.verification import OVER_TOLERANCES
 
 Better = Callable[..., Any]  # min or max
 
@@ -33,8 +34,14 @@ _IN_THE_BOX: dict[str, Better] = {
     "robust.stability.margin": max,
     "robust.stability.proved": max,
     "robust.sensitivity.worst": min,
+    "sampled.sensitivity.box": min,
 }
-_IMPLIED = {"stability.abscissa", "robust.stability.box", "robust.performance"}  # told by rows of their own
+_IMPLIED = {
+    "stability.abscissa",
+    "robust.stability.box",
+    "sampled.stability.box",
+    "robust.performance",
+}  # told by rows of their own
 
 
 def result(candidates: Sequence[Candidate]) -> Verdict:
@@ -62,8 +69,9 @@ def _line(candidate: Candidate, points: Sequence[str]) -> str:
         words = [f"passes every check at {_listed(groups['passes at'])}"]
     if candidate.left_out:
         words.append(f"not covered by its schedule: {_listed(candidate.left_out)}")
-    if candidate.robust is not None:
-        words.append(f"{'passes' if candidate.robust.passed else 'fails'} over the tolerances")
+    if candidate.boxes:
+        failed = [around(box) for box in candidate.boxes if not box.passed]
+        words.append(f"fails over the tolerances {_listed(failed)}" if failed else "passes over the tolerances")
     return "; ".join(words)
 
 
@@ -72,14 +80,14 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
-    """One row per candidate, one column per operating point and one for the whole tolerance box: pass or fail, and why."""
+    """One row per candidate, one column per operating point and one for the tolerances around them: pass or fail, and why."""
     box = any(candidate.robust is not None for candidate in candidates)
     rows: list[Row] = []
     for candidate in candidates:
         cells = [_verdict_cell(candidate.at(point)) for point in points]
-        cells += [_box_cell(candidate.robust)] if box else []
+        cells += [_boxes_cell(candidate.boxes)] if box else []
         rows.append((candidate.name, *cells))
-    columns = ("Controller", *points, *(["whole tolerance box"] if box else []))
+    columns = ("Controller", *points, *(["over the tolerances"] if box else []))
     rest = 86 // (len(columns) - 1)
     return Table("Who passes where, and why not", columns, tuple(rows), "", (14, *[rest] * (len(columns) - 1)), (), True)
 
@@ -98,9 +106,25 @@ def _verdict_cell(checks: Checks | None) -> Cell:
     return Cell(reasons + rest, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass")
 
 
-def _box_cell(checks: Checks | None) -> Cell:
-    if checks is None:
+def around(box: Checks) -> str:
+    """Which box it is: "around nominal pressure"."""
+    return box.label.removeprefix(OVER_TOLERANCES).strip()
+
+
+def _boxes_cell(boxes: Sequence[Checks]) -> Cell:
+    """The first box that fails, or the first of all; and how many there are where there are several."""
+    if not boxes:
         return Cell("not evaluated", "muted")
+    failed = [box for box in boxes if not box.passed]
+    cell = _box_cell((failed or boxes)[0])
+    if len(boxes) == 1:
+        return cell
+    count = f"{len(failed)} of {len(boxes)} boxes fail" if failed else f"all {len(boxes)} boxes"
+    text = f"{around(failed[0])}: {cell.text}" if failed else cell.text
+    return replace(cell, text=text, detail="; ".join(filter(None, (count, cell.detail))))
+
+
+def _box_cell(checks: Checks) -> Cell:
     names = ("robust.stability.margin", "robust.sensitivity.worst", "robust.stability.proved")
     margin, worst, proved = (find(checks, name) for name in names)
     if not checks.stable:
@@ -128,7 +152,7 @@ def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequ
     boxes = [candidate.robust for candidate in candidates]
     known = [checks for checks in boxes if checks is not None]
     if known:
-        rows.append(_heading(f"Whole tolerance box ({_box(machine)}), on {known[0].label}", candidates))
+        rows.append(_heading(f"Tolerances ({_box(machine)}) {around(known[0])}", candidates))
         for name, better in _names(known, _IN_THE_BOX):
             rows.append(_row([_entry(checks, name, detailed=True) for checks in boxes], better))
     rows += _mu_row(candidates)

@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
-from ambrose.core.sampling import c2d
+from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, as_statespace, is_system
 from ambrose.machine.machine import Machine
 from ambrose.plant.control_program import ControlProgram
 from ambrose.plant.loop import Law, law_at, match_axes
-
-DEFAULT_SAMPLE_TIME = 1e-4  # [s]
+from ambrose.plant.timing import DEFAULT, machine_timing
 
 
 class SampledLaw(NamedTuple):
@@ -41,8 +40,7 @@ def sample_time(controller: Law, machine: Machine, wanted: float | None) -> floa
         return own
     if wanted is not None:
         return check_positive(wanted, "the sample time", "give it in seconds")
-    settings = machine.controller
-    return settings.sample_time if settings is not None and settings.sample_time is not None else DEFAULT_SAMPLE_TIME
+    return (machine_timing(machine) or DEFAULT).sample_time
 
 
 def sampled_law(controller: Law, machine: Machine, dt: float, speed: float, delay: int) -> SampledLaw:
@@ -50,14 +48,14 @@ def sampled_law(controller: Law, machine: Machine, dt: float, speed: float, dela
 
     Its signals are matched by ``plant.loop.match_axes``. Raises InvalidInput where sizes or axes differ.
     """
-    if delay not in {0, 1}:
-        raise invalid("computing_delay", delay, "0 or 1 sample", "put longer delays into the controller")
     system = match_axes(law_at(controller, speed), machine.axes, repr(machine.name))
     if system.dt is None:
         system = c2d(system, dt, method="tustin")
+    if delay > 1:  # the rig holds one sample back itself
+        system = delayed(system, delay - 1)
     limits = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
     A, B, C, D = (np.ascontiguousarray(X, dtype=float) for X in (system.A, system.B, system.C, system.D))
-    return SampledLaw(A, B, C, D, np.array(limits, dtype=float), delay)
+    return SampledLaw(A, B, C, D, np.array(limits, dtype=float), min(delay, 1))
 
 
 def take_over(law: SampledLaw, errors: np.ndarray, outputs: np.ndarray) -> np.ndarray:

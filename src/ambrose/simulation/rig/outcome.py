@@ -87,7 +87,8 @@ def classify_outcome(monitor: Watch, scenario: Scenario, overflow: float | None,
         return "not levitated", f"not levitated: the rotor did not get free of the touchdown bearings{side}"
     lifted = "" if scenario.initial == LEVITATED else f", levitated since t = {monitor.lifted_at:.4g} s"
     if monitor.touched_at is None:
-        return "completed", f"completed without contact{lifted}{side}"
+        short = ", only because it is short: the loop is unstable as it runs" if pole is not None and pole.real >= 0 else ""
+        return "completed", f"completed without contact{lifted}{short}{side}"
     stay = f"in contact for {monitor.contact:.3g} s, {monitor.deepest * 1e6:.3g} um beyond the gap at most"
     return (
         "touchdown",

@@ -1,0 +1,115 @@
+"""One controller in time: a scenario on the linear loop or on the virtual rig, and run-ups of several.
+
+trace = simulate_scenario(machine, controller, "levitation")          what the front door and `ambrose simulate` call
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ambrose.core.checks import invalid
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.evaluation.plants import Progress, chosen_point
+from ambrose.evaluation.verdict import running_law
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
+from ambrose.physics.rotor import mass_properties
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop, match_controller
+from ambrose.plant.model import Plant
+from ambrose.plant.timing import Timing, timing_of
+from ambrose.simulation import linear, virtual_rig
+from ambrose.simulation.run_up import Step, spin_up
+from ambrose.simulation.scenario import Scenario, load_scenario
+from ambrose.simulation.trace import Trace
+
+RUN_UP = "spin-up-steps"  # P3: 20 to 300 Hz in 1 s, a step of force or set point every 50 ms
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunUp:
+    """One controller while the machine runs up: on the linear loop and on the rig, with what followed each step."""
+
+    name: str
+    linear: Trace
+    rig: Trace
+    linear_steps: tuple[Step, ...]
+    rig_steps: tuple[Step, ...]
+
+
+def simulate_scenario(
+    machine: Machine | Plant,
+    controller: Any,
+    scenario: str | Scenario,
+    *,
+    point: str | OperatingPoint | None = None,
+    linear: bool = False,
+    rate: float | None = None,
+    delay_samples: int | None = None,
+    progress: Progress = lambda stage: None,
+    **rig: Any,
+) -> Trace:
+    """One scenario on the nonlinear virtual rig or, ``linear``, on the linear closed loop.
+
+    machine: or a Plant, whose operating point is then the default. controller: a Synthesis, a schedule over speed, or anything
+    with A, B, C, D. scenario: bundled, a file, or a Scenario. point: operating point or label (None: the nominal one).
+    rate [Hz], delay_samples: of the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
+    nobody does). rig: further arguments of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
+    """
+    law = getattr(controller, "law", controller)
+    plant = machine if isinstance(machine, Plant) else None
+    described = machine.machine if isinstance(machine, Plant) else machine
+    events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    where = chosen_point(described, point)
+    timing = timing_of(described, controller, rate, delay_samples)
+    if linear:
+        if rig:
+            raise invalid("the simulation", f"linear with {', '.join(rig)}", "on the virtual rig for these", "leave linear out")
+        if plant is None or where is not None:
+            progress("assembling the plant")
+            plant = assemble(described, where or described.operation.nominal)
+        progress(f"simulating {events.name}")
+        return simulate_linear(plant, law, events, timing)
+    if timing is not None:
+        rig.setdefault("computing_delay", timing.delay_samples)
+        events = replace(events, sample_time=timing.sample_time) if events.sample_time is None or rate is not None else events
+    progress(f"running {events.name} on the virtual rig (the first run on a computer compiles it, half a minute)")
+    start = where or (plant.point if plant is not None else None)
+    if "second" in rig:
+        rig["second"] = getattr(rig["second"], "law", rig["second"])
+    return virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
+
+
+def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, timing: Timing | None = None) -> Trace:
+    """One scenario on the linear closed loop, with a timing as it runs; stops where the rotor would touch down.
+
+    Where the scenario changes the speed, the plant changes with it (``run_up.spin_up``); a fixed controller then has the mean
+    delay of its sampled loop, a scheduled one runs as it was designed.
+    """
+    events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    if events.runs_up:
+        scheduled = isinstance(controller, ScheduledSystem)
+        fixed = controller if scheduled else match_controller(controller, plant)
+        late = timing is not None and not scheduled and fixed.dt is None
+        return spin_up(plant, timing.late(fixed) if late and timing is not None else fixed, events)
+    gaps = [b.touchdown_gap for b in plant.machine.bearings if b.touchdown_gap is not None]
+    return linear.run(
+        closed_loop(plant, running_law(controller, plant, timing)),
+        events,
+        machine=plant.machine.name,
+        point=plant.point,
+        mass=mass_properties(plant.rotor_model).mass,
+        displacement_limit=min(gaps, default=None),
+    )
+
+
+def run_on_rig(plant: Plant, program: Any, scenario: str, timing: Timing | None) -> Trace:
+    """One scenario on the virtual rig with the controller as it would be deployed; touchdown is an outcome.
+
+    Only the measured displacements are kept: the currents carry the rotor's weight and hide the response beside it.
+    """
+    rate, late = (None, None) if timing is None else (timing.rate, timing.delay_samples)
+    trace = simulate_scenario(plant, program, scenario, rate=rate, delay_samples=late)
+    measured = trace.record.select(plant.named("y"))
+    return replace(trace, record=measured, scenario=f"{scenario} on the virtual rig")

@@ -1,0 +1,144 @@
+"""The verdict on one controller: on the full plants point by point, and over all tolerances around each.
+
+verification = verify_controller(machine, controller)                    what the front door and `ambrose verify` call
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from ambrose.core.checks import InvalidInput
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace
+from ambrose.evaluation.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
+from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.machine import Machine
+from ambrose.plant.loop import match_controller
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import Timing, timing_of
+from ambrose.plant.uncertainty import tolerances_around
+from ambrose.synthesis.weights import machine_weights
+from ambrose.verification import nominal, robust, sampled
+from ambrose.verification.checks import Checks
+from ambrose.verification.verification import CONTINUOUS, Verification, box_label
+
+
+def verify_controller(
+    machine: Machine | Plant | Sequence[Plant],
+    controller: Any,
+    points: Sequence[str | OperatingPoint] | None = None,
+    *,
+    tolerances: bool = True,
+    rate: float | None = None,
+    delay_samples: int | None = None,
+    progress: Progress = lambda stage: None,
+) -> Verification:
+    """The checks of a controller on the full plant at every operating point, and over the tolerances around each.
+
+    machine: or the plants to verify on, one or several. controller: a Synthesis, a schedule over speed, or anything with A, B,
+    C, D. points: operating points or labels (None: all). tolerances: whether the tolerance boxes are examined. rate [Hz],
+    delay_samples: the loop as it runs, sampled by Tustin's map and late; None: as the controller or the machine file says
+    (``plant.timing.timing_of``); where neither knows a rate the continuous loop is judged, and ``timing`` says so. Operating
+    points that a schedule does not cover are listed as left out. Raises InvalidInput where the controller is not one for this
+    machine.
+    """
+    law = getattr(controller, "law", controller)
+    if not isinstance(machine, Machine):
+        plants = (machine,) if isinstance(machine, Plant) else tuple(machine)
+    elif points is None:
+        plants = full_plants(machine)
+    else:
+        plants = tuple(plant_at(machine, point) for point in points)
+    if not plants:
+        raise InvalidInput("no operating point is given; name one at least, or leave points out for all of the machine")
+    within, left_out = split_covered(law, plants)
+    timing = timing_of(within[0].machine, controller, rate, delay_samples)
+    checks = verify_points(within, law, progress, timing)
+    boxes = verify_tolerances(within, law, checks, progress, timing) if tolerances else ()
+    return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing))
+
+
+def running_law(law: Any, plant: Plant, timing: Timing | None) -> StateSpace:
+    """The law in the loop of a plant: at its speed, its signals matched and, with a timing, sampled and late."""
+    fixed = match_controller(law, plant)
+    return fixed if timing is None else timing.in_loop(fixed)
+
+
+def verify_points(
+    plants: Sequence[Plant], controller: Any, progress: Progress = lambda stage: None, timing: Timing | None = None
+) -> tuple[Checks, ...]:
+    """The checks on every full plant, of the loop as it runs. Raises InvalidInput where the controller is not one for it."""
+    results = []
+    for plant in plants:
+        progress(f"verifying at {plant.point.label}")
+        fixed = not isinstance(controller, ScheduledSystem)  # a scheduled one has its own verdict over speed
+        turning = fixed and plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
+        along = plants_along_speed(plant) if turning else None
+        results.append(nominal.check(plant, running_law(controller, plant, timing), plant_at=along))
+    return tuple(results)
+
+
+def verify_tolerances(
+    plants: Sequence[Plant],
+    controller: Any,
+    points: Sequence[Checks],
+    progress: Progress,
+    timing: Timing | None = None,
+    tolerances: Sequence[Tolerance] | None = None,
+    *,
+    design: Any = None,
+) -> tuple[Checks, ...]:
+    """The checks over the tolerances around every plant with a stable loop (``points``) and any tolerance.
+
+    tolerances: None: all; otherwise those, and of all together only the number of unstable corners and samples. Around the
+    first of them everything is examined: worst cases searched and bounded, stability proved. Around the others stability and
+    the worst sensitivity are searched. With a timing this is done on the continuous loop with its mean delay, and the sampled
+    loop is examined at the corners, at samples and at what the search found. design: the continuous law that ``controller`` is
+    the sampled one of (None: itself); of a sampled law without it only the points are examined.
+    """
+    boxes: list[Checks] = []
+    for plant, point in zip(plants, points, strict=True):
+        held = tolerances_around(plant, tolerances)
+        if not held or not point.stable:
+            continue
+        progress(f"verifying over the tolerances around {plant.point.label}")
+        given = match_controller(controller, plant)
+        source = match_controller(controller if design is None else design, plant)
+        checks: list[Checks] = []
+        if source.dt is None:
+            model = source if timing is None else timing.late(source)
+            checks.append(_continuous_box(plant, model, held, detailed=not boxes, late=timing is not None))
+            if tolerances is not None and (every := tolerances_around(plant)):
+                checks[0] = replace(checks[0], checks=(*checks[0].checks, robust.stability(plant, model, every)))
+        if timing is not None:
+            found = checks[0].found if checks else ()
+            checks.append(sampled.check_over_box(plant, timing.in_loop(given), held, found))
+        boxes.append(_joined(box_label(plant.point.label), checks))
+    return tuple(boxes)
+
+
+def _continuous_box(plant: Plant, law: StateSpace, held: tuple[Tolerance, ...], *, detailed: bool, late: bool) -> Checks:
+    """The robust checks of a continuous law, which with ``late`` holds the loop's mean delay; ``detailed``: all of them."""
+    if not detailed:
+        box = robust.examine(plant, law, held)
+    else:
+        weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
+        box = robust.check(plant, law, held, weights)
+        proof = [
+            replace(check, detail=f"{check.detail}; on the reduced model with one bending mode per plane")
+            for check in robust.check(reduce(plant, 1), law, held).checks
+            if check.name == "robust.stability.proved"
+        ]
+        box = replace(box, checks=(*box.checks, *proof))
+    model = "continuous loop with the mean delay of the sampled one"
+    return replace(box, notes=(*box.notes, f"Worst cases and bounds: {model}.")) if late else box
+
+
+def _joined(label: str, parts: Sequence[Checks]) -> Checks:
+    """Several examinations of one box as one."""
+    checks, curves, notes = (tuple(x for part in parts for x in getattr(part, name)) for name in ("checks", "curves", "notes"))
+    found = tuple(point for part in parts for point in part.found)
+    return Checks(label, all(part.stable for part in parts), checks, curves, notes, found)
