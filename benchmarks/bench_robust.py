@@ -15,8 +15,10 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.core.frequency import evaluate, schur_form
+from ambrose.core.worst_case.bounds import gain_bound
+from ambrose.core.worst_case.crossing import box_margin
 from ambrose.core.worst_case.loop import BoxLoop, corners, default_grid, gains, perturbed_matrix, sweep, unstable_poles
-from ambrose.core.worst_case.search import box_margin, gain_bound, worst_gain
+from ambrose.core.worst_case.search import worst_gain
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce

@@ -19,8 +19,9 @@ from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, spectral_abscissa
+from ambrose.core.worst_case.bounds import gain_bound
 from ambrose.core.worst_case.loop import box_points, corners, default_grid, gains, unstable_poles
-from ambrose.core.worst_case.search import gain_bound, worst_gain
+from ambrose.core.worst_case.search import worst_gain
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble

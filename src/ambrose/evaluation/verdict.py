@@ -17,7 +17,6 @@ from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.plant.uncertainty import tolerances_around
 from ambrose.synthesis.weights import machine_weights
@@ -127,12 +126,6 @@ def _continuous_box(plant: Plant, law: StateSpace, held: tuple[Tolerance, ...], 
     else:
         weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
         box = robust.check(plant, law, held, weights)
-        proof = [
-            replace(check, detail=f"{check.detail}; on the reduced model with one bending mode per plane")
-            for check in robust.check(reduce(plant, 1), law, held).checks
-            if check.name == "robust.stability.proved"
-        ]
-        box = replace(box, checks=(*box.checks, *proof))
     model = "continuous loop with the mean delay of the sampled one"
     return replace(box, notes=(*box.notes, f"Worst cases and bounds: {model}.")) if late else box
 

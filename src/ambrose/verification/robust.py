@@ -1,18 +1,21 @@
 """Robust verification of one closed loop: what holds for every value of the uncertain parameters within their tolerances.
 
-| check                     | what                                                                                     | unit |
-|---------------------------|------------------------------------------------------------------------------------------|------|
-| robust.stability.box      | corners and samples of the box at which the loop is unstable                              | -    |
-| robust.stability.margin   | factor on all tolerances at which a perturbation was found that destabilises              | -    |
-| robust.stability.proved   | factor on all tolerances up to which stability is proved (mixed mu, all frequencies)      | -    |
-| robust.sensitivity.worst  | largest singular value of S_o over the box, found by search                               | -    |
-| robust.sensitivity.bound  | upper bound of the same by mixed mu, on a frequency grid                                  | -    |
-| robust.sensitivity.input  | largest singular value of S_i over the box, found by search                               | -    |
-| robust.sensitivity.at...  | one parameter only: largest singular value of S_o at delta = -1, -0.5, 0, 0.5, 1          | -    |
-| robust.performance        | mixed mu of the weighted loop (with weights): below 1 they are met all over the box       | -    |
+| check                     | what                                                                          | how             |
+|---------------------------|-------------------------------------------------------------------------------|-----------------|
+| robust.stability.box      | corners and samples of the box at which the loop is unstable                  | counted         |
+| robust.stability.margin   | smallest factor on all tolerances at which a perturbation destabilises        | found by search |
+| robust.stability.proved   | factor on all tolerances up to which the loop is stable (mixed mu)            | proved          |
+| robust.sensitivity.worst  | largest singular value of S_o over the box                                    | found by search |
+| robust.sensitivity.bound  | upper bound of the same (mixed mu)                                            | proved, or grid |
+| robust.sensitivity.input  | largest singular value of S_i over the box                                    | found by search |
+| robust.sensitivity.at...  | one parameter only: that of S_o at delta = -1, -0.5, 0, 0.5, 1                | found by search |
+| robust.performance        | mixed mu of the weighted loop (with weights): below 1 they are met all over   | on a grid       |
 
-Curves: "robust.sensitivity" and "robust.sensitivity.input" (families over delta), "robust.mu". Give it the reduced plant AND
-the full one: the proof needs the reduced one (it solves eigenproblems of twice the order), spillover shows on the full one.
+"Proved" is at all frequencies, on the model that the detail names; where the proof of the bound fails it is evaluated on a
+frequency grid, and its title says so. A proof that fails for numerical reasons is reported as "not proved" and why.
+
+Curves: "robust.sensitivity" and "robust.sensitivity.input" (families over delta), "robust.mu". Give it the full plant: searches
+and proofs work on the response at the ports of the parameters, and cost little more for hundreds of states.
 """
 
 from __future__ import annotations
@@ -28,9 +31,10 @@ from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.statespace import StateSpace, is_stable, select, spectral_abscissa, static_gain
-from ambrose.core.worst_case.loop import BoxLoop, Sweep, box_loop, corners, default_grid, gains, samples, unstable_poles
-from ambrose.core.worst_case.loop import sweep as box_sweep
-from ambrose.core.worst_case.search import BoxGain, BoxMargin, box_margin, gain_bound, peak_at, proved_margin, worst_gain
+from ambrose.core.worst_case.bounds import gain_bound, proved_gain, proved_margin
+from ambrose.core.worst_case.crossing import BoxMargin, box_margin
+from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, default_grid, gains, samples, unstable_poles
+from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.loop import Law, law_at, match_axes, match_controller
 from ambrose.plant.model import Plant
@@ -40,7 +44,7 @@ from ambrose.verification.checks import Check, Checks, Curve
 from ambrose.verification.criteria import SENSITIVITY, TWO_PI, Demand, demand, information, judge, zone_lines
 
 FAMILY = (-1.0, -0.5, 0.0, 0.5, 1.0)
-_PROOF_STATES = 150  # largest closed loop whose stability is proved: the proof solves eigenproblems of twice the order
+_APART = 0.01  # between what is found and what is proved, above which the search looks again where the proof ends
 _LOWEST, _HIGHEST = 0.1 * TWO_PI, 5e3 * TWO_PI  # rad/s, of the curves
 _BOUND_POINTS = 60
 
@@ -83,8 +87,9 @@ def check(
         return Checks(label, False, (found,), (), ("Nothing about robustness was evaluated: the nominal loop is unstable.",))
     output, input_ = _sensitivity_loops(closed, unit)
     grid = _grid(output, omega)
-    checks, notes = _stability(output, tell)
-    box_holds = checks[0].value == 0
+    checks = _stability(output, label, tell)
+    notes = []
+    box_holds = all(check.passed is not False for check in checks)
     tell("sensitivity over the box", 0.4)
     more, curves, worst = _sensitivity(output, input_, grid, requirements, box_holds)
     checks += more
@@ -109,11 +114,11 @@ def examine(plant: Plant, controller: Law, tolerances: Sequence[Tolerance] | Non
     if not is_stable(closed):
         return check(plant, controller, tolerances)
     output, _ = _sensitivity_loops(closed, unit)
-    around = box_sweep(output)
-    checks = [_corner_check(output, around), _margin_check(output, box_margin(output, around))]
-    worst = worst_gain(output) if checks[0].value == 0 else None
-    checks.append(_worst_check(output, worst, plant.machine.requirements))
-    return Checks(_label(plant), True, tuple(checks), (), (), _points(output, worst))
+    counted, unstable = _corner_check(output)
+    margin = _margin_check(output, box_margin(output, also=unstable if len(unstable) else None))
+    worst = worst_gain(output) if counted.passed and margin.passed else None
+    checks = (counted, margin, _worst_check(output, worst, plant.machine.requirements))
+    return Checks(_label(plant), True, checks, (), (), _points(output, worst))
 
 
 def _points(loop: BoxLoop, worst: BoxGain | None) -> tuple[dict[str, float], ...]:
@@ -129,9 +134,19 @@ def stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequ
     Arguments as for ``check``. Raises InvalidInput, and UnstableSystem for a loop that is unstable at its centre.
     """
     output, _, _ = box_loops(plant, controller, tolerances)
-    found = _corner_check(output, box_sweep(output))
+    found = _corner_check(output)[0]
     names = f"all {output.parameters} tolerances"
     return replace(found, name="robust.stability.all", title=f"Unstable points over {names}")
+
+
+def prove_stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Check:
+    """robust.stability.proved alone: the factor on all tolerances up to which stability is proved, on the plant given.
+
+    Arguments as for ``check``. A proof that does not succeed is a value 0 and says why. Raises InvalidInput, and UnstableSystem
+    for a loop that is unstable at its centre.
+    """
+    loop = box_loops(plant, controller, tolerances)[0]
+    return _proof_check(loop, box_margin(loop), _label(plant))
 
 
 def _label(plant: Plant | GeneralizedPlant) -> str:
@@ -197,43 +212,41 @@ def _named(loop: BoxLoop, delta: np.ndarray) -> str:
     return ", ".join(f"{block.name} {value:+.3g}" for block, value in zip(loop.blocks, delta, strict=True))
 
 
-def _stability(loop: BoxLoop, tell: Progress) -> tuple[list[Check], list[str]]:
-    around = box_sweep(loop)
+def _stability(loop: BoxLoop, label: str, tell: Progress) -> list[Check]:
     tell("stability over the box", 0.1)
-    checks = [_corner_check(loop, around)]
+    counted, unstable = _corner_check(loop)
     tell("stability margin", 0.2)
-    margin = box_margin(loop, around)
-    checks.append(_margin_check(loop, margin))
-    if loop.system.n_states > _PROOF_STATES:
-        note = (
-            f"Stability over the box is not proved on this model of {loop.system.n_states} states: prove it on the reduced one."
-        )
-        return checks, [note]
+    margin = box_margin(loop, also=unstable if len(unstable) else None)
+    tell("proof of stability", 0.3)
+    return [counted, _margin_check(loop, margin), _proof_check(loop, margin, label)]
+
+
+def _proof_check(loop: BoxLoop, margin: BoxMargin, label: str) -> Check:
     proved = proved_margin(loop, margin.factor)
-    verdict = "every point within the tolerances is proved stable" if proved >= 1 else "not proved for the whole tolerances"
-    checks.append(
-        information(
-            "robust.stability.proved", "Tolerances times this are proved stable", proved, "-", f"{verdict}; mixed mu", ">="
-        )
-    )
-    return checks, []
+    verdict = "every point within the tolerances is stable" if proved.value >= 1 else "not proved for the whole tolerances"
+    detail = f"not proved: {proved.why}" if proved.why else f"{verdict}; mixed mu"
+    title = "Tolerances times this are stable, proved at all frequencies"
+    model = f"on the model of {loop.system.n_states} states ({label})"
+    return information("robust.stability.proved", title, proved.value, "-", f"{detail}; {model}", ">=")
 
 
-def _corner_check(loop: BoxLoop, around: Sweep) -> Check:
+def _corner_check(loop: BoxLoop) -> tuple[Check, np.ndarray]:
+    """The count, and the unstable points (c, k)."""
     points = np.vstack([corners(loop.parameters), samples(loop.parameters)])
-    unstable = unstable_poles(loop, points, around) > 0
+    unstable = unstable_poles(loop, points) > 0
     where = f"; for one, {_named(loop, points[np.argmax(unstable)])}" if unstable.any() else ""
-    return judge(
-        "robust.stability.box", "Unstable points of the tolerance box", int(unstable.sum()), "-",
+    found = judge(
+        "robust.stability.box", "Unstable points of the tolerance box, counted", int(unstable.sum()), "-",
         Demand(0.0, "<=", "every tolerance"), f"{len(points)} corners and samples{where}",
     )  # fmt: skip
+    return found, points[unstable]
 
 
 def _margin_check(loop: BoxLoop, margin: BoxMargin) -> Check:
     detail = "no destabilising perturbation found up to 20 times the tolerances"
     if np.isfinite(margin.factor):
         detail = f"unstable at {_named(loop, margin.delta)}, {margin.frequency / TWO_PI:.4g} Hz (in tolerances)"
-    title = "Smallest destabilising factor on the tolerances"
+    title = "Smallest destabilising factor on the tolerances, found by search"
     return judge("robust.stability.margin", title, margin.factor, "-", Demand(1.0, ">=", "every tolerance"), detail)
 
 
@@ -242,13 +255,13 @@ def _sensitivity(
 ) -> tuple[list[Check], list[Curve], BoxGain | None]:
     members = _members(output)
     stable = np.ones(len(members), bool) if box_holds else unstable_poles(output, members) == 0
-    worst = worst_gain(output) if box_holds else None
+    worst, bound = _worst_and_bound(output, grid) if box_holds else (None, None)
     checks = [_worst_check(output, worst, requirements)]
-    if worst is not None:
-        checks.append(_bound(output, grid, worst))
+    if worst is not None and bound is not None:
+        checks.append(bound)
         drive = worst_gain(input_)
-        detail = f"{_named(input_, drive.delta)}, {drive.frequency / TWO_PI:.4g} Hz, by search"
-        title = "Worst-case input sensitivity over the box"
+        detail = f"{_named(input_, drive.delta)}, {drive.frequency / TWO_PI:.4g} Hz"
+        title = "Worst-case input sensitivity over the box, found by search"
         checks.append(information("robust.sensitivity.input", title, drive.value, "-", detail))
     if output.parameters == 1:
         checks += [
@@ -269,8 +282,9 @@ def _worst_check(loop: BoxLoop, worst: BoxGain | None, requirements: Requirement
     rule = demand("maximum singular value of a sensitivity", requirements)
     value, detail = np.inf, "the loop is unstable in the box"
     if worst is not None:
-        value, detail = worst.value, f"{_named(loop, worst.delta)}, {worst.frequency / TWO_PI:.4g} Hz, by search"
-    return judge("robust.sensitivity.worst", "Worst-case output sensitivity over the box", value, "-", rule, detail)
+        value, detail = worst.value, f"{_named(loop, worst.delta)}, {worst.frequency / TWO_PI:.4g} Hz"
+    title = "Worst-case output sensitivity over the box, found by search"
+    return judge("robust.sensitivity.worst", title, value, "-", rule, detail)
 
 
 def _members(loop: BoxLoop) -> np.ndarray:
@@ -289,16 +303,22 @@ def _at_family(loop: BoxLoop, stable: np.ndarray) -> list[tuple[float, str]]:
     return result
 
 
-def _bound(loop: BoxLoop, grid: np.ndarray, worst: BoxGain) -> Check:
-    """The mu bound where the gain comes near its worst: a coarse net and a fine one around the peak."""
-    net = grid[:: max(1, len(grid) // _BOUND_POINTS)]
-    near = worst.frequency * np.linspace(0.9, 1.1, 21)
-    bound = gain_bound(loop, np.unique(np.concatenate([net, near])), worst.value)
-    gap = bound / worst.value - 1
-    detail = (
-        f"{gap:.2%} above the search, on a frequency grid" if np.isfinite(bound) else "the bound does not exclude instability"
-    )
-    return information("robust.sensitivity.bound", "Upper bound of the worst-case output sensitivity", bound, "-", detail)
+def _worst_and_bound(loop: BoxLoop, grid: np.ndarray) -> tuple[BoxGain, Check]:
+    """The largest gain found, and the bound of it: proved at all frequencies, or where that fails on a net of frequencies."""
+    worst = worst_gain(loop)
+    near = worst.frequency * np.linspace(0.98, 1.02, 5)
+    bound = proved_gain(loop, worst.value, near)
+    if np.isfinite(bound.value) and bound.value > (1 + _APART) * worst.value:  # search where the proof says it may be
+        again = worst_gain(loop, also=(bound.frequency,))
+        if again.value > worst.value:
+            worst = again
+    how, value, reason = "proved at all frequencies", bound.value, ""
+    if bound.why:
+        net = np.unique(np.concatenate([grid[:: max(1, len(grid) // _BOUND_POINTS)], near]))
+        how, value, reason = "on a frequency grid", gain_bound(loop, net, worst.value), f"; not proved: {bound.why}"
+    detail = f"{value / worst.value - 1:.2%} above what was found" if np.isfinite(value) else "it does not exclude instability"
+    title = f"Upper bound of the worst-case output sensitivity, {how}"
+    return worst, information("robust.sensitivity.bound", title, value, "-", detail + reason)
 
 
 def _family(
@@ -336,9 +356,11 @@ def _performance(problem: GeneralizedPlant, controller: StateSpace, grid: np.nda
     start = grid[:: max(1, len(grid) // 120)]
     peak = mu_peak(lambda omega: evaluate(form, 1j * omega), whole.blocks, start, tolerance=1e-3, max_points=600)
     holds = "performance holds all over the box" if peak.upper < 1 else f"it holds for {1 / peak.upper:.3g} of box and weights"
-    detail = f"lower bound {peak.lower:.4g}, {peak.frequency / TWO_PI:.4g} Hz, refined grid; {holds}"
+    detail = f"lower bound {peak.lower:.4g}, {peak.frequency / TWO_PI:.4g} Hz; {holds}"
     curve = Curve(
         "robust.mu", "Structured singular value of the weighted loop", "frequency", peak.omega, peak.values[None],
         ("upper bound",), "rad/s", "-", (("robust performance", 1.0),),
     )  # fmt: skip
-    return information("robust.performance", "Mixed mu of the weighted loop", peak.upper, "-", detail), curve
+    return information(
+        "robust.performance", "Mixed mu of the weighted loop, on a frequency grid", peak.upper, "-", detail
+    ), curve

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.statespace import StateSpace
+from ambrose.core.worst_case.bounds import gain_bound
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, box_points, gains, perturbed_matrix
-from ambrose.core.worst_case.search import gain_bound, worst_gain_at
+from ambrose.core.worst_case.search import worst_gain_at
 from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import Law, match_controller
 from ambrose.plant.model import Plant

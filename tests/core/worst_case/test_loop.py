@@ -10,6 +10,8 @@ from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBloc
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
+from ambrose.core.worst_case.bounds import gain_bound, proved_margin
+from ambrose.core.worst_case.crossing import box_margin
 from ambrose.core.worst_case.loop import (
     box_loop,
     corners,
@@ -20,7 +22,7 @@ from ambrose.core.worst_case.loop import (
     sweep,
     unstable_poles,
 )
-from ambrose.core.worst_case.search import _log_gain, box_margin, gain_bound, peak_at, proved_margin, worst_gain
+from ambrose.core.worst_case.search import _log_gain, peak_at, worst_gain
 
 
 def lag(rate: float = 1.0) -> StateSpace:
@@ -138,7 +140,7 @@ def test_margin_of_a_whirl():
     margin = box_margin(loop)
     assert margin.factor == pytest.approx(0.5 * 30 / 3.0, rel=2e-5)
     assert margin.frequency == pytest.approx(30, rel=1e-4)
-    proved = proved_margin(loop, margin.factor)
+    proved = proved_margin(loop, margin.factor).value
     assert 0.93 * margin.factor < proved < margin.factor
 
 
@@ -146,7 +148,7 @@ def test_margin_beyond_all_bounds():
     loop = box_loop(lag(1e-3), [RealBlock("p")])
     margin = box_margin(loop)
     assert np.isinf(margin.factor) and np.isnan(margin.delta).all()
-    assert proved_margin(loop, margin.factor) > 19
+    assert proved_margin(loop, margin.factor).value > 19
 
 
 def test_margins_of_random_loops_enclose_the_truth():
@@ -164,7 +166,7 @@ def test_margins_of_random_loops_enclose_the_truth():
         directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         directions /= np.abs(directions).max(axis=1, keepdims=True)
         assert (eigenvalue_count(loop, 0.97 * margin.factor * directions) == 0).all()
-        assert proved_margin(loop, margin.factor) <= margin.factor
+        assert proved_margin(loop, margin.factor).value <= margin.factor
     assert compared >= 6
 
 
@@ -178,12 +180,13 @@ def test_worst_gain_of_a_lag():
 def test_gradient_of_the_gain():
     rng = np.random.default_rng(2)
     loop = random_loop(rng, 3, direct=0.1)
-    M = loop.at(np.array([0.8]))[0]
-    delta, step = rng.uniform(-0.5, 0.5, 3), 1e-6
-    gradient = _log_gain(M, loop, delta)[1]
+    delta, step, omega = rng.uniform(-0.5, 0.5, 3), 1e-6, 0.8
+    _, gradient, over_omega = _log_gain(loop, delta, omega)
+    higher, lower = (_log_gain(loop, delta, omega + sign * step)[0] for sign in (1, -1))
+    assert over_omega == pytest.approx((higher - lower) / (2 * step), rel=1e-6)
     for i in range(3):
         e = step * np.eye(3)[i]
-        numeric = (_log_gain(M, loop, delta + e)[0] - _log_gain(M, loop, delta - e)[0]) / (2 * step)
+        numeric = (_log_gain(loop, delta + e, omega)[0] - _log_gain(loop, delta - e, omega)[0]) / (2 * step)
         assert gradient[i] == pytest.approx(numeric, rel=1e-6, abs=1e-9)
 
 

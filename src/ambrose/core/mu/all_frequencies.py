@@ -1,38 +1,265 @@
-"""Mixed mu below a level at every frequency: the interval proof up to a high frequency, and a norm bound for the rest."""
+"""Mixed mu below a level at every frequency, proved: constant scalings on short intervals, and nothing left between points.
+
+With the scalings (X, G) of one frequency the M that satisfy
+
+    M^H X_z M + j (G M - M^H G^H) < X_w
+
+are a convex set. Two values of M that lie in it with room to spare therefore vouch for the chord between them, and for all that
+is as near to the chord as the room allows: ``core/mu/chords.py`` says how near M(j omega) stays. Intervals are halved until
+their scalings do; all that are open are tried together. Where mu itself reaches the level, the level is raised, which leaves
+valid what was proved before. Skewed: only some rows of M are divided by the level, as for a worst-case gain (Fan & Tits 1992).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from ambrose.core.checks import NumericalFailure, check_positive, invalid
 from ambrose.core.lft import Block
-from ambrose.core.mu.bounds import mu_bounds, mu_certificate
-from ambrose.core.realisation.balancing import balance_system
-from ambrose.core.statespace import StateSpace
+from ambrose.core.mu.chords import Chords, chords
+from ambrose.core.mu.structure import Structure, osborne, structure_of
+from ambrose.core.mu.upper import UpperBound, upper_bound
 
-_TAILS = (1e2, 1e4, 1e6, 1e8)  # start of the rest, in norms of A
+_CELLS = 8  # chords per interval
+_FIRST = 12  # intervals per decade to begin with
+_SPAN = 1e-3, 1e3  # from the slowest pole times this to the fastest times that, then on to zero and infinity
+_ROUND = 400  # intervals tried together
+_THINNEST = 1e-11  # relative width of an interval that is not halved any more
+_TOLERANCE = 1e-3  # of a level at one frequency
+_FACTOR = 100.0  # by which a level is raised at most before it is given up
 
 
-def proved_below(loop: StateSpace, blocks: Sequence[Block], level: float, max_pieces: int = 100) -> bool:
-    """Whether mu(M(j omega)) < level was proved for all frequencies, infinity included.
+@dataclass(frozen=True, slots=True, eq=False)
+class ProvedLevel:
+    """mu < ``level`` at all frequencies; frequency [rad/s]: where it was raised last (NaN: never); intervals: how many."""
 
-    loop: M, continuous and stable. Above a frequency W the constant scalings of M(infinity) = D suffice:
-    sigma_max(D_z M D_w^-1) <= sigma_max(D_z D D_w^-1) + |D_z C| |B D_w^-1| / (W - |A|). Below, core's mu_certificate.
+    level: float
+    frequency: float
+    intervals: int
+
+
+def proved_level(
+    system: Any,
+    blocks: Sequence[Block],
+    start: float,
+    *,
+    skew: np.ndarray | None = None,
+    room: float = 4e-3,
+    highest: float = np.inf,
+    omega: np.ndarray | None = None,
+    max_intervals: int = 20_000,
+) -> ProvedLevel:
+    """The lowest level >= ``start`` found with mu(M(j omega)) < level proved for all omega, infinity included.
+
+    system: M, stable and continuous, or its ``Chords``. skew (n_z,) bool: the rows of M that the level divides, so that the
+    proof is of mu < 1 for what remains (None: all rows, which is mu < level itself). room: what a raised level is above the
+    upper bound of mu there. highest: a level above it is not tried. omega (w,) [rad/s]: where to look first.
+
+    Raises InvalidInput, and NumericalFailure where no level up to ``highest``, or 100 times ``start``, is proved.
     """
-    if mu_certificate(loop, blocks, level, (0.0, np.inf), max_pieces=max_pieces).proved:
-        return True
-    A, B, C, _ = balance_system(loop.A, loop.B, loop.C)
-    size = float(np.linalg.norm(A, 2)) if len(A) else 1.0
-    floor = 1e-6 * max(level, float(np.linalg.norm(loop.D, 2)))
-    # a little of everything everywhere: scalings that are optimal for D alone may be as large as they like
-    rng = np.random.default_rng(0)
-    bound = mu_bounds(loop.D + floor * rng.uniform(0.5, 1.0, loop.D.shape), blocks, g_scaling=False, lower=False)
-    D_z, D_w = bound.D_z, np.linalg.inv(bound.D_w)
-    rest = float(np.linalg.norm(D_z @ loop.D @ D_w, 2))
-    into, out = float(np.linalg.norm(B @ D_w, 2)), float(np.linalg.norm(D_z @ C, 2))
-    for factor in _TAILS:
-        start = factor * size
-        if rest + into * out / (start - size) < level:
-            return mu_certificate(loop, blocks, level, (0.0, start), max_pieces=max_pieces).proved
-    return False
+    structure = structure_of(blocks)
+    model = system if isinstance(system, Chords) else chords(system)
+    if model.D.shape != (structure.n_z, structure.n_w):
+        raise invalid("the shape of M", model.D.shape, f"{(structure.n_z, structure.n_w)}, as the blocks have it", "match them")
+    rows = np.ones(structure.n_z, bool) if skew is None else np.asarray(skew, bool)
+    top = min(highest, _FACTOR * check_positive(start, "start", "give a level"))
+    task = _Task(model, structure, rows, room, top, start)
+    if omega is not None:
+        task.lift(np.sort(omega))
+    low, high = _intervals(model)
+    tried = 0
+    while len(low):
+        now, low, high = (low[:_ROUND], high[:_ROUND]), low[_ROUND:], high[_ROUND:]
+        tried += len(now[0])
+        if tried > max_intervals:
+            raise NumericalFailure(
+                f"{tried} intervals of frequency did not suffice for a proof at the level {task.level:.4g}; {len(low)} are "
+                f"open near {now[0][0]:.4g} rad/s: allow more, or a higher level"
+            )
+        more = task.attempt(*now)
+        low, high = np.concatenate([more[0], low]), np.concatenate([more[1], high])
+    return ProvedLevel(task.level, task.frequency, tried)
+
+
+def proved_below(loop: Any, blocks: Sequence[Block], level: float, max_intervals: int = 20_000) -> bool:
+    """Whether mu(M(j omega)) < level was proved for all frequencies, infinity included; loop: M, continuous and stable."""
+    try:
+        proved_level(loop, blocks, level, highest=level, max_intervals=max_intervals)
+    except (NumericalFailure, np.linalg.LinAlgError):
+        return False
+    return True
+
+
+def least_level(
+    M: np.ndarray, structure: Structure, skew: np.ndarray, start: float, tolerance: float = _TOLERANCE
+) -> tuple[float, int]:
+    """The smallest level found >= ``start`` with mu < 1 for all M (w, n_z, n_w) whose ``skew`` rows it divides, and which of
+    them asks for it. Infinite where 100 times ``start`` does not suffice."""
+
+    def exceeds(part: np.ndarray, level: float) -> np.ndarray:
+        scaled = _divided(part, skew, level)
+        over = np.linalg.norm(osborne(scaled, structure)[0], 2, axis=(1, 2)) >= 1 - tolerance / 10
+        enough = np.full(int(over.sum()), 1 - tolerance / 10)  # whether mu < 1 is all that is asked
+        over[over] = upper_bound(scaled[over], structure, level=enough, tolerance=tolerance / 10).value >= 1
+        return over
+
+    low, high, step = start, start * (1 + tolerance), 1 + tolerance
+    active, which = M, np.arange(len(M))
+    while True:
+        left = exceeds(active, high)
+        if not left.any():
+            break
+        active, which, low = active[left], which[left], high
+        step = step**2
+        high *= step
+        if high > _FACTOR * start:
+            return np.inf, int(which[0])
+    while high / low > 1 + tolerance:
+        middle = np.sqrt(low * high)
+        left = exceeds(active, middle)
+        if left.any():
+            active, which, low = active[left], which[left], middle
+        else:
+            high = middle
+    return float(high), int(which[0])
+
+
+def _divided(M: np.ndarray, skew: np.ndarray, level: float) -> np.ndarray:
+    return M / np.where(skew, level, 1.0)[:, None]
+
+
+def _intervals(model: Chords) -> tuple[np.ndarray, np.ndarray]:
+    """The intervals to begin with, low and high (c,), from 0 to infinity; finer next to poles of little damping."""
+    every = model.every_pole
+    if not every.size:
+        return np.array([0.0]), np.array([np.inf])
+    slow, fast = np.abs(every).min() * _SPAN[0], np.abs(every).max() * _SPAN[1]
+    net = np.geomspace(slow, fast, int(_FIRST * np.log10(fast / slow)) + 2)
+    light = every[(every.imag > 0) & (-every.real < 0.3 * np.abs(every))]
+    beside = light.imag[:, None] + light.real[:, None] * np.array([-3.0, -1.0, 1.0, 3.0])
+    net = np.unique(np.concatenate([[0.0], net, beside[beside > 0], [np.inf]]))
+    net = net[np.append(~(np.diff(net) <= 1e-9 * net[:-1]), True)]
+    return net[:-1], net[1:]
+
+
+@dataclass(slots=True, eq=False)
+class _Task:
+    """What is proved, and how far the level had to be raised."""
+
+    model: Chords
+    structure: Structure
+    skew: np.ndarray
+    room: float
+    highest: float
+    level: float
+    frequency: float = float("nan")
+
+    def lift(self, omega: np.ndarray) -> None:
+        """Raise the level until the upper bound is below it at omega (w,), with room. Raises NumericalFailure."""
+        found, i = least_level(self.model.at(omega), self.structure, self.skew, self.level / (1 + self.room))
+        self.raised(found * (1 + self.room), float(omega[i]))
+
+    def raised(self, level: float, frequency: float) -> None:
+        if level > self.highest * (1 + 1e-12):
+            raise NumericalFailure(
+                f"the structured singular value is not proved below {self.highest:.4g}: its bound at {frequency:.4g} rad/s is "
+                f"{level:.4g}; shrink the uncertainty, or allow a higher level"
+            )
+        if level > self.level:
+            self.level, self.frequency = level, frequency
+
+    def attempt(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Try the intervals; what remains of them, (low, high)."""
+        steps = np.linspace(0.0, 1.0, _CELLS + 1)
+        end = np.isinf(high)
+        upper = np.where(end, low, high)
+        points = low[:, None] + (upper - low)[:, None] * steps
+        points[end, 1:] = np.inf
+        shape = points.shape
+        M = self.model.at(points.ravel()).reshape(*shape, *self.model.D.shape)
+        starts, ends = points[:, :-1], points[:, 1:]
+        E = self.model.distance(starts[~end].ravel(), ends[~end].ravel())
+        M = _divided(M, self.skew, self.level)
+        slack = np.zeros((len(low), _CELLS, *self.model.D.shape))
+        slack[~end] = E.reshape(-1, _CELLS, *self.model.D.shape)
+        if end.any():
+            slack[end, :] = self.model.distance(low[end], high[end])[:, None]
+            M[end] = self.model.D / np.where(self.skew, self.level, 1.0)[:, None]
+        slack /= np.where(self.skew, self.level, 1.0)[:, None]
+        middle = M[:, _CELLS // 2]
+        scalings, holds = _scalings(middle, self.structure)
+        good = np.zeros((len(low), _CELLS), bool)
+        good[holds] = _contained(scalings, holds, M, slack)
+        stuck = ~holds
+        if stuck.any():
+            at = np.where(end, np.inf, 0.5 * (low + upper))[stuck]
+            self.lift_at(at)
+        return self._rest(low, high, points, good)
+
+    def lift_at(self, omega: np.ndarray) -> None:
+        """The bound reaches the level at omega: raise it there, and by the room at least."""
+        found, i = least_level(self.model.at(omega), self.structure, self.skew, self.level)
+        self.raised(found * (1 + self.room), float(omega[i]))
+
+    def _rest(self, low: np.ndarray, high: np.ndarray, points: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The parts that are not proved yet: runs of open cells; an interval of which all is open is halved."""
+        new_low, new_high = [], []
+        for i in np.flatnonzero(~good.all(axis=1)):
+            if np.isinf(high[i]):
+                new_low += [low[i], 4 * max(low[i], 1e-300)]
+                new_high += [4 * max(low[i], 1e-300), np.inf]
+                continue
+            if high[i] - low[i] < _THINNEST * high[i]:
+                raise NumericalFailure(
+                    f"no scalings prove the level {self.level:.6g} on any interval around {low[i]:.6g} rad/s: the bound is "
+                    "reached there within rounding; allow a higher level"
+                )
+            cells = np.flatnonzero(~good[i])
+            runs = np.split(cells, np.flatnonzero(np.diff(cells) > 1) + 1)
+            if len(cells) == _CELLS:
+                runs = [cells[: _CELLS // 2], cells[_CELLS // 2 :]]
+            new_low += [points[i, run[0]] for run in runs]
+            new_high += [points[i, run[-1] + 1] for run in runs]
+        return np.array(new_low), np.array(new_high)
+
+
+def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarray]:
+    """Scalings with room at M (i, n_z, n_w), those of the balanced matrix where they suffice, and whether they prove mu < 1."""
+    balanced, d_z, d_w = osborne(M, structure)
+    norm = np.linalg.norm(balanced, 2, axis=(1, 2))
+    X_w, X_z = (np.einsum("bi,ij->bij", d**2, np.eye(d.shape[1])) + 0j for d in (d_w, d_z))
+    G = np.zeros((len(M), structure.n_w, structure.n_z), complex)
+    hard = np.flatnonzero(norm >= 0.7)
+    value = norm.copy()
+    if len(hard):
+        found = upper_bound(M[hard], structure, level=np.ones(len(hard)), max_iterations=60)
+        value[hard] = found.value
+        X_w[hard], X_z[hard], G[hard] = found.X_w, found.X_z, found.G
+    holds = value < 1
+    return UpperBound(value[holds], X_w[holds], X_z[holds], G[holds], np.zeros((int(holds.sum()), structure.n_w))), holds
+
+
+def _contained(found: UpperBound, holds: np.ndarray, M: np.ndarray, slack: np.ndarray) -> np.ndarray:
+    """Which cells (i, c) the scalings prove, for vertices M (all, c + 1, n_z, n_w) and distances from the chords ``slack``."""
+    M, slack = M[holds], slack[holds]
+    L_w, L_z = np.linalg.cholesky(found.X_w), np.linalg.cholesky(found.X_z)
+    right, left = np.linalg.inv(L_w).conj().swapaxes(1, 2)[:, None], L_z.conj().swapaxes(1, 2)[:, None]
+    N = left @ M @ right
+    G = np.linalg.inv(L_w) @ found.G @ np.linalg.inv(L_z).conj().swapaxes(1, 2)
+    shifted = N - 1j * G.conj().swapaxes(1, 2)[:, None]
+    gap = np.linalg.norm(G, 2, axis=(1, 2))[:, None] ** 2
+    cross = 1j * G[:, None] @ N
+    Phi = N.conj().swapaxes(2, 3) @ N + cross + cross.conj().swapaxes(2, 3)
+    values = np.linalg.eigvalsh(Phi)[..., -1]
+    size = np.linalg.norm(shifted, 2, axis=(2, 3))
+    rounding = 1e-13 * (size**2 + gap)
+    wide = ~np.isfinite(slack).all(axis=(2, 3))
+    reach = np.linalg.norm(np.abs(left) @ np.where(wide[..., None, None], 0.0, slack) @ np.abs(right), axis=(2, 3))
+    reach[wide] = np.inf
+    size = np.maximum(size[:, :-1], size[:, 1:])
+    edge = np.maximum(values[:, :-1] + rounding[:, :-1], values[:, 1:] + rounding[:, 1:])
+    return np.asarray(edge + 2 * size * reach + reach**2 < 1)

@@ -34,10 +34,11 @@ class ModalForm:
         return tuple(int(i) for i in np.cumsum([0, *self.sizes])[:-1])
 
 
-def modal_form(system: Any) -> ModalForm:
+def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
     """``system`` in real block-diagonal coordinates, slow blocks first; inputs, outputs and sample time are kept.
 
-    A transform that separates two blocks has entries up to 1e4, so that at most 4 digits are lost; beyond, the blocks stay one.
+    A transform that separates two blocks has entries up to ``growth``, so that at most 4 digits are lost; beyond, the blocks
+    stay one.
     Raises NumericalFailure when the transform does not give the system back to 1e-9.
     """
     system = as_statespace(system)
@@ -46,7 +47,7 @@ def modal_form(system: Any) -> ModalForm:
         return ModalForm(system, ())
     A, B, C, _ = balance_system(system.A, system.B, system.C)
     T, X = sla.schur(A, output="real")
-    T, X, Y, sizes = _separated(T, X)
+    T, X, Y, sizes = _separated(T, X, growth)
     size = np.abs(A).max()
     if (
         not np.abs(A @ X - X @ T).max() <= _RESIDUAL * size * np.abs(X).max()
@@ -67,7 +68,7 @@ def modal_form(system: Any) -> ModalForm:
     return ModalForm(StateSpace(T, B, C, system.D, system.inputs, system.outputs, system.dt), sizes)
 
 
-def _separated(T: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, ...]]:
+def _separated(T: np.ndarray, X: np.ndarray, growth: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, ...]]:
     """The real Schur form T (n, n) with vectors X made block-diagonal: T, X, X^-1 and the sizes."""
     T, X, Y = T.copy(), X.copy(), X.T.copy()
     n, start = len(T), 0
@@ -76,7 +77,7 @@ def _separated(T: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         end = start + _first_block(T, start)
         while end < n:
             R = _separator(T, start, end)
-            if R is not None and np.abs(R).max() <= _GROWTH:
+            if R is not None and np.abs(R).max() <= growth:
                 X[:, end:] += X[:, start:end] @ R
                 Y[start:end] -= R @ Y[end:]
                 T[start:end, end:] = 0.0

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import UnstableSystem, check_shape, invalid
-from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.lft import Block, RealBlock
+from ambrose.core.mu.chords import Chords, chords
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectral_abscissa
 from ambrose.core.worst_case.elimination import determinants_at, transfers_at
 
@@ -35,13 +35,13 @@ _ALL_CORNERS = 8  # parameters up to which every corner is visited
 class BoxLoop:
     """A stable continuous loop whose first inputs w and outputs z belong to ``blocks``, one real parameter each.
 
-    owner (n,): the parameter that channel belongs to; form: for evaluation; poles (s,) of the loop with delta = 0.
+    owner (n,): the parameter that channel belongs to; model: for evaluation and proof; poles (s,) of the loop with delta = 0.
     """
 
     system: StateSpace
     blocks: tuple[RealBlock, ...]
     owner: np.ndarray
-    form: SchurForm
+    model: Chords
     poles: np.ndarray
 
     @property
@@ -50,10 +50,7 @@ class BoxLoop:
 
     def at(self, omega: np.ndarray) -> np.ndarray:
         """M (w, n + p, n + m) at omega (w,) [rad/s], infinity allowed."""
-        values = np.broadcast_to(self.system.D, (len(omega), *self.system.D.shape)).astype(complex)
-        finite = np.isfinite(omega)
-        values[finite] = evaluate(self.form, 1j * omega[finite])
-        return values
+        return self.model.at(omega)
 
 
 def box_loop(system: Any, blocks: Sequence[Block]) -> BoxLoop:
@@ -71,8 +68,8 @@ def box_loop(system: Any, blocks: Sequence[Block]) -> BoxLoop:
             f"the loop with all parameters nominal has a pole with real part {spectral_abscissa(system):.4g} rad/s; "
             "robustness is a question about a stable loop: change the controller first"
         )
-    form = schur_form(system.A, system.B, system.C, system.D)
-    return BoxLoop(system, real, owner, form, form.poles)
+    model = chords(system)
+    return BoxLoop(system, real, owner, model, model.every_pole)
 
 
 def default_grid(loop: BoxLoop, per_decade: int = 60) -> np.ndarray:

@@ -1,125 +1,29 @@
-"""The worst that can happen in a box of real parameters: the margin to instability, and the largest gain.
+"""The largest gain over a box of real parameters and all frequencies, from below: members tried, and the best followed uphill.
 
-Searches give truths from one side: a perturbation that does it. From the other side come the structured singular value's
-bounds: ``proved_margin`` over all frequencies, ``gain_bound`` on a grid. Both sides are meant to be reported together.
+M is the nominal loop's and smooth between its poles; the gain of a member is sharp where the member has a pole. That pole is a
+zero of h = det(I - M11 delta), found from the grid by one Newton step, d ln h / d ln s: where it lies between grid points
+the member is looked at beside it as well. From the best, ascent in delta and frequency together, frequency measured from the
+pole, in units of its decay, along with which it moves: a ridge that is narrow in frequency is followed all the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ambrose.core.lft import Block, ComplexBlock, FullBlock
-from ambrose.core.mu.bounds import mu_certificate
-from ambrose.core.mu.structure import osborne, structure_of
-from ambrose.core.mu.upper import upper_bound
-from ambrose.core.statespace import StateSpace, balance
-from ambrose.core.worst_case.loop import (
-    BoxLoop,
-    Sweep,
-    box_loop,
-    box_points,
-    corners,
-    count_unstable,
-    default_grid,
-    gains,
-    perturbed_matrix,
-    sweep,
-)
+from ambrose.core.lft import Block
+from ambrose.core.worst_case.elimination import determinants_at
+from ambrose.core.worst_case.loop import BoxLoop, box_loop, box_points, default_grid, gains
 
-_SAMPLES = 64
-_LARGEST_BOX = 20.0
-_STARTS = 6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BoxMargin:
-    """The box may grow by ``factor`` before a perturbation in it destabilises: delta (k,), largest entry ``factor``, does.
-
-    frequency [rad/s] of the pole on the axis. factor is infinite (delta NaN) when none was found up to 20 times the box. It is
-    found by search: a smaller perturbation may exist where there are several parameters (for one it is exact).
-    """
-
-    factor: float
-    delta: np.ndarray
-    frequency: float
-
-
-def box_margin(loop: BoxLoop, start: Sweep | None = None) -> BoxMargin:
-    """The smallest destabilising perturbation found along the corners' directions and, from the best, beside them."""
-    around = sweep(loop) if start is None else start
-    rng = np.random.default_rng(0)
-    directions = corners(loop.parameters)
-    finest = 1.05 if loop.parameters == 1 else 1.25
-    low, high = 0.0, 0.1
-    unstable = np.zeros(len(directions), bool)
-    while high < _LARGEST_BOX:
-        count, around = count_unstable(loop, high * directions, around)
-        unstable = count > 0
-        if unstable.any():
-            break
-        low, high = high, high * finest
-    if not unstable.any():
-        return BoxMargin(float("inf"), np.full(loop.parameters, np.nan), float("nan"))
-    factor, best = _shrink(loop, directions[unstable], low, high, around)
-    for _ in range(4 if loop.parameters > 1 else 0):
-        tries = np.clip(best + rng.normal(0, 0.5, (_SAMPLES, len(best))) * rng.integers(0, 2, (_SAMPLES, len(best))), -1, 1)
-        count, around = count_unstable(loop, 0.998 * factor * tries, around)
-        unstable = count > 0
-        if unstable.any():
-            factor, best = _shrink(loop, tries[unstable], 0.5 * factor, 0.998 * factor, around)
-    size = np.abs(best).max()
-    values = np.linalg.eigvals(perturbed_matrix(loop, factor * best))
-    return BoxMargin(float(factor * size), factor * best, float(abs(values[np.argmin(np.abs(values.real))].imag)))
-
-
-def _shrink(loop: BoxLoop, directions: np.ndarray, low: float, high: float, around: Sweep) -> tuple[float, np.ndarray]:
-    """The smallest factor in (low, high] at which one of the directions, all unstable at ``high``, is unstable; bisection."""
-    while high - low > 1e-5 * high:
-        middle = 0.5 * (low + high)
-        count, around = count_unstable(loop, middle * directions, around)
-        unstable = count > 0
-        if unstable.any():
-            high, directions = middle, directions[unstable]
-        else:
-            low = middle
-    return high, directions[0]
-
-
-def proved_margin(loop: BoxLoop, most: float) -> float:
-    """A factor by which the box may grow with stability proved for every point of it; 0 when nothing could be proved.
-
-    The largest of a bisection up to ``most`` (see ``box_margin``) at which ``mu_certificate`` succeeds. With real parameters
-    alone mu is discontinuous and its scalings grow without bound next to a real eigenvalue; each parameter is therefore allowed
-    to be complex by 1 % of its size besides, which makes the proof a little stronger than needed.
-    """
-    n, s = len(loop.owner), loop.system
-    B, C, D = s.B[:, :n], s.C[:n], s.D[:n, :n]
-    e = 0.01
-    both = StateSpace(s.A, np.hstack([B, B]), np.vstack([C, e * C]), np.block([[D, D], [e * D, e * D]]))
-    blocks: list[Block] = [*loop.blocks]
-    blocks += [ComplexBlock(f"{block.name} complex", block.repeat) for block in loop.blocks]
-    largest = min(most, _LARGEST_BOX)
-    low, high = 0.0, largest
-    for i in range(6):
-        factor = (0.99 * largest, 0.95 * largest, 0.9 * largest)[i] if low == 0 and i < 3 else 0.5 * (low + high)
-        if mu_certificate(both, blocks, 1 / factor, (0.0, _tail(both, 1 / factor))).proved:
-            low = factor
-        else:
-            high = factor
-        if high - low < 0.01 * low:
-            break
-    return low
-
-
-def _tail(system: StateSpace, level: float) -> float:
-    """A frequency [rad/s] above which the largest singular value is below ``level``: |C||B|/(omega - |A|) + |D| bounds it."""
-    A, t = balance(system.A)
-    a, b, c, d = (float(np.linalg.norm(X, 2)) for X in (A, system.B / t[:, None], system.C * t, system.D))
-    return np.inf if d >= level else 1.01 * (a + c * b / (level - d))
+_STARTS = 10
+_BAND = 0.1  # relative width in which two starts of one member are the same
+_STEP = 1e-6  # relative step of the derivative in frequency
+_BESIDE = (-1.0, 0.0, 1.0)  # of a member's pole, in its decays
+_ROUNDS = 8  # of ascent, each from a new pole
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,22 +44,29 @@ def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxG
     return worst_gain(box_loop(system, blocks), seed=seed)
 
 
-def worst_gain(loop: BoxLoop, seed: int = 1) -> BoxGain:
+def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxGain:
     """The largest singular value of T(delta) over the box and all frequencies, from below.
 
-    Corners, samples and the centre on the grid, then from the best few: gradient steps in delta (L-BFGS-B, exact gradient of
-    the singular value), and a narrowing net in frequency, in turn. The loop must be stable all over the box.
+    Corners, samples and the centre on a grid and beside their own poles, then ascent from the best of different bands of
+    frequency. The loop must be stable all over the box. also: frequencies [rad/s] at which to look besides.
     """
-    grid = default_grid(loop)
-    starts = box_points(loop.parameters, seed=seed)
+    grid = np.concatenate([[0.0], default_grid(loop)])
+    members = box_points(loop.parameters, seed=seed)
     M = loop.at(grid)
-    nominal = gains(M, loop, starts[:1])[0]
-    kept = _gain_limit(M, len(loop.owner)) >= nominal.max()
-    grid, found = grid[kept], gains(M[kept], loop, starts)
-    order = np.argsort(found.max(axis=1))[::-1][:_STARTS]
-    best = BoxGain(-np.inf, 0.0, starts[0])
-    for i in order:
-        best = max(best, _ascend(loop, grid, starts[i], int(found[i].argmax())), key=lambda item: item.value)
+    kept = _gain_limit(M, len(loop.owner)) >= gains(M, loop, members[:1])[0].max()
+    kept[1:] |= kept[:-1]
+    kept[:-1] |= kept[1:]
+    grid, M = grid[kept], M[kept]
+    found = gains(M, loop, members)
+    i, k = np.nonzero(_local_maxima(found))
+    rows = [np.stack([found[i, k], i, grid[k]]), _beside_poles(loop, grid, M, members, kept)]
+    starts = [(int(i), float(omega)) for _, i, omega in _best_of_each_band(np.hstack(rows))]
+    best = BoxGain(-np.inf, 0.0, members[0])
+    for row, omega in starts:
+        best = max(best, _ascend(loop, members[row], omega), key=lambda item: item.value)
+    for omega in also:
+        at = worst_gain_at(loop, omega)
+        best = max(best, _ascend(loop, at.delta, omega), key=lambda item: item.value)
     return best
 
 
@@ -166,7 +77,7 @@ def worst_gain_at(loop: BoxLoop, omega: float) -> BoxGain:
     found = gains(M, loop, starts)[:, 0]
     best = BoxGain(-np.inf, omega, starts[0])
     for i in np.argsort(found)[::-1][:_STARTS]:
-        delta = _climb(M[0], loop, starts[i], {})
+        delta = _climb(M[0], loop, starts[i])
         value = float(gains(M, loop, delta[None])[0, 0])
         best = max(best, BoxGain(value, omega, delta), key=lambda item: item.value)
     return best
@@ -179,46 +90,156 @@ def _gain_limit(M: np.ndarray, n: int) -> np.ndarray:
     return np.where(room > 0, M22 + M21 * M12 / np.where(room > 0, room, 1.0), np.inf)
 
 
-def _ascend(loop: BoxLoop, grid: np.ndarray, delta: np.ndarray, at: int) -> BoxGain:
-    omega, value = float(grid[at]), 0.0
-    left, right = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, len(grid) - 1)])
-    for _ in range(20):
-        M = loop.at(np.array([omega]))[0]
+def _local_maxima(values: np.ndarray) -> np.ndarray:
+    """Which of values (d, w) are no lower than their neighbours in the row."""
+    padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
+    return np.asarray((values >= padded[:, :-2]) & (values >= padded[:, 2:]))
 
-        delta = _climb(M, loop, delta, {"maxiter": 30})
-        omega, new = peak_at(loop, delta, left, omega, right)
-        if new <= value * (1 + 1e-9):
+
+def _beside_poles(loop: BoxLoop, grid: np.ndarray, M: np.ndarray, members: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """(3, c): gain, member and frequency [rad/s] beside those poles of the members that hide between grid points."""
+    n, positive = len(loop.owner), grid > 0
+    omega = grid[positive]
+    M11 = M[positive, :n, :n]
+    h = determinants_at(M11, loop.owner, members)
+    with np.errstate(all="ignore"):
+        shift = -_STEP / (determinants_at(loop.at(omega * (1 + _STEP))[:, :n, :n], loop.owner, members) / h - 1)
+    gap = np.gradient(np.log(omega)) if len(omega) > 1 else np.ones(1)
+    i, k = np.nonzero((np.abs(shift.real) <= 1.5 * gap) & (np.abs(shift.imag) <= gap))
+    if not len(i):
+        return np.zeros((3, 0))
+    centre, decay = omega[k] * (1 + shift[i, k].real), np.abs(omega[k] * shift[i, k].imag)
+    which = np.tile(i, len(_BESIDE))
+    at = np.concatenate([centre + share * decay for share in _BESIDE])
+    which, at = which[at > 0], at[at > 0]
+    values = _gains_one_by_one(loop, members[which], at)
+    return np.stack([values, which, at])
+
+
+def _gains_one_by_one(loop: BoxLoop, delta: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """Gain (c,) of member delta[i] at omega[i] [rad/s]."""
+    n = len(loop.owner)
+    M, wide = loop.at(omega), delta[:, loop.owner]
+    X = np.eye(n) - M[:, :n, :n] * wide[:, None, :]
+    singular = ~(np.abs(np.linalg.det(X)) > 0)
+    X[singular] = np.eye(n)
+    T = M[:, n:, n:] + (M[:, n:, :n] * wide[:, None, :]) @ np.linalg.solve(X, M[:, :n, n:])
+    values = np.linalg.norm(T, 2, axis=(1, 2))
+    values[singular] = 0.0
+    return np.asarray(values)
+
+
+def _best_of_each_band(rows: np.ndarray) -> list[tuple[float, float, float]]:
+    """Of rows (gain, member, frequency), the highest: three of one band of frequency at most, one of a member there."""
+    chosen: list[tuple[float, float, float]] = []
+    count: dict[int, int] = {}
+    seen: set[tuple[int, int]] = set()
+    for value, member, omega in rows[:, np.argsort(-rows[0])].T:
+        band = round(np.log(max(omega, 1e-300)) / _BAND)
+        if (band, int(member)) in seen or count.get(band, 0) == 3:
+            continue
+        seen.add((band, int(member)))
+        count[band] = count.get(band, 0) + 1
+        chosen.append((value, member, omega))
+        if len(chosen) == _STARTS or value < 0.3 * chosen[0][0]:
             break
-        value = new
-        left, right = omega / 1.05, omega * 1.05
-    return BoxGain(value, omega, delta)
+    return chosen
 
 
-def _climb(M: np.ndarray, loop: BoxLoop, delta: np.ndarray, options: dict[str, int]) -> np.ndarray:
+def _ascend(loop: BoxLoop, delta: np.ndarray, omega: float) -> BoxGain:
+    """Uphill in delta and frequency together until a round gains nothing more."""
+    from scipy.optimize import minimize
+
+    best = BoxGain(_gain(loop, delta, omega), omega, delta)
+    for _ in range(_ROUNDS):
+        decay, slope = _pole_beside(loop, best.delta, best.frequency)
+        origin, centre = np.append(best.delta, 0.0), best.frequency
+
+        line = np.append(slope, decay)  # frequency = |centre + line . (x - origin)|
+        bounds = [*[(-1.0, 1.0)] * loop.parameters, (-20.0, 20.0)]
+        options = {"maxiter": 60}
+        cost = partial(_along, loop, centre, line, origin)
+        found = minimize(cost, origin, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+        at, omega = np.clip(found.x[:-1], -1, 1), abs(centre + float(line @ (found.x - origin)))
+        omega, value = peak_at(loop, at, max(omega - 3 * decay, 0.0), omega, omega + 3 * decay)
+        if not value > best.value * (1 + 1e-9):
+            break
+        best = BoxGain(value, omega, at)
+    return best
+
+
+def _along(loop: BoxLoop, centre: float, line: np.ndarray, origin: np.ndarray, x: np.ndarray) -> tuple[float, np.ndarray]:
+    """-ln of the gain at x = (delta, distance from the pole in decays), and its gradient (k + 1,)."""
+    omega = centre + float(line @ (x - origin))
+    value, over_delta, over_omega = _log_gain(loop, x[:-1], abs(omega))
+    return value, np.append(over_delta, 0.0) + (over_omega if omega >= 0 else -over_omega) * line
+
+
+def _pole_beside(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float, np.ndarray]:
+    """The decay [rad/s] of the member's pole next to j omega, and how its frequency moves with delta (k,) [rad/s]."""
+    k, n = loop.parameters, len(loop.owner)
+    broad = (max(0.05 * omega, 1e-3 * float(np.abs(loop.poles).min(initial=1.0))), np.zeros(k))
+    if omega == 0.0:
+        return broad
+    at = np.array([omega])
+    M, slope = loop.at(at)[0, :n, :n], loop.model.slope(at)[0, :n, :n]
+    wide = delta[loop.owner]
+    X = np.eye(n) - M * wide
+    try:
+        K = np.linalg.inv(X)
+    except np.linalg.LinAlgError:
+        return broad
+    over_omega = -np.trace(K @ (slope * wide))  # of ln det
+    own = np.diag(K @ M)
+    over_delta = -(np.bincount(loop.owner, own.real, k) + 1j * np.bincount(loop.owner, own.imag, k))
+    if not abs(over_omega) * omega > 3:
+        return broad
+    distance = -1 / over_omega  # of the zero from omega, complex
+    moved = -over_delta / over_omega
+    decay = abs(distance.imag)
+    return (float(max(decay, 1e-9 * omega)), np.asarray(moved.real)) if decay < broad[0] else broad
+
+
+def _gain(loop: BoxLoop, delta: np.ndarray, omega: float) -> float:
+    return float(gains(loop.at(np.array([omega])), loop, delta[None])[0, 0])
+
+
+def _climb(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
     """The point (k,) of the box with the largest gain near delta (k,), for M (n + p, n + m) at one frequency."""
     from scipy.optimize import minimize
 
-    bounds = [(-1, 1)] * len(delta)
-    result = minimize(lambda x: _log_gain(M, loop, x), delta, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
+        return _slopes(M, np.zeros_like(M), loop, x)[:2]
+
+    result = minimize(cost, delta, jac=True, bounds=[(-1, 1)] * len(delta), method="L-BFGS-B")
     return np.clip(result.x, -1, 1)
 
 
-def _log_gain(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> tuple[float, np.ndarray]:
-    """-ln sigma_max(T(delta)) and its gradient (k,)."""
+def _log_gain(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float, np.ndarray, float]:
+    """-ln sigma_max(T(delta)) at omega [rad/s], its gradient (k,) and its derivative with respect to omega."""
+    at = np.array([omega])
+    return _slopes(loop.at(at)[0], loop.model.slope(at)[0], loop, delta)
+
+
+def _slopes(M: np.ndarray, slope: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> tuple[float, np.ndarray, float]:
+    """The same from M and dM/d omega (n + p, n + m)."""
     n = len(loop.owner)
     wide = delta[loop.owner]
     inverse = np.linalg.inv(np.eye(n) - M[:n, :n] * wide)  # (I - M11 D)^-1
     right = inverse @ M[:n, n:]
     T = M[n:, n:] + (M[n:, :n] * wide) @ right
     u, s, v = np.linalg.svd(T)
-    left = u[:, 0].conj() @ M[n:, :n] @ (np.eye(n) + (wide[:, None] * inverse) @ M[:n, :n])  # M21 (I - D M11)^-1
-    slope = np.bincount(loop.owner, (left * (right @ v[0].conj())).real, loop.parameters)
-    return -float(np.log(s[0])), -slope / s[0]
+    a, b = u[:, 0].conj(), v[0].conj()
+    forward = (a @ M[n:, :n]) * wide @ inverse  # M21 D (I - M11 D)^-1
+    left = a @ M[n:, :n] + forward @ M[:n, :n]  # M21 (I - D M11)^-1
+    over_delta = np.bincount(loop.owner, (left * (right @ b)).real, loop.parameters)
+    over_omega = np.concatenate([forward, a]) @ slope @ np.concatenate([wide * (right @ b), b])
+    return -float(np.log(s[0])), -over_delta / s[0], -float(over_omega.real) / float(s[0])
 
 
 def peak_at(loop: BoxLoop, delta: np.ndarray, left: float, middle: float, right: float) -> tuple[float, float]:
     """Frequency [rad/s] and value of the largest gain at delta (k,) near ``middle``, by a narrowing net in [left, right]."""
-    best, value = middle, float(gains(loop.at(np.array([middle])), loop, delta[None])[0, 0])
+    best, value = middle, _gain(loop, delta, middle)
     for _ in range(8):
         net = np.unique(np.concatenate([np.linspace(left, best, 6), np.linspace(best, right, 6)]))
         row = gains(loop.at(net), loop, delta[None])[0]
@@ -227,44 +248,3 @@ def peak_at(loop: BoxLoop, delta: np.ndarray, left: float, middle: float, right:
             best, value = float(net[i]), float(row[i])
         left, right = max(left, best - (net[1] - net[0]) * 1.5), min(right, best + (net[-1] - net[-2]) * 1.5)
     return best, value
-
-
-def gain_bound(loop: BoxLoop, omega: np.ndarray, start: float) -> float:
-    """An upper bound of the largest gain over the box at the frequencies omega (w,) [rad/s], and nowhere between.
-
-    The smallest gamma found with mu(diag(I, I/gamma) M) < 1, mu with the parameters' real blocks and one full block (skewed
-    structured singular value; Fan & Tits 1992); ``start`` is a gain known from below. Infinite when 100 times it does not
-    suffice: the bound then cannot exclude instability in the box.
-    """
-    n, tolerance = len(loop.owner), 2e-3
-    M = loop.at(omega)
-    structure = structure_of([*loop.blocks, FullBlock("gain", M.shape[2] - n, M.shape[1] - n)])
-
-    def exceeds(part: np.ndarray, gamma: float) -> np.ndarray:
-        scaled = part.copy()
-        scaled[:, n:] /= gamma
-        over = np.linalg.norm(osborne(scaled, structure)[0], 2, axis=(1, 2)) >= 1 - tolerance / 10
-        level = np.full(int(over.sum()), 1 - tolerance / 10)  # whether mu < 1 is all that is asked
-        over[over] = upper_bound(scaled[over], structure, level=level, tolerance=tolerance / 10).value >= 1
-        return over
-
-    low, high = start, start * (1 + tolerance)
-    active = M
-    step = 1 + tolerance
-    while True:
-        left = exceeds(active, high)
-        if not left.any():
-            break
-        active, low = active[left], high
-        step = step**2
-        high *= step
-        if high > 100 * start:
-            return np.inf
-    while high / low > 1 + tolerance:
-        middle = np.sqrt(low * high)
-        left = exceeds(active, middle)
-        if left.any():
-            active, low = active[left], middle
-        else:
-            high = middle
-    return float(high)

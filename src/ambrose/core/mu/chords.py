@@ -1,0 +1,147 @@
+"""A frequency response between two frequencies: the chord that joins its values, and how far it can lie from it.
+
+M(s) = D + sum of R_k / (s - p_k) in modal form, so that on a cell [a, b] of the imaginary axis, entry by entry,
+
+    |M(j omega) - chord| <= (b - a)^2 / 8 max |M''|,    |M''| <= sum of 2 |R_k| / d_k^3,    d_k: distance of p_k from the cell.
+
+Poles that cannot be told apart stay together as a small matrix, whose resolvent is bounded by a Neumann series. Nothing is
+asked of a grid: what lies between its points is enclosed. The cost does not depend on the order beyond one sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import NumericalFailure, invalid
+from ambrose.core.realisation.modal_form import ModalForm, modal_form
+from ambrose.core.statespace import StateSpace, as_statespace
+
+_GROWTH = (1e2, 1e1)  # of the transforms that separate poles: two digits may go, or one
+_CHUNK = 4_000_000  # numbers held at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chords:
+    """D (n_z, n_w); poles (k,) [rad/s], both of a pair; residues (k, n_z, n_w); clusters: (A, B, C) of poles kept together."""
+
+    D: np.ndarray
+    poles: np.ndarray
+    residues: np.ndarray
+    clusters: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+
+    @property
+    def every_pole(self) -> np.ndarray:
+        """The poles, those of the clusters included (n,) [rad/s]."""
+        return np.concatenate([self.poles, *(np.linalg.eigvals(A) for A, _, _ in self.clusters)])
+
+    def between(self, left: np.ndarray, right: np.ndarray) -> Chords:
+        """left M right, for constant left (p, n_z) and right (n_w, m)."""
+        clusters = tuple((A, B @ right, left @ C) for A, B, C in self.clusters)
+        return Chords(left @ self.D @ right, self.poles, left @ self.residues @ right, clusters)
+
+    def at(self, omega: np.ndarray) -> np.ndarray:
+        """M (w, n_z, n_w) at omega (w,) [rad/s]; infinity gives D."""
+        values = np.broadcast_to(self.D, (len(omega), *self.D.shape)).astype(complex)
+        finite = np.isfinite(omega)
+        values[finite] += self._sum(omega[finite], 1)
+        return values
+
+    def slope(self, omega: np.ndarray) -> np.ndarray:
+        """dM/d omega (w, n_z, n_w) at omega (w,) [rad/s], finite."""
+        return -1j * self._sum(omega, 2)
+
+    def _sum(self, omega: np.ndarray, power: int) -> np.ndarray:
+        """The sum of R_k / (j omega - p_k)^power."""
+        values = np.empty((len(omega), *self.D.shape), complex)
+        flat = self.residues.reshape(len(self.poles), -1)
+        step = max(1, _CHUNK // max(1, len(self.poles)))
+        for start in range(0, len(omega), step):
+            part = omega[start : start + step]
+            values[start : start + step] = ((1j * part[:, None] - self.poles) ** -power @ flat).reshape(
+                len(part), *self.D.shape
+            )
+        for A, B, C in self.clusters:
+            resolvent = np.linalg.inv(1j * omega[:, None, None] * np.eye(len(A)) - A)
+            values += C @ np.linalg.matrix_power(resolvent, power) @ B
+        return values
+
+    def distance(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Bound (c, n_z, n_w) on the entries of |M - chord| over the cells [low, high] (c,) [rad/s]; of |M - D| where high is
+        infinite. Infinite where a cell is too wide for its clusters."""
+        end = np.isinf(high)
+        upper = np.where(end, low, high)
+        beside = np.maximum(
+            np.maximum(low[:, None] - self.poles.imag, self.poles.imag - np.where(end, np.inf, high)[:, None]), 0
+        )
+        near = np.hypot(self.poles.real, beside)
+        width = upper - low
+        with np.errstate(divide="ignore"):
+            weight = np.where(end[:, None], 1 / near, (width**2)[:, None] / 4 / near**3)
+        bound = (weight @ np.abs(self.residues).reshape(len(self.poles), -1)).reshape(len(low), *self.D.shape)
+        for A, B, C in self.clusters:
+            bound = bound + _cluster(A, B, C, low, upper, end)
+        return np.asarray(bound)
+
+
+def _cluster(A: np.ndarray, B: np.ndarray, C: np.ndarray, low: np.ndarray, high: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """What a cluster adds to ``distance``. R = R0 (I + j d R0)^-1 around the middle of the cell, d at most half its width."""
+    R = np.linalg.inv(0.5j * (low + high)[:, None, None] * np.eye(len(A)) - A)
+    size = np.linalg.norm(R, 2, axis=(1, 2))
+    part = 0.5 * (high - low) * size
+    with np.errstate(divide="ignore", invalid="ignore"):
+        grown = np.where(part < 0.5, (high - low) ** 2 / 4 * size / (1 - part) ** 3, np.inf)
+        beyond = low - np.linalg.norm(A, 2)
+        tail = np.where(beyond > 0, 1 / beyond, np.inf)
+    inside = np.linalg.norm(C @ R, axis=2)[:, :, None] * np.linalg.norm(R @ B, axis=1)[:, None, :]
+    outside = np.linalg.norm(C, axis=1)[:, None] * np.linalg.norm(B, axis=0)
+    with np.errstate(invalid="ignore"):
+        bound = np.where(end[:, None, None], tail[:, None, None] * outside, grown[:, None, None] * inside)
+    return np.nan_to_num(bound, nan=0.0, posinf=np.inf)
+
+
+def chords(system: Any) -> Chords:
+    """The chords of a stable continuous system. Raises InvalidInput for another one."""
+    system = as_statespace(system)
+    found = _separated(system)
+    if system.dt is not None or not (found.every_pole.real < 0).all():
+        raise invalid("the system", repr(system), "continuous and stable", "close the loop first")
+    return found
+
+
+def _separated(system: StateSpace) -> Chords:
+    """The modal form with the widest separation that keeps its digits; one single cluster where there is none."""
+    for growth in _GROWTH:
+        try:
+            modal = modal_form(system, growth)
+        except NumericalFailure:
+            continue
+        return _residues(modal)
+    nothing = np.zeros((0, *system.D.shape), complex)
+    return Chords(system.D.astype(float), np.zeros(0, complex), nothing, ((system.A, system.B, system.C),))
+
+
+def _residues(modal: ModalForm) -> Chords:
+    A, B, C, D = modal.system.A, modal.system.B, modal.system.C, modal.system.D
+    poles: list[complex] = []
+    residues: list[np.ndarray] = []
+    clusters = []
+    for start, size in zip(modal.starts, modal.sizes, strict=True):
+        i = slice(start, start + size)
+        a, b, c = A[i, i], B[i], C[:, i]
+        if size == 1:
+            poles.append(complex(a[0, 0]))
+            residues.append(c @ b + 0j)
+        elif size == 2 and a[0, 0] == a[1, 1] and a[0, 1] * a[1, 0] < 0:
+            p, q = a[0, 1], a[1, 0]
+            beta = np.sqrt(-p) * np.sqrt(q) if q > 0 else np.sqrt(p) * np.sqrt(-q)
+            v, u = np.array([p, 1j * beta]), np.array([q, 1j * beta])  # A v = (a + j beta) v, u A = (a + j beta) u
+            residue = np.outer(c @ v, u @ b) / (u @ v)
+            poles += [complex(a[0, 0], beta), complex(a[0, 0], -beta)]
+            residues += [residue, residue.conj()]
+        else:
+            clusters.append((a, b, c))
+    stacked = np.array(residues, complex).reshape(-1, *D.shape)
+    return Chords(D.astype(float), np.array(poles, complex), stacked, tuple(clusters))

@@ -1,0 +1,227 @@
+"""Where a loop with real parameters has a pole on the imaginary axis, and the smallest perturbation that puts one there.
+
+A point (delta, omega) of the crossing surface has an eigenvalue 1 of M11(j omega) diag(delta). Along one direction v the
+eigenvalues mu of M11 diag(v) over frequency are real where the direction crosses, at the factor 1 / mu: all crossings at once,
+without a step in the factor that could miss a range of instability. M11 is the nominal loop's, smooth between its own poles.
+From a crossing the surface is followed downhill: a step in delta that lowers the largest entry and keeps the eigenvalue real to
+first order (a linear program with one equation, solved exactly), then back onto the surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.mu.structure import osborne, structure_of
+from ambrose.core.worst_case.loop import BoxLoop, corners, default_grid
+
+LARGEST_BOX = 20.0  # in boxes
+_CHUNK = 60_000  # matrices whose eigenvalues are computed at once
+_DIRECTIONS = 192  # at random, besides the corners
+_FEW_CORNERS = 5  # parameters up to which all corners are directions
+_STARTS = 12
+_ROUNDS = 3  # the first with directions all around, then around the best
+_STEPS = 60
+_NEWTON = 12
+_STILL = 1e-10  # relative imaginary part of the eigenvalue that counts as none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxMargin:
+    """The box may grow by ``factor`` before a perturbation in it destabilises: delta (k,), largest entry ``factor``, does.
+
+    frequency [rad/s] of the pole on the axis. factor is infinite (delta NaN) when none was found up to 20 times the box. It is
+    found by search: a smaller perturbation may exist where there are several parameters.
+    """
+
+    factor: float
+    delta: np.ndarray
+    frequency: float
+
+
+def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> BoxMargin:
+    """The smallest destabilising perturbation found, up to 20 times the box. also (d, k): more directions to try."""
+    rng = np.random.default_rng(seed)
+    grid = np.concatenate([[0.0], default_grid(loop, 40)])
+    n = len(loop.owner)
+    M = loop.at(grid)[:, :n, :n]
+    reach = np.linalg.norm(osborne(M, structure_of(loop.blocks))[0], 2, axis=(1, 2))  # no crossing below 1 / reach there
+    directions = _directions(loop.parameters, rng)
+    if also is not None:
+        size = np.abs(also).max(axis=1, keepdims=True)
+        directions = np.vstack([(also / np.where(size > 0, size, 1.0))[size[:, 0] > 0], directions])
+    best = BoxMargin(float("inf"), np.full(loop.parameters, np.nan), float("nan"))
+    for _ in range(_ROUNDS if loop.parameters > 1 else 1):
+        top = min(best.factor, LARGEST_BOX)
+        kept = reach >= 1 / top
+        kept[1:] |= kept[:-1]
+        kept[:-1] |= kept[1:]
+        starts = _candidates(grid, M, kept, loop, directions, top)
+        best = min([best, *(found for start in starts if (found := _followed(loop, start)))], key=lambda item: item.factor)
+        if not best.factor <= LARGEST_BOX:
+            return BoxMargin(float("inf"), np.full(loop.parameters, np.nan), float("nan"))
+        moved = best.delta / best.factor + rng.normal(0, 0.4, (_DIRECTIONS // 2, loop.parameters))
+        directions = moved / np.abs(moved).max(axis=1, keepdims=True)
+    return best
+
+
+def _directions(parameters: int, rng: np.random.Generator) -> np.ndarray:
+    """Corners, faces and random points of the surface of the box (d, k)."""
+    if parameters == 1:
+        return np.array([[-1.0], [1.0]])
+    ends = corners(parameters)
+    if parameters > _FEW_CORNERS:
+        ends = ends[rng.choice(len(ends), 2**_FEW_CORNERS, replace=False)]
+    inside = rng.uniform(-1, 1, (_DIRECTIONS, parameters))
+    inside[: len(inside) // 2] /= np.abs(inside[: len(inside) // 2]).max(axis=1, keepdims=True)
+    side = rng.integers(0, parameters, len(inside))
+    inside[np.arange(len(inside)), side] = rng.choice([-1.0, 1.0], len(inside))
+    return np.vstack([ends, np.eye(parameters), -np.eye(parameters), inside])
+
+
+def _candidates(
+    grid: np.ndarray, M: np.ndarray, kept: np.ndarray, loop: BoxLoop, directions: np.ndarray, limit: float
+) -> list[BoxMargin]:
+    """Crossings of the directions below ``limit``, to first order; the lowest, and of those in one band of frequency a few."""
+    index = np.flatnonzero(kept)
+    if len(index) < 2:
+        return []
+    rows: list[tuple[float, int, float]] = []
+    step = max(1, _CHUNK // len(index))
+    for start in range(0, len(directions), step):
+        part = directions[start : start + step]
+        values = np.linalg.eigvals(M[index] * part[:, None, None, loop.owner])
+        rows += _real_crossings(values, grid[index], np.diff(index) == 1, limit, start)
+    rows.sort()
+    chosen: list[BoxMargin] = []
+    bands: dict[int, int] = {}
+    for factor, i, omega in rows:
+        band = round(8 * np.log2(max(omega, grid[1])))
+        if bands.get(band, 0) < 3:
+            bands[band] = bands.get(band, 0) + 1
+            chosen.append(BoxMargin(factor, factor * directions[i], omega))
+        if len(chosen) == _STARTS:
+            break
+    return chosen
+
+
+def _real_crossings(
+    values: np.ndarray, omega: np.ndarray, beside: np.ndarray, limit: float, first: int
+) -> list[tuple[float, int, float]]:
+    """(factor, direction, frequency) where an eigenvalue (d, w, n) crosses, or nearly touches, the positive real axis."""
+    a, b = values[:, :-1], values[:, 1:]
+    near = np.abs(a[..., :, None] - b[..., None, :]).argmin(axis=-1)
+    b = np.take_along_axis(b, near, axis=-1)
+    through = (a.imag * b.imag <= 0) & (a.real + b.real > 0) & beside[None, :, None]
+    share = np.where(through, a.imag / np.where(a.imag == b.imag, 1.0, a.imag - b.imag), 0.0)
+    size = a.real + share * (b.real - a.real)
+    d, w, i = np.nonzero(through & (size > 1 / (1.3 * limit)))
+    at = omega[w] + share[d, w, i] * (omega[w + 1] - omega[w])
+    rows = list(zip((1 / size[d, w, i]).tolist(), (d + first).tolist(), at.tolist(), strict=True))
+    turn = np.abs(values.imag)
+    touch = (turn[:, 1:-1] <= turn[:, :-2]) & (turn[:, 1:-1] <= turn[:, 2:]) & (turn[:, 1:-1] < 0.1 * values.real[:, 1:-1])
+    d, w, i = np.nonzero(touch & (values.real[:, 1:-1] > 1 / limit))
+    rows += list(zip((1.05 / values.real[d, w + 1, i]).tolist(), (d + first).tolist(), omega[w + 1].tolist(), strict=True))
+    return rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Eigenvalue:
+    """An eigenvalue of M11(j omega) diag(v), and its derivatives with respect to omega and v (k,)."""
+
+    value: complex
+    over_omega: complex
+    over_v: np.ndarray
+
+
+def _eigenvalue(loop: BoxLoop, v: np.ndarray, omega: float, near: complex) -> _Eigenvalue | None:
+    at, n = np.array([omega]), len(loop.owner)
+    M, slope = loop.model.at(at)[0, :n, :n], loop.model.slope(at)[0, :n, :n]
+    wide = v[loop.owner]
+    values, X = np.linalg.eig(M * wide)
+    i = int(np.abs(values - near).argmin())
+    try:
+        y = np.linalg.inv(X)[i]
+    except np.linalg.LinAlgError:
+        return None
+    x = X[:, i]
+    gradient = (y @ M) * x
+    over = np.bincount(loop.owner, gradient.real, len(v)) + 1j * np.bincount(loop.owner, gradient.imag, len(v))
+    return _Eigenvalue(complex(values[i]), complex(y @ (slope * wide) @ x), over)
+
+
+def _on_surface(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[BoxMargin, _Eigenvalue] | None:
+    """The crossing in the direction of delta near (delta, omega), by Newton's iteration: where the eigenvalue is real."""
+    near: complex = 1.0
+    for _ in range(_NEWTON):
+        found = _eigenvalue(loop, delta, omega, near)
+        if found is None or found.value.real <= 0:
+            return None
+        if abs(found.value.imag) <= _STILL * abs(found.value):
+            scaled = delta / found.value.real
+            return BoxMargin(float(np.abs(scaled).max()), scaled, omega), found
+        if omega == 0.0 or found.over_omega.imag == 0:
+            return None
+        step = -found.value.imag / found.over_omega.imag
+        if abs(step) > 0.3 * omega:
+            step = float(np.sign(step)) * 0.3 * omega
+        omega, near = omega + step, found.value + step * found.over_omega
+        if abs(found.value.imag) > 0.8 * abs(found.value):
+            return None
+    return None
+
+
+def _followed(loop: BoxLoop, start: BoxMargin) -> BoxMargin | None:
+    """Down the crossing surface from a start near it, to where no direction lowers the largest entry any more."""
+    landed = _on_surface(loop, start.delta, start.frequency)
+    if landed is None:
+        return None
+    here, slope = landed
+    radius = 0.3
+    for _ in range(_STEPS if loop.parameters > 1 else 0):
+        # the eigenvalue is 1 at here.delta: d mu = over_v . d delta / r + over_omega d omega = 0, omega eliminated
+        scale = slope.value.real
+        turned = slope.over_v * scale * np.conj(slope.over_omega) if here.frequency > 0 else slope.over_v * scale * 1j
+        step = _downhill(turned.imag, here.delta, radius * here.factor)
+        moved = here.delta + step
+        omega = here.frequency
+        if omega > 0:
+            guess = -float((np.conj(slope.over_omega) * (slope.over_v @ step) * scale).real) / abs(slope.over_omega) ** 2
+            omega = float(np.clip(omega + guess, 0.5 * omega, 2 * omega))
+        landed = _on_surface(loop, moved, omega)
+        if landed is not None and landed[0].factor < here.factor:
+            gain = 1 - landed[0].factor / here.factor
+            here, slope = landed
+            radius = min(2 * radius, 0.5)
+            if gain < 1e-9:
+                break
+        else:
+            radius /= 4
+            if radius < 1e-7:
+                break
+    return here
+
+
+def _downhill(a: np.ndarray, delta: np.ndarray, radius: float) -> np.ndarray:
+    """The step with a . step = 0 and |step| <= radius that makes the largest entry of |delta + step| smallest, by bisection.
+
+    With the largest entry at most t each coordinate has a range; a . step can be zero when the extremes of the sum enclose it.
+    """
+    low, high = np.abs(delta).max() - radius, float(np.abs(delta).max())
+    low = max(low, 0.0)
+
+    def ends(t: float) -> tuple[np.ndarray, np.ndarray]:
+        least, most = np.maximum(-t - delta, -radius), np.minimum(t - delta, radius)
+        return np.where(a > 0, least, most), np.where(a > 0, most, least)  # of the smallest and the largest sum
+
+    for _ in range(50):
+        t = 0.5 * (low + high)
+        smallest, largest = ends(t)
+        if a @ smallest <= 0 <= a @ largest:
+            high = t
+        else:
+            low = t
+    smallest, largest = ends(high)
+    bottom, span = a @ smallest, a @ (largest - smallest)
+    return smallest + (largest - smallest) * (np.clip(-bottom / span, 0.0, 1.0) if span > 0 else 0.5)
