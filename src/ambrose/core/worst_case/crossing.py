@@ -18,10 +18,9 @@ from ambrose.core.worst_case.loop import BoxLoop, corners, default_grid
 
 LARGEST_BOX = 20.0  # in boxes
 _CHUNK = 60_000  # matrices whose eigenvalues are computed at once
-_DIRECTIONS = 192  # at random, besides the corners
+_DIRECTIONS = 40  # at random, per parameter beyond the first
 _FEW_CORNERS = 5  # parameters up to which all corners are directions
-_STARTS = 12
-_ROUNDS = 3  # the first with directions all around, then around the best
+_STARTS = 6  # per round
 _STEPS = 60
 _NEWTON = 12
 _STILL = 1e-10  # relative imaginary part of the eigenvalue that counts as none
@@ -47,37 +46,45 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
     n = len(loop.owner)
     M = loop.at(grid)[:, :n, :n]
     reach = np.linalg.norm(osborne(M, structure_of(loop.blocks))[0], 2, axis=(1, 2))  # no crossing below 1 / reach there
-    directions = _directions(loop.parameters, rng)
+    directions = _main_directions(loop.parameters, rng)
     if also is not None:
         size = np.abs(also).max(axis=1, keepdims=True)
         directions = np.vstack([(also / np.where(size > 0, size, 1.0))[size[:, 0] > 0], directions])
     best = BoxMargin(float("inf"), np.full(loop.parameters, np.nan), float("nan"))
-    for _ in range(_ROUNDS if loop.parameters > 1 else 1):
+    for number in range(3 if loop.parameters > 1 else 1):
+        if number == 1:
+            directions = _scattered(loop.parameters, rng)
+        elif number == 2:
+            if not np.isfinite(best.factor):
+                break
+            directions = best.delta / best.factor + rng.normal(0, 0.4, (_DIRECTIONS, loop.parameters))
+            directions /= np.abs(directions).max(axis=1, keepdims=True)
         top = min(best.factor, LARGEST_BOX)
         kept = reach >= 1 / top
         kept[1:] |= kept[:-1]
         kept[:-1] |= kept[1:]
         starts = _candidates(grid, M, kept, loop, directions, top)
-        best = min([best, *(found for start in starts if (found := _followed(loop, start)))], key=lambda item: item.factor)
-        if not best.factor <= LARGEST_BOX:
-            return BoxMargin(float("inf"), np.full(loop.parameters, np.nan), float("nan"))
-        moved = best.delta / best.factor + rng.normal(0, 0.4, (_DIRECTIONS // 2, loop.parameters))
-        directions = moved / np.abs(moved).max(axis=1, keepdims=True)
+        found = [landed for start in starts if (landed := _followed(loop, start)) and landed.factor <= LARGEST_BOX]
+        best = min([best, *found], key=lambda item: item.factor)
     return best
 
 
-def _directions(parameters: int, rng: np.random.Generator) -> np.ndarray:
-    """Corners, faces and random points of the surface of the box (d, k)."""
+def _main_directions(parameters: int, rng: np.random.Generator) -> np.ndarray:
+    """Corners of the box, not more than 32, and the axes (d, k)."""
     if parameters == 1:
         return np.array([[-1.0], [1.0]])
     ends = corners(parameters)
     if parameters > _FEW_CORNERS:
         ends = ends[rng.choice(len(ends), 2**_FEW_CORNERS, replace=False)]
-    inside = rng.uniform(-1, 1, (_DIRECTIONS, parameters))
-    inside[: len(inside) // 2] /= np.abs(inside[: len(inside) // 2]).max(axis=1, keepdims=True)
+    return np.vstack([ends, np.eye(parameters), -np.eye(parameters)])
+
+
+def _scattered(parameters: int, rng: np.random.Generator) -> np.ndarray:
+    """Random points (d, k) of the faces of the box."""
+    inside = rng.uniform(-1, 1, (min(_DIRECTIONS * (parameters - 1), 160), parameters))
     side = rng.integers(0, parameters, len(inside))
     inside[np.arange(len(inside)), side] = rng.choice([-1.0, 1.0], len(inside))
-    return np.vstack([ends, np.eye(parameters), -np.eye(parameters), inside])
+    return inside
 
 
 def _candidates(
@@ -194,11 +201,11 @@ def _followed(loop: BoxLoop, start: BoxMargin) -> BoxMargin | None:
             gain = 1 - landed[0].factor / here.factor
             here, slope = landed
             radius = min(2 * radius, 0.5)
-            if gain < 1e-9:
+            if gain < 1e-7:
                 break
         else:
             radius /= 4
-            if radius < 1e-7:
+            if radius < 1e-5:
                 break
     return here
 
@@ -215,7 +222,7 @@ def _downhill(a: np.ndarray, delta: np.ndarray, radius: float) -> np.ndarray:
         least, most = np.maximum(-t - delta, -radius), np.minimum(t - delta, radius)
         return np.where(a > 0, least, most), np.where(a > 0, most, least)  # of the smallest and the largest sum
 
-    for _ in range(50):
+    for _ in range(30):
         t = 0.5 * (low + high)
         smallest, largest = ends(t)
         if a @ smallest <= 0 <= a @ largest:
