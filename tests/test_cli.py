@@ -43,7 +43,7 @@ def study(tmp_path_factory):
 
 
 def test_machines():
-    assert {"seal-rig", "turboexpander"} <= set(json.loads(call("machines", "--json").stdout))
+    assert {"seal-rig", "seal-rig-k-only", "turboexpander"} <= set(json.loads(call("machines", "--json").stdout))
     assert "seal-rig" in call("machines").stdout
 
 

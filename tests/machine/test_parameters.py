@@ -26,6 +26,7 @@ GOOD = {
     "seal.c.C_yy": ("seal", "c", "C", "yy", "damping"),
     "seal.c.c_xy": ("seal", "c", "c", "xy", "damping"),
     "seal.c.c_yx": ("seal", "c", "c", "yx", "damping"),
+    "seal.c.pressure": ("seal", "c", "pressure", "", "pressure"),
     "bearing.A.force_per_current": ("bearing", "A", "force_per_current", "", "force per current"),
     "bearing.A.force_per_current.zeta": ("bearing", "A", "force_per_current", "zeta", "force per current"),
     "bearing.A.negative_stiffness.eta": ("bearing", "A", "negative_stiffness", "eta", "stiffness"),
@@ -38,6 +39,7 @@ GOOD = {
 }
 BAD = [
     *("", ".", "seal", "seal.c", "seal..k", "seal.c.k.", "seal.c.k_", "seal.c.K_xy", "seal.c.k_xx", "seal.c.M_xx"),
+    *("seal.c.pressure_", "seal.c.pressure_xx"),
     *("seal.c.k.xy", "seal.c.Q", "rotor.modal_damping", "bearing.A", "bearing.A.gap", "bearing.A.negative_stiffness_zeta"),
     *("bearing.A.negative_stiffness.x", "bearing.A.negative_stiffness.zeta.zeta", "bearing.A.negative_stiffness."),
     *("coupling.c.mass", "amplifier", "amplifier.", "amplifier.order", "amplifier.bandwidth.zeta", "Seal.c.k", "seal.c. k"),

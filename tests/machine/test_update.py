@@ -28,6 +28,7 @@ schema = 1
   name = "odd"
 assumed.bearing.angle = "as drawn"
 assumed.seal = 'a guess'
+assumed."seal.mid.scales_with_pressure" = "k is a guess"
 
 # the left one
 [[bearing]]
@@ -182,7 +183,7 @@ def test_a_bundled_machine_after_an_identification(file):
            if getattr(machine.amplifier, key)}  # fmt: skip
     seal = replace(
         machine.seals[0], K=0.0, k=0.0, C=0.0, c=0.0, geometry=None, scales_with_pressure=(),
-        table=SealTable((("pressure", (0.0, 1e5 / 3, 5e6)),), (("K", (1 / 3, 2.0, 3.0)), ("k", (0.0, 1e6 / 7, 2e6)))),
+        table=SealTable((("pressure", (0.0, 16e6 / 3)),), (("K", (1 / 3, 3.0)), ("k", (0.0, 16e6 / 7)))),
     )  # fmt: skip
     updated = replace(
         machine,

@@ -11,7 +11,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import RealBlock, close_uncertainty
 from ambrose.core.statespace import select
-from ambrose.machine.description import Amplifier, Tolerance
+from ambrose.machine.description import Amplifier, SealTable, Tolerance
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.plant.uncertainty import perturbed, uncertain
@@ -39,8 +39,8 @@ def with_bearing(m, name, field, index, factor):
     return replace(m, bearings=tuple(change.values()))
 
 
-def with_seal(m, letter, factor):
-    return replace(m, seals=(replace(m.seals[0], **{letter: getattr(m.seals[0], letter) * factor}),))
+def with_seal(m, letters, factor):
+    return replace(m, seals=(replace(m.seals[0], **{letter: getattr(m.seals[0], letter) * factor for letter in letters}),))
 
 
 def with_coupling(m, field, index, factor):
@@ -52,6 +52,7 @@ CASES = {
     "seal.center.k": (2, lambda m, f: with_seal(m, "k", f)),
     "seal.center.C": (2, lambda m, f: with_seal(m, "C", f)),
     "seal.center.c": (2, lambda m, f: with_seal(m, "c", f)),
+    "seal.center.pressure": (2, lambda m, f: with_seal(m, "KkCc", f)),
     "bearing.A.negative_stiffness": (2, lambda m, f: with_bearing(m, "A", "negative_stiffness", (0, 1), f)),
     "bearing.B.negative_stiffness.eta": (1, lambda m, f: with_bearing(m, "B", "negative_stiffness", (1,), f)),
     "bearing.A.force_per_current": (2, lambda m, f: with_bearing(m, "A", "force_per_current", (0, 1), f)),
@@ -109,6 +110,75 @@ def test_absolute_width_serves_a_zero_nominal(machine):
     ours = perturbed(assemble(m), {"seal.center.K": -1.0}, [Tolerance("seal.center.K", absolute=2e5)])
     truth = assemble(replace(m, seals=(replace(m.seals[0], K=-2e5),)))
     assert response(ours) == pytest.approx(response(truth), rel=1e-6, abs=1e-9 * np.abs(response(truth)).max())
+
+
+def at_pressure(m, pressure):
+    return response(assemble(m, replace(m.operation.nominal, seal_pressure=pressure)))
+
+
+def tabulated(m, pressures, **values):
+    """The machine with its seal on a table over the pressure; values: coefficient -> its values."""
+    table = SealTable((("pressure", pressures),), tuple(values.items()))
+    still = {**dict.fromkeys("KkCc", 0.0), "scales_with_pressure": (), "table": table}
+    return replace(m, seals=(replace(m.seals[0], **still),), tolerances=())
+
+
+def test_the_pressure_moves_what_follows_it_as_one_block(machine):
+    """Closed at a pressure, the block gives the plant that is assembled there: of constants, of a line, without pressure."""
+    line = tabulated(machine, (0.0, 5e5), K=(1e5, 2e5), k=(0.0, 8e6), C=(-50.0, 6e3))
+    for m, nominal in ((machine, 2.04e5), (line, 2.04e5), (machine, 0.0)):
+        plant = assemble(m, replace(m.operation.nominal, seal_pressure=nominal))
+        tolerance = Tolerance("seal.center.pressure", absolute=2.04e5)
+        assert uncertain(plant, [tolerance]).blocks == (RealBlock("seal.center.pressure", 2),)
+        ours, truth = response(perturbed(plant, {tolerance.parameter: 1.0}, [tolerance])), at_pressure(m, nominal + 2.04e5)
+        assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
+
+
+def test_the_pressure_moves_the_states_of_a_seal(machine):
+    omega = tuple(np.geomspace(10.0, 2000.0, 12))
+    rise = np.array(omega) / (np.array(omega) + 300.0)
+    table = SealTable((("frequency", omega),), (("K", tuple(4e5 * rise)), ("k", tuple(3e6 + 1e6 * rise))))
+    seal = replace(machine.seals[0], K=0.0, k=0.0, table=table, frequency_dependence="states", poles=2)
+    m = replace(machine, seals=(seal,))
+    ours = response(perturbed(assemble(m), {"seal.center.pressure": -0.5}))
+    truth = at_pressure(m, 1.02e5)
+    assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
+    with pytest.raises(InvalidInput, match=r"pressure of seal center with states is 0.*under pressure"):
+        uncertain(assemble(m, m.operation.points[1]))
+    with pytest.raises(InvalidInput, match=r"states are not proportional.*name all"):
+        reason = (("seal.center.scales_with_pressure", "a test"),)
+        replace(m, seals=(replace(seal, scales_with_pressure=("K", "k")),), assumed=reason)
+
+
+def test_a_coefficient_and_the_pressure_add_up(machine):
+    """A coefficient's own tolerance says how well it is known at a pressure."""
+    plant, both = assemble(machine), [Tolerance("seal.center.pressure", relative=1.0), Tolerance("seal.center.k", relative=0.1)]
+    ours = response(perturbed(plant, {"seal.center.pressure": 0.5, "seal.center.k": -1.0}, both))
+    truth = response(assemble(with_seal(with_seal(machine, "KCc", 1.5), "k", 1.4)))
+    assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda m: replace(m.seals[0], scales_with_pressure=()), "no coefficient of the seal follows the pressure; name"),
+        (lambda m: replace(m.seals[0], M=0.1, scales_with_pressure=("K", "k", "C", "c", "M")), "added mass.*keep M constant"),
+        (
+            lambda m: tabulated(m, (0.0, 2e5, 4e5), K=(0.0, 1.0, 3.0), k=(0.0, 2.0, 4.0)).seals[0],
+            "not on a straight line over the pressure.*: K; leave",
+        ),
+        (lambda m: load_machine("turboexpander").seals[0], "flow of .* is not proportional to the pressure; leave"),
+    ],
+)
+def test_a_pressure_that_is_no_straight_line_is_refused(machine, change, reason):
+    seal = replace(change(machine), name="center", position=0.43)
+    with pytest.raises(InvalidInput, match=f'"seal.center.pressure" cannot be uncertain: .*{reason}'):
+        replace(machine, seals=(seal,))
+
+
+def test_a_relative_tolerance_of_no_pressure_is_refused(machine):
+    with pytest.raises(InvalidInput, match=r"seal\.center\.pressure is 0, but must be non-zero.*absolute"):
+        uncertain(assemble(machine, machine.operation.points[1]))
 
 
 def test_nominal_is_unchanged_and_maps_to_the_reduced_plant(machine):

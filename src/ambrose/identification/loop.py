@@ -135,7 +135,8 @@ def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[st
     the amplifier's lag (its bandwidth, or its natural frequency).
 
     A seal's coefficient that scales with the pressure is left out where no record was taken under pressure; so is one that a
-    table or a geometry gives, for it could not be written back.
+    table or a geometry gives, for it could not be written back. A seal's uncertain pressure, which comes with a record, stands
+    for k, the coefficient that a record tells best (C and c are several times less certain).
     """
     paths = [
         f"bearing.{item.name}.{quantity}.{axis}"
@@ -148,6 +149,8 @@ def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[st
     pressed = any(record.point.seal_pressure for record in records) or not records
     for tolerance in machine.tolerances:
         parameter = parse_parameter(tolerance.parameter)
+        if parameter.quantity == "pressure":
+            parameter = parse_parameter(f"seal.{parameter.name}.k")
         if parameter.table == "seal":
             seal = next(item for item in machine.seals if item.name == parameter.name)
             if parameter.quantity in seal.scales_with_pressure and not pressed:
@@ -156,7 +159,7 @@ def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[st
             if tabulated or seal.geometry is not None:
                 continue
         if not any(parameter.overlaps(parse_parameter(path)) for path in paths):
-            paths.append(tolerance.parameter)
+            paths.append(parameter.path)
     if not paths:
         raise InvalidInput(f"machine {machine.name!r} has nothing to identify; name the parameters")
     return tuple(paths)

@@ -12,6 +12,7 @@ from ambrose.identification.parameters import COVERAGE, Estimate, half_width, pa
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, Parameter, find_uncertain, parse_parameter
+from ambrose.machine.seals import constant_under_pressure
 from ambrose.physics import magnet
 from ambrose.physics.seal import coefficients
 
@@ -24,8 +25,8 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
     coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry, as found or as it was, and
     the tolerance of the coefficient covers both with their uncertainty. origin: where the values are from, added to
     ``source``; a delay that was found goes into the controller's settings. Entries of ``assumed`` about a quantity whose every
-    value was identified are taken out. Raises InvalidInput for what a machine cannot hold (a coefficient from a table or a
-    geometry).
+    value was identified are taken out; a seal's coefficient that does not follow the pressure as others do gets one.
+    Raises InvalidInput for what a machine cannot hold (a coefficient from a table or a geometry).
     """
     if result.machine != machine.name:
         raise invalid("the machine of the result", repr(result.machine), repr(machine.name), "take the machine it belongs to")
@@ -46,16 +47,22 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
         stiffness, damping = _pair(item.stiffness, "stiffness", mine), _pair(item.damping, "damping", mine)
         couplings.append(replace(item, stiffness=stiffness, damping=damping))
     pid, delays = machine.controller, dict(zip(result.paths, result.values.tolist(), strict=True))
+    seals = tuple(_seal(item, result.point, _of("seal", item.name, values)) for item in machine.seals)
+    reasons = dict(row for row in machine.assumed if not _settled(machine, row[0], [p for p, _ in values]))
+    for seal in seals:
+        if still := ", ".join(constant_under_pressure(seal)):
+            remark = f"{still}: found at {result.point.seal_pressure:g} Pa; how it follows the pressure is not known"
+            reasons.setdefault(f"seal.{seal.name}.scales_with_pressure", remark)
     return replace(
         machine,
         controller=replace(pid, delay=delays[CONTROLLER_DELAY]) if pid is not None and CONTROLLER_DELAY in delays else pid,
         bearings=tuple(_bearing(item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
         couplings=tuple(couplings),
         amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
-        seals=tuple(_seal(item, result.point, _of("seal", item.name, values)) for item in machine.seals),
+        seals=seals,
         tolerances=(*kept, *tolerances),
         source="; ".join(part for part in (machine.source, origin) if part),
-        assumed=tuple(row for row in machine.assumed if not _settled(machine, row[0], [p for p, _ in values])),
+        assumed=tuple(reasons.items()),
     )
 
 

@@ -81,6 +81,9 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
         raise InvalidInput("no unknown parameter was named; give paths such as bearing.*.negative_stiffness.*")
     parameters = [find_uncertain(machine, path) for path in expanded]
     for i, one in enumerate(parameters):
+        if one.quantity == "pressure":
+            remedy = f"name its coefficients, seal.{one.name}.k and so on"
+            raise InvalidInput(f'parameter "{one.path}" is an operating point\'s, known with the record; {remedy}')
         for other in parameters[:i]:
             if one.overlaps(other):
                 raise InvalidInput(f'parameters "{other.path}" and "{one.path}" are the same number; name it once')

@@ -3,6 +3,7 @@
 seal.<name>.K | k | C | c                        one parameter for both axes (k also as -k), a repeated real block
 seal.<name>.M                                    of both axes; it takes no tolerance
 seal.<name>.K_xx | K_yy | k_xy | k_yx | C_xx | C_yy | c_xy | c_yx     one entry of the matrix alone
+seal.<name>.pressure                             every coefficient that follows the pressure, together
 bearing.<name>.force_per_current | negative_stiffness [.zeta | .eta]
 coupling.<name>.stiffness | damping [.zeta | .eta]
 amplifier.bandwidth | eddy_bandwidth | natural_frequency | damping    of all axes together
@@ -18,6 +19,7 @@ from dataclasses import dataclass, replace
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, MachineDescription, OperatingPoint
 from ambrose.machine.messages import shown, suggestion
+from ambrose.machine.seals import not_straight
 
 _TILTED = ("zeta", "eta")
 _DIRECT, _CROSS = ("xx", "yy"), ("xy", "yx")
@@ -30,6 +32,7 @@ QUANTITIES: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]] = {
         "C": ("damping", _DIRECT),
         "c": ("damping", _CROSS),
         "M": ("mass", ()),
+        "pressure": ("pressure", ()),
     },
     "bearing": {"force_per_current": ("force per current", _TILTED), "negative_stiffness": ("stiffness", _TILTED)},
     "coupling": {"stiffness": ("stiffness", _TILTED), "damping": ("damping", _TILTED)},
@@ -111,9 +114,14 @@ def find_parameter(machine: MachineDescription, path: str) -> Parameter:
 def find_uncertain(machine: MachineDescription, path: str) -> Parameter:
     """``find_parameter`` for a tolerance. Raises InvalidInput for a parameter of the machine that cannot be uncertain, too."""
     parameter = find_parameter(machine, path)
+    own = f'"seal.{parameter.name}.K" or "seal.{parameter.name}.C"'
     if (parameter.table, parameter.quantity) == ("seal", "M"):
-        remedy = f'remove it and give "seal.{parameter.name}.K" or "seal.{parameter.name}.C" a tolerance'
+        remedy = f"remove it and give {own} a tolerance"
         raise _wrong(path, f"cannot be uncertain: it acts on the acceleration, which no port of the plant carries; {remedy}")
+    if (parameter.table, parameter.quantity) == ("seal", "pressure"):
+        fault = not_straight(next(item for item in machine.seals if item.name == parameter.name))
+        if fault:
+            raise _wrong(path, f"cannot be uncertain: {fault}; or give {own} a tolerance")
     return parameter
 
 

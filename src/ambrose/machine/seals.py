@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import numpy as np
+
 from ambrose.machine.kinds import (
     Choice,
     Choices,
@@ -26,6 +28,7 @@ from ambrose.machine.part import Part, to_plain_values
 SEAL_COEFFICIENTS = ("K", "k", "C", "c", "M")
 SEAL_AXES = ("pressure", "speed", "frequency")
 FREQUENCY_DEPENDENCE = ("synchronous", "states")
+_STRAIGHT = 1e-6  # how far a table may be off a line over the pressure, of its largest value
 Friction = Annotated[tuple[float, float], PairOf("plain number", "coefficient, exponent", scalar=False)]
 
 
@@ -117,3 +120,43 @@ class Seal(Part):
         "constants read at the point's, or states of the plant",
     ] = "synchronous"
     poles: Annotated[int, Count(), "poles of the rational function behind the states, two states each"] = 3
+
+
+def constant_under_pressure(seal: Seal) -> tuple[str, ...]:
+    """The coefficients K, k, C, c of a seal that are not zero and stay as they are while others follow the pressure."""
+    tabulated = {} if seal.table is None else dict(seal.table.values)
+    given = [name for name in SEAL_COEFFICIENTS if name != "M" and (name in tabulated or getattr(seal, name) != 0)]
+    follow = {*seal.scales_with_pressure, *(tabulated if seal.table and "pressure" in dict(seal.table.axes) else ())}
+    return tuple(name for name in given if name not in follow) if follow & set(given) else ()
+
+
+def not_straight(seal: Seal) -> str:
+    """Why, and what to do, where the seal's force is no straight line over the pressure that one real block could follow."""
+    axes = {} if seal.table is None else dict(seal.table.axes)
+    values = {} if seal.table is None else dict(seal.table.values)
+    over_pressure = len(axes.get("pressure", ())) > 1
+    points = "leave the tolerance out and give operating points at several pressures"
+    if seal.geometry is not None:
+        return f"the flow of [seal.geometry] is not proportional to the pressure; {points}"
+    if "M" in seal.scales_with_pressure or (over_pressure and "M" in values):
+        return "the added mass follows the pressure, and no port of the plant carries the acceleration; keep M constant"
+    if not (over_pressure or seal.scales_with_pressure):
+        return "no coefficient of the seal follows the pressure; name those that do in scales_with_pressure"
+    if seal.frequency_dependence == "states" and (over_pressure or constant_under_pressure(seal)):
+        return "the seal's states are not proportional to the pressure; name all coefficients in scales_with_pressure"
+    if over_pressure:
+        bent = [name for name, array in values.items() if not _on_a_line(axes["pressure"], array, list(axes).index("pressure"))]
+        if bent:
+            return f"not on a straight line over the pressure in [seal.table]: {', '.join(bent)}; {points}"
+    return ""
+
+
+def _on_a_line(grid: tuple[float, ...], array: object, axis: int) -> bool:
+    """Whether a table's array is affine along one axis, to a millionth of its largest value; what is ill-formed passes here."""
+    try:
+        rows = np.moveaxis(np.asarray(array, dtype=float), axis, 0)
+        share = (np.asarray(grid) - grid[0]) / ((grid[-1] - grid[0]) or 1.0)
+        line = rows[0] + np.multiply.outer(share, rows[-1] - rows[0])
+        return bool(np.abs(rows - line).max(initial=0.0) <= _STRAIGHT * np.abs(rows).max(initial=0.0))
+    except (TypeError, ValueError, IndexError):
+        return True

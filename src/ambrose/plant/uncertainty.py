@@ -140,6 +140,8 @@ _SEAL_ENTRIES = {"xx": ("x", "x", -1.0), "yy": ("y", "y", -1.0), "xy": ("x", "y"
 def _seal_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     letter, name = parameter.quantity, parameter.name
     item = next(item for item in plant.machine.seals if item.name == name)
+    if letter == "pressure":
+        return _pressure_channels(plant, item)
     if has_states(item) and plant.point.seal_pressure > 0:
         nominal, factors = _impedance(plant, item, letter)
     else:
@@ -151,6 +153,33 @@ def _seal_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
         Channel(f"F_{name}_{row}", nominal, tuple((f"{kind}_{name}_{column}", sign * x) for kind, x in factors.items()))
         for row, column, sign in entries
     ]
+
+
+def _pressure_channels(plant: Plant, item: Seal) -> list[Channel]:
+    """The pressure [Pa] of a seal: all that follows it as one force per direction, K x + k y + C x' + c y' per Pa, two signals.
+
+    ``find_uncertain`` made sure that the force is a straight line over the pressure.
+    """
+    name, pressure = item.name, plant.point.seal_pressure
+    if has_states(item):
+        if pressure == 0:
+            raise invalid(
+                f"the pressure of seal {name} with states", 0, "positive for a tolerance", "centre it on a point under pressure"
+            )
+        s = seal_model(plant.machine, item, plant.point).static
+        direct = {"q": s.K / pressure, "qdot": s.C / pressure, "d": 1 / pressure}
+        cross = {"q": s.k / pressure, "qdot": s.c / pressure, "e": 1 / pressure}
+    else:
+        axes = {} if item.table is None else dict(item.table.axes)
+        ends = axes.get("pressure", (0.0, item.reference_pressure or 1.0))
+        low, high = (seal_coefficients(item, replace(plant.point, seal_pressure=end)) for end in (ends[0], ends[-1]))
+        slope = {x: (getattr(high, x) - getattr(low, x)) / (ends[-1] - ends[0]) for x in ("K", "k", "C", "c")}
+        direct, cross = {"q": slope["K"], "qdot": slope["C"]}, {"q": slope["k"], "qdot": slope["c"]}
+    gradients: dict[str, list[tuple[str, float]]] = {"x": [], "y": []}
+    for row, column, sign in _SEAL_ENTRIES.values():
+        factors = direct if row == column else cross
+        gradients[row] += [(f"{kind}_{name}_{column}", sign * factor) for kind, factor in factors.items()]
+    return [Channel(f"F_{name}_{row}", pressure, tuple(gradient)) for row, gradient in gradients.items()]
 
 
 def _impedance(plant: Plant, item: Seal, letter: str) -> tuple[float, dict[str, float]]:

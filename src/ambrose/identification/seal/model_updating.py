@@ -10,7 +10,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.parameters import half_width
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
-from ambrose.machine.description import SealTable, Tolerance
+from ambrose.machine.description import Seal, SealTable, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import parse_parameter
 from ambrose.plant.assemble import seal_coefficients
@@ -26,7 +26,8 @@ def update_seal(machine: Machine, fit: SealFit, form: str = "line") -> Machine:
     width of a tolerance: the widest prediction band there. "table": the measured pressures themselves, means over frequency,
     linear between; half width: the largest standard deviation times the two-sided normal quantile of 95 %. "frequency": every
     pressure and frequency measured, the lowest frequency down to zero (the seal's frequency_dependence decides how it is used).
-    A tolerance that the machine states already and that is wider stays: it may be the range of operation.
+    A tolerance that the machine states already and that is wider stays: it may be the range of operation. One of the pressure
+    stays with lines, which it moves as one; the other forms widen every coefficient by its change over that range.
     Raises InvalidInput where the fit belongs to another machine, or operating points lie outside the table.
     """
     if fit.machine != machine.name:
@@ -46,6 +47,10 @@ def update_seal(machine: Machine, fit: SealFit, form: str = "line") -> Machine:
         scales_with_pressure=still,
     )  # fmt: skip
     tolerances = list(machine.tolerances)
+    ranges = [one for one in tolerances if form != "line" and one.parameter == f"seal.{fit.seal}.pressure"]
+    for one in ranges:
+        tolerances.remove(one)
+        widths = widths + _change(machine, changed, one)
     for letter, width in zip(COEFFICIENTS, widths.tolist(), strict=True):
         stated = [i for i, one in enumerate(tolerances) if _names(one, fit.seal, letter)]  # of both axes, or of single entries
         for i in stated:
@@ -90,6 +95,17 @@ def _grid(machine: Machine, fit: SealFit) -> _Made:
     axes = (("pressure", tuple(pressures.tolist())), ("frequency", tuple(frequencies.tolist())))
     values = tuple((x, tuple(map(tuple, grid.tolist()))) for x, grid in zip(COEFFICIENTS, grids, strict=True))
     return SealTable(axes, values), _quantile() * kept.deviations.max(axis=0)
+
+
+def _change(machine: Machine, item: Seal, pressure: Tolerance) -> np.ndarray:
+    """The largest change (4,) of a tabulated seal's coefficients over a tolerance of the pressure, SI."""
+    point, table = machine.operation.nominal, dict(item.table.axes)["pressure"] if item.table else ()
+    half = half_width(pressure, point.seal_pressure)
+    ends = np.clip([point.seal_pressure - half, point.seal_pressure + half], table[0], table[-1])
+    at = [point.seal_pressure, *ends, *(x for x in table if ends[0] < x < ends[1])]
+    found = [seal_coefficients(item, replace(point, seal_pressure=float(x))) for x in at]
+    rows = np.array([[getattr(one, letter) for letter in COEFFICIENTS] for one in found])
+    return np.asarray(np.abs(rows - rows[0]).max(axis=0))
 
 
 def check_reach(machine: Machine, seal: str, low: float, high: float) -> None:

@@ -9,7 +9,15 @@ import numpy as np
 
 from ambrose.machine.description import MachineDescription
 from ambrose.machine.messages import complaint, number, shown, suggestion
-from ambrose.machine.seals import FREQUENCY_DEPENDENCE, SEAL_AXES, SEAL_COEFFICIENTS, GasSealGeometry, Seal, SealTable
+from ambrose.machine.seals import (
+    FREQUENCY_DEPENDENCE,
+    SEAL_AXES,
+    SEAL_COEFFICIENTS,
+    GasSealGeometry,
+    Seal,
+    SealTable,
+    constant_under_pressure,
+)
 from ambrose.machine.validation.signs import not_positive
 
 COMPUTED = ("K", "k", "C", "c")  # what a geometry yields
@@ -37,6 +45,12 @@ def seals(machine: MachineDescription) -> Iterator[str]:
             yield from _beside(where, seal)
             yield from _geometry(f"{where}, [seal.geometry]", seal.geometry)
         yield from _frequency(where, seal)
+        reason = f"seal.{seal.name}.scales_with_pressure"
+        if (constant := constant_under_pressure(seal)) and reason not in dict(machine.assumed):
+            yield (
+                f"{where}: {', '.join(constant)} would stay at zero pressure while other coefficients vanish; name all in "
+                f'scales_with_pressure, or say in [machine.assumed] under "{reason}" why not'
+            )
 
 
 def _seal_table(where: str, seal: Seal, table: SealTable) -> Iterator[str]:
