@@ -53,6 +53,8 @@ FREQUENCIES = tuple(float(f) for f in range(5, 200, 10))  # [Hz], P4 sec. 3.5.1
 PRESSURES = (0.0, 0.7 * BAR, 1.0 * BAR, 1.2 * BAR)
 IMPULSE_PRESSURES = tuple(p * BAR for p in (0.45, 0.7, 0.95, 1.2, 1.45, 1.7, 1.9))
 NOMINAL = 2.04 * BAR
+TOLERANCES = (0.01, 0.02, 0.03, 0.05, 0.1)  # of magnitude, and of phase [rad]
+Columns = dict[float, tuple[ParameterEstimate, ...]]  # bit time [s]: what was found from y, from y and i, from i
 OTHER = {"zeta": "eta", "eta": "zeta"}
 
 
@@ -124,15 +126,19 @@ def with_middle(record: Record) -> Record:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swept:
-    """P4.1, one direction: measured direct and cross response, the models' direct ones, how far each is valid."""
+    """P4.1, one direction: measured direct and cross response, the models' direct ones, how far each is valid within 2 %.
+
+    limits: per model the frequency [Hz] to which it is valid, by tolerance (of magnitude, and of phase in rad).
+    """
 
     axis: str
     measured: Frf
     models: dict[str, FrequencyResponse]
     validity: dict[str, Validity]
+    limits: dict[str, dict[float, float]]
 
 
-def chirps(duration: float = 20.0, tolerance: float = 0.02) -> list[Swept]:
+def chirps(duration: float = 20.0) -> list[Swept]:
     """P4.1: bearings identified by PRBS without coupling, then a linear chirp to 150 Hz, both bearings alike."""
     true = rig(coupling=False, leak=0.05)
     plain = rig(coupling=False)
@@ -153,10 +159,11 @@ def chirps(duration: float = 20.0, tolerance: float = 0.02) -> list[Swept]:
         }
         direct = measured.select(outputs=outputs[0])
         validity = {
-            name: compare(direct, model, magnitude_tolerance=tolerance, phase_tolerance=tolerance)
+            name: {t: compare(direct, model, magnitude_tolerance=t, phase_tolerance=t) for t in TOLERANCES}
             for name, model in models.items()
         }
-        found.append(Swept(axis, measured, models, validity))
+        limits = {name: {t: float(v.valid_to[0, 0] / HZ) for t, v in each.items()} for name, each in validity.items()}
+        found.append(Swept(axis, measured, models, {name: each[0.02] for name, each in validity.items()}, limits))
     return found
 
 
@@ -165,14 +172,15 @@ def replace_machine(record: Record, machine: Machine) -> Record:
     return replace(record, machine=machine.name)
 
 
-def cosines(bit_times: Sequence[float] = (1e-3, 10e-3, 20e-3)) -> dict[float, tuple[ParameterEstimate, ParameterEstimate]]:
-    """P4.2 and P4.7: K_i and K_s without coupling, from displacements alone and with the measured currents as well."""
+def cosines(bit_times: Sequence[float] = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 80e-3)) -> Columns:
+    """P4.2 and P4.7: K_i and K_s without coupling, per bit time from displacements, from these and measured currents, and from
+    currents alone, to which a growing weight on the currents tends."""
     machine = rig(coupling=False)
-    signals = [f"{kind}_{axis}" for kind in "yi" for axis in machine.axes]
+    choices = [[f"{kind}_{axis}" for kind in kinds for axis in machine.axes] for kinds in ("y", "yi", "i")]
     found = {}
     for bit_time in bit_times:
         record = parallel_prbs(machine, bit_time)
-        found[bit_time] = (bearings(machine, record)[1], bearings(machine, record, signals=signals)[1])
+        found[bit_time] = tuple(bearings(machine, record, signals=signals)[1] for signals in choices)
     return found
 
 

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit
-from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Coupled, Impulses, Stepped, Swept, truth
+from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Columns, Coupled, Impulses, Stepped, Swept, truth
 
 
 def chirps(found: Sequence[Swept]) -> str:
@@ -22,6 +21,8 @@ def chirps(found: Sequence[Swept]) -> str:
             lines.append(
                 f"  {item.axis:4s} {name:27s} valid to {validity.valid_to[0, 0] / HZ:5.1f} Hz; at 30, 60, 100, 140 Hz: {errors}"
             )
+            ends = ", ".join(f"{100 * t:g} %: {hz:.0f} Hz" for t, hz in item.limits[name].items())
+            lines.append(f"  {item.axis:4s} {name:27s} valid to, by tolerance: {ends}")
         c = item.measured.coherence
         lines.append(
             f"  {item.axis:4s} coherence direct {c[:, 0].min():.3f} (least) {np.median(c[:, 0]):.3f} (median), cross "
@@ -31,21 +32,21 @@ def chirps(found: Sequence[Swept]) -> str:
     return "\n".join(lines)
 
 
-def cosines(found: dict[float, tuple[ParameterEstimate, ParameterEstimate]]) -> str:
+def cosines(found: Columns) -> str:
     lines = [
         "P4.2, P4.7 K_i and K_s from parallel PRBS: column cosine (what P4 prints) and parameter correlation from (J'J)^-1",
-        "  bit [ms]  K_i-K_s of one axis (A_zeta .. B_eta)     K_iA-K_iB  across axes | correlation of parameters K_i-K_s",
+        "  bit [ms]  K_i-K_s of one axis (A_zeta .. B_eta)     K_iA-K_iB  K_sA-K_sB  across axes | correlation of K_i-K_s",
     ]
-    for bit_time, pair in found.items():
-        for result, what in zip(pair, ("y", "y, i"), strict=True):
+    for bit_time, results in found.items():
+        for result, what in zip(results, ("y", "y, i", "i"), strict=True):
             J, R = result.column_cosine, result.correlation
             own = " ".join(f"{J[i, 4 + i]:6.3f}" for i in range(4))
             across = max(abs(J[i, j]) for i in (0, 2, 4, 6) for j in (1, 3, 5, 7))
             lines.append(
-                f"  {1e3 * bit_time:4.0f} {what:5s} {own}   {J[0, 2]:6.3f}   {across:.4f} | "
+                f"  {1e3 * bit_time:4g} {what:5s} {own}   {J[0, 2]:6.3f}   {J[4, 6]:6.3f}   {across:.4f} | "
                 + " ".join(f"{R[i, 4 + i]:6.3f}" for i in range(4))
             )
-    lines.append("  printed: -0.95 to -0.96, K_iA-K_iB -0.08, across axes 0.00")
+    lines.append("  printed: -0.95 to -0.96, K_iA-K_iB -0.08, K_sA-K_sB -0.09, across axes 0.00")
     return "\n".join(lines)
 
 

@@ -60,7 +60,8 @@ def test_P2_1_nine_parameters_converge_together_from_one_record(p2):
 
 @pytest.mark.parametrize("bias", [6.0, 8.0, 10.0])
 def test_P2_2_negative_stiffness_over_bias(p2, campaign, bias):
-    """Within 1.5 % of the rig's own force; of the printed figures within the 3 % by which weight shifts the working point."""
+    """Inputs recovered: the printed rows are the rig's own. Within 1.5 % of its force; of the print within the 3 % by which
+    weight shifts the working point."""
     K_s = campaign(bias).dynamic.mean[4:8]
     np.testing.assert_allclose(K_s, campaign(bias).truth[4:8], rtol=0.015)
     np.testing.assert_allclose(K_s, p2.PRINTED_K_S[bias], rtol=0.03)
@@ -68,6 +69,15 @@ def test_P2_2_negative_stiffness_over_bias(p2, campaign, bias):
     assert (K_s[2:] > K_s[:2]).all()
     if bias > 6:
         assert (K_s > campaign(bias - 2).dynamic.mean[4:8]).all()
+
+
+def test_P2_2_scatter_does_not_grow_with_bias(p2, campaign):
+    """Printed RSD of K_s: 2.3 to 7.7 % at 10 A, 1.4 to 4 times that of 6 A. Sensor noise alone makes below 0.6 %, everywhere."""
+    scatter = {bias: campaign(bias).dynamic.predicted[4:8] / campaign(bias).dynamic.mean[4:8] for bias in (6.0, 8.0, 10.0)}
+    for bias, values in scatter.items():
+        assert (values < 0.006).all() and (100 * values < 0.6 * np.array(p2.PRINTED_RSD[bias])).all()
+    assert (scatter[10.0] < 1.5 * scatter[6.0]).all()
+    assert (np.array(p2.PRINTED_RSD[10.0]) > 1.4 * np.array(p2.PRINTED_RSD[6.0])).all()
 
 
 @pytest.mark.parametrize("bias", [6.0, 8.0, 10.0])
@@ -81,7 +91,9 @@ def test_P2_3_both_methods_agree(campaign, bias):
 
 def test_P2_4_the_gain_levels_off_and_a_wrong_actuator_over_predicts_it(p2, campaign):
     """From 8 to 10 A, in proportion to 25 %: A grows by 14 %, B by 3 and 8 %, with either method; and the chord of the static
-    loads lies below the tangent. A model without the computing delay over-predicts K_i, the more the higher the bias."""
+    loads lies below the tangent. The closed loop over-predicts nothing here (printed: at 10 A), unless its model lacks the
+    computing delay: then the more the higher the bias."""
+    np.testing.assert_allclose(campaign(10.0).dynamic.mean[:4], campaign(10.0).static.mean[:4], rtol=0.01)
     for which in ("static", "dynamic"):
         growth = getattr(campaign(10.0), which).mean[:4] / getattr(campaign(8.0), which).mean[:4] - 1
         assert (growth[:2] > 0.11).all() and (growth < 0.17).all() and growth[2] < 0.05 and growth[3] < 0.10
@@ -107,13 +119,21 @@ def test_P2_5_the_fit_falls_with_bias(campaign):
     assert fits[2] > 90
 
 
-def test_P2_6_the_lag_is_identified_and_the_printed_one_cannot_be_levitated(p2, campaign):
+def test_P2_6_the_lag_is_identified_alike_at_every_bias(p2, campaign):
+    """Printed: trustworthy at 6 A (RSD 5.9 %), not at 8 A (59 %) nor at 10 A. Here within 3 % and below 1 % at all three."""
     for bias in (6.0, 8.0, 10.0):
         found = campaign(bias)
         np.testing.assert_allclose(found.dynamic.mean[-1], p2.LAG, rtol=0.03)
         assert found.dynamic.predicted[-1] < 0.01 * p2.LAG
-    limits = {bias: p2.largest_lag(p2.rig(), bias) for bias in (6.0, 10.0)}
-    assert 0.5e-3 < limits[10.0] < limits[6.0] < 3e-3 < min(lag for lag, _ in p2.PRINTED_LAG.values())
+    assert campaign(10.0).dynamic.predicted[-1] < 1.5 * campaign(6.0).dynamic.predicted[-1]
+
+
+@pytest.mark.parametrize(("bias", "found"), [(6.0, 8.2e-3), (10.0, 3.9e-3)])
+def test_P2_6_no_pid_was_found_for_the_printed_lags(p2, bias, found):
+    """A search, not a proof. The lags found are several times what 15 PIDs on a grid had shown (2.1 and 1.0 ms)."""
+    largest = p2.largest_lag(p2.rig(), bias)
+    assert largest == pytest.approx(found, rel=0.1)
+    assert largest < min(lag for lag, _ in p2.PRINTED_LAG.values())
 
 
 def test_P2_without_the_coupling_bearing_A_seems_weaker(p2):

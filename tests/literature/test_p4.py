@@ -35,7 +35,7 @@ def swept(p4):
 
 @pytest.fixture(scope="module")
 def cosines(p4):
-    return p4.cosines((1e-3, 20e-3))
+    return p4.cosines((1e-3, 10e-3, 20e-3))
 
 
 @pytest.fixture(scope="module")
@@ -44,13 +44,15 @@ def sines(p4):
 
 
 def test_P4_1_the_model_follows_the_chirp(swept):
-    """Printed: to about 100 Hz. The identified model with bending modes follows to the chirp's end; the eight rigid states of
-    the thesis leave a band of 2 % near 100 Hz; the machine file, which knows no weight, is off from the beginning."""
+    """Printed: to about 100 Hz, by eye. Identified from the same rig, the model follows; to where depends on the tolerance: with
+    the thesis' eight rigid states 98 Hz at 2 %, but beyond 140 Hz at 5 %, and with bending modes at 2 %."""
     for item in swept:
-        limit = {name: validity.valid_to[0, 0] / HZ for name, validity in item.validity.items()}
-        assert limit["identified"] > 135
-        assert 70 < limit["identified, 8 rigid states"] < 125
-        assert limit["file values"] < 10
+        limit, rigid = item.limits["identified"], item.limits["identified, 8 rigid states"]
+        assert limit[0.02] > 135
+        assert 70 < rigid[0.02] < rigid[0.03] < 115
+        assert rigid[0.05] > 140
+        assert item.limits["file values"][0.05] < 10 < item.limits["file values"][0.1]
+        assert item.validity["identified"].valid_to[0, 0] / HZ == limit[0.02]
         direct, cross = item.measured.coherence.T
         assert np.median(direct) > 0.98
         assert direct.min() > 0.95
@@ -60,21 +62,29 @@ def test_P4_1_the_model_follows_the_chirp(swept):
 
 
 def test_P4_2_columns_of_stiffness_and_current_gain(cosines):
-    """Printed: K_i-K_s of one axis -0.95, across bearings -0.08, across axes 0. What it is depends on the sequence's clock."""
-    slow, fast = cosines[20e-3][0].column_cosine, cosines[1e-3][0].column_cosine
-    own = np.array([slow[i, 4 + i] for i in range(4)])
-    assert np.all((own > -0.97) & (own < -0.91))
-    assert own.min() == pytest.approx(-0.95, abs=0.01)
-    assert all(-0.87 < fast[i, 4 + i] < -0.81 for i in range(4))
-    assert fast[0, 2] == pytest.approx(-0.08, abs=0.04)
-    for J in (slow, fast):
+    """Printed: K_i-K_s of one axis -0.95, across axes 0; these come out. K_iA-K_iB -0.08, K_sA-K_sB -0.09: no clock of the
+    sequence gives them together with the first, and the second never comes out: it is +0.2."""
+    together = []
+    for found in cosines.values():
+        J = found[0].column_cosine
+        own = np.array([J[i, 4 + i] for i in range(4)])
+        assert ((own > -0.97) & (own < -0.8)).all()
         assert np.abs(J[np.ix_([0, 2, 4, 6], [1, 3, 5, 7])]).max() < 1e-3
-    for pair in cosines.values():  # the parameters' correlation has the other sign
-        assert all(pair[0].correlation[i, 4 + i] > 0.8 for i in range(4))
+        assert J[4, 6] > 0.15 and J[5, 7] > 0.15  # printed -0.09
+        together.append(own.min() < -0.94 and J[0, 2] < 0)
+        assert all(found[0].correlation[i, 4 + i] > 0.8 for i in range(4))  # the parameters' correlation has the other sign
+    slow, fast = cosines[20e-3][0].column_cosine, cosines[1e-3][0].column_cosine
+    assert min(slow[i, 4 + i] for i in range(4)) == pytest.approx(-0.95, abs=0.01)
+    assert slow[0, 2] == pytest.approx(0.20, abs=0.02)
+    assert all(-0.87 < fast[i, 4 + i] < -0.81 for i in range(4))
+    assert fast[0, 2] == pytest.approx(-0.06, abs=0.02)
+    assert not any(together)
 
 
 def test_P4_3_coupling_in_a_separate_experiment(p4):
-    """Printed: 0.40e6 and 0.42e6 N/m. Bearings from a record without coupling; wrong or simultaneous ones do worse."""
+    """Inputs recovered: the printed 0.40e6 and 0.42e6 N/m are the rig's.
+
+    Bearings from a record without coupling; wrong or simultaneous ones do worse."""
     found = p4.coupling()
     want = np.array([0.40e6, 0.42e6])
     separate = found.separate.values
@@ -87,7 +97,8 @@ def test_P4_3_coupling_in_a_separate_experiment(p4):
 
 
 def test_P4_4_coefficients_over_frequency(p4, sines):
-    """Printed: K near 0, k large, growing with pressure and independent of frequency; C and c low."""
+    """Inputs recovered: K = 0 and k, C, c in proportion to the pressure, at all frequencies, are the rig's own (printed: K near
+    0, k large, growing with pressure and independent of frequency; C and c low)."""
     for pressure in sines.fit.pressures:
         rows = sines.fit.at(pressure)
         want = p4.truth(pressure)
@@ -148,9 +159,9 @@ def test_P4_6_a_resonance_appears_and_one_constant_model_fits(p4, sines):
 
 
 def test_P4_7_measured_currents_hardly_lower_the_correlation(cosines):
-    """The thesis guesses "significantly". With a known controller the currents say what the displacements said already."""
-    for without, with_currents in cosines.values():
-        before = np.array([without.correlation[i, 4 + i] for i in range(4)])
-        after = np.array([with_currents.correlation[i, 4 + i] for i in range(4)])
-        assert np.all(after < before)
-        assert np.all(after > before - 0.05)
+    """The thesis guesses that they "possibly" lower it significantly. Between no weight on the currents and nothing but them it
+    falls by at most 0.07 here: with a known controller they are a filtered copy of the displacements."""
+    for without, with_currents, only in cosines.values():
+        before, after, limit = (np.array([f.correlation[i, 4 + i] for i in range(4)]) for f in (without, with_currents, only))
+        assert (limit < after).all() and (after < before).all()
+        assert (before - limit < 0.07).all()
