@@ -44,7 +44,7 @@ def test_values_tolerances_and_origin_survive_the_file():
     assert again.amplifier.natural_frequency == 1300.0
     tolerances = {item.parameter: item for item in again.tolerances}
     assert tolerances["bearing.A.force_per_current.zeta"].relative == pytest.approx(0.0196, rel=1e-9)
-    assert tolerances["seal.center.k"].relative == 1.0  # another parameter's stays
+    assert tolerances["seal.center.pressure"].relative == 1.0  # another parameter's stays
     assert again.source.endswith("; 9 parameters identified from a.h5")
     keys = dict(again.assumed)
     assert "bearing.force_per_current" not in keys and "bearing.negative_stiffness" not in keys  # no assumption any more
@@ -86,13 +86,25 @@ def test_a_coefficient_that_scales_with_pressure_is_stored_at_its_reference():
         update_machine(machine, found({"seal.center.k": 5e6}, point=replace(NOMINAL, seal_pressure=0.0)))
 
 
+def test_a_coefficient_found_beside_others_that_follow_the_pressure_says_so():
+    """Nobody knows how a new K follows the pressure: the machine that holds it needs a reason, and gets one."""
+    rig = load_machine("seal-rig")
+    machine = replace(rig, seals=(replace(rig.seals[0], K=0.0, scales_with_pressure=("k", "C", "c")),))
+    made = update_machine(machine, found({"seal.center.K": 0.1e6}))
+    assert made.seals[0].K == 0.1e6
+    assert dict(made.assumed)["seal.center.scales_with_pressure"].startswith("K: found at 204000 Pa; how it follows")
+    assert loads_machine(dumps_machine(made)) == made
+
+
 def test_a_stated_range_of_operation_is_kept_where_asked_for():
-    machine = load_machine("seal-rig")
-    narrow = update_machine(machine, found({"seal.center.k": 3e6}))
+    both = update_machine(load_machine("seal-rig"), found({"seal.center.k": 3e6}))  # the pressure's range is another parameter's
+    assert [t.relative for t in both.tolerances] == [1.0, pytest.approx(0.0196)]
+    machine = load_machine("seal-rig-k-only")
+    narrow = update_machine(machine, found({"seal.center.k": 3e6}, machine=machine.name))
     assert next(t for t in narrow.tolerances if t.parameter == "seal.center.k").relative == pytest.approx(0.0196)
-    kept = update_machine(machine, found({"seal.center.k": 3e6}), keep_wider=True)
+    kept = update_machine(machine, found({"seal.center.k": 3e6}, machine=machine.name), keep_wider=True)
     assert next(t for t in kept.tolerances if t.parameter == "seal.center.k") == Tolerance("seal.center.k", relative=1.0)
-    unsure = update_machine(machine, found({"seal.center.k": 3e6}, relative=0.8), keep_wider=True)
+    unsure = update_machine(machine, found({"seal.center.k": 3e6}, relative=0.8, machine=machine.name), keep_wider=True)
     assert next(t for t in unsure.tolerances if t.parameter == "seal.center.k").relative == pytest.approx(1.568)
 
 

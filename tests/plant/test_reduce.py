@@ -111,17 +111,22 @@ def test_error_bound_holds(plant, bending_modes, static):
 
 
 @pytest.mark.parametrize("delta", [-1.0, -0.5, 0.5, 1.0])
-def test_seal_stiffness_over_its_whole_tolerance(delta):
-    """k moved by up to +-100 % through the nominal T_L, T_R, poles compared with the full model reassembled there.
+@pytest.mark.parametrize(
+    ("name", "path", "plain", "static", "one_mode"),
+    [("seal-rig-k-only", "seal.center.k", 1.6, 0.005, 0.005), ("seal-rig", "seal.center.pressure", 1.0, 0.32, 0.02)],
+)
+def test_seal_over_its_whole_tolerance(name, path, plain, static, one_mode, delta):
+    """k alone, and all that follows the pressure, moved by up to +-100 % through the nominal T_L, T_R; poles [rad/s] compared
+    with the full model reassembled there.
 
-    Plain truncation errs by up to 1.6 rad/s (at -100 %, where two pairs nearly meet), with static correction by 0.004.
+    Plain truncation errs by up to 1.6 rad/s (at -100 %, where two pairs nearly meet), in k with static correction by 0.004.
+    Damping forces are not corrected, for what the static correction adds has no velocity: without C and c the pressure's 0.31
+    is 0.004. The first bending mode makes it 0.016.
     """
-    plant = assemble(load_machine("seal-rig"))
+    plant = assemble(load_machine(name))
     full = assemble(plant.machine, OperatingPoint(seal_pressure=2.04e5 * (1 + delta)))
-    small = close_uncertainty(uncertain(reduce(plant, 0, False)), {"seal.center.k": delta})
-    assert distance(poles(small)[:16], poles(full.system)) < 1.6
-    corrected = close_uncertainty(uncertain(reduce(plant)), {"seal.center.k": delta})
-    assert distance(poles(corrected)[:16], poles(full.system)) < 0.005
+    for small, error in ((reduce(plant, 0, False), plain), (reduce(plant), static), (reduce(plant, 1), one_mode)):
+        assert distance(poles(close_uncertainty(uncertain(small), {path: delta}))[:16], poles(full.system)) < error
 
 
 def test_speed_independent_basis():

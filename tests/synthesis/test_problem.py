@@ -96,9 +96,9 @@ def test_published_plant_equals_the_formulas():
 @pytest.mark.parametrize("delta", [-1.0, -0.37, 1.0])
 def test_blocks_carry_the_perturbed_plant(plant, controller, delta):
     """Closing the block gives the formulas around the plant perturbed by itself: w_delta and z_delta sit in the right place."""
-    closed = close_uncertainty(design_plant(plant, UNEVEN), {"seal.center.k": delta})
+    closed = close_uncertainty(design_plant(plant, UNEVEN), {"seal.center.pressure": delta})
     problem = GeneralizedPlant(closed, names("w1", "w2"), names("u"), names("z1", "z2"), names("err"))
-    moved = perturbed(plant, {"seal.center.k": delta})
+    moved = perturbed(plant, {"seal.center.pressure": delta})
     expected = by_hand(values(moved.system, names("u"), names("y")), values(controller), UNEVEN)
     found = values(lft(problem, controller))
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())

@@ -52,7 +52,7 @@ def test_sampled_sensitivity_against_frequency_response(plants, robust):
     worst = 0.0
     omega = np.geomspace(1, 0.99 * np.pi / DT, 4000)
     for delta in np.linspace(-1, 1, 17):
-        plant = perturbed(plants[0], {"seal.center.k": delta})
+        plant = perturbed(plants[0], {"seal.center.pressure": delta})
         G = c2d(select(plant.system, plant.named("u"), plant.named("y")), DT)
         S = feedback(static_gain(np.eye(4), dt=DT), series(late, G))
         worst = max(worst, float(np.linalg.norm(frequency_response(S, omega).values, 2, axis=(1, 2)).max()))

@@ -526,7 +526,8 @@ def test_usual_unknowns():
     marked = replace(machine, tolerances=(Tolerance("bearing.A.force_per_current", relative=0.1),))
     assert len(usual_unknowns(marked)) == 9
     table = SealTable((("pressure", (0.0, 4.08e5)),), (("k", (0.0, 6.4e6)),))
-    tabulated = replace(machine, seals=(replace(machine.seals[0], k=0.0, table=table, scales_with_pressure=()),))
+    alone = replace(machine.seals[0], K=0.0, k=0.0, C=0.0, c=0.0, table=table, scales_with_pressure=())
+    tabulated = replace(machine, seals=(alone,))
     assert "seal.center.k" not in usual_unknowns(tabulated)  # it could not be written back
     assert not any(path.startswith("seal") for path in usual_unknowns(load_machine("turboexpander")))  # from its geometry
 

@@ -161,7 +161,7 @@ def test_the_deciding_table_holds_the_worst_of_the_points(report: Report, candid
 
 def test_the_deciding_table_holds_box_mu_and_controller(report: Report, candidates: list[Candidate]) -> None:
     found = table(report, "The quantities that decide")
-    assert any("seal.center.k ±100\u00a0%" in cells[0].text for cells in found.cells if cells[0].mark == "heading")
+    assert any("seal.center.pressure ±100\u00a0%" in cells[0].text for cells in found.cells if cells[0].mark == "heading")
     worst = row(found, "Worst-case output sensitivity over the box")
     assert (worst[2].text, worst[2].mark) == ("∞", "fail")
     margins = row(found, "Smallest destabilising factor")
@@ -266,8 +266,8 @@ def test_families_leave_out_unstable_lines_and_say_so(report: Report, candidates
     assert candidates[2].robust is not None
     assert f"worst case {units.number(candidates[2].robust['robust.sensitivity.worst'].value)}" in words
     names = [trace.name for trace in figures[0].picture.data if trace.showlegend]
-    assert names[:3] == ["seal.center.k −100\u00a0%", "seal.center.k −50\u00a0%", "seal.center.k nominal"]
-    assert sorted(names[3:]) == ["seal.center.k +100\u00a0%", "seal.center.k +50\u00a0%"]
+    assert names[:3] == ["seal.center.pressure −100\u00a0%", "seal.center.pressure −50\u00a0%", "seal.center.pressure nominal"]
+    assert sorted(names[3:]) == ["seal.center.pressure +100\u00a0%", "seal.center.pressure +50\u00a0%"]
 
 
 def test_single_robust_curves_are_overlaid_in_the_colours_of_the_controllers(rig: Machine, candidates: list[Candidate]) -> None:
