@@ -23,4 +23,4 @@ pressure_bar = machine.seals[0].reference_pressure * (1 + limit_full) / 1e5
 if __name__ == "__main__":
     for delta in np.linspace(-1, 1, 5):
         print(f"{1 + delta:4.0%} of nominal pressure: largest real part {abscissa(small, delta):7.2f} rad/s")
-    print(f"stable up to {1 + limit_full:.1%} of nominal pressure ({1 + limit:.1%} on the reduced model), {pressure_bar:.2f} bar")
+    print(f"stable up to {1 + limit_full:.1%} ({1 + limit:.1%} on the reduced model) of the pressure, {pressure_bar:.2f} bar")

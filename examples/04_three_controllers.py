@@ -15,4 +15,4 @@ if __name__ == "__main__":
     for method, verdict in verdicts.items():
         margin, worst = verdict.tolerances["robust.stability.margin"], verdict.tolerances["robust.sensitivity.worst"]
         states = syntheses[method].controller.n_states
-        print(f"{method:5} {states:2} states, stable up to {margin.value:.2f} tolerances of k, worst S_o {worst.value:.2f}")
+        print(f"{method:5} {states:2} states, stable up to {margin.value:.2f} times the tolerance, worst S_o {worst.value:.2f}")

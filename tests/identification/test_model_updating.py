@@ -97,8 +97,15 @@ def test_a_coefficient_found_beside_others_that_follow_the_pressure_says_so():
 
 
 def test_a_stated_range_of_operation_is_kept_where_asked_for():
-    both = update_machine(load_machine("seal-rig"), found({"seal.center.k": 3e6}))  # the pressure's range is another parameter's
+    both = update_machine(
+        load_machine("seal-rig"), found({"seal.center.k": 3e6})
+    )  # the pressure's range is another parameter's
     assert [t.relative for t in both.tolerances] == [1.0, pytest.approx(0.0196)]
+    rig, wide = load_machine("seal-rig"), found({"seal.center.k": 3e6}, relative=0.8)
+    assert (
+        update_machine(rig, found({"seal.center.k": 3e6}), keep_wider=True).tolerances == rig.tolerances
+    )  # it moves k by more
+    assert len(update_machine(rig, wide, keep_wider=True).tolerances) == 2
     machine = load_machine("seal-rig-k-only")
     narrow = update_machine(machine, found({"seal.center.k": 3e6}, machine=machine.name))
     assert next(t for t in narrow.tolerances if t.parameter == "seal.center.k").relative == pytest.approx(0.0196)

@@ -21,8 +21,8 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
     """The machine with the values found, and tolerances of 1.96 standard deviations (95 %) relative to them.
 
     A bearing identified at another bias current than its own gets a row in ``measured``. Tolerances of the same parameters are
-    replaced; keep_wider: not a seal's that is wider than what was found, for it may be the range of operation. A seal holds one
-    coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry, as found or as it was, and
+    replaced; keep_wider: not a seal's, or its pressure's, that is wider than what was found: it may be the range of
+    operation. A seal holds one coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry, as found or as it was, and
     the tolerance of the coefficient covers both with their uncertainty. origin: where the values are from, added to
     ``source``; a delay that was found goes into the controller's settings. Entries of ``assumed`` about a quantity whose every
     value was identified are taken out; a seal's coefficient that does not follow the pressure as others do gets one.
@@ -38,6 +38,7 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
         tolerances = [
             _wider(stated.get(item.parameter), item, one.value) if one.parameter.table == "seal" else item
             for item, one in zip(tolerances, entries, strict=True)
+            if not _within_pressure(machine, result.point, one)
         ]
     kept = [item for item in machine.tolerances if not any(parse_parameter(item.parameter).overlaps(p) for p, _ in values)]
     own = {parameter.quantity: value for parameter, value in values if parameter.table == "amplifier"}
@@ -108,6 +109,17 @@ def _wider(stated: Tolerance | None, identified: Tolerance, value: float) -> Tol
     if stated is None:
         return identified
     return stated if half_width(stated, value) > half_width(identified, value) else identified
+
+
+def _within_pressure(machine: Machine, point: OperatingPoint, entry: _Entry) -> bool:
+    """Whether a stated tolerance of the seal's pressure moves this coefficient by more than what was found leaves open."""
+    one, own = entry.parameter, f"seal.{entry.parameter.name}.pressure"
+    if not any(
+        one.quantity in item.scales_with_pressure for item in machine.seals if one.table == "seal" and item.name == one.name
+    ):
+        return False
+    ranges = [half_width(item, point.seal_pressure) for item in machine.tolerances if item.parameter == own]
+    return any(half * abs(entry.value) > entry.width * point.seal_pressure for half in ranges)
 
 
 def _settled(machine: Machine, key: str, identified: Sequence[Parameter]) -> bool:
