@@ -247,7 +247,7 @@ def stepped_sines(frequencies: Sequence[float] = FREQUENCIES, dwell: float = 1.2
 def with_constants(machine: Machine, values: np.ndarray) -> Machine:
     """The machine with a seal of these K, k, C, c at every pressure."""
     K, k, C, c = (float(value) for value in values)
-    return replace(machine, seals=(replace(machine.seals[0], K=K, k=k, C=C, c=c, scales_with_pressure=()),))
+    return replace(machine, seals=(replace(machine.seals[0], K=K, k=k, C=C, c=c, scales_with_pressure=()),), tolerances=())
 
 
 def correlations(frequency: float = 40.0, pressures: Sequence[float] = PRESSURES) -> dict[float, np.ndarray]:
