@@ -94,7 +94,7 @@ def test_every_value_of_the_small_machine():
         ),
         tolerances=(
             d.Tolerance("seal.center.K", absolute=0.1e6),
-            d.Tolerance("bearing.A.negative_stiffness.zeta", relative=0.2),
+            d.Tolerance("bearing.A.negative_stiffness.zeta", relative=0.2, around=("standstill",)),
         ),
         requirements=d.Requirements(3.0, 1e-6, 2.5e-3, 200 * hz, 8e-6, 200 * hz, 0.05, 2.0, 30 * deg, 0.1, 4.0),
         weights=d.DesignWeights(20e-6, 1.0, 2 * hz, 0.3, 2.5, 0.002, 1400 * hz, 2, 20.0, 0.5, 2.0),
@@ -340,13 +340,16 @@ def machines(draw):
         for i in range(draw(st.integers(1, 3)))
     )
     tolerances = [
-        d.Tolerance("bearing.A.force_per_current", relative=draw(ratio)),
+        d.Tolerance("bearing.A.force_per_current", relative=draw(ratio), around=draw(st.sampled_from([(), ("point 0",)]))),
         d.Tolerance("seal.seal.k_xy", absolute=draw(positive)),
     ]
+    sample_time = draw(maybe(positive))
+    samples = None if sample_time is None else draw(maybe(st.integers(0, 5)))
     controller = d.PidSettings(
         tuple(draw(st.sampled_from([(1,), (4,)]).flatmap(lambda n: st.tuples(*[positive] * n[0])))),
         draw(maybe(positive)), draw(maybe(positive)), draw(positive), notches, draw(maybe(pair)), draw(maybe(positive)),
-        draw(positive), draw(st.sampled_from(d.CONTROLLER_COORDINATES)), draw(positive), draw(maybe(positive)), draw(positive),
+        draw(positive), draw(st.sampled_from(d.CONTROLLER_COORDINATES)), draw(positive), sample_time,
+        None if samples is None else samples * sample_time,
     )  # fmt: skip
     demands = {field.name: draw(maybe(st.floats(1, 3))) for field in fields(d.Requirements)}
     crossover = draw(maybe(positive))

@@ -8,7 +8,9 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.verification.checks import Check, Checks, Curve
-from ambrose.verification.verification import OVER_TOLERANCES, Verification
+from ambrose.verification.verification import Verification, box_label
+
+BOX = box_label("first")
 
 
 def point(label, peak, margin=2.0, delay=1e-3, *, stable=True):
@@ -21,10 +23,10 @@ def point(label, peak, margin=2.0, delay=1e-3, *, stable=True):
 
 
 def test_worst_over_points_and_tolerances_by_the_sense_of_the_relation():
-    box = Checks("first, full model", True, (Check("sensitivity.output.max", "Peak", 2.9, "-", 3.0, "<", True),))
-    verdict = Verification((point("first", 2.0, 1.9, 2e-3), point("second", 2.5, 1.7, 3e-3)), box)
+    box = Checks(BOX, True, (Check("sensitivity.output.max", "Peak", 2.9, "-", 3.0, "<", True),))
+    verdict = Verification((point("first", 2.0, 1.9, 2e-3), point("second", 2.5, 1.7, 3e-3)), (box,))
     assert verdict.worst["sensitivity.output.max"].value == 2.9
-    assert verdict.worst["sensitivity.output.max"].detail == OVER_TOLERANCES
+    assert verdict.worst["sensitivity.output.max"].detail == BOX
     assert verdict.worst["margin.gain.A"].value == 1.7
     assert verdict.worst["margin.gain.A"].detail == "second"
     assert verdict.worst["margin.delay.A"].value == 2e-3  # information too has a sense
@@ -43,7 +45,7 @@ def test_a_value_that_is_no_number_is_the_worst():
     [
         (Verification((point("first", 2.0),)), True, True),
         (Verification((point("first", 2.0), point("second", 3.5))), False, True),
-        (Verification((point("first", 2.0),), Checks("box", False, ())), False, False),
+        (Verification((point("first", 2.0),), (Checks("box", False, ()),)), False, False),
         (Verification((point("first", 2.0, stable=False),)), False, False),
         (Verification((point("first", 2.0),), left_out=("second: 600 rad/s lies beyond the schedule",)), False, True),
         (Verification(()), False, True),
@@ -54,10 +56,12 @@ def test_passed_needs_every_point(verdict, passed, stable):
 
 
 def test_points_by_label():
-    verdict = Verification((point("first", 2.0), point("second", 2.5)), point("any", 2.7))
+    verdict = Verification((point("first", 2.0), point("second", 2.5)), (point(BOX, 2.7),))
     assert verdict["second"]["sensitivity.output.max"].value == 2.5
-    assert verdict[OVER_TOLERANCES]["sensitivity.output.max"].value == 2.7
-    with pytest.raises(KeyError, match="'third' was not verified; there are 'first', 'second', 'over all tolerances'"):
+    assert verdict[BOX]["sensitivity.output.max"].value == 2.7
+    with pytest.raises(
+        KeyError, match="'third' was not verified; there are 'first', 'second', 'over all tolerances around first'"
+    ):
         verdict["third"]
 
 
