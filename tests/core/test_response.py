@@ -21,6 +21,7 @@ from ambrose.core.response import (
 )
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, static_gain
+from physical_numbers import physical
 from whole_records import simulate_derivative
 
 
@@ -141,7 +142,7 @@ def test_defective_and_badly_scaled_systems():
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 6), st.integers(1, 3), st.integers(1, 200), st.integers(0, 50), st.floats(-3, 3), st.integers(0, 10**6))
+@given(st.integers(0, 6), st.integers(1, 3), st.integers(1, 200), st.integers(0, 50), physical(-3, 3), st.integers(0, 10**6))
 def test_linear_and_time_invariant(n, m, k, shift, factor, seed):
     system, dt = random_system(n, m, 2, seed=seed), 2e-3
     u, v = np.random.default_rng(seed).standard_normal((2, m, k))

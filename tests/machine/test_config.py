@@ -31,6 +31,7 @@ from ambrose.machine.file.toml import (
 )
 from ambrose.machine.file.update import save_machine
 from ambrose.machine.machine import Machine
+from physical_numbers import physical
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -237,8 +238,8 @@ def leaves(value):
 
 positive = st.floats(1e-6, 1e9, allow_subnormal=False)
 ratio = st.floats(1e-3, 0.9)
-signed = st.floats(-1e9, 1e9)
-angle = st.floats(-7, 7)
+signed = physical(-1e9, 1e9)
+angle = physical(-7, 7)
 text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 pair = st.tuples(positive, positive)
 signed_pair = st.tuples(signed, signed)
@@ -256,10 +257,10 @@ def ascending(n):
 def shafts(draw):
     sections, end = [], 0.0
     for _ in range(draw(st.integers(1, 5))):
-        length, bore = draw(st.floats(1e-3, 10)), draw(st.floats(0, 1))
+        length, bore = draw(st.floats(1e-3, 10)), draw(physical(0, 1))
         outer = bore + draw(st.floats(1e-3, 1))
         mass = draw(maybe(st.just(outer + 0.1)))
-        material = d.Material(draw(positive), draw(positive), draw(st.floats(0, 0.49)), draw(text))
+        material = d.Material(draw(positive), draw(positive), draw(physical(0, 0.49)), draw(text))
         material = draw(st.sampled_from([d.Material(), material]))
         sections.append(d.ShaftSection(end, length, outer, bore, mass, draw(st.integers(1, 1000)), material, draw(text)))
         end += length
@@ -268,7 +269,7 @@ def shafts(draw):
 
 @st.composite
 def bearings(draw, name, place):
-    geometry = d.MagnetGeometry(draw(positive), draw(positive), draw(positive), draw(st.floats(0, 1.5)))
+    geometry = d.MagnetGeometry(draw(positive), draw(positive), draw(positive), draw(physical(0, 1.5)))
     rows = tuple(d.BiasPoint(i, draw(pair), draw(pair)) for i in draw(st.lists(positive, max_size=3, unique=True)))
     given = draw(st.booleans())
     return d.MagneticBearing(
@@ -289,14 +290,14 @@ def bearings(draw, name, place):
 
 @st.composite
 def gas_seals(draw):
-    diameter, share = draw(positive), st.floats(0, 1)
+    diameter, share = draw(positive), physical(0, 1)
     clearance = st.floats(0.001, 0.04).map(lambda part: part * diameter)
     one = {draw(st.sampled_from(["exit_pressure", "inlet_pressure"])): draw(positive)}
-    wall = st.tuples(positive, st.floats(-1, 1))
+    wall = st.tuples(positive, physical(-1, 1))
     return d.GasSealGeometry(
         draw(positive), diameter, draw(clearance), draw(clearance), draw(positive), **one, hole_depth=draw(share),
         hole_area_ratio=draw(share), stator_friction=draw(wall), rotor_friction=draw(wall), inlet_loss=draw(share),
-        exit_recovery=draw(share), preswirl=draw(st.floats(-2, 2)), speed=draw(st.none() | positive),
+        exit_recovery=draw(share), preswirl=draw(physical(-2, 2)), speed=draw(st.none() | positive),
         max_frequency=draw(positive), gas_constant=draw(positive), viscosity=draw(st.none() | positive),
     )  # fmt: skip
 
@@ -329,7 +330,7 @@ def seals(draw, name, place):
 @st.composite
 def machines(draw):
     shaft = draw(shafts())
-    place = st.floats(0, shaft[-1].start + shaft[-1].length)
+    place = physical(0, shaft[-1].start + shaft[-1].length)
     couplings = tuple(
         d.Coupling(f"coupling{i}", draw(place), draw(pair), draw(pair), draw(angle)) for i in range(draw(st.integers(0, 2)))
     )

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Amplifier
 from ambrose.physics.amplifier import coil_current, derivative, effective_current, linearised, parameters
+from physical_numbers import physical
 
 ORDERS = {
     "none": Amplifier(),
@@ -92,7 +92,7 @@ def test_second_order_leaves_the_stop_at_once():
     assert np.abs(back[0] - reference[0]).max() < 0.02
 
 
-@given(st.floats(-1e3, 1e3), st.floats(-5, 5), st.floats(-50, 50))
+@given(physical(-1e3, 1e3), physical(-5, 5), physical(-50, 50))
 def test_odd_and_bounded(u, s_1, s_2):
     limited = Amplifier("second", natural_frequency=1360.0, damping=1590.5, max_voltage=150.0, inductance=0.05)
     p = parameters(limited, 4.0)

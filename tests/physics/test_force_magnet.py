@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from ambrose.core.checks import InvalidInput
@@ -13,6 +12,7 @@ from ambrose.machine.description import MagnetGeometry, MagneticBearing, MagnetI
 from ambrose.machine.file.toml import load_machine
 from ambrose.physics import magnet
 from ambrose.physics.magnet import force, force_constant, linearised, parameters
+from physical_numbers import physical
 
 GIVEN = MagneticBearing("A", 0.1, 4.0, force_per_current=(144.34, 139.44), negative_stiffness=(0.863e6, 0.871e6))
 STEEL = MagnetIron(turns=72, flux_density=1.73, equivalent_gap=60e-6)
@@ -80,7 +80,7 @@ def test_geometry_is_recovered_from_its_coefficients():
     assert p[4] == pytest.approx(force_constant(RIG_A.geometry) * np.cos(np.pi / 8), rel=1e-9)
 
 
-@given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-3e-4, 3e-4), st.floats(-3e-4, 3e-4))
+@given(physical(-9, 9), physical(-9, 9), physical(-3e-4, 3e-4), physical(-3e-4, 3e-4))
 def test_symmetry(i, j, x, y):
     p = (*parameters(replace(RIG_A, bias_current=10.0))[:7], *parameters(RIG_A)[4:7])  # both axes alike
     f = force(i, j, x, y, p)

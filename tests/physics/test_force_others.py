@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from ambrose.machine.description import Coupling, Runout, SealTable, Sensor
 from ambrose.machine.file.toml import load_machine
 from ambrose.physics import coupling, seal, sensor, unbalance
 from ambrose.physics.rotor import finite_element_rotor, free_modes, gravity_load, mass_properties
+from physical_numbers import physical
 
 RIG = load_machine("seal-rig")
 TABLE = SealTable((("pressure", (0.0, 1e5, 3e5)),), (("k", (0.0, 1e6, 5e6)), ("C", (100.0, 300.0, 900.0))))
@@ -40,7 +40,7 @@ def test_coupling_is_its_matrices():
 
 
 class TestUnbalance:
-    @given(st.floats(-10, 10), st.floats(-2000, 2000), st.floats(-500, 500), st.floats(-4, 4))
+    @given(physical(-10, 10), physical(-2000, 2000), physical(-500, 500), physical(-4, 4))
     def test_is_minus_the_acceleration_of_the_mass(self, angle, speed, acceleration, phase):
         """Against the second derivative of m e exp(j theta(t)), with theta quadratic in time."""
         amount = 1e-4
@@ -90,7 +90,7 @@ class TestSensor:
         at = [sensor.runout(0.7, profile, sensor.parameters(item, d)) for d in ("zeta", "eta")]
         assert at == pytest.approx([2e-6 * math.cos(0.7), 2e-6 * math.sin(0.7)])
 
-    @given(st.floats(-1e-3, 1e-3))
+    @given(physical(-1e-3, 1e-3))
     def test_quantisation_is_the_nearest_step(self, value):
         p = sensor.parameters(self.ITEM, "zeta")
         found = sensor.sampled(value, p)

@@ -6,20 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from ambrose.machine.description import Touchdown
 from ambrose.machine.file.toml import load_machine
 from ambrose.physics.touchdown import force, parameters
+from physical_numbers import physical
 
 RIG = load_machine("seal-rig")
 P = parameters(RIG, RIG.bearings[0])  # clearance 0.25 mm, assumed contact
-POINT = st.floats(-6e-4, 6e-4)
-SPEED = st.floats(-2.0, 2.0)
+POINT = physical(-6e-4, 6e-4)
+SPEED = physical(-2.0, 2.0)
 
 
-@given(POINT, POINT, SPEED, SPEED, st.floats(-3000, 3000))
+@given(POINT, POINT, SPEED, SPEED, physical(-3000, 3000))
 def test_it_pushes_and_never_pulls_and_only_takes_energy(x, y, vx, vy, spin):
     fx, fy, torque, normal = force(x, y, vx, vy, spin, P)
     r = math.hypot(x, y)
@@ -39,7 +39,7 @@ def test_it_pushes_and_never_pulls_and_only_takes_energy(x, y, vx, vy, spin):
     assert (inward + spring) * (vx * ex + vy * ey) <= 1e-6 * max(spring, 1)  # what is not spring takes energy
 
 
-@given(POINT, POINT, SPEED, SPEED, st.floats(-3000, 3000), st.floats(0, 6.3))
+@given(POINT, POINT, SPEED, SPEED, physical(-3000, 3000), physical(0, 6.3))
 def test_it_is_the_same_in_every_direction(x, y, vx, vy, spin, turn):
     if abs(math.hypot(x, y) - P[0]) < 1e-12:
         return  # rotating the point may round it across the clearance

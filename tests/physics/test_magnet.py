@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BiasPoint, MagnetGeometry, MagneticBearing
 from ambrose.physics.magnet import force_constant, linearised
+from physical_numbers import physical
 
 GEOMETRY = MagnetGeometry(turns=36, pole_area=4e-4, gap=0.5e-3)
 GIVEN = MagneticBearing("A", 0.1, 8.0, force_per_current=(250.0, 260.0), negative_stiffness=(4e6, 4.2e6))
@@ -22,7 +23,7 @@ def force(i, x, bias, geometry):
     return k * (((bias + i) / (geometry.gap - x)) ** 2 - ((bias - i) / (geometry.gap + x)) ** 2)
 
 
-@given(st.floats(0.5, 20.0), st.floats(2e-4, 2e-3), st.floats(0.0, 1.2))
+@given(st.floats(0.5, 20.0), st.floats(2e-4, 2e-3), physical(0.0, 1.2))
 def test_geometry_gives_the_derivatives_of_the_force(bias, gap, angle):
     geometry = replace(GEOMETRY, gap=gap, pole_half_angle=angle)
     found = linearised(MagneticBearing("A", 0.1, bias, geometry=geometry))

@@ -17,6 +17,7 @@ from ambrose.physics.rotor import (
     mass_properties,
     plane_rows,
 )
+from physical_numbers import physical
 
 STEEL = Material(7850.0, 2.1e11, 0.3)
 
@@ -140,15 +141,15 @@ def rotors(draw):
     sections = []
     for _ in range(draw(st.integers(1, 4))):
         outer = draw(st.floats(0.02, 0.2))
-        inner = outer * draw(st.floats(0.0, 0.9))
+        inner = outer * draw(physical(0.0, 0.9))
         heavy = draw(st.sampled_from([None, 1.2 * outer]))
         sections.append((draw(st.floats(0.05, 0.5)), outer, inner, heavy, draw(st.integers(1, 4))))
     length = sum(s[0] for s in sections)
     discs = []
     for i in range(draw(st.integers(0, 3))):
-        diametral = draw(st.floats(0.0, 0.1))
-        polar = diametral * draw(st.floats(0.0, 2.0))
-        discs.append(Disc(f"d{i}", length * draw(st.floats(0.0, 1.0)), draw(st.floats(0.1, 20.0)), polar, diametral))
+        diametral = draw(physical(0.0, 0.1))
+        polar = diametral * draw(physical(0.0, 2.0))
+        discs.append(Disc(f"d{i}", length * draw(physical(0.0, 1.0)), draw(st.floats(0.1, 20.0)), polar, diametral))
     return sections, discs, draw(st.sampled_from(BEAM_THEORIES))
 
 

@@ -26,6 +26,7 @@ from ambrose.simulation.disturbances import Pulse, Sine, Unbalance
 from ambrose.simulation.scenario import Scenario, bundled_scenarios, load_scenario
 from ambrose.simulation.trace import Trace, peaks, settling
 from ambrose.synthesis.pid import pid_controller
+from physical_numbers import physical
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 M, KI, W, ZETA = 17.0, 150.0, 250.0, 0.08
@@ -229,7 +230,7 @@ def test_stable_loop_beyond_the_limit():
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.floats(-5, 5), st.integers(0, 400), st.sampled_from(AXES))
+@given(physical(-5, 5), st.integers(0, 400), st.sampled_from(AXES))
 def test_superposition_and_time_shift(factor, shift, axis):
     loop = fake_loop()
     one = Pulse("f_A_zeta", 40.0, 2e-3, 3e-3)

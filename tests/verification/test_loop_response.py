@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ambrose.core.checks import InvalidInput
@@ -14,6 +13,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.plant.loop import closed_loop
 from ambrose.verification.loop_response import LoopResponse, add_poles, frequency_grid, hold, loop_at, loop_evaluator
+from physical_numbers import physical
 
 # The shaft's element frequencies reach 1e7 rad/s, its rigid stiffness is 1e5 rad2/s2: in first-order form eps 1e7/(1e5/1e7) is
 # 1e-7 of relative error, for a Schur form and for a direct solution alike.
@@ -102,7 +102,7 @@ def test_above_nyquist_and_wrong_size_are_refused(rig_plants, rig_controller):
         loop_evaluator(rig_plants["zero"], select(rig_controller, outputs=["u_A_zeta"]))
 
 
-entries = st.floats(-3, 3, allow_subnormal=False)
+entries = physical(-3, 3)
 
 
 @settings(max_examples=60, deadline=None)

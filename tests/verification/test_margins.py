@@ -27,6 +27,7 @@ from ambrose.verification import nominal
 from ambrose.verification.loop_response import frequency_grid, loop_evaluator
 from ambrose.verification.margins import loop_margins, margin_checks, opened_loops
 from eigenvalue_margins import loop_margins as eigenvalue_margins
+from physical_numbers import physical
 
 MASS, K_I, K_S, GAIN, DERIVATIVE, TAU = 2.0, 100.0, 2e5, 5000.0, 8.0, 2e-4
 
@@ -118,7 +119,7 @@ def disk(rig_plants, rig_controller):
 
 
 @settings(max_examples=25, deadline=None)
-@given(factors=st.lists(st.floats(-1, 1), min_size=4, max_size=4))
+@given(factors=st.lists(physical(-1, 1), min_size=4, max_size=4))
 def test_gains_inside_the_disk_margin_keep_the_loop_stable(disk, rig_controller, factors):
     plant, checks, _, _ = disk
     limit = checks["margin.disk.input"].value

@@ -7,6 +7,8 @@ check must agree; numbers are literal; ``...`` stands for any leading axes.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,38 @@ class UnstableSystem(AmbroseError, ValueError):
 def invalid(name: str, value: object, requirement: str, remedy: str) -> InvalidInput:
     """The one form of a complaint: what it is, what it was, what it must be, what to do."""
     return InvalidInput(f"{name} is {value}, but must be {requirement}; {remedy}")
+
+
+@contextmanager
+def named_failure(what: str) -> Iterator[None]:
+    """Around (or as the decorator of) a computation: a factorisation that LAPACK refuses, for a singular matrix or numbers that
+    overflowed on the way, ends in a NumericalFailure that says ``what`` was being computed."""
+    try:
+        yield
+    except AmbroseError:
+        raise
+    except ValueError as error:  # LinAlgError is one; scipy refuses infinite entries with a plain one
+        if not isinstance(error, np.linalg.LinAlgError) and "infs or NaNs" not in str(error):
+            raise
+        raise NumericalFailure(
+            f"{what} cannot be computed to any accuracy ({error}): a matrix on the way is singular to rounding, or a number "
+            "overflows; scale the signals and states to order one, and look for poles or modes that coincide"
+        ) from error
+
+
+def memberwise(function: Callable[..., np.ndarray], *stacks: np.ndarray) -> np.ndarray:
+    """A numpy.linalg ``function`` of stacks of matrices (b, n, n), with a result of the shape of the last stack.
+
+    A member that is refused (singular, not definite) is NaN, and does not take the others with it.
+    """
+    try:
+        return function(*stacks)
+    except np.linalg.LinAlgError:
+        result = np.full(stacks[-1].shape, np.nan, np.result_type(*stacks, float))
+        for i, members in enumerate(zip(*stacks, strict=True)):
+            with suppress(np.linalg.LinAlgError):
+                result[i] = function(*members)
+        return result
 
 
 def check_finite(x: ArrayLike, name: str) -> np.ndarray:

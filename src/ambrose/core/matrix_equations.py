@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import NumericalFailure, UnstableSystem, check_shape, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem, check_shape, invalid, named_failure
 from ambrose.core.frequency import schur_eigenvalues
 from ambrose.core.realisation.balancing import balance, balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
@@ -22,6 +22,7 @@ _RESIDUAL = 1e-8  # largest accepted residual, relative to the terms of the equa
 _EPS = float(np.finfo(float).eps)
 
 
+@named_failure("the solution of the Lyapunov equation")
 def lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
     """X (n, n) with A X + X A^T + Q = 0.
 
@@ -31,6 +32,7 @@ def lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
     return _lyapunov(*_square(A, Q), discrete=False)
 
 
+@named_failure("the solution of the Lyapunov equation")
 def discrete_lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
     """X (n, n) with A X A^T - X + Q = 0.
 
@@ -131,15 +133,18 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     scale = balance(np.block([[a, -g], [-q, -a.T]]))[1]
     d = np.exp2(np.round(np.log2(scale[:n] / scale[n:]) / 2))  # diag(d, 1/d) is symplectic
     a, g, q = a * d / d[:, None], g / d[:, None] / d, q * d[:, None] * d
-    X, status = _stable_subspace(np.block([[a, -g], [-q, -a.T]]))
-    residual = np.inf
-    if status == "solved":
-        X, residual = _refine(a, g, q, X)
-        poles = np.linalg.eigvals(a - g @ X)
-        if not residual <= _RESIDUAL:
-            status = "inaccurate"
-        elif poles.real.max() >= 0:
-            status = "imaginary-axis eigenvalues"
+    X, residual, poles = a, np.inf, np.zeros(n, complex)
+    try:
+        X, status = _stable_subspace(np.block([[a, -g], [-q, -a.T]]))
+        if status == "solved":
+            X, residual = _refine(a, g, q, X)
+            poles = np.linalg.eigvals(a - g @ X)
+            if not residual <= _RESIDUAL:
+                status = "inaccurate"
+            elif poles.real.max() >= 0:
+                status = "imaginary-axis eigenvalues"
+    except ValueError:  # LAPACK's refusal, or scipy's of what overflowed
+        status = "inaccurate"
     if status != "solved":
         return RiccatiSolution(np.full((n, n), np.nan), np.full(n, np.nan, complex), float(residual), status)
     return RiccatiSolution(X / d[:, None] / d, poles, float(residual), status)
@@ -191,13 +196,14 @@ def _refine(A: np.ndarray, G: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple
     if residual > 1e-13:
         try:
             better = X + lyapunov((A - G @ X).T, (R + R.T) / 2)
-        except NumericalFailure:
+        except (NumericalFailure, InvalidInput):  # none, or out of range
             return X, residual
         if put_in(better)[1] < residual:
             return better, put_in(better)[1]
     return X, residual
 
 
+@named_failure("the controllability Gramian")
 def controllability_gramian(system: Any) -> np.ndarray:
     """P (n, n) with A P + P A^T + B B^T = 0, or A P A^T - P + B B^T = 0 when sampled. Raises UnstableSystem."""
     system = as_statespace(system)
@@ -205,6 +211,7 @@ def controllability_gramian(system: Any) -> np.ndarray:
     return L @ L.T
 
 
+@named_failure("the observability Gramian")
 def observability_gramian(system: Any) -> np.ndarray:
     """Q (n, n) with A^T Q + Q A + C^T C = 0, or A^T Q A - Q + C^T C = 0 when sampled. Raises UnstableSystem."""
     system = as_statespace(system)
@@ -256,6 +263,7 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
     return factor.T * t[:, None]
 
 
+@named_failure("the balanced realisation")
 def balanced_realization(system: Any) -> tuple[StateSpace, np.ndarray, np.ndarray, np.ndarray]:
     """The realisation with equal, diagonal Gramians: (system, hankel (n,), T_L (k, n), T_R (n, k)).
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
+from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid, named_failure
 from ambrose.core.statespace import StateSpace
 
 _DENSE_LIMIT = 250  # coordinates up to which a dense eigensolution is the fastest way to a few modes
@@ -136,6 +136,7 @@ def _cholesky(mass: np.ndarray) -> np.ndarray:
         ) from error
 
 
+@named_failure("the modes of M q'' + K q = 0")
 def undamped_modes(mass: np.ndarray, stiffness: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The lowest modes of M q'' + K q = 0 for symmetric matrices, M positive definite, K positive semidefinite.
 
@@ -188,7 +189,10 @@ def _subspace_iteration(mass: np.ndarray, stiffness: np.ndarray, count: int) -> 
     K, M = csc_array(stiffness), csc_array(mass)
     # A small shift keeps K + shift M definite although the free rotor's K is singular.
     shift = 1e-10 * float((np.abs(np.diag(stiffness)) / np.diag(mass)).max())
-    factor = splu(csc_array(K + shift * M), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    try:
+        factor = splu(csc_array(K + shift * M), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    except RuntimeError:  # SuperLU met a zero pivot: the dense solver tells a singular mass from a negative mode
+        return None
     X = np.random.default_rng(0).standard_normal((len(mass), count + max(8, count // 2)))
     last, absolute = np.zeros(count), abs(K)
     for _ in range(_ITERATIONS):

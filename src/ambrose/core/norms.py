@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive
+from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, named_failure
 from ambrose.core.frequency import SchurForm, evaluate, schur_form, state_response_at
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
@@ -41,6 +41,7 @@ class HinfNorm:
     steps: int
 
 
+@named_failure("the H-infinity norm")
 def hinf_norm(system: Any, tolerance: float = 1e-6, allow_unstable: bool = False) -> HinfNorm:
     """The H-infinity norm of a continuous or sampled system, with the frequency of its peak [rad/s].
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import NumericalFailure, check_shape, invalid
+from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_failure
 
 _ROUNDS = 60
 _SETTLED = 1e-9  # relative change of every pole
@@ -64,6 +64,7 @@ def _real_poles(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return A, b
 
 
+@named_failure("the rational fit")
 def fit_rational(omega: ArrayLike, data: ArrayLike, order: int, slope: bool = False) -> RationalFit:
     """The rational functions with ``order`` common stable poles nearest to the data, by least squares.
 
@@ -86,6 +87,7 @@ def fit_rational(omega: ArrayLike, data: ArrayLike, order: int, slope: bool = Fa
     return _on_poles(omega, H, weights, poles * unit, slope)
 
 
+@named_failure("the rational fit")
 def fit_on_poles(omega: ArrayLike, data: ArrayLike, poles: ArrayLike, slope: bool = False) -> RationalFit:
     """As ``fit_rational``, with poles (n,) [rad/s] that are given, those of another fit say: only what is linear is found."""
     omega = check_shape(omega, "omega", "(w,)").astype(float)

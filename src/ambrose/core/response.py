@@ -152,6 +152,8 @@ def expm_derivative(A: ArrayLike, dA: ArrayLike, t: float = 1.0) -> tuple[np.nda
     block[:, :n, n:] = directions / gain[:, None, None]
     E = sla.expm(A * t)
     dE = sla.expm(block * t)[:, :n, n:] * gain[:, None, None] if len(block) else block[:, :n, n:]
+    if not (np.isfinite(E).all() and np.isfinite(dE).all()):
+        raise NumericalFailure(f"exp(A t) overflows over t = {t:g} s: {_FINITE}")
     back = scale[:, None] / scale
     return E * back, (dE * back).reshape(dA.shape)
 

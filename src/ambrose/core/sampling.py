@@ -7,13 +7,14 @@ from typing import Any, Literal
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.checks import InvalidInput, check_positive, invalid, named_failure
 from ambrose.core.realisation.balancing import balance
 from ambrose.core.statespace import StateSpace, as_statespace, series, transfer_function
 
 Method = Literal["zoh", "tustin"]
 
 
+@named_failure("the sampled system")
 def c2d(system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prewarp: float | None = None) -> StateSpace:
     """The sampled equivalent of a continuous system.
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import NumericalFailure, check_shape, invalid
+from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_failure
 
 _STEPS = 80
 _SHORT = 1e-7  # a step length below which the method has stalled
@@ -73,6 +73,7 @@ def side(length: int) -> int:
     return round((np.sqrt(8 * length + 1) - 1) / 2)
 
 
+@named_failure("the minimum under matrix inequalities")
 def minimise(
     cost: np.ndarray,
     inequalities: Sequence[Inequality],

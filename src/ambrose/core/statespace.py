@@ -21,6 +21,7 @@ from ambrose.core.checks import (
     check_positive,
     check_shape,
     invalid,
+    named_failure,
 )
 from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance as balance  # noqa: PLC0414 (re-exported)
@@ -347,6 +348,7 @@ def feedback(forward: Any, backward: Any, sign: int = -1) -> StateSpace:
     return StateSpace(closed.A, closed.B[:, :m], closed.C[:p], closed.D[:p, :m], forward.inputs, forward.outputs, closed.dt)
 
 
+@named_failure("the closed loop")
 def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
     """``system`` with its own outputs fed back, u = loop y + r; loop (m, p). From r to y, names kept.
 

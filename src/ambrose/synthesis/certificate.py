@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, UnstableSystem, invalid
+from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, named_failure
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
@@ -33,6 +33,7 @@ from ambrose.synthesis.result import Certificate, Status, Synthesis
 _SAME = 1e-5  # relative; margins recomputed elsewhere differ by rounding
 
 
+@named_failure("the certificate")
 def certify(plant: Plant | StateSpace, controller: Any) -> Certificate:
     """Stability, output sensitivity and margins of the loop of core/lft.py, recomputed from plant and controller.
 
@@ -62,6 +63,7 @@ def certify(plant: Plant | StateSpace, controller: Any) -> Certificate:
     return Certificate(True, abscissa, peak, fastest, margins, label)
 
 
+@named_failure("the certificate")
 def generalized_certificate(plant: GeneralizedPlant, controller: Any) -> Certificate:
     """Stability and norm of z = F_l(P, K) w, recomputed from a generalized plant and its controller u = K y.
 

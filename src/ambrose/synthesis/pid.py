@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_finite, invalid
+from ambrose.core.checks import InvalidInput, check_finite, invalid, named_failure
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
 from ambrose.machine.description import MagneticBearing, PidSettings
 from ambrose.machine.machine import Machine
@@ -24,6 +24,7 @@ from ambrose.synthesis.result import Status, Synthesis
 COORDINATES = ("axes", "tilt-translate")
 
 
+@named_failure("the PID controller")
 def pid_synthesis(plant: Plant, settings: PidSettings | None = None, timing: Timing | None = None) -> Synthesis:
     """The PID controller of the settings (None: of the plant's machine), certified on the plant.
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid, named_failure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import as_statespace
@@ -63,6 +63,7 @@ def direct_gain_mismatch(controller: Any, reference: Any, band: tuple[float, flo
     return float(ratio.mean()), float(np.sqrt((ratio**2).mean()))
 
 
+@named_failure("the control weight")
 def tune_control_weight(
     plant: Plant | GeneralizedPlant,
     weights: Weights,

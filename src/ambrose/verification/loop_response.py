@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.checks import check_shape
+from ambrose.core.checks import check_shape, named_failure
 from ambrose.core.frequency import SchurForm, check_nyquist, evaluate, schur_form
 from ambrose.core.statespace import StateSpace, select
 from ambrose.plant.loop import Law, match_controller
@@ -38,10 +38,12 @@ class LoopResponse:
     G_iu: Matrices
     G_if: Matrices
 
+    @named_failure("the output sensitivity")
     def output_sensitivity(self) -> Matrices:
         """S_o = (I + G K)^-1, d -> y."""
         return np.linalg.inv(np.eye(len(self.axes)) + self.G @ self.K)
 
+    @named_failure("the input sensitivity")
     def input_sensitivity(self) -> Matrices:
         """S_i = (I + K G)^-1, e -> v."""
         return np.linalg.inv(np.eye(len(self.axes)) + self.K @ self.G)
@@ -92,6 +94,7 @@ def _held(K: Callable[[np.ndarray], Matrices], omega: np.ndarray, dt: float | No
     return K(np.exp(1j * omega * dt)) * hold(omega, dt)[:, None, None]
 
 
+@named_failure("the response of the loop")
 def loop_at(plant: Plant, controller: Law, omega: float) -> LoopResponse:
     """The loop at one frequency [rad/s], by one direct solution: cheaper than an evaluator that is used once."""
     part, controller = _parts(plant, controller)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import TWO_PI, demand, information, judge
@@ -161,7 +161,7 @@ def _static_loops(evaluator: Evaluator) -> dict[str, np.ndarray] | None:
     try:
         response = evaluator(np.zeros(1))
         loops = {where: opened_loops(response, where)[0] for where in SIDES}
-    except (InvalidInput, np.linalg.LinAlgError):
+    except (InvalidInput, NumericalFailure, np.linalg.LinAlgError):
         return None
     return loops if all(np.isfinite(value).all() for value in loops.values()) else None
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import check_shape, invalid
+from ambrose.core.checks import check_shape, invalid, named_failure
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import Law, closed_loop, match_controller
 from ambrose.plant.model import Plant, top_speed
@@ -41,6 +41,7 @@ _BEYOND = 5.0  # the default grid reaches this many times past the standard's ra
 Progress = Callable[[str, float], None]
 
 
+@named_failure("the nominal checks")
 def check(
     plant: Plant,
     controller: Law,

@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import check_shape, invalid
+from ambrose.core.checks import check_shape, invalid, named_failure
 from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.mu.bounds import mu_peak
@@ -51,6 +51,7 @@ _BOUND_POINTS = 60
 Progress = Callable[[str, float], None]
 
 
+@named_failure("the checks over the tolerances")
 def check(
     plant: Plant | GeneralizedPlant,
     controller: Law,
@@ -128,6 +129,7 @@ def _points(loop: BoxLoop, worst: BoxGain | None) -> tuple[dict[str, float], ...
     return ({block.name: float(value) for block, value in zip(loop.blocks, worst.delta, strict=True)},)
 
 
+@named_failure("the stability margin over the tolerances")
 def stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Check:
     """How many corners and samples of the whole box are unstable: the quick verdict where parameters are many.
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
+from ambrose.core.checks import named_failure
 from ambrose.core.statespace import StateSpace, balance, index_of
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
@@ -77,6 +78,7 @@ def direction(whirl: float) -> str:
     return "planar" if abs(whirl) < PLANAR else "forward" if whirl > 0 else "backward"
 
 
+@named_failure("the modes of the loop")
 def modes(system: StateSpace, ports: tuple[str, ...]) -> Modes:
     """Eigenvalues of the system and the displacement shapes at its outputs q_<port>; sampled poles are mapped by ln(z)/dt.
 

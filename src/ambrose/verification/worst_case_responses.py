@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid, named_failure
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case.bounds import gain_bound
@@ -27,6 +27,7 @@ from ambrose.verification.unbalance import Unbalance, residual_unbalance
 _BLOCK = 64  # members integrated at once
 
 
+@named_failure("the loop over the box")
 def loop_over_box(
     plant: Plant,
     controller: Law,
@@ -68,6 +69,7 @@ class BoxUnbalance:
     delta: np.ndarray
 
 
+@named_failure("the unbalance response over the box")
 def unbalance_over_box(
     plant: Plant | Callable[[float], Plant],
     controller: Law,
@@ -135,6 +137,7 @@ class PulseFamily:
         return np.where(outside[:, -1] | ~self.stable, np.inf, settled)
 
 
+@named_failure("the pulse responses over the box")
 def pulse_family(
     plant: Plant,
     controller: Law,

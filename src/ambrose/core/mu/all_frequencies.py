@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import NumericalFailure, check_positive, invalid
+from ambrose.core.checks import NumericalFailure, check_positive, invalid, named_failure
 from ambrose.core.lft import Block
 from ambrose.core.mu.chords import Chords, chords
 from ambrose.core.mu.structure import Structure, osborne, structure_of
-from ambrose.core.mu.upper import UpperBound, upper_bound
+from ambrose.core.mu.upper import UpperBound, positive_definite, upper_bound
 
 _CELLS = 8  # chords per interval
 _FIRST = 12  # intervals per decade to begin with
@@ -42,6 +42,7 @@ class ProvedLevel:
     intervals: int
 
 
+@named_failure("the level proved for the structured singular value")
 def proved_level(
     system: Any,
     blocks: Sequence[Block],
@@ -239,7 +240,7 @@ def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarr
         found = upper_bound(M[hard], structure, level=np.ones(len(hard)), max_iterations=60)
         value[hard] = found.value
         X_w[hard], X_z[hard], G[hard] = found.X_w, found.X_z, found.G
-    holds = value < 1
+    holds = (value < 1) & positive_definite(X_w) & positive_definite(X_z)  # after scaling back
     return UpperBound(value[holds], X_w[holds], X_z[holds], G[holds], np.zeros((int(holds.sum()), structure.n_w))), holds
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import check_positive, invalid
+from ambrose.core.checks import check_positive, invalid, named_failure
 from ambrose.core.lft import Block, FullBlock
 from ambrose.core.mu.interval import MuCertificate, MuPeak, mu_certificate, mu_peak
 from ambrose.core.mu.lower import lower_bound
@@ -72,6 +72,7 @@ class MuBounds(Presented):
         return result
 
 
+@named_failure("the structured singular value")
 def mu_bounds(
     M: ArrayLike,
     blocks: Sequence[Block],

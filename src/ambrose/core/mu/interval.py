@@ -20,7 +20,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid, named_failure
 from ambrose.core.frequency import frequency_response, transfer_matrix
 from ambrose.core.lft import Block
 from ambrose.core.mu.lower import lower_bound
@@ -119,6 +119,7 @@ def _between(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.where(low > 0, np.sqrt(low * high), 0.5 * (low + high))
 
 
+@named_failure("the peak of the structured singular value")
 def mu_peak(
     system: Any,
     blocks: Sequence[Block],
@@ -249,6 +250,7 @@ def _crossings(
     return np.sort(s[imaginary].imag) * rate, largest
 
 
+@named_failure("the proof of mu < gamma")
 def mu_certificate(
     system: Any,
     blocks: Sequence[Block],
@@ -333,7 +335,10 @@ def _prove(matrices: _Matrices, structure: Structure, omega: float, gamma: float
     value = float(up.value[0])
     if not value < gamma:
         return (omega, omega), float(upper_bound(M, structure).value[0])
-    crossings, largest = _crossings(matrices, up.X_w[0], up.X_z[0], up.G[0], gamma, structure)
+    try:
+        crossings, largest = _crossings(matrices, up.X_w[0], up.X_z[0], up.G[0], gamma, structure)
+    except ValueError:  # LAPACK's refusal of scalings that are singular to rounding, or scipy's of what overflowed: no proof
+        return (omega, omega), value
     below, above = crossings[crossings <= omega], crossings[crossings > omega]
     start = float(below.max()) if len(below) else 0.0
     end = float(above.min()) if len(above) else np.inf

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.core.checks import memberwise
 from ambrose.core.lft import ComplexBlock, FullBlock
 from ambrose.core.mu.structure import Structure, osborne
 
@@ -90,14 +91,12 @@ def _align(structure: Structure, a: np.ndarray, w: np.ndarray) -> np.ndarray:
 
 def _eigen(F: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The outermost eigenvalue of F delta (b,), its right x and left y vectors (b, n_z), y^H x = 1."""
-    values, vectors = np.linalg.eig(F @ delta)
+    values, vectors = np.linalg.eig(np.nan_to_num(F @ delta))
     top = np.abs(values).argmax(axis=1)
     pick = np.arange(len(F))
     x = vectors[pick, :, top]
-    try:
-        y = np.linalg.inv(vectors)[pick, top].conj()
-    except np.linalg.LinAlgError:  # a defective member: its gradient is useless, its eigenvalue is not
-        y = np.linalg.pinv(vectors)[pick, top].conj()
+    # a defective member has no left vector: its gradient is useless, its eigenvalue is not
+    y = np.nan_to_num(memberwise(np.linalg.inv, vectors)[pick, top].conj())
     return values[pick, top], x, y
 
 
@@ -154,21 +153,21 @@ def _evaluate(M: np.ndarray, parts: _Parts, q: np.ndarray, b0: np.ndarray | None
     M_rr, M_rc, M_cr, M_cc = (M[:, i[:, None], j[None, :]] for i, j in ((rz, rw), (rz, cw), (cz, rw), (cz, cw)))
     channel = q @ parts.member
     E = np.eye(len(rz)) - M_rr * channel[:, None, :]
-    try:
-        R = np.linalg.solve(E, M_rc)
-    except np.linalg.LinAlgError:  # exactly on a pole of F: step beside it
-        E = E + 1e-12 * np.eye(len(rz))
-        R = np.linalg.solve(E, M_rc)
+    R = memberwise(np.linalg.solve, E, M_rc)
+    k = np.flatnonzero(~np.isfinite(R).all(axis=(1, 2)))
+    if len(k):  # exactly on a pole of F: step beside it
+        E[k] += 1e-12 * np.eye(len(rz))
+        R[k] = np.nan_to_num(memberwise(np.linalg.solve, E[k], M_rc[k]))
     F = M_cc + (M_cr * channel[:, None, :]) @ R
     delta, eigenvalue, x, y = _complex_problem(F, parts.structure, b0, steps)
     magnitude = np.maximum(np.abs(eigenvalue), 1e-300)
     # dF/dq_i = L_i R_i with L = M_cr (I + Q E^-1 M_rr): first-order change of log|lambda|
     y_cr = (y.conj()[:, None, :] @ M_cr)[:, 0]
-    y_L = y_cr + (np.linalg.solve(E.swapaxes(1, 2), (y_cr * channel)[..., None]).swapaxes(1, 2) @ M_rr)[:, 0]
+    y_L = y_cr + (memberwise(np.linalg.solve, E.swapaxes(1, 2), (y_cr * channel)[..., None]).swapaxes(1, 2) @ M_rr)[:, 0]
     R_x = (R @ (delta @ x[..., None]))[..., 0]
     change = (y_L * R_x / np.where(np.abs(eigenvalue) > 0, eigenvalue, 1.0)[:, None]).real
     size = np.maximum(np.abs(q).max(axis=1, initial=0.0), 1 / magnitude)
-    return _Point(q, size, eigenvalue, delta, change @ parts.member.T, (delta @ x[..., None])[..., 0])
+    return _Point(q, size, eigenvalue, delta, np.nan_to_num(change @ parts.member.T), (delta @ x[..., None])[..., 0])
 
 
 def _ascend(
@@ -253,8 +252,8 @@ def _newton_in_box(M: np.ndarray, member: np.ndarray, q: np.ndarray, box: np.nda
         active, rows, near, f = active[going], rows[going], near[going], f[going]
         x = vectors[rows, :, near]
         selector = np.eye(M.shape[1])[near][..., None]
-        y = np.linalg.solve(vectors[going].swapaxes(1, 2) + 1e-14 * np.eye(M.shape[1]), selector)[..., 0]
-        J = ((y[:, None, :] @ M[active])[:, 0] * x) @ member.T  # d lambda / d q_i
+        y = memberwise(np.linalg.solve, vectors[going].swapaxes(1, 2) + 1e-14 * np.eye(M.shape[1]), selector)[..., 0]
+        J = np.nan_to_num(((y[:, None, :] @ M[active])[:, 0] * x) @ member.T)  # d lambda / d q_i
         q[active] += _boxed_step(
             np.stack([J.real, J.imag], axis=1), -np.stack([f.real, f.imag], axis=1), q[active], box[active, None]
         )

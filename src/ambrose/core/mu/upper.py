@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.core.checks import memberwise
 from ambrose.core.lft import FullBlock, RealBlock
 from ambrose.core.mu.scaling_parameters import Basis, scaling_basis
 from ambrose.core.mu.structure import Structure, osborne
@@ -24,6 +25,8 @@ from ambrose.core.mu.structure import Structure, osborne
 _SHRINK = (1.0, 0.98, 0.9, 0.7, 0.45, 0.2, 0.07, 0.02)  # fractions of the way to the dual bound that the predictor tries
 _CENTRED = 0.3  # Newton decrement that counts as centred
 _REGULARISE = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6)  # added to X, whose trace is about the number of channels
+_LIFTS = (2.0**-52, 2.0**-48, 2.0**-40)  # of the norm of a matrix that rounding made singular
+_LATE = 30  # Newton steps in a row without a centre after which there may be none: G grows without bound
 _ZERO = 1e-7  # a bound below this fraction of sigma_max(M) is driven no further
 
 
@@ -41,21 +44,20 @@ class UpperBound:
 
 def positive_definite(F: np.ndarray) -> np.ndarray:
     """Which members of the Hermitian batch F (b, n, n) are positive definite, (b,) bool."""
-    try:
-        np.linalg.cholesky(F)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.eigvalsh(F)[:, 0] > 0)
-    return np.ones(len(F), bool)
+    return np.isfinite(memberwise(np.linalg.cholesky, F)).all(axis=(1, 2))
 
 
 def _inverse(F: np.ndarray) -> np.ndarray:
     """Inverses of positive definite F (b, n, n). One that rounding made singular, at the very edge of the feasible set, is
-    lifted by its own rounding: the barrier is as steep there as the arithmetic can tell, and the descent turns back."""
-    try:
-        return np.linalg.inv(F)
-    except np.linalg.LinAlgError:
-        lift = np.finfo(float).eps * np.maximum(np.linalg.norm(F, axis=(1, 2)), np.finfo(float).tiny)
-        return np.linalg.inv(F + lift[:, None, None] * np.eye(F.shape[-1]))
+    lifted by a few roundings: the barrier is as steep there as the arithmetic can tell, and the descent turns back."""
+    P = memberwise(np.linalg.inv, F)
+    for lift in _LIFTS:
+        k = np.flatnonzero(~np.isfinite(P).all(axis=(1, 2)))
+        if len(k) == 0:
+            break
+        size = np.maximum(np.linalg.norm(F[k], axis=(1, 2)), np.finfo(float).tiny)
+        P[k] = memberwise(np.linalg.inv, F[k] + lift * size[:, None, None] * np.eye(F.shape[-1]))
+    return P
 
 
 class _Path:
@@ -100,12 +102,19 @@ class _Path:
         return -self.basis.traces(dK)
 
 
+def _eigenvalues(A: np.ndarray) -> np.ndarray:
+    """Those of Hermitian A (b, n, n), ascending; NaN for a member that is not finite."""
+    usable = np.isfinite(A).all(axis=(1, 2))
+    values = np.linalg.eigvalsh(np.where(usable[:, None, None], A, 0.0))
+    return np.where(usable[:, None], values, np.nan)
+
+
 def _solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
     """H^-1 g for a batch of symmetric positive definite H, scaled by its diagonal and regularised at rounding level."""
     d = 1 / np.sqrt(np.maximum(np.einsum("bii->bi", H), 1e-300))
     n = H.shape[1]
     scaled = H * d[:, :, None] * d[:, None, :] + 1e-14 * n * np.eye(n)
-    return d * np.linalg.solve(scaled, (g * d)[..., None])[..., 0]
+    return d * memberwise(np.linalg.solve, scaled, (g * d)[..., None])[..., 0]
 
 
 def _inside(basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> np.ndarray:
@@ -136,11 +145,11 @@ def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
         if isinstance(place.block, FullBlock) or place.block.n_w == 1:
             value = np.einsum("bii->b", top).real / np.einsum("bii->b", bottom).real
         else:
-            L = np.linalg.inv(np.linalg.cholesky(bottom))
-            value = np.linalg.eigvalsh(L @ top @ L.conj().swapaxes(1, 2))[:, 0]
+            L = memberwise(np.linalg.inv, memberwise(np.linalg.cholesky, bottom))
+            value = _eigenvalues(L @ top @ L.conj().swapaxes(1, 2))[:, 0]
         ratio = np.minimum(ratio, value)
     gap = n_w / np.einsum("bij,bji->b", path.P, path.S[:, :n_w, :n_w]).real
-    ratio = np.where(ratio < beta**2, ratio, -np.inf)  # beyond beta: not on the path yet
+    ratio = np.where(ratio < beta**2, ratio, -np.inf)  # beyond beta: not on the path yet; NaN: singular to rounding
     return np.sqrt(np.clip(np.maximum(ratio, beta**2 - gap), 0.0, None))
 
 
@@ -164,6 +173,27 @@ def _lower_beta(
     return new_x, new_beta
 
 
+Scalings = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def _scalings(structure: Structure, basis: Basis, x: np.ndarray, beta: np.ndarray) -> Scalings:
+    """(X_w, X_z, G) of the variables x."""
+    S, n_w, n = basis.assemble(x), structure.n_w, structure.n_w + structure.n_z
+    return S[:, :n_w, :n_w], -S[:, n_w:n, n_w:n], 1j * S[:, :n_w, n_w:n] * beta[:, None, None]
+
+
+def _without_centre(
+    structure: Structure, basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray, level: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """x and beta lowered to nearly what x proves: for where G can grow without bound, so that ``beta`` has no centre."""
+    scalings = _scalings(structure, basis, x, beta)
+    low = np.maximum(1.05 * _verified(structure, M, scalings[:2], scalings[2]), np.maximum(level, _ZERO / 10))
+    with np.errstate(over="ignore"):
+        moved = np.where(basis.is_g, x * (beta / low)[:, None], x)
+    better = (low < 0.9 * beta) & _inside(basis, M, moved, low)
+    return np.where(better[:, None], moved, x), np.where(better, low, beta)
+
+
 def _drop_to_zero(basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """With real blocks only, beta = 0 is reached when M^H X M + j (G M - M^H G) < 0; then G~ = G / beta at a tiny beta."""
     near = np.full(len(x), _ZERO / 10)
@@ -183,6 +213,7 @@ def _minimise(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Follow the centres down until within ``tolerance`` of the dual bound, or at ``level``. M is balanced, of size about 1."""
     b = len(M)
+    late = np.zeros(b, int)
     x = np.tile(basis.start, (b, 1))
     worst = np.zeros((b, basis.n_w), complex)
     active = np.arange(b)
@@ -206,12 +237,18 @@ def _minimise(
             target = np.maximum(target, np.minimum(level[active[c]], ba[c]))
             done[c] = (ba[c] - target <= tolerance * ba[c]) | (ba[c] < _ZERO)
             xa[c], ba[c] = _lower_beta(basis, m[c], xa[c], ba[c], here, target)
+        late[active] = np.where(centred, 0, late[active] + 1)
+        k = np.flatnonzero((late[active] >= _LATE) & ~done)
+        if len(k) and basis.is_g.any():
+            xa[k], ba[k] = _without_centre(structure, basis, m[k], xa[k], ba[k], level[active[k]])
         if not structure.complex and not level.any():
             xa, ba, zero = _drop_to_zero(basis, m, xa, ba)
             done |= zero
         if done.any() or iteration == max_iterations:
             end_now = np.flatnonzero(done) if iteration < max_iterations else np.arange(len(done))
-            worst[active[end_now]] = np.linalg.eigh(path.P[end_now])[1][:, :, -1]
+            P = path.P[end_now]
+            usable = np.isfinite(P).all(axis=(1, 2), keepdims=True)
+            worst[active[end_now]] = np.linalg.eigh(np.where(usable, P, np.eye(basis.n_w)))[1][:, :, -1]
         x[active], beta[active] = xa, ba
         active = active[~done]
     return x, beta, worst
@@ -220,20 +257,18 @@ def _minimise(
 def _verified(structure: Structure, M: np.ndarray, X: tuple[np.ndarray, np.ndarray], G: np.ndarray) -> np.ndarray:
     """The bound that (X, G) prove, by one Hermitian eigenvalue problem, with the rounding error of that added.
 
-    X: (X_w (b, n_w, n_w), X_z (b, n_z, n_z)). Returns the bound (b,).
+    X: (X_w (b, n_w, n_w), X_z (b, n_z, n_z)). Returns the bound (b,), infinite where X is not positive definite to rounding.
     """
-    L_w, L_z = np.linalg.cholesky(X[0]), np.linalg.cholesky(X[1])
-    inverse = np.linalg.inv(L_w)
+    L_w, L_z = (memberwise(np.linalg.cholesky, part) for part in X)
+    inverse = memberwise(np.linalg.inv, L_w)
     T = L_z.conj().swapaxes(1, 2) @ M @ inverse.conj().swapaxes(1, 2)
     left = inverse @ (1j * G @ M) @ inverse.conj().swapaxes(1, 2)
     A = T.conj().swapaxes(1, 2) @ T + left + left.conj().swapaxes(1, 2)
-    values = np.linalg.eigvalsh(A)
+    values = _eigenvalues(A)
     size = np.linalg.norm(T, axis=(1, 2)) ** 2 + 2 * np.linalg.norm(left, axis=(1, 2))
     error = 4 * structure.n_w * np.finfo(float).eps * size
-    return np.sqrt(np.maximum(values[:, -1] + error, 0.0))
-
-
-Scalings = tuple[np.ndarray, np.ndarray, np.ndarray]
+    bound = np.sqrt(np.maximum(values[:, -1] + error, 0.0))
+    return np.where(np.isfinite(bound), bound, np.inf)
 
 
 def _proved(structure: Structure, M: np.ndarray, found: Scalings, beta: np.ndarray) -> tuple[np.ndarray, Scalings]:
@@ -293,9 +328,7 @@ def upper_bound(
         x, beta, direction = _minimise(
             structure, basis, unit[alive], np.maximum(1.05, np.minimum(low, 10.0)), low, tolerance, max_iterations
         )
-        S, n_w, n = basis.assemble(x), structure.n_w, structure.n_w + structure.n_z
-        new = (S[:, :n_w, :n_w], -S[:, n_w:n, n_w:n], 1j * S[:, :n_w, n_w:n] * beta[:, None, None])
-        proved, new = _proved(structure, unit[alive], new, beta)
+        proved, new = _proved(structure, unit[alive], _scalings(structure, basis, x, beta), beta)
         better = proved < (value[alive] if level is None else np.maximum(value, level / scale)[alive])
         k = alive[better]
         value[k], worst[alive] = proved[better], direction

@@ -21,7 +21,15 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem, check_positive, check_shape, invalid
+from ambrose.core.checks import (
+    InvalidInput,
+    NumericalFailure,
+    UnstableSystem,
+    check_positive,
+    check_shape,
+    invalid,
+    named_failure,
+)
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_equations import discrete_lyapunov, lyapunov
 from ambrose.core.realisation.balancing import balance
@@ -154,6 +162,7 @@ def _negative(system: StateSpace) -> StateSpace:
     return StateSpace(system.A, system.B, -system.C, -system.D, system.inputs, system.outputs, system.dt)
 
 
+@named_failure("the system with exchanged signals")
 def exchange(system: Any, inputs: Sequence[str], outputs: Sequence[str]) -> StateSpace:
     """The same system read the other way: ``inputs`` (c names) become outputs and as many ``outputs`` become inputs, by place.
 
@@ -252,6 +261,7 @@ def _check_signals(factors: CoprimeFactors, plant: StateSpace) -> None:
         raise invalid("the plant's dt", plant.dt, str(factors.plant.dt), "sample it like the plant it was factored with")
 
 
+@named_failure("the injection gain")
 def injection_gain(
     A: ArrayLike, C: ArrayLike, dt: float | None = None, decay: float = 0.0, noise: ArrayLike | None = None
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import NumericalFailure
+from ambrose.core.checks import NumericalFailure, named_failure
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
 
@@ -34,6 +34,7 @@ class ModalForm:
         return tuple(int(i) for i in np.cumsum([0, *self.sizes])[:-1])
 
 
+@named_failure("the modal form")
 def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
     """``system`` in real block-diagonal coordinates, slow blocks first; inputs, outputs and sample time are kept.
 

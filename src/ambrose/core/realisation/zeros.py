@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import check_positive
+from ambrose.core.checks import check_positive, named_failure
 from ambrose.core.matrix_equations import balanced_realization
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
 
 
+@named_failure("the zeros")
 def invariant_zeros(system: Any, tolerance: float = 1e-9) -> np.ndarray:
     """Finite invariant zeros (z,) complex [rad/s, or z-plane]; transmission zeros when the system is minimal.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.checks import AmbroseError
+from ambrose.core.checks import AmbroseError, named_failure
 from ambrose.core.lft import Block, ComplexBlock, FullBlock
 from ambrose.core.mu.all_frequencies import least_level, proved_level
 from ambrose.core.mu.structure import structure_of
@@ -33,6 +33,7 @@ class Proved:
     why: str = ""
 
 
+@named_failure("the proved margin of the box")
 def proved_margin(loop: BoxLoop, most: float) -> Proved:
     """A factor by which the box may grow with stability proved for every point of it; 0 when nothing could be proved.
 
@@ -52,6 +53,7 @@ def proved_margin(loop: BoxLoop, most: float) -> Proved:
     return Proved(1 / found.level, found.frequency)
 
 
+@named_failure("the proved gain in the box")
 def proved_gain(loop: BoxLoop, start: float, omega: np.ndarray | None = None) -> Proved:
     """An upper bound of the gain over the whole box and all frequencies; infinite when nothing could be proved.
 
@@ -67,6 +69,7 @@ def proved_gain(loop: BoxLoop, start: float, omega: np.ndarray | None = None) ->
     return Proved(found.level, found.frequency)
 
 
+@named_failure("the bound of the gain in the box")
 def gain_bound(loop: BoxLoop, omega: np.ndarray, start: float) -> float:
     """An upper bound of the largest gain over the box at the frequencies omega (w,) [rad/s], and nowhere between.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.core.checks import named_failure
 from ambrose.core.mu.structure import osborne, structure_of
 from ambrose.core.worst_case.loop import BoxLoop, corners, default_grid
 
@@ -39,6 +40,7 @@ class BoxMargin:
     frequency: float
 
 
+@named_failure("the margin of the box")
 def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> BoxMargin:
     """The smallest destabilising perturbation found, up to 20 times the box. also (d, k): more directions to try."""
     rng = np.random.default_rng(seed)

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.core.checks import memberwise
+
 _CHUNK = 200_000  # numbers held at once, so that they stay in the cache
 _SMALL = 1e-5  # a pivot smaller than this, relative, spoils digits: such points are solved with pivoting
 _FEW = 16  # points below which each is solved by itself
@@ -37,7 +39,10 @@ def determinants_at(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np
 
 
 def transfers_at(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    """T = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12, (d, w, p, m), for M (w, n + p, n + m); the others as above."""
+    """T = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12, (d, w, p, m), for M (w, n + p, n + m); the others as above.
+
+    NaN where I - M11 diag(delta) is singular: a pole.
+    """
     branching = _branching(owner, delta)
     if branching is not None:
         return _closed(M, owner, delta, branching)[1]
@@ -126,9 +131,10 @@ def _determinants(M11: np.ndarray, wide: np.ndarray) -> np.ndarray:
 
 
 def _transfers(M: np.ndarray, wide: np.ndarray) -> np.ndarray:
-    """T with pivoting, for M (..., n + p, n + m) and wide (..., n)."""
+    """T with pivoting, for M (..., n + p, n + m) and wide (..., n); NaN on a pole."""
     n, m = wide.shape[-1], M.shape[-1] - wide.shape[-1]
     D = wide[..., None, :]  # on the columns of M11 and M21
     X = np.eye(n) - M[..., :n, :n] * D
-    inner = np.linalg.solve(X, np.broadcast_to(M[..., :n, n:], (*X.shape[:-1], m)))
+    right = np.broadcast_to(M[..., :n, n:], (*X.shape[:-1], m)).reshape(-1, n, m)
+    inner = memberwise(np.linalg.solve, X.reshape(-1, n, n), right).reshape(*X.shape[:-1], m)
     return np.asarray(M[..., n:, n:] + (M[..., n:, :n] * D) @ inner)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import UnstableSystem, check_shape, invalid
+from ambrose.core.checks import UnstableSystem, check_shape, invalid, named_failure
 from ambrose.core.lft import Block, RealBlock
 from ambrose.core.mu.chords import Chords, chords
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectral_abscissa
@@ -104,8 +104,11 @@ def box_points(parameters: int, count: int = 64, seed: int = 1) -> np.ndarray:
 
 
 def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
-    """Largest singular value of T(delta), (d, w), for M (w, n + p, n + m) of ``loop.at`` and delta (d, k)."""
-    return np.linalg.norm(transfers(M, loop, delta), 2, axis=(2, 3))
+    """Largest singular value of T(delta), (d, w), infinite on a pole; M (w, n + p, n + m) of ``loop.at``, delta (d, k)."""
+    T = transfers(M, loop, delta)
+    on_pole = ~np.isfinite(T).all(axis=(2, 3))
+    T[on_pole] = 0.0
+    return np.where(on_pole, np.inf, np.linalg.norm(T, 2, axis=(2, 3)))
 
 
 def transfers(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
@@ -145,6 +148,7 @@ def _evaluated(loop: BoxLoop, omega: np.ndarray) -> Sweep:
     return Sweep(omega, M11, (beside - M11) / _BESIDE)
 
 
+@named_failure("the number of unstable poles in the box")
 def unstable_poles(loop: BoxLoop, delta: np.ndarray, start: Sweep | None = None) -> np.ndarray:
     """How many poles of the loop lie in the right half plane for every delta (d, k), (d,).
 

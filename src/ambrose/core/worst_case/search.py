@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.checks import named_failure
 from ambrose.core.lft import Block
 from ambrose.core.worst_case.elimination import determinants_at
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, box_points, default_grid, gains
@@ -44,6 +45,7 @@ def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxG
     return worst_gain(box_loop(system, blocks), seed=seed)
 
 
+@named_failure("the worst gain in the box")
 def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxGain:
     """The largest singular value of T(delta) over the box and all frequencies, from below.
 
@@ -70,6 +72,7 @@ def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxG
     return best
 
 
+@named_failure("the worst gain in the box")
 def worst_gain_at(loop: BoxLoop, omega: float) -> BoxGain:
     """As ``worst_gain``, at one frequency [rad/s] that is held."""
     M = loop.at(np.array([omega]))

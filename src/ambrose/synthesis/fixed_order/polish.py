@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, invalid, named_failure
 from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, design_grid, lft
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.norms import hinf_norm
@@ -38,6 +38,7 @@ _PROOF = (1.01, 1.05, 1.1, 1.25)  # levels, in worst norms, at which a proof is 
 Delta = tuple[float, ...]
 
 
+@named_failure("the polished controller")
 def polish_synthesis(
     plant: GeneralizedPlant,
     start: StateSpace,

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.core.checks import NumericalFailure, invalid
+from ambrose.core.checks import NumericalFailure, invalid, named_failure
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.matrix_equations import controllability_gramian, observability_gramian
 from ambrose.core.statespace import StateSpace, is_stable
@@ -20,6 +20,7 @@ from ambrose.core.statespace import StateSpace, is_stable
 _PAIR = 0.9  # two values closer than this ratio are a pair, which is not cut
 
 
+@named_failure("the reduced controller")
 def reduce_controller(models: Sequence[GeneralizedPlant], controller: StateSpace, order: int) -> tuple[StateSpace, np.ndarray]:
     """The controller with ``order`` states, or one less where the cut would part a pair; and the closed-loop values (n,).
 

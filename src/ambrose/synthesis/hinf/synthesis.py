@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from ambrose.core.checks import AmbroseError, NumericalFailure, UnstableSystem, check_positive, invalid
+from ambrose.core.checks import AmbroseError, NumericalFailure, UnstableSystem, check_positive, invalid, named_failure
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, select
@@ -31,6 +31,7 @@ _WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
 _EPSILONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the regularisation, in the scaled plant's units
 
 
+@named_failure("the H-infinity controller")
 def hinf_synthesis(
     plant: GeneralizedPlant,
     *,

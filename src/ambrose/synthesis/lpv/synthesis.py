@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import AmbroseError, NumericalFailure, check_positive, invalid
+from ambrose.core.checks import AmbroseError, NumericalFailure, check_positive, invalid, named_failure
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.scheduled import ScheduledSystem, check_grid, interval_points
@@ -34,6 +34,7 @@ _KEPT = 1e-9  # relative change of B2, C2, D12, D21 over the grid that counts as
 PlantAt = Callable[[float], GeneralizedPlant]
 
 
+@named_failure("the scheduled controller")
 def lpv_synthesis(
     plants: Sequence[GeneralizedPlant] | PlantAt,
     grid: ArrayLike,

@@ -15,7 +15,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive, check_shape, invalid
+from ambrose.core.checks import (
+    AmbroseError,
+    InvalidInput,
+    NumericalFailure,
+    check_positive,
+    check_shape,
+    invalid,
+    named_failure,
+)
 from ambrose.core.lft import Block, FullBlock, GeneralizedPlant, design_grid, lft
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds
@@ -48,6 +56,7 @@ _FURTHEST = 40  # steps
 _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof is tried
 
 
+@named_failure("the mu controller")
 def mu_synthesis(
     plant: GeneralizedPlant,
     *,
