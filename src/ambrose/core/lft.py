@@ -152,7 +152,7 @@ class GeneralizedPlant(Presented):
 
 def lft(plant: GeneralizedPlant, controller: Any) -> StateSpace:
     """The lower LFT F_l(P, K): from w to z with u = K y closed. The controller's signals (y in, u out) are matched by name
-    where it has the plant's names, else by place."""
+    where it has the plant's names, else by place. Raises NumericalFailure for an algebraic loop without a solution."""
     controller = as_statespace(controller)
     if controller.D.shape != (len(plant.u), len(plant.y)):
         raise invalid(

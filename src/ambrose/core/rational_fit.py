@@ -70,6 +70,7 @@ def fit_rational(omega: ArrayLike, data: ArrayLike, order: int, slope: bool = Fa
 
     omega (w,) [rad/s]: positive, ascending. data (m, w) or (w,), complex: H_i(j omega), each over its largest magnitude. slope:
     whether terms s e_i are allowed.
+    Data that are such functions are met to rounding (``error`` below 1e-9); else ``error`` says how far the fit is off.
     Raises InvalidInput, among others when the points do not determine so many parameters; NumericalFailure.
     """
     omega = check_shape(omega, "omega", "(w,)").astype(float)

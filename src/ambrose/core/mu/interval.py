@@ -133,7 +133,8 @@ def mu_peak(
 
     system: a system from w to z (or a callable, omega (w,) [rad/s] -> M (w, n_z, n_w)). omega (w,) [rad/s]: the starting grid.
     Points are added halfway to the neighbours of every local maximum within 10 % of the largest, and once between all
-    neighbours of which one is above half the largest. The result is a statement on the final grid.
+    neighbours of which one is above half the largest. The result is a statement on the final grid, its upper bound to
+    ``tolerance`` where ``resolved``.
 
     Raises InvalidInput when blocks and system do not fit, or a frequency coincides with a pole.
     """
