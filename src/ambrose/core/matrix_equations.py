@@ -38,7 +38,8 @@ def discrete_lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
     """X (n, n) with A X A^T - X + Q = 0.
 
     A (n, n); Q (n, n), any; a symmetric Q gives a symmetric X. The residual is at most 1e-8 of the equation's terms. Raises
-    NumericalFailure otherwise, and when the product of two eigenvalues of A is 1. Source: Kitagawa 1977, on the complex Schur form of the balanced A.
+    NumericalFailure otherwise, and when the product of two eigenvalues of A is 1. Source: Kitagawa 1977, on the complex Schur
+    form of the balanced A.
     """
     return _lyapunov(*_square(A, Q), discrete=True)
 
@@ -123,8 +124,9 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     """The stabilising solution of A^T X + X A - X G X + Q = 0: the eigenvalues of A - G X lie in the open left half plane.
 
     A (n, n); G (n, n) and Q (n, n) symmetric, either may be indefinite. For LQR G = B R^-1 B^T; for H-infinity control
-    G = B2 B2^T - gamma^-2 B1 B1^T. A solution leaves at most 1e-8 of the equation's terms. Failure is a ``status``, not an exception; raises InvalidInput only. Source: Laub 1979
-    (Schur vectors of the Hamiltonian), with symplectic balancing (Benner 2001).
+    G = B2 B2^T - gamma^-2 B1 B1^T. A solution leaves at most 1e-8 of the equation's terms. Failure is a ``status``, not an
+    exception; raises InvalidInput only. Source: Laub 1979 (Schur vectors of the Hamiltonian), with symplectic balancing
+    (Benner 2001).
     """
     a = check_shape(A, "A", "(n, n)")
     n = a.shape[0]

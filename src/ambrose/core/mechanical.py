@@ -142,8 +142,8 @@ def undamped_modes(mass: np.ndarray, stiffness: np.ndarray, count: int) -> tuple
 
     mass (n, n) [kg]; stiffness (n, n) [N/m]. Returns frequencies (count,) [rad/s], exactly zero for rigid-body modes, and
     mass-orthonormal shapes (n, count). Large problems go through a sparse subspace iteration (Bathe 1971), in which repeated
-    modes (two planes of a rotor) cannot get lost. Frequencies are good to 1e-9, shapes orthonormal to 1e-9. Raises InvalidInput when ``count`` exceeds n, a matrix is not symmetric, M is
-    not positive definite or K has a negative mode.
+    modes (two planes of a rotor) cannot get lost. Frequencies are good to 1e-9, shapes orthonormal to 1e-9. Raises
+    InvalidInput when ``count`` exceeds n, a matrix is not symmetric, M is not positive definite or K has a negative mode.
     """
     mass = check_shape(mass, "mass", "(n, n)")
     n = mass.shape[0]

@@ -19,8 +19,9 @@ def c2d(system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prew
     """The sampled equivalent of a continuous system.
 
     dt [s]; ``zoh`` is exact for an input held between samples (plants), ``tustin`` the bilinear map (controllers), exact at
-    the frequency ``prewarp`` [rad/s] if given; both to rounding (1e-11 of the largest sample of the impulse response). ``delay`` [s] acts on the input: any value for ``zoh`` (the fractional part
-    exactly, Franklin, Powell & Workman 1998, sec. 4.3.4), whole samples for ``tustin``. Raises InvalidInput.
+    the frequency ``prewarp`` [rad/s] if given; both to rounding (1e-11 of the largest sample of the impulse response).
+    ``delay`` [s] acts on the input: any value for ``zoh`` (the fractional part exactly, Franklin, Powell & Workman 1998, sec.
+    4.3.4), whole samples for ``tustin``. Raises InvalidInput.
     """
     system = as_statespace(system)
     if system.dt is not None:

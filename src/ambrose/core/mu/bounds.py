@@ -92,10 +92,10 @@ def mu_bounds(
     max_iterations: Newton steps of the upper bound. restarts, seed: random starts of the lower bound where a gap remains.
 
     The upper bound is re-verified with the final scalings by one eigenvalue computation, rounding error included; the lower
-    bound by the singular values of I - M delta. The upper bound is within ``tolerance`` of the best with these scalings; with real
-    blocks alone, where mu jumps and the scalings may grow without bound, it holds but may be looser. A matrix that rounding makes
-    singular on the way costs itself some tightness and the others of the batch nothing. Raises InvalidInput when the blocks do
-    not fit M, or M is not finite.
+    bound by the singular values of I - M delta. The upper bound is within ``tolerance`` of the best with these scalings; with
+    real blocks alone, where mu jumps and the scalings may grow without bound, it holds but may be looser. A matrix that
+    rounding makes singular on the way costs itself some tightness and the others of the batch nothing. Raises InvalidInput
+    when the blocks do not fit M, or M is not finite.
     Fan, Tits & Doyle 1991 (upper bound); Packard, Fan & Doyle 1988 and Young & Doyle 1990 (lower bound).
     """
     structure = structure_of(blocks)
