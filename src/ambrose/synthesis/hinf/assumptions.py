@@ -67,7 +67,7 @@ def _require_stabilisable(A: np.ndarray, B: np.ndarray, failure: str, why: str, 
     A, B = A * scale / scale[:, None], B / scale[:, None]
     values, errors = _eigenvalues(A)
     for value in values[values.real >= -errors]:
-        if value.imag >= 0 and _smallest(np.hstack([A - value * np.eye(len(A)), B]))[0] < _SINGULAR:
+        if value.imag >= 0 and len(_null(np.hstack([A - value * np.eye(len(A)), B]))):
             place = "on the imaginary axis" if value.real <= _NEAR_AXIS * np.abs(A).max() else "unstable"
             raise InvalidInput(f"{failure}: the mode s = {_text(value)} rad/s is {place} and {why}; {remedy}")
 
@@ -81,9 +81,8 @@ def _eigenvalues(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return schur_eigenvalues(T), 100 * np.finfo(float).eps * np.maximum(size.max(0), size.max(1))
 
 
-def _smallest(pencil: np.ndarray) -> tuple[float, np.ndarray]:
-    """The smallest of the singular values that decide the rank, and its right vector, after equilibration; (k, l) with k < l
-    is transposed."""
+def _null(pencil: np.ndarray) -> np.ndarray:
+    """The right vectors, as rows, of the singular values that are zero after equilibration; (k, l) with k < l is transposed."""
     wide = pencil.shape[0] < pencil.shape[1]
     matrix = pencil.conj().T if wide else pencil
     rows = np.abs(matrix).max(axis=1, initial=0.0)
@@ -91,7 +90,7 @@ def _smallest(pencil: np.ndarray) -> tuple[float, np.ndarray]:
     columns = np.abs(matrix).max(axis=0, initial=0.0)
     columns = np.where(columns > 0, columns, 1.0)
     _, values, Vh = np.linalg.svd(matrix / columns, full_matrices=False)
-    return float(values[-1]), Vh[-1].conj() / columns
+    return Vh[values < _SINGULAR].conj() / columns
 
 
 def _side(plant: ScaledPlant, rank: str, signal: str, name: str, remedy: str) -> tuple[list[str], np.ndarray]:
@@ -126,12 +125,10 @@ def _axis_zeros(A: np.ndarray, C: np.ndarray) -> tuple[list[float], np.ndarray]:
         return zeros, np.zeros((0, 0))
     A, t = balance(A)
     values, _ = _eigenvalues(A)
-    for value in values[np.abs(values.real) <= _NEAR_AXIS * np.abs(A).max()]:
-        if value.imag < 0:
-            continue
-        smallest, x = _smallest(np.vstack([A - 1j * value.imag * np.eye(n), C * t]))
-        if smallest < _SINGULAR:
-            zeros.append(float(value.imag))
+    on_axis = np.abs(values.real) <= _NEAR_AXIS * np.abs(A).max()
+    for frequency in np.unique(values[on_axis & (values.imag >= 0)].imag):
+        for x in _null(np.vstack([A - 1j * frequency * np.eye(n), C * t])):  # several where modes coincide
+            zeros.append(float(frequency))
             parts = [x.real / t, x.imag / t]  # rows that see the mode: x^H, not x, scaled back to the plant's states
             directions += [part / np.linalg.norm(part) for part in parts if np.linalg.norm(part) > 1e-8 * np.linalg.norm(x / t)]
     return zeros, np.array(directions).reshape(-1, n)

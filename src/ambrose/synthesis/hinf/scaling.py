@@ -19,6 +19,7 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace
 
+_SAMPLES = 200  # frequencies at which the unavoidable gain is looked for
 _NEGLIGIBLE = 1e-10  # a direct term below this fraction of its channel's largest gain counts as zero
 Matrices = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -128,6 +129,33 @@ def _gains(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.nda
     if not moduli.size:
         moduli = np.array([max(1e-3, np.abs(A).max(initial=0.0))])
     return np.abs(np.concatenate([evaluate(form, moduli * np.exp(1.3j)), D[None]]))
+
+
+def unavoidable(plant: ScaledPlant) -> float:
+    """A gain from w to z below which no controller comes, stabilising or not, whatever the rank of D12 and D21.
+
+    At a frequency the loop is P11 + P12 R P21, with R the controller's choice: what P12 does not reach or P21 does not see
+    stays, max(|N^H P11|, |P11 M|) with N, M the complements of P12 and P21 (Parrott 1978); the largest over some frequencies.
+    """
+    q, r = plant.B1.shape[1], len(plant.C1)
+    D = np.block([[plant.D11, plant.D12], [plant.D21, np.zeros((len(plant.C2), plant.B2.shape[1]))]])
+    form = schur_form(plant.A, np.hstack([plant.B1, plant.B2]), np.vstack([plant.C1, plant.C2]), D)
+    moduli = np.abs(form.poles[np.abs(form.poles) > 1e3 * form.pole_errors])
+    omega = np.geomspace(0.1 * moduli.min(), 10.1 * moduli.max(), _SAMPLES) if moduli.size else np.zeros(0)
+    largest = 0.0
+    for P in np.concatenate([evaluate(form, 1j * omega), D[None]]):
+        P11, P12, P21 = P[:r, :q], P[:r, q:], P[r:, :q]
+        left, right = _complement(P12), _complement(P21.conj().T)
+        sizes = [np.linalg.norm(part, 2) for part in (left.conj().T @ P11, P11 @ right) if part.size]
+        rounding = 1e-12 * np.linalg.norm(P11)
+        largest = max([largest, *(float(size - rounding) for size in sizes)])
+    return largest
+
+
+def _complement(M: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of what M (r, m) does not reach, (r, k), or reaches only by rounding."""
+    U, values, _ = np.linalg.svd(M)
+    return U[:, int((values > np.finfo(float).eps * len(M) * values.max(initial=0.0)).sum()) :]
 
 
 def _channel_scale(direct: np.ndarray, gains: np.ndarray, axis: int) -> np.ndarray:

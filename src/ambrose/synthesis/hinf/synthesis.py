@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import Literal
 
 import numpy as np
@@ -23,11 +24,12 @@ from ambrose.synthesis.hinf.riccati import (
     normal_form,
     search_gamma,
 )
-from ambrose.synthesis.hinf.scaling import ScaledPlant, check_plant, original_controller, scale_plant
+from ambrose.synthesis.hinf.scaling import ScaledPlant, check_plant, original_controller, scale_plant, unavoidable
 from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
 _WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
+_LARGEST_LMI = 50  # states up to which the matrix inequalities take over by themselves; their cost grows with the sixth power
 _EPSILONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the regularisation, in the scaled plant's units
 
 
@@ -48,10 +50,13 @@ def hinf_synthesis(
     gamma; method: "riccati" (two Riccati equations) or "lmi" (slower, needs no assumption on D12, D21 and axis zeros);
     time_limit [s] of computing, and five times that on the wall; progress: called with one line of text per step.
 
-    Where an assumption of the Riccati equations fails, the plant is regularised with the smallest useful epsilon, and the
-    result's ``notes`` say so. ``gamma`` is the closed-loop norm recomputed on the original plant; certificate.margins hold
-    "gamma_optimal" (reachable, and at most ``tolerance`` above the optimum of the plant that was solved), "gamma_lower",
-    "gamma_designed" and "epsilon" (0 without regularisation); history has one row for each gamma tried.
+    Where an assumption of the Riccati equations fails, the plant is regularised with the smallest useful epsilon; where they
+    fail all the same, up to 50 states, the matrix inequalities take over if their solver is installed. The result's ``notes``
+    say so. ``gamma`` is the closed-loop norm recomputed on the original plant; certificate.margins hold "gamma_optimal"
+    (reachable, and at most ``tolerance`` above the optimum of the plant that was solved), "gamma_lower" (no controller comes
+    below it on the plant as given; without regularisation within ``tolerance`` of gamma_optimal, with it what no controller can
+    change at single frequencies), "gamma_designed" and "epsilon" (0 without regularisation); history has one row for each
+    gamma tried.
 
     Raises InvalidInput (no controller can stabilise the plant, with the mode; sampled plants; bad arguments) and
     NumericalFailure (no verified controller, with the reason). Sources: see hinf/riccati.py, hinf/lmi.py.
@@ -65,18 +70,48 @@ def hinf_synthesis(
     job = _Job(check_plant(plant), backoff, tolerance, TimeLimit(time_limit), progress or (lambda _: None))
     scaled = scale_plant(plant)
     assumptions = check_assumptions(scaled)
-    design = _by_riccati if method == "riccati" else _by_lmi
-    if assumptions.findings:
-        return _regularised(job, scaled, assumptions, design)
+    if method == "lmi":
+        return _designed(job, scaled, assumptions, _by_lmi)
     try:
-        return _finish(job, design(job, scaled, 0.0))
+        return _designed(job, scaled, assumptions, _by_riccati)
     except _TimeOut:
         raise
     except NumericalFailure as failure:
-        if method == "lmi":
+        return _instead(job, scaled, assumptions, failure)
+
+
+def _designed(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, method: _Method) -> Synthesis:
+    """As it is where no assumption fails, else regularised; regularised fully where Riccati equations fail all the same."""
+    if assumptions.findings:
+        return _regularised(job, scaled, assumptions, method)
+    try:
+        return _finish(job, scaled, method(job, scaled, 0.0))
+    except _TimeOut:
+        raise
+    except NumericalFailure as failure:
+        if method is _by_lmi:
             raise
         job.say(f"{failure}; trying again with everything weighted and disturbed a little")
-        return _regularised(job, scaled, full_regularisation(scaled), design)
+        return _regularised(job, scaled, full_regularisation(scaled), method)
+
+
+def _instead(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, failure: NumericalFailure) -> Synthesis:
+    """By the matrix inequalities what the Riccati equations refuse, on the plant as it is; or the refusal."""
+    if find_spec("clarabel") is None:
+        raise NumericalFailure(
+            f'{failure}; the matrix inequalities may do: install their solver with pip install "ambrose[lmi]"'
+        ) from failure
+    if len(scaled.A) > _LARGEST_LMI:
+        raise failure
+    job.say(f"{failure}; trying the matrix inequalities")
+    try:
+        design = _by_lmi(job, scaled, 0.0)
+    except _TimeOut:
+        raise
+    except NumericalFailure as other:
+        raise NumericalFailure(f"{failure}; by the matrix inequalities: {other}") from failure
+    note = f"designed by matrix inequalities (method lmi), for the Riccati equations failed: {failure}"
+    return _finish(job, scaled, design, (note,))
 
 
 class _TimeOut(NumericalFailure):
@@ -230,15 +265,21 @@ def _regularised(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, metho
     if best is None:
         raise NumericalFailure(f"{'; '.join(assumptions.findings)}; but even so: {reason}")
     notes = tuple(f"{finding}, epsilon = {best.epsilon:g}" for finding in assumptions.findings)
-    return _finish(job, best, notes, history)
+    return _finish(job, scaled, best, notes, history)
 
 
 def _finish(
-    job: _Job, design: _Design, notes: tuple[str, ...] = (), history: tuple[dict[str, float], ...] | None = None
+    job: _Job,
+    scaled: ScaledPlant,
+    design: _Design,
+    notes: tuple[str, ...] = (),
+    history: tuple[dict[str, float], ...] | None = None,
 ) -> Synthesis:
+    # a bound of another plant, or one that this controller refutes, says nothing about this plant
+    holds = design.epsilon == 0 and design.lower <= design.certificate.closed_loop_norm
     margins = {
         "gamma_optimal": design.optimal,
-        "gamma_lower": design.lower,
+        "gamma_lower": design.lower if holds else min(unavoidable(scaled), design.certificate.closed_loop_norm),
         "gamma_designed": design.designed,
         "epsilon": design.epsilon,
     }
