@@ -49,6 +49,21 @@ def test_fourth_order_convergence():
     assert max(largest(default, fine, "yiq").values()) < 1e-5
 
 
+@pytest.mark.parametrize("point", [OperatingPoint(), OperatingPoint(speed=300.0, seal_pressure=1e5)])
+def test_contact_at_the_default_step(point):
+    """5e-4 of the largest motion within 5 ms of the first touch, 1e-4 in how far the rotor goes (0.25 % and 0.05 % at one step
+    size for contact and flight). Later impacts multiply any difference: that is the machine, not the integrator."""
+    pulses = (Pulse("f_A_zeta", 2500.0, 5e-3, 8e-3), Pulse("f_B_eta", 1800.0, 5e-3, 8e-3))
+    scenario = Scenario("x", 0.02, pulses=pulses[: 2 if point.speed else 1], speed=point.speed or None)
+    default, fine = (virtual_rig.run(RIG, PID, scenario, point=point, dt=dt) for dt in (None, 1e-6))
+    assert fine.touchdown_at is not None and fine.touchdown_at == default.touchdown_at
+    end = round((fine.touchdown_at + 5e-3) / 1e-4)
+    signals = [name for name in fine.record.signals if name.startswith("q_")]
+    a, b = (run.record.select(signals).values[:, :end] for run in (default, fine))
+    assert np.abs(a - b).max() < 5e-4 * np.abs(b).max()
+    assert np.abs(a).max() == pytest.approx(np.abs(b).max(), rel=1e-4)
+
+
 def test_energy_without_damping_is_kept():
     """Undamped rotor on stiff springs, turning, magnets at constant bias: the drift falls as the fifth power of the step."""
     springs = tuple(Coupling(f"s{i}", x, (2e7, 3e7)) for i, x in enumerate((0.1, 0.75)))
