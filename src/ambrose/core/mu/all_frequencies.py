@@ -52,7 +52,7 @@ def proved_level(
     room: float = 4e-3,
     highest: float = np.inf,
     omega: np.ndarray | None = None,
-    max_intervals: int = 20_000,
+    max_intervals: int = 6_000,
 ) -> ProvedLevel:
     """The lowest level >= ``start`` found with mu(M(j omega)) < level proved for all omega, infinity included.
 
@@ -86,7 +86,7 @@ def proved_level(
     return ProvedLevel(task.level, task.frequency, tried)
 
 
-def proved_below(loop: Any, blocks: Sequence[Block], level: float, max_intervals: int = 20_000) -> bool:
+def proved_below(loop: Any, blocks: Sequence[Block], level: float, max_intervals: int = 6_000) -> bool:
     """Whether mu(M(j omega)) < level was proved for all frequencies, infinity included; loop: M, continuous and stable."""
     try:
         proved_level(loop, blocks, level, highest=level, max_intervals=max_intervals)
@@ -182,19 +182,12 @@ class _Task:
         points[end, 1:] = np.inf
         shape = points.shape
         M = self.model.at(points.ravel()).reshape(*shape, *self.model.D.shape)
-        starts, ends = points[:, :-1], points[:, 1:]
-        E = self.model.distance(starts[~end].ravel(), ends[~end].ravel())
-        M = _divided(M, self.skew, self.level)
-        slack = np.zeros((len(low), _CELLS, *self.model.D.shape))
-        slack[~end] = E.reshape(-1, _CELLS, *self.model.D.shape)
-        if end.any():
-            slack[end, :] = self.model.distance(low[end], high[end])[:, None]
-            M[end] = self.model.D / np.where(self.skew, self.level, 1.0)[:, None]
-        slack /= np.where(self.skew, self.level, 1.0)[:, None]
+        slack = self.model.distance(low, high, _CELLS)
+        M, slack = (_divided(part, self.skew, self.level) for part in (M, slack))
         middle = M[:, _CELLS // 2]
         scalings, holds = _scalings(middle, self.structure)
         good = np.zeros((len(low), _CELLS), bool)
-        good[holds] = _contained(scalings, holds, M, slack)
+        good[holds] = _contained(scalings, holds, M, slack[:, None])
         stuck = ~holds
         if stuck.any():
             at = np.where(end, np.inf, 0.5 * (low + upper))[stuck]

@@ -1,11 +1,12 @@
 """A frequency response between two frequencies: the chord that joins its values, and how far it can lie from it.
 
-M(s) = D + sum of R_k / (s - p_k) in modal form, so that on a cell [a, b] of the imaginary axis, entry by entry,
+M(s) = D + sum of R_k / (s - p_k) in modal form, so that between a and b, entry by entry,
 
-    |M(j omega) - chord| <= (b - a)^2 / 8 max |M''|,    |M''| <= sum of 2 |R_k| / d_k^3,    d_k: distance of p_k from the cell.
+    |M(j omega) - chord| <= (b - a)^2 / 8 max |M''|,
 
-Poles that cannot be told apart stay together as a small matrix, whose resolvent is bounded by a Neumann series. Nothing is
-asked of a grid: what lies between its points is enclosed. The cost does not depend on the order beyond one sum.
+with M'' by its Taylor series in the middle, the remainder by the sum of n! |R_k| / d_k^(n+1), d_k the distance of p_k from the
+interval: residues that cancel do so in the terms that count. Poles that cannot be told apart stay together as a small matrix,
+whose resolvent is bounded by a Neumann series. Nothing is asked of a grid: what lies between its points is enclosed.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from ambrose.core.checks import NumericalFailure, invalid
 from ambrose.core.realisation.modal_form import ModalForm, modal_form
 from ambrose.core.statespace import StateSpace, as_statespace
 
-_GROWTH = (1e2, 1e1)  # of the transforms that separate poles: two digits may go, or one
+_GROWTH = (1e4, 1e2, 1e1)  # of the transforms that separate poles, the first that keeps the digits
+_TERMS = 8  # of the Taylor series
+_CONDITION = 1e9  # of the eigenvectors of a cluster, up to which its resolvent is also bounded in their coordinates
 _CHUNK = 4_000_000  # numbers held at once
 
 
@@ -68,38 +71,57 @@ class Chords:
             values += C @ np.linalg.matrix_power(resolvent, power) @ B
         return values
 
-    def distance(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Bound (c, n_z, n_w) on the entries of |M - chord| over the cells [low, high] (c,) [rad/s]; of |M - D| where high is
-        infinite. Infinite where a cell is too wide for its clusters."""
+    def distance(self, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
+        """Bound (c, n_z, n_w) on the entries of |M - chord| over each interval [low, high] (c,) [rad/s], cut into equal ``cells``
+        with a chord each; of |M - D| where high is infinite. Infinite where an interval is too wide for its clusters."""
+        bound = np.empty((len(low), *self.D.shape))
         end = np.isinf(high)
-        upper = np.where(end, low, high)
-        beside = np.maximum(
-            np.maximum(low[:, None] - self.poles.imag, self.poles.imag - np.where(end, np.inf, high)[:, None]), 0
-        )
+        bound[end] = self._tail(low[end])
+        low, high = low[~end], high[~end]
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        beside = np.maximum(np.abs(middle[:, None] - self.poles.imag) - half[:, None], 0.0)
         near = np.hypot(self.poles.real, beside)
-        width = upper - low
-        with np.errstate(divide="ignore"):
-            weight = np.where(end[:, None], 1 / near, (width**2)[:, None] / 4 / near**3)
-        bound = (weight @ np.abs(self.residues).reshape(len(self.poles), -1)).reshape(len(low), *self.D.shape)
+        last = _TERMS + 3
+        rest = (near**-last @ np.abs(self.residues).reshape(len(self.poles), -1)).reshape(len(low), *self.D.shape)
         for A, B, C in self.clusters:
-            bound = bound + _cluster(A, B, C, low, upper, end)
+            rest = rest + _cluster(A, B, C, middle, half, last)
+        bend = (_TERMS + 1) * (_TERMS + 2) * half[:, None, None] ** _TERMS * rest
+        for i in range(_TERMS):
+            bend += (i + 1) * (i + 2) * half[:, None, None] ** i * np.abs(self._sum(middle, i + 3))
+        bound[~end] = (2 * half[:, None, None] / cells) ** 2 / 8 * bend
+        return bound
+
+    def _tail(self, low: np.ndarray) -> np.ndarray:
+        """Bound (c, n_z, n_w) on |M - D| above each frequency low (c,) [rad/s]."""
+        near = np.hypot(self.poles.real, np.maximum(low[:, None] - np.abs(self.poles.imag), 0.0))
+        bound = (1 / near @ np.abs(self.residues).reshape(len(self.poles), -1)).reshape(len(low), *self.D.shape)
+        for A, B, C in self.clusters:
+            beyond = np.maximum(low - np.linalg.norm(A, 2), 0.0)[:, None, None]
+            outside = np.linalg.norm(C, axis=1)[:, None] * np.linalg.norm(B, axis=0)
+            bound = bound + np.divide(outside, beyond, out=np.full_like(bound, np.inf), where=beyond > 0)
         return np.asarray(bound)
 
 
-def _cluster(A: np.ndarray, B: np.ndarray, C: np.ndarray, low: np.ndarray, high: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """What a cluster adds to ``distance``. R = R0 (I + j d R0)^-1 around the middle of the cell, d at most half its width."""
-    R = np.linalg.inv(0.5j * (low + high)[:, None, None] * np.eye(len(A)) - A)
+def _cluster(A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, half: np.ndarray, power: int) -> np.ndarray:
+    """Bound on |C R^power B| within ``half`` of ``middle``, the smaller one of two coordinates: as they are, and eigenvectors'."""
+    bound = _neumann(A, B, C, middle, half, power)
+    V = np.linalg.eig(A)[1]
+    if np.linalg.cond(V) < _CONDITION:
+        inverse = np.linalg.inv(V)
+        bound = np.minimum(bound, _neumann(inverse @ A @ V, inverse @ B, C @ V, middle, half, power))
+    return bound
+
+
+def _neumann(A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, half: np.ndarray, power: int) -> np.ndarray:
+    """R = R0 (I + j d R0)^-1 with R0 in the middle and |d| <= half."""
+    R = np.linalg.inv(1j * middle[:, None, None] * np.eye(len(A)) - A)
     size = np.linalg.norm(R, 2, axis=(1, 2))
-    part = 0.5 * (high - low) * size
-    with np.errstate(divide="ignore", invalid="ignore"):
-        grown = np.where(part < 0.5, (high - low) ** 2 / 4 * size / (1 - part) ** 3, np.inf)
-        beyond = low - np.linalg.norm(A, 2)
-        tail = np.where(beyond > 0, 1 / beyond, np.inf)
+    part = half * size
+    grown = np.full(len(middle), np.inf)
+    fits = part < 0.9
+    grown[fits] = size[fits] ** (power - 2) / (1 - part[fits]) ** power
     inside = np.linalg.norm(C @ R, axis=2)[:, :, None] * np.linalg.norm(R @ B, axis=1)[:, None, :]
-    outside = np.linalg.norm(C, axis=1)[:, None] * np.linalg.norm(B, axis=0)
-    with np.errstate(invalid="ignore"):
-        bound = np.where(end[:, None, None], tail[:, None, None] * outside, grown[:, None, None] * inside)
-    return np.nan_to_num(bound, nan=0.0, posinf=np.inf)
+    return np.asarray(grown[:, None, None] * np.maximum(inside, np.finfo(float).tiny))
 
 
 def chords(system: Any) -> Chords:
