@@ -118,7 +118,7 @@ def test_study_compares_the_controllers(study):
     assert stable.pop("PID") == [True, True, False]
     assert set(map(tuple, stable.values())) == {(True, True, True)}
     worst = {
-        name: next(check["value"] for check in c["robust"]["checks"] if check["name"] == "robust.sensitivity.worst")
+        name: next(check["value"] for check in c["boxes"][0]["checks"] if check["name"] == "robust.sensitivity.worst")
         for name, c in found["controllers"].items()
     }
     assert worst["PID"] == "inf"

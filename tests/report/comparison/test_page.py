@@ -54,7 +54,7 @@ def candidates(rig: Machine) -> list[Candidate]:
             name,
             synthesis,
             tuple(nominal.check(plant, synthesis.controller) for plant in plants),
-            robust.check(plants[0], synthesis.controller),
+            (robust.check(plants[0], synthesis.controller),),
             tuple(
                 (p.point.label, simulate_linear(p, synthesis.controller, scenario)) for p in plants for scenario in SCENARIOS
             ),
@@ -119,7 +119,7 @@ def test_colours_of_points_controllers_and_families_differ() -> None:
 
 def test_verdicts_agree_with_the_checks_and_give_reasons(report: Report, candidates: list[Candidate]) -> None:
     found = table(report, "Who passes where, and why not")
-    assert found.columns == ("Controller", *POINTS, "whole tolerance box")
+    assert found.columns == ("Controller", *POINTS, "over the tolerances")
     for candidate, cells in zip(candidates, found.cells, strict=True):
         assert cells[0].text == candidate.name
         expected = [checks.passed for point in POINTS if (checks := candidate.at(point)) is not None]
@@ -221,7 +221,7 @@ def test_equal_values_have_no_best_and_a_near_limit_enough_digits(rig: Machine) 
 
 
 def test_points_that_a_candidate_lacks_are_named_not_guessed(rig: Machine, candidates: list[Candidate]) -> None:
-    partial = replace(candidates[2], checks=candidates[2].checks[:1], robust=None)
+    partial = replace(candidates[2], checks=candidates[2].checks[:1], boxes=())
     found = comparison_tables.verdict_table([candidates[0], partial], POINTS)
     assert [cell.text for cell in row(found, "mu")[1:]] == ["not verified", "passes", "not verified", "not evaluated"]
     tables = comparison_tables.point_tables([candidates[0], partial], POINTS)
@@ -273,7 +273,7 @@ def test_families_leave_out_unstable_lines_and_say_so(report: Report, candidates
 def test_single_robust_curves_are_overlaid_in_the_colours_of_the_controllers(rig: Machine, candidates: list[Candidate]) -> None:
     omega = np.geomspace(1, 1e3, 20)
     curve = Curve("robust.mu", "Mu", "frequency", omega, 1 / omega[None], ("upper bound",), "rad/s", "-", (("limit", 1.0),))
-    some = [replace(c, robust=replace(c.robust, curves=(curve,))) for c in candidates if c.robust is not None]
+    some = [replace(c, boxes=(replace(c.robust, curves=(curve,)),)) for c in candidates if c.robust is not None]
     (figure,) = comparison_figures.family_figures(rig, some)
     style = theme.candidate_styles([candidate.name for candidate in some])
     for candidate in some:
@@ -326,7 +326,7 @@ def test_page_is_whole_light_and_escaped(rig: Machine, candidates: list[Candidat
 def test_all_checks_of_all_candidates_are_listed(report: Report, candidates: list[Candidate]) -> None:
     details = section(report, "All checks in detail")
     assert details.folded
-    expected = [checks for c in candidates for checks in (*c.checks, c.robust) if checks is not None]
+    expected = [checks for c in candidates for checks in (*c.checks, *c.boxes)]
     assert sorted(len(part.rows) for part in details.tables) == sorted(len(checks.checks) for checks in expected)
 
 

@@ -1,7 +1,7 @@
 """Several controllers for one machine on one page, so that a reader can choose: who passes where, the quantities that decide
 side by side, the curves in panels with common axes, the gains, the time responses, and everything else behind them.
 
-    comparison_report(machine, [Candidate("PID", synthesis, checks, robust, traces), ...])
+    comparison_report(machine, [Candidate("PID", synthesis, checks, boxes, traces), ...])
 
 Operating points keep their colour and dash wherever they are drawn; controllers stand in panels of their own, or have other
 colours where they are overlaid.
@@ -159,8 +159,8 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
         ordered = [checks for point in points if (checks := candidate.at(point)) is not None]
         for checks in [*ordered, *candidate.boxes]:
             where, words = checks.label, tables.verdict(checks).text.partition(";")[0]
-            if checks is candidate.robust:  # "stable" would be said of the nominal loop only
-                where, words = f"whole tolerance box ({checks.label})", words.removeprefix("stable, ")
+            if checks in candidate.boxes:  # "stable" would be said of the nominal loop only
+                words = words.removeprefix("stable, ")
             shown.append(replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}"))
     words = "Click on a line to unfold its table; paper shows those that are open."
     return Section("All checks in detail", words, (), tuple(shown), folded=True)
