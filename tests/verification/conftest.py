@@ -54,7 +54,6 @@ def make_rig() -> Machine:
         amplifier=Amplifier("second", natural_frequency=1360.0, damping=1590.5),
         seals=(Seal("center", 0.43, 0.43e6, 3.203e6, 2.524e3, -2.554e3, 0.0, 2.04e5, ("k",)),),
         couplings=(Coupling("coupling", 0.0, (0.4e6, 0.42e6)),),
-        assumed=(("seal.center.scales_with_pressure", "k alone, as P5 section 4.1 has it"),),
         controller=PID,
         operation=Operation(tuple(OperatingPoint(0.0, p, label=label) for label, p in points)),
         requirements=Requirements(
