@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import SealTable, Tolerance
+from ambrose.machine.description import SealTable
 from ambrose.machine.file.toml import bundled_machines, load_machine
 
 RIG, K_ONLY = load_machine("seal-rig"), load_machine("seal-rig-k-only")
@@ -17,7 +17,7 @@ def test_the_files_differ_only_in_what_the_pressure_moves():
     changed = {line[2:].split(" = ")[0] for line in difflib.ndiff(one, other) if line[0] in "-+" and not line.startswith("+ #")}
     named = {"name", "description", '"seal coefficients"', '"seal.center.scales_with_pressure"'}
     assert changed == named | {"scales_with_pressure", "parameter"}
-    seal, tolerances = K_ONLY.seals[0], (Tolerance("seal.center.k", relative=1.0),)
+    seal, tolerances = K_ONLY.seals[0], (replace(RIG.tolerances[0], parameter="seal.center.k"),)
     assert seal == replace(RIG.seals[0], scales_with_pressure=("k",))
     heads = {"name": K_ONLY.name, "description": K_ONLY.description, "assumed": K_ONLY.assumed}
     assert replace(RIG, seals=(seal,), tolerances=tolerances, **heads) == K_ONLY

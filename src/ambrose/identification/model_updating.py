@@ -23,7 +23,8 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
     A bearing identified at another bias current than its own gets a row in ``measured``. Tolerances of the same parameters are
     replaced; keep_wider: not a seal's, or its pressure's, that is wider than what was found: it may be the range of
     operation. A seal holds one coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry,
-    as found or as it was, and the tolerance of the coefficient covers both with their uncertainty. origin: where the values are from, added to
+    as found or as it was, and the tolerance of the coefficient covers both with their uncertainty. origin: where the values
+    are from, added to
     ``source``; a delay that was found goes into the controller's settings. Entries of ``assumed`` about a quantity whose every
     value was identified are taken out; a seal's coefficient that does not follow the pressure as others do gets one.
     Raises InvalidInput for what a machine cannot hold (a coefficient from a table or a geometry).
