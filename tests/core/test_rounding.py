@@ -31,8 +31,10 @@ from ambrose.core.response import expm_derivative, impulse_response
 from ambrose.core.sampling import c2d
 from ambrose.core.semidefinite import Inequality, minimise, svec
 from ambrose.core.statespace import StateSpace, feedback, is_stable
+from ambrose.core.worst_case.bounds import gain_bound, proved_gain, proved_margin
+from ambrose.core.worst_case.crossing import box_margin
 from ambrose.core.worst_case.loop import box_loop, unstable_poles
-from ambrose.core.worst_case.search import box_margin, gain_bound, proved_margin, worst_case_gain
+from ambrose.core.worst_case.search import worst_case_gain
 
 OMEGA = np.array([0.0, 0.3, 1.0, 4.0, 30.0])
 BIT = 2.0**-52
@@ -297,11 +299,16 @@ def worst_cases(rng, d):
     blocks = [RealBlock("a"), RealBlock("b")]
     loop = box_loop(system, blocks)
     margin = box_margin(loop)
-    assert proved_margin(loop, margin.factor) <= margin.factor
+    corners = np.array([[1.0, 1.0], [1, -1], [1, 0], [0, 1]])
+    smaller = np.linspace(0.05, 0.98, 8)[:, None, None] * min(margin.factor, 20.0) * np.vstack([corners, -corners])
+    assert not unstable_poles(loop, smaller.reshape(-1, 2)).any()  # a real pole that crosses at zero is not overlooked
+    proof = proved_margin(loop, margin.factor)
+    assert proof.value <= margin.factor and (proof.value > 0 or proof.why)
     values = unstable_poles(loop, np.array([[0.0, 0.0], [0.5, -0.5], [1.0, 1.0]]))
     if margin.factor > 1.2:
         worst = worst_case_gain(system, blocks)
-        assert gain_bound(loop, np.array([worst.frequency]), worst.value) >= worst.value * (1 - 2e-3)
+        assert gain_bound(loop, np.array([worst.frequency]), worst.value) >= worst.value
+        assert proved_gain(loop, worst.value).value >= worst.value
     return {"count": (values + 1.0, 1e-12)}
 
 

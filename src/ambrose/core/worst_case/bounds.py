@@ -33,7 +33,6 @@ class Proved:
     why: str = ""
 
 
-@named_failure("the proved margin of the box")
 def proved_margin(loop: BoxLoop, most: float) -> Proved:
     """A factor by which the box may grow with stability proved for every point of it; 0 when nothing could be proved.
 
@@ -53,7 +52,6 @@ def proved_margin(loop: BoxLoop, most: float) -> Proved:
     return Proved(1 / found.level, found.frequency)
 
 
-@named_failure("the proved gain in the box")
 def proved_gain(loop: BoxLoop, start: float, omega: np.ndarray | None = None) -> Proved:
     """An upper bound of the gain over the whole box and all frequencies; infinite when nothing could be proved.
 

@@ -119,6 +119,7 @@ def _real_crossings(
     values: np.ndarray, omega: np.ndarray, beside: np.ndarray, limit: float, first: int
 ) -> list[tuple[float, int, float]]:
     """(factor, direction, frequency) where an eigenvalue (d, w, n) crosses, or nearly touches, the positive real axis."""
+    values = np.where(np.abs(values.imag) <= _STILL * np.abs(values), values.real, values)  # real but for rounding, as at zero
     a, b = values[:, :-1], values[:, 1:]
     near = np.abs(a[..., :, None] - b[..., None, :]).argmin(axis=-1)
     b = np.take_along_axis(b, near, axis=-1)
