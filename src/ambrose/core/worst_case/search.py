@@ -245,6 +245,8 @@ def peak_at(loop: BoxLoop, delta: np.ndarray, left: float, middle: float, right:
     best, value = middle, _gain(loop, delta, middle)
     for _ in range(8):
         net = np.unique(np.concatenate([np.linspace(left, best, 6), np.linspace(best, right, 6)]))
+        if len(net) < 2:  # no other number between
+            break
         row = gains(loop.at(net), loop, delta[None])[0]
         i = int(row.argmax())
         if row[i] > value:
