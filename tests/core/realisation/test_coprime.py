@@ -73,6 +73,13 @@ def test_double_bezout_identity_with_eight_stable_factors(seed, dt):
         close_to(np.linalg.solve(Vl, Ul), at(K))
 
 
+def test_a_complex_pair_outside_the_unit_circle_is_moved():
+    """Its real part inside the circle: a test of real parts alone, as SciPy 1.14 makes it of a real matrix, leaves it there."""
+    A = 2.5 * np.array([[np.cos(1.3), np.sin(1.3)], [-np.sin(1.3), np.cos(1.3)]])
+    L, _ = injection_gain(A, [[1.0, 0.0]], DT)
+    np.testing.assert_allclose(np.abs(np.linalg.eigvals(A + L @ [[1.0, 0.0]])), 1 / 2.5, rtol=1e-9)
+
+
 def test_the_observer_based_controller_has_the_printed_factors():
     """U = -F (sI - A - B F)^-1 L and M~ = I + C (sI - A - L C)^-1 L, as P1 (13) needs them."""
     G = nominal(plant(0))
