@@ -18,13 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import NumericalFailure, check_positive, invalid, named_failure
+from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, invalid, named_failure
 from ambrose.core.lft import Block
 from ambrose.core.mu.chords import Chords, chords
 from ambrose.core.mu.structure import Structure, osborne, structure_of
 from ambrose.core.mu.upper import UpperBound, positive_definite, upper_bound
 
 _CELLS = 8  # chords per interval
+_FINER = (1, 8, 64)  # how much finer the chords are made before an interval is halved
+_EASY = 0.7  # size of the balanced matrix below which its scalings will do
 _FIRST = 12  # intervals per decade to begin with
 _SPAN = 1e-3, 1e3  # from the slowest pole times this to the fastest times that, then on to zero and infinity
 _ROUND = 400  # intervals tried together
@@ -87,10 +89,15 @@ def proved_level(
 
 
 def proved_below(loop: Any, blocks: Sequence[Block], level: float, max_intervals: int = 6_000) -> bool:
-    """Whether mu(M(j omega)) < level was proved for all frequencies, infinity included; loop: M, continuous and stable."""
+    """Whether mu(M(j omega)) < level was proved for all frequencies, infinity included; loop: M, continuous and stable.
+
+    False where the proof ends in a numerical failure as well: it never takes with it what it was to prove something about.
+    Complex uncertainty, or a block for the performance, must be among the blocks: with real ones alone the scalings grow
+    without bound.
+    """
     try:
         proved_level(loop, blocks, level, highest=level, max_intervals=max_intervals)
-    except (NumericalFailure, np.linalg.LinAlgError):
+    except (NumericalFailure, UnstableSystem, np.linalg.LinAlgError):  # a proof that fails takes no result with it
         return False
     return True
 
@@ -175,31 +182,42 @@ class _Task:
 
     def attempt(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Try the intervals; what remains of them, (low, high)."""
-        steps = np.linspace(0.0, 1.0, _CELLS + 1)
         end = np.isinf(high)
-        upper = np.where(end, low, high)
-        points = low[:, None] + (upper - low)[:, None] * steps
-        points[end, 1:] = np.inf
-        shape = points.shape
-        M = self.model.at(points.ravel()).reshape(*shape, *self.model.D.shape)
-        slack = self.model.distance(low, high, _CELLS)
-        M, slack = (_divided(part, self.skew, self.level) for part in (M, slack))
-        middle = M[:, _CELLS // 2]
-        scalings, holds = _scalings(middle, self.structure)
+        middle = np.where(end, np.inf, 0.5 * (low + np.where(end, low, high)))
+        scalings, holds = _scalings(_divided(self.model.at(middle), self.skew, self.level), self.structure)
         good = np.zeros((len(low), _CELLS), bool)
-        good[holds] = _contained(scalings, holds, M, slack[:, None])
-        stuck = ~holds
-        if stuck.any():
-            at = np.where(end, np.inf, 0.5 * (low + upper))[stuck]
-            self.lift_at(at)
-        return self._rest(low, high, points, good)
+        left = np.flatnonzero(holds)
+        for finer in _FINER:  # what is near the edge with so many chords may be well inside with more
+            part = scalings.part(left)
+            fine = self._contained(part, low[left], high[left], _CELLS * finer)
+            good[left] |= fine.reshape(len(left), _CELLS, finer).all(axis=2)
+            left = left[~good[left].all(axis=1)]
+            if not len(left):
+                break
+        if not holds.all():
+            self.lift_at(middle[~holds])
+        return self._rest(low, high, good)
+
+    def _contained(self, found: UpperBound, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
+        """Which of the equal cells (i, cells) of the intervals the scalings prove."""
+        end = np.isinf(high)
+        points = low[:, None] + (np.where(end, low, high) - low)[:, None] * np.linspace(0.0, 1.0, cells + 1)
+        points[end] = np.inf
+        M = self.model.at(points.ravel()).reshape(*points.shape, *self.model.D.shape)
+        slack = self.model.distance(low, high, cells)
+        return _contained(found, *(_divided(part, self.skew, self.level) for part in (M, slack[:, None])))
 
     def lift_at(self, omega: np.ndarray) -> None:
         """The bound reaches the level at omega: raise it there, and by the room at least."""
-        found, i = least_level(self.model.at(omega), self.structure, self.skew, self.level)
+        M = self.model.at(omega)
+        if self.skew.all():
+            values = upper_bound(M, self.structure, tolerance=_TOLERANCE / 4).value
+            found, i = max(float(values.max()), self.level), int(values.argmax())
+        else:
+            found, i = least_level(M, self.structure, self.skew, self.level)
         self.raised(found * (1 + self.room), float(omega[i]))
 
-    def _rest(self, low: np.ndarray, high: np.ndarray, points: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _rest(self, low: np.ndarray, high: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The parts that are not proved yet: runs of open cells; an interval of which all is open is halved."""
         new_low, new_high = [], []
         for i in np.flatnonzero(~good.all(axis=1)):
@@ -216,30 +234,29 @@ class _Task:
             runs = np.split(cells, np.flatnonzero(np.diff(cells) > 1) + 1)
             if len(cells) == _CELLS:
                 runs = [cells[: _CELLS // 2], cells[_CELLS // 2 :]]
-            new_low += [points[i, run[0]] for run in runs]
-            new_high += [points[i, run[-1] + 1] for run in runs]
+            width = (high[i] - low[i]) / _CELLS
+            new_low += [low[i] + width * run[0] for run in runs]
+            new_high += [low[i] + width * (run[-1] + 1) if run[-1] + 1 < _CELLS else high[i] for run in runs]
         return np.array(new_low), np.array(new_high)
 
 
 def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarray]:
     """Scalings with room at M (i, n_z, n_w), those of the balanced matrix where they suffice, and whether they prove mu < 1."""
     balanced, d_z, d_w = osborne(M, structure)
-    norm = np.linalg.norm(balanced, 2, axis=(1, 2))
+    value = np.linalg.norm(balanced, 2, axis=(1, 2))
     X_w, X_z = (np.einsum("bi,ij->bij", d**2, np.eye(d.shape[1])) + 0j for d in (d_w, d_z))
     G = np.zeros((len(M), structure.n_w, structure.n_z), complex)
-    hard = np.flatnonzero(norm >= 0.7)
-    value = norm.copy()
+    hard = np.flatnonzero(value >= _EASY)
     if len(hard):
         found = upper_bound(M[hard], structure, level=np.ones(len(hard)), max_iterations=60)
         value[hard] = found.value
         X_w[hard], X_z[hard], G[hard] = found.X_w, found.X_z, found.G
     holds = (value < 1) & positive_definite(X_w) & positive_definite(X_z)  # after scaling back
-    return UpperBound(value[holds], X_w[holds], X_z[holds], G[holds], np.zeros((int(holds.sum()), structure.n_w))), holds
+    return UpperBound(value, X_w, X_z, G, np.zeros((len(M), structure.n_w))), holds
 
 
-def _contained(found: UpperBound, holds: np.ndarray, M: np.ndarray, slack: np.ndarray) -> np.ndarray:
-    """Which cells (i, c) the scalings prove, for vertices M (all, c + 1, n_z, n_w) and distances from the chords ``slack``."""
-    M, slack = M[holds], slack[holds]
+def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarray:
+    """Which cells (i, c) the scalings prove, for vertices M (i, c + 1, n_z, n_w) and distances from the chords ``slack``."""
     L_w, L_z = np.linalg.cholesky(found.X_w), np.linalg.cholesky(found.X_z)
     right, left = np.linalg.inv(L_w).conj().swapaxes(1, 2)[:, None], L_z.conj().swapaxes(1, 2)[:, None]
     N = left @ M @ right
@@ -248,12 +265,11 @@ def _contained(found: UpperBound, holds: np.ndarray, M: np.ndarray, slack: np.nd
     gap = np.linalg.norm(G, 2, axis=(1, 2))[:, None] ** 2
     cross = 1j * G[:, None] @ N
     Phi = N.conj().swapaxes(2, 3) @ N + cross + cross.conj().swapaxes(2, 3)
-    values = np.linalg.eigvalsh(Phi)[..., -1]
-    size = np.linalg.norm(shifted, 2, axis=(2, 3))
-    rounding = 1e-13 * (size**2 + gap)
     wide = ~np.isfinite(slack).all(axis=(2, 3))
-    reach = np.linalg.norm(np.abs(left) @ np.where(wide[..., None, None], 0.0, slack) @ np.abs(right), axis=(2, 3))
-    reach[wide] = np.inf
-    size = np.maximum(size[:, :-1], size[:, 1:])
-    edge = np.maximum(values[:, :-1] + rounding[:, :-1], values[:, 1:] + rounding[:, 1:])
-    return np.asarray(edge + 2 * size * reach + reach**2 < 1)
+    moved = np.abs(left) @ np.where(wide[..., None, None], 0.0, slack) @ np.abs(right)
+    # Phi moves by (N - j G^H)^H F + its conjugate + F^H F for every F that is no larger than ``moved``, entry by entry
+    reach = 2 * np.linalg.norm(np.abs(shifted).swapaxes(2, 3) @ moved, axis=(2, 3)) + np.linalg.norm(moved, axis=(2, 3)) ** 2
+    size = np.linalg.norm(shifted, axis=(2, 3)) ** 2 + gap
+    edge = np.linalg.eigvalsh(Phi)[..., -1] + reach + 1e-13 * size
+    edge[np.broadcast_to(wide, edge.shape)] = np.inf
+    return np.asarray(np.maximum(edge[:, :-1], edge[:, 1:]) < 1)

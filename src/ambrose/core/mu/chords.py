@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import NumericalFailure, invalid
+from ambrose.core.checks import NumericalFailure, UnstableSystem, invalid
 from ambrose.core.realisation.modal_form import ModalForm, modal_form
 from ambrose.core.statespace import StateSpace, as_statespace
 
@@ -72,8 +72,8 @@ class Chords:
         return values
 
     def distance(self, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
-        """Bound (c, n_z, n_w) on the entries of |M - chord| over each interval [low, high] (c,) [rad/s], cut into equal ``cells``
-        with a chord each; of |M - D| where high is infinite. Infinite where an interval is too wide for its clusters."""
+        """Bound (c, n_z, n_w) on the entries of |M - chord| over each interval [low, high] (c,) [rad/s], cut into ``cells`` of
+        one width with a chord each; of |M - D| where high is infinite. Infinite where one is too wide for its clusters."""
         bound = np.empty((len(low), *self.D.shape))
         end = np.isinf(high)
         bound[end] = self._tail(low[end])
@@ -103,7 +103,7 @@ class Chords:
 
 
 def _cluster(A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, half: np.ndarray, power: int) -> np.ndarray:
-    """Bound on |C R^power B| within ``half`` of ``middle``, the smaller one of two coordinates: as they are, and eigenvectors'."""
+    """Bound on |C R^power B| within ``half`` of ``middle``: the smaller one of the coordinates given and of eigenvectors."""
     bound = _neumann(A, B, C, middle, half, power)
     V = np.linalg.eig(A)[1]
     if np.linalg.cond(V) < _CONDITION:
@@ -125,11 +125,13 @@ def _neumann(A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, ha
 
 
 def chords(system: Any) -> Chords:
-    """The chords of a stable continuous system. Raises InvalidInput for another one."""
+    """The chords of a stable continuous system. Raises InvalidInput for a sampled one, UnstableSystem."""
     system = as_statespace(system)
+    if system.dt is not None:
+        raise invalid("the system", repr(system), "continuous", "give the one that it was sampled from")
     found = _separated(system)
-    if system.dt is not None or not (found.every_pole.real < 0).all():
-        raise invalid("the system", repr(system), "continuous and stable", "close the loop first")
+    if not (found.every_pole.real < 0).all():
+        raise UnstableSystem(f"a pole has real part {found.every_pole.real.max():.4g} rad/s; close the loop stably first")
     return found
 
 

@@ -41,6 +41,10 @@ class UpperBound:
     G: np.ndarray
     worst: np.ndarray
 
+    def part(self, members: np.ndarray) -> UpperBound:
+        """The same for some members of the batch."""
+        return UpperBound(self.value[members], self.X_w[members], self.X_z[members], self.G[members], self.worst[members])
+
 
 def positive_definite(F: np.ndarray) -> np.ndarray:
     """Which members of the Hermitian batch F (b, n, n) are positive definite, (b,) bool."""

@@ -18,6 +18,7 @@ from ambrose.core.mu.structure import osborne, structure_of
 from ambrose.core.worst_case.loop import BoxLoop, corners, default_grid
 
 LARGEST_BOX = 20.0  # in boxes
+_ANGLES = 25  # frequencies beside every lightly damped pole
 _CHUNK = 60_000  # matrices whose eigenvalues are computed at once
 _DIRECTIONS = 40  # at random, per parameter beyond the first
 _FEW_CORNERS = 5  # parameters up to which all corners are directions
@@ -44,9 +45,10 @@ class BoxMargin:
 def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> BoxMargin:
     """The smallest destabilising perturbation found, up to 20 times the box. also (d, k): more directions to try."""
     rng = np.random.default_rng(seed)
-    grid = np.concatenate([[0.0], default_grid(loop, 40)])
+    grid = _grid(loop)
     n = len(loop.owner)
     M = loop.at(grid)[:, :n, :n]
+    M[0] = M[0].real  # at rest, exactly: its real eigenvalues are crossings, of poles at zero
     reach = np.linalg.norm(osborne(M, structure_of(loop.blocks))[0], 2, axis=(1, 2))  # no crossing below 1 / reach there
     directions = _main_directions(loop.parameters, rng)
     if also is not None:
@@ -69,6 +71,14 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
         found = [landed for start in starts if (landed := _followed(loop, start)) and landed.factor <= LARGEST_BOX]
         best = min([best, *found], key=lambda item: item.factor)
     return best
+
+
+def _grid(loop: BoxLoop) -> np.ndarray:
+    """Frequencies (w,) [rad/s] between which the eigenvalues turn by a few degrees: equal angles as seen from each pole."""
+    turned = np.tan(np.linspace(-1.5, 1.5, _ANGLES))
+    light = loop.poles[(loop.poles.imag > 0) & (-loop.poles.real < 0.3 * np.abs(loop.poles))]
+    beside = (light.imag[:, None] - light.real[:, None] * turned).ravel()
+    return np.unique(np.concatenate([[0.0], default_grid(loop, 40), beside[beside > 0]]))
 
 
 def _main_directions(parameters: int, rng: np.random.Generator) -> np.ndarray:
@@ -149,6 +159,7 @@ def _eigenvalue(loop: BoxLoop, v: np.ndarray, omega: float, near: complex) -> _E
     at, n = np.array([omega]), len(loop.owner)
     M, slope = loop.model.at(at)[0, :n, :n], loop.model.slope(at)[0, :n, :n]
     wide = v[loop.owner]
+    M = M if omega > 0 else M.real
     values, X = np.linalg.eig(M * wide)
     i = int(np.abs(values - near).argmin())
     try:
