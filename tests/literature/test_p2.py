@@ -72,7 +72,7 @@ def test_P2_2_negative_stiffness_over_bias(p2, campaign, bias):
 
 
 def test_P2_2_scatter_does_not_grow_with_bias(p2, campaign):
-    """Printed RSD of K_s: 2.3 to 7.7 % at 10 A, 1.4 to 4 times that of 6 A. Sensor noise alone makes below 0.6 %, everywhere."""
+    """Printed RSD of K_s: 2.3 to 7.7 % at 10 A, 1.4 to 4 times that of 6 A. Sensor noise alone: below 0.6 %, everywhere."""
     scatter = {bias: campaign(bias).dynamic.predicted[4:8] / campaign(bias).dynamic.mean[4:8] for bias in (6.0, 8.0, 10.0)}
     for bias, values in scatter.items():
         assert (values < 0.006).all() and (100 * values < 0.6 * np.array(p2.PRINTED_RSD[bias])).all()

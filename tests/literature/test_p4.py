@@ -44,8 +44,8 @@ def sines(p4):
 
 
 def test_P4_1_the_model_follows_the_chirp(swept):
-    """Printed: to about 100 Hz, by eye. Identified from the same rig, the model follows; to where depends on the tolerance: with
-    the thesis' eight rigid states 98 Hz at 2 %, but beyond 140 Hz at 5 %, and with bending modes at 2 %."""
+    """Printed: to about 100 Hz, by eye. Identified from the same rig, the model follows; to where depends on the tolerance:
+    with the thesis' eight rigid states 98 Hz at 2 %, but beyond 140 Hz at 5 %, and with bending modes at 2 %."""
     for item in swept:
         limit, rigid = item.limits["identified"], item.limits["identified, 8 rigid states"]
         assert limit[0.02] > 135

@@ -51,8 +51,8 @@ def test_P5_1_impulse_responses_are_matched(pulses):
 
 
 def test_P5_2_cross_coupled_stiffness_rises_linearly(p4, pulses):
-    """Printed: k follows its line closely; the uncertainty of damping is large against its size. The line is the rig's own (k, C,
-    c in proportion to the pressure): what comes out was put in, save how certain each coefficient is."""
+    """Printed: k follows its line closely; the uncertainty of damping is large against its size. The line is the rig's own (k,
+    C, c in proportion to the pressure): what comes out was put in, save how certain each coefficient is."""
     for i, letter in enumerate("KkCc"):
         line = pulses.lines[letter]
         assert abs(line.at(p4.NOMINAL) - p4.truth(p4.NOMINAL)[i]) < line.prediction(p4.NOMINAL, 0.99)

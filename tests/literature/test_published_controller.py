@@ -95,7 +95,10 @@ def _figures(abscissa, S, compliance):
 def rig(follow=("k",)):
     """The bundled rig with the coefficients that follow the pressure: k alone (P5 section 4.1), or k, C and c (section 5.2)."""
     machine = load_machine("seal-rig")
-    return replace(machine, seals=(replace(machine.seals[0], scales_with_pressure=follow),))
+    seal = replace(machine.seals[0], scales_with_pressure=follow)
+    reason = ("seal.center.scales_with_pressure", "P5 section 4.1 varies k alone")
+    tolerances = (Tolerance("seal.center.k", relative=1.0),)
+    return replace(machine, seals=(seal,), tolerances=tolerances, assumed=(*machine.assumed, reason))
 
 
 @cache
