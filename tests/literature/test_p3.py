@@ -66,6 +66,8 @@ def test_P3_2_nominal_design_fails_in_the_box_and_mu_does_not(p3, found, sensiti
     assert (robust.unstable == 0).all()
     assert robust.worst <= robust.bound < 10 ** (9.5 / 20)
     assert robust.input.max() < 10 ** (9.5 / 20)
+    assert nominal.axis[0] < 3 and robust.axis.max() == pytest.approx(1.88, abs=0.03)  # the same per axis, as in P3.8
+    assert nominal.axis[nominal.unstable == 0].max() > 10 ** (10 / 20)
     assert p3.unstable_corners(found.full, found.mu) == 0
     assert p3.unstable_corners(found.full, found.hinf) >= 10
 
@@ -77,11 +79,13 @@ def test_P3_2_no_spillover(found):
 
 
 def test_P3_3_control_sensitivity_within_its_weight(sensitivities):
+    """Printed: both within the limits over +-40 %. mu is; H-infinity at nominal parameters only."""
     robust = sensitivities["mu"]
     assert robust.over_limit < 1
     assert (
         sensitivities["hinf"].control[0] <= sensitivities["hinf"].limit
     ).all()  # nominal; near instability its members are not
+    assert sensitivities["hinf"].over_limit > 1.2
     assert robust.bandwidth < 2 * np.pi * 1400
 
 
@@ -94,7 +98,8 @@ def test_P3_4_consistent_families_with_mu_only(families):
 
 
 def test_P3_5_worst_case_unbalance(p3, found):
-    """Below 4 um on the plant of 140 Hz, with G2.5 at the rated speed; at its peak the bound is 0.2 % above the search."""
+    """Printed: within 4 um. On the plant of 140 Hz so it is with G2.5 at the rated speed (at its peak the bound is 0.2 % above
+    the search); with G2.5 at 300 Hz it is 7.0, at each speed 12.2 um."""
     frozen, along = p3.unbalance(found, found.mu, 15)
     k = int(np.argmax(frozen.bound))
     assert frozen.found[k] <= frozen.bound[k] < 4.02e-6
@@ -102,6 +107,12 @@ def test_P3_5_worst_case_unbalance(p3, found):
     assert frozen.bound[k] < 1.003 * frozen.found[k]
     assert frozen.found.max() > 1.2 * frozen.nominal.max()
     assert along.bound.max() < found.machine.requirements.unbalance_orbit  # 10 um is demanded
+    um = {name: value for name, (value, _) in p3.readings(frozen, p3.RATED).items()}
+    assert um == {
+        name: pytest.approx(x, rel=0.01) for name, x in (("rated speed", 4.0), ("300 Hz", 7.0), ("each speed", 12.23))
+    }
+    um = {name: value for name, (value, _) in p3.readings(along, p3.RATED).items()}
+    assert um["300 Hz"] > 10 < um["each speed"]  # with rotor and seal of each speed the demand holds in the first reading only
 
 
 def test_P3_6_currents_and_settling(families):

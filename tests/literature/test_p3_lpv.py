@@ -32,15 +32,16 @@ def study():
     return plant, design_over_speed(plant, HZ * np.linspace(20, 300, 5)), design(plant, "mu")
 
 
+def run_up(study, scenario):
+    plant, lpv, mu = study
+    signals = [f"y_{axis}" for axis in plant.axes]
+    laws = {"lpv": lpv.scheduled, "mu": mu.controller}
+    return {name: steps(spin_up(plant, law, scenario), scenario, signals) for name, law in laws.items()}
+
+
 @pytest.fixture(scope="module")
 def windows(study):
-    plant, lpv, mu = study
-    scenario = load_scenario("spin-up-steps")
-    signals = [f"y_{axis}" for axis in plant.axes]
-    return {
-        "lpv": steps(spin_up(plant, lpv.scheduled, scenario), scenario, signals),
-        "mu": steps(spin_up(plant, mu.controller, scenario), scenario, signals),
-    }
+    return run_up(study, load_scenario("spin-up-steps"))
 
 
 def test_gamma_close_to_the_largest_pointwise_value_and_guaranteed_between(study):
@@ -67,6 +68,22 @@ def test_mu_is_slower_at_both_ends_and_rings_at_the_low_one(windows):
     assert windows["mu"][-1].crossings == windows["lpv"][-1].crossings
 
 
+def test_each_step_alone_says_the_same(study):
+    """P3.7 read otherwise: in the bundled scenario the force drops as the output step rises, here no two steps fall together.
+
+    LPV settles within 20 ms in every window; mu does not settle to 2 um of output at 34 Hz within its 50 ms, and is slower at
+    the other end for both kinds of step, without ringing there."""
+    bundled = load_scenario("spin-up-steps")
+    pulses = tuple(replace(p, duration=2 * p.duration, every=2 * p.every) for p in bundled.pulses)
+    found = run_up(study, replace(bundled, pulses=pulses))
+    assert max(step.settling for step in found["lpv"]) < 0.02
+    assert found["mu"][0].settling > 0.04 and found["mu"][1].settling > 0.04
+    for k in (18, 19):  # a force step and an output step near 280 Hz
+        assert found["mu"][k].settling > 1.05 * found["lpv"][k].settling
+        assert found["mu"][k].crossings <= 1
+    assert found["mu"][1].peak < 2.5e-6  # the output step alone: no 100 N in its window
+
+
 def test_nonlinear_rig_agrees_with_the_linear_sweep(study, windows):
     plant, lpv, _ = study
     scenario = load_scenario("spin-up-steps")
@@ -78,11 +95,16 @@ def test_nonlinear_rig_agrees_with_the_linear_sweep(study, windows):
         assert rig.peak == pytest.approx(linear.peak, rel=0.2)  # one sample of delay and the sampled controller add 10 %
 
 
-def test_mu_keeps_the_iso_limit_over_the_whole_range(study):
-    """P3.8, first half, per axis as ISO 14839-3 measures: zone A, below 3 (9.5 dB), at every speed."""
+def test_mu_keeps_the_iso_limit_per_axis_and_not_as_a_singular_value(study):
+    """P3.8, first half: per axis, as ISO 14839-3 measures, zone A (below 3, 9.5 dB) at every speed; sigma_max(S_o), in which
+    P3.2 is judged, is above 3 at 20 and 25 Hz."""
     plant, _, mu = study
-    for hz in (20, 80, 140, 300):
-        assert _axis_peak(plant, mu.controller, hz) < 3
+    largest = {
+        hz: float(np.linalg.norm(_sensitivity(plant, mu.controller, hz)[1], 2, axis=(1, 2)).max()) for hz in (20, 25, 30)
+    }
+    assert largest == {20: pytest.approx(4.12, abs=0.05), 25: pytest.approx(3.49, abs=0.05), 30: pytest.approx(2.94, abs=0.05)}
+    axis = {hz: _axis_peak(plant, mu.controller, hz) for hz in (20, 80, 140, 300)}
+    assert max(axis.values()) == axis[300] == pytest.approx(1.96, abs=0.03)
 
 
 def test_peak_and_crossover_of_mu_against_lpv(study):
