@@ -158,7 +158,7 @@ def test_P5_4_direct_gains_alike_cross_gains_not(three):
 
 
 def test_P5_6_compliance_peaks(three):
-    """Printed: largest H-infinity peak about 50 Hz at low pressure; a 2 Hz peak of both at low pressure does not come out."""
+    """Printed: largest H-infinity peak about 50 Hz at low pressure. The low-frequency peaks are in test_p5.py."""
     found, *_ = three
     peaks = {
         (m, label): (c["compliance.max"].value, c["compliance.max"].detail)
@@ -172,9 +172,6 @@ def test_P5_6_compliance_peaks(three):
     assert max(hinf_peaks, key=hinf_peaks.get) == "zero pressure"
     curve = found["hinf"][1]["zero pressure"].curve("compliance")
     assert curve.x[np.argmax(curve.y[0])] / HZ == pytest.approx(50, rel=0.2)
-    near_2_hz = np.abs(curve.x / HZ - 2) < 1
-    print(f"\nP5.6: at 1 to 3 Hz and low pressure {curve.y[0][near_2_hz].max() * 1e6:.3g} um/N, no peak")
-    assert curve.y[0][near_2_hz].max() < 0.6 * curve.y[0].max()
 
 
 def test_P5_7_orbits_of_the_robust_controllers(three):
