@@ -67,7 +67,6 @@ def rig(coupling: bool = True, leak: float = 0.0, noise: float = 0.2e-6) -> Mach
         sensors=tuple(replace(item, noise=noise) for item in machine.sensors),
         bearings=tuple(replace(item, cross_coupling=leak) for item in machine.bearings),
         couplings=machine.couplings if coupling else (),
-        tolerances=(),
     )
 
 
