@@ -184,7 +184,6 @@ QUICK = {
 }
 SLOW = {
     "study": lambda: study("seal-rig"),
-    "study_k_only": lambda: study("seal-rig-k-only"),
     "study_turboexpander": lambda: study("turboexpander"),
     "sampled": sampled_designs,
     "lowering": lowering,
