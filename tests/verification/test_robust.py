@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty, lft
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select, spectral_abscissa, static_gain
+from ambrose.core.worst_case import bounds
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
@@ -125,7 +126,37 @@ def test_pid_is_reported_unstable_in_the_range(rig_plants, rig_controller):
         assert (spectral_abscissa(loop) < 0) is stable
     labels = found.curve("robust.sensitivity").labels
     assert f"{K} +1" not in labels and f"{K} -1" in labels
-    assert any("not proved" in note for note in found.notes)
+    proved = found["robust.stability.proved"]  # on the full model, all of whose modes are in it
+    assert 0.9 * margin.value < proved.value < margin.value
+    assert f"{closed_loop(rig_plants['nominal'], rig_controller).n_states} states" in proved.detail
+
+
+def test_titles_say_how_each_number_was_come_by(over_the_range):
+    how = {"margin": "found by search", "proved": "proved at all frequencies"}
+    for name, words in how.items():
+        assert words in over_the_range[f"robust.stability.{name}"].title
+    assert "found by search" in over_the_range["robust.sensitivity.worst"].title
+    assert "proved at all frequencies" in over_the_range["robust.sensitivity.bound"].title
+    assert "on a frequency grid" in over_the_range["robust.performance"].title
+
+
+@pytest.mark.parametrize("failure", [NumericalFailure("it overflows"), np.linalg.LinAlgError("singular pencil")])
+def test_a_proof_that_fails_takes_no_result_with_it(rigid, robust_controller, monkeypatch, failure):
+    """What the searches found stays; the proof says why there is none, and the bound falls back on a grid and says so."""
+
+    def fail(*arguments, **options):
+        raise failure
+
+    monkeypatch.setattr(bounds, "proved_level", fail)
+    found = robust.check(rigid, robust_controller, SEAL)
+    assert found["robust.stability.proved"].value == 0
+    assert f"not proved: {failure}" in found["robust.stability.proved"].detail
+    assert "on a frequency grid" in found["robust.sensitivity.bound"].title
+    assert found["robust.sensitivity.bound"].value >= found["robust.sensitivity.worst"].value > 1
+    assert found["robust.stability.margin"].value > 1
+    monkeypatch.setattr(bounds, "least_level", fail)
+    found = robust.check(rigid, robust_controller, SEAL)
+    assert np.isinf(found["robust.sensitivity.bound"].value) and "not available" in found["robust.sensitivity.bound"].title
 
 
 def test_two_parameters(rigid, robust_controller):

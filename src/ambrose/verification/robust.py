@@ -31,7 +31,7 @@ from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.statespace import StateSpace, is_stable, select, spectral_abscissa, static_gain
-from ambrose.core.worst_case.bounds import gain_bound, proved_gain, proved_margin
+from ambrose.core.worst_case.bounds import FAILURES, gain_bound, proved_gain, proved_margin
 from ambrose.core.worst_case.crossing import BoxMargin, box_margin
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, default_grid, gains, samples, unstable_poles
 from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
@@ -98,9 +98,9 @@ def check(
         notes.append("The loop is unstable somewhere in the box: the worst-case gains are infinite.")
     if weights is not None:
         tell("robust performance", 0.7)
-        found, curve = _performance(design_plant(plant, weights, tolerances), controller, grid)
+        found, more_curves = _performance(design_plant(plant, weights, tolerances), controller, grid)
         checks.append(found)
-        curves.append(curve)
+        curves += more_curves
     tell("done", 1.0)
     return Checks(label, True, tuple(checks), tuple(curves), tuple(notes), _points(output, worst))
 
@@ -317,7 +317,11 @@ def _worst_and_bound(loop: BoxLoop, grid: np.ndarray) -> tuple[BoxGain, Check]:
     how, value, reason = "proved at all frequencies", bound.value, ""
     if bound.why:
         net = np.unique(np.concatenate([grid[:: max(1, len(grid) // _BOUND_POINTS)], near]))
-        how, value, reason = "on a frequency grid", gain_bound(loop, net, worst.value), f"; not proved: {bound.why}"
+        how, reason = "on a frequency grid", f"; not proved: {bound.why}"
+        try:
+            value = gain_bound(loop, net, worst.value)
+        except FAILURES as error:
+            how, reason = "not available", f": {error}"
     detail = f"{value / worst.value - 1:.2%} above what was found" if np.isfinite(value) else "it does not exclude instability"
     title = f"Upper bound of the worst-case output sensitivity, {how}"
     return worst, information("robust.sensitivity.bound", title, value, "-", detail + reason)
@@ -351,18 +355,20 @@ def _family(
     return Curve(name, title, "frequency", grid, np.vstack(rows), labels, "rad/s", "-", limits)
 
 
-def _performance(problem: GeneralizedPlant, controller: StateSpace, grid: np.ndarray) -> tuple[Check, Curve]:
+def _performance(problem: GeneralizedPlant, controller: StateSpace, grid: np.ndarray) -> tuple[Check, list[Curve]]:
+    title = "Mixed mu of the weighted loop, on a frequency grid"
     whole = with_performance_block(problem)
     closed = lft(whole, controller)
     form = schur_form(closed.A, closed.B, closed.C, closed.D)
     start = grid[:: max(1, len(grid) // 120)]
-    peak = mu_peak(lambda omega: evaluate(form, 1j * omega), whole.blocks, start, tolerance=1e-3, max_points=600)
+    try:
+        peak = mu_peak(lambda omega: evaluate(form, 1j * omega), whole.blocks, start, tolerance=1e-3, max_points=600)
+    except FAILURES as error:
+        return information("robust.performance", title, float("inf"), "-", f"not available: {error}"), []
     holds = "performance holds all over the box" if peak.upper < 1 else f"it holds for {1 / peak.upper:.3g} of box and weights"
     detail = f"lower bound {peak.lower:.4g}, {peak.frequency / TWO_PI:.4g} Hz; {holds}"
     curve = Curve(
         "robust.mu", "Structured singular value of the weighted loop", "frequency", peak.omega, peak.values[None],
         ("upper bound",), "rad/s", "-", (("robust performance", 1.0),),
     )  # fmt: skip
-    return information(
-        "robust.performance", "Mixed mu of the weighted loop, on a frequency grid", peak.upper, "-", detail
-    ), curve
+    return information("robust.performance", title, peak.upper, "-", detail), [curve]

@@ -59,7 +59,7 @@ class Chords:
     def _sum(self, omega: np.ndarray, power: int) -> np.ndarray:
         """The sum of R_k / (j omega - p_k)^power."""
         values = np.empty((len(omega), *self.D.shape), complex)
-        flat = self.residues.reshape(len(self.poles), -1)
+        flat = self.residues.reshape(len(self.poles), self.D.size)
         step = max(1, _CHUNK // max(1, len(self.poles)))
         for start in range(0, len(omega), step):
             part = omega[start : start + step]
@@ -82,7 +82,7 @@ class Chords:
         beside = np.maximum(np.abs(middle[:, None] - self.poles.imag) - half[:, None], 0.0)
         near = np.hypot(self.poles.real, beside)
         last = _TERMS + 3
-        rest = (near**-last @ np.abs(self.residues).reshape(len(self.poles), -1)).reshape(len(low), *self.D.shape)
+        rest = (near**-last @ np.abs(self.residues).reshape(len(self.poles), self.D.size)).reshape(len(low), *self.D.shape)
         for A, B, C in self.clusters:
             rest = rest + _cluster(A, B, C, middle, half, last)
         bend = (_TERMS + 1) * (_TERMS + 2) * half[:, None, None] ** _TERMS * rest
@@ -94,7 +94,7 @@ class Chords:
     def _tail(self, low: np.ndarray) -> np.ndarray:
         """Bound (c, n_z, n_w) on |M - D| above each frequency low (c,) [rad/s]."""
         near = np.hypot(self.poles.real, np.maximum(low[:, None] - np.abs(self.poles.imag), 0.0))
-        bound = (1 / near @ np.abs(self.residues).reshape(len(self.poles), -1)).reshape(len(low), *self.D.shape)
+        bound = (1 / near @ np.abs(self.residues).reshape(len(self.poles), self.D.size)).reshape(len(low), *self.D.shape)
         for A, B, C in self.clusters:
             beyond = np.maximum(low - np.linalg.norm(A, 2), 0.0)[:, None, None]
             outside = np.linalg.norm(C, axis=1)[:, None] * np.linalg.norm(B, axis=0)

@@ -17,6 +17,7 @@ from ambrose.core.mu.structure import structure_of
 from ambrose.core.worst_case.crossing import LARGEST_BOX
 from ambrose.core.worst_case.loop import BoxLoop
 
+FAILURES = (AmbroseError, ArithmeticError, np.linalg.LinAlgError)  # of a proof: they never take a result with them
 COMPLEX_PART = 0.01  # of each parameter, in the proof of stability
 _CLOSE = 0.99  # of the factor found, at which the proof begins
 _ROOM = 3e-3  # of a level above the bound at one frequency; the nearer, the shorter the intervals
@@ -47,7 +48,7 @@ def proved_margin(loop: BoxLoop, most: float) -> Proved:
     start = 1 / (_CLOSE * min(most, LARGEST_BOX))
     try:
         found = proved_level(both, blocks, start, room=_ROOM, highest=start / _LEAST_FACTOR)
-    except (AmbroseError, np.linalg.LinAlgError) as error:
+    except FAILURES as error:
         return Proved(0.0, why=str(error))
     return Proved(1 / found.level, found.frequency)
 
@@ -62,7 +63,7 @@ def proved_gain(loop: BoxLoop, start: float, omega: np.ndarray | None = None) ->
     blocks, skew = _with_gain(loop)
     try:
         found = proved_level(loop.model, blocks, start * (1 + _ROOM), skew=skew, room=_ROOM, omega=omega)
-    except (AmbroseError, np.linalg.LinAlgError) as error:
+    except FAILURES as error:
         return Proved(float("inf"), why=str(error))
     return Proved(found.level, found.frequency)
 

@@ -206,7 +206,7 @@ def _entry(checks: Checks | None, name: str, *, detailed: bool = False) -> _Entr
     if check is None:
         return _Entry(None, "not evaluated")
     words = [f"zone\u00a0{check.zone}"] if check.zone and math.isfinite(check.value) else []
-    return _Entry(check, ", ".join(words + ([place(check).removesuffix(", by search")] if detailed else [])))
+    return _Entry(check, ", ".join(words + ([place(check)] if detailed else [])))
 
 
 def _worst(candidate: Candidate, points: Sequence[str], name: str, better: Better) -> _Entry:

@@ -1,0 +1,113 @@
+"""Chords of a response and levels of mu proved at all frequencies, against dense evaluation, norms and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
+from ambrose.core.frequency import frequency_response
+from ambrose.core.lft import ComplexBlock, FullBlock, RealBlock
+from ambrose.core.mu import all_frequencies
+from ambrose.core.mu.all_frequencies import proved_below, proved_level
+from ambrose.core.mu.bounds import mu_peak
+from ambrose.core.mu.chords import chords
+from ambrose.core.norms import hinf_norm
+from ambrose.core.statespace import StateSpace, append
+
+
+def random_system(seed: int, states: int = 6, ports: int = 3) -> StateSpace:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(states, states))
+    A -= (np.linalg.eigvals(A).real.max() + 10 ** rng.uniform(-3, -0.3)) * np.eye(states)
+    return StateSpace(
+        A, rng.normal(size=(states, ports)), rng.normal(size=(ports, states)), 0.2 * rng.normal(size=(ports, ports))
+    )
+
+
+def filter_chain(order: int) -> StateSpace:
+    """1/(s + 1)^order: one pole without a second eigenvector."""
+    A = -np.eye(order) + np.eye(order, k=-1)
+    return StateSpace(A, np.eye(order)[:, :1], np.eye(order)[-1:], [[0.0]], ["in"], ["out"])
+
+
+SYSTEMS = [*(random_system(seed) for seed in range(6)), filter_chain(5), append(filter_chain(3), random_system(9, 4, 2))]
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_nothing_lies_farther_from_a_chord_than_its_bound(system):
+    model, cells = chords(system), 4
+    ends = np.concatenate([[0.0], np.geomspace(1e-3, 1e2, 120)])
+    bound = model.distance(ends[:-1], ends[1:], cells)
+    used = 0
+    for low, high, most in zip(ends[:-1], ends[1:], bound, strict=True):
+        points = np.linspace(low, high, cells * 8 + 1)
+        M = frequency_response(system, points).values
+        share = np.linspace(0, 1, 9)[:, None, None]
+        for i in range(cells):
+            part = M[8 * i : 8 * i + 9]
+            apart = np.abs(part - (1 - share) * part[0] - share * part[-1]).max(axis=0)
+            assert (apart <= most * (1 + 1e-6) + 1e-9 * np.abs(M).max()).all()
+            used = max(used, float((apart / np.maximum(most, 1e-300))[apart > 1e-6].max(initial=0.0)))
+    assert used > 0.9  # and the bound is no larger than it must be
+    for low in (1.0, 30.0, 1e3):
+        beyond = frequency_response(system, low * np.geomspace(1, 100, 50)).values - system.D
+        assert (np.abs(beyond).max(axis=0) <= model.distance(np.array([low]), np.array([np.inf]), cells)[0] + 1e-12).all()
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_values_and_slopes(system):
+    model, omega = chords(system), np.geomspace(1e-2, 1e2, 40)
+    M = frequency_response(system, omega).values
+    np.testing.assert_allclose(model.at(omega), M, atol=1e-9 * np.abs(M).max())
+    np.testing.assert_allclose(model.at(np.array([np.inf]))[0], system.D)
+    slope = (model.at(omega * (1 + 1e-6)) - model.at(omega * (1 - 1e-6))) / (2e-6 * omega[:, None, None])
+    np.testing.assert_allclose(model.slope(omega), slope, atol=1e-5 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_full_block_gives_the_norm(seed):
+    """mu of one full block is the largest singular value: its level at all frequencies is the H-infinity norm."""
+    system = random_system(seed)
+    norm = hinf_norm(system).value
+    found = proved_level(system, [FullBlock("all", 3, 3)], 0.5 * norm, room=1e-3)
+    assert norm < found.level < 1.003 * norm
+    assert not proved_below(system, [FullBlock("all", 3, 3)], 0.999 * norm)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_level_is_below_mu_anywhere(seed):
+    blocks = [RealBlock("r"), ComplexBlock("c"), FullBlock("f", 1, 1)]
+    system = random_system(seed)
+    peak = mu_peak(system, blocks, np.geomspace(1e-2, 1e2, 150))
+    found = proved_level(system, blocks, 0.5 * peak.lower)
+    assert peak.lower < found.level < 1.01 * peak.upper
+    assert not proved_below(system, blocks, 0.99 * peak.lower)
+
+
+def test_a_peak_far_narrower_than_any_grid():
+    """Damping 1e-6: the peak is 1/(2 zeta), and a level that only forgets the peak is refused."""
+    zeta = 1e-6
+    system = StateSpace([[0, 1], [-1, -2 * zeta]], [[0], [1]], [[1, 0]], [[0]])
+    assert not proved_below(system, [ComplexBlock("c")], 0.4 / zeta)
+    assert proved_below(system, [ComplexBlock("c")], 0.51 / zeta)
+
+
+def test_refusals(monkeypatch):
+    with pytest.raises(UnstableSystem, match="real part"):
+        chords(StateSpace([[1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    with pytest.raises(InvalidInput, match="continuous"):
+        chords(StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1))
+    system = random_system(0)
+    with pytest.raises(InvalidInput, match="shape of M"):
+        proved_level(system, [FullBlock("f", 2, 2)], 1.0)
+    with pytest.raises(NumericalFailure, match="not proved below"):
+        proved_level(system, [FullBlock("f", 3, 3)], 1e-3, highest=2e-3)
+    with pytest.raises(NumericalFailure, match="did not suffice"):
+        proved_level(system, [FullBlock("f", 3, 3)], 100 * hinf_norm(system).value, max_intervals=2)
+
+    def singular(*arguments, **options):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(all_frequencies, "osborne", singular)
+    assert proved_below(system, [FullBlock("f", 3, 3)], 1e3) is False
