@@ -10,6 +10,7 @@ from scipy.optimize import rosen, rosen_der
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
+from ambrose.core.mu import all_frequencies
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, spectral_abscissa
 from ambrose.synthesis.fixed_order.cost import Cost, block_form
@@ -192,6 +193,17 @@ def test_a_judge_decides_between_the_rounds(plant, start):
     assert len(seen) == 3
     assert result.controller is seen[1]
     assert result.certificate.stable
+
+
+def test_a_proof_that_fails_does_not_take_the_controller_with_it(plant, start, monkeypatch):
+    def singular(*arguments, **options):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(all_frequencies, "upper_bound", singular)
+    monkeypatch.setattr(all_frequencies, "osborne", singular)
+    result = polish_synthesis(plant, start, order=14, iterations=10, rounds=1)
+    assert np.isinf(result.certificate.margins["proved_norm"])
+    assert result.controller.n_states <= 14 and np.isfinite(result.gamma)
 
 
 def test_interruption_and_time_limit(plant, start):

@@ -30,6 +30,7 @@ _EASY = 0.7  # size of the balanced matrix below which its scalings will do
 _FIRST = 12  # intervals per decade to begin with
 _SPAN = 1e-3, 1e3  # from the slowest pole times this to the fastest times that, then on to zero and infinity
 _ROUND = 400  # intervals tried together
+_HIGHEST = 1e25  # rad/s, above which the rest is not pushed any further out
 _THINNEST = 1e-11  # relative width of an interval that is not halved any more
 _TOLERANCE = 1e-3  # of a level at one frequency
 _FACTOR = 100.0  # by which a level is raised at most before it is given up
@@ -222,6 +223,11 @@ class _Task:
         new_low, new_high = [], []
         for i in np.flatnonzero(~good.all(axis=1)):
             if np.isinf(high[i]):
+                if low[i] > _HIGHEST:
+                    raise NumericalFailure(
+                        f"the level {self.level:.6g} is not proved towards infinite frequency: the direct term reaches it; allow a "
+                        "higher level"
+                    )
                 new_low += [low[i], 4 * max(low[i], 1e-300)]
                 new_high += [4 * max(low[i], 1e-300), np.inf]
                 continue

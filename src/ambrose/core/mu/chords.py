@@ -63,7 +63,7 @@ class Chords:
         step = max(1, _CHUNK // max(1, len(self.poles)))
         for start in range(0, len(omega), step):
             part = omega[start : start + step]
-            values[start : start + step] = ((1j * part[:, None] - self.poles) ** -power @ flat).reshape(
+            values[start : start + step] = ((1 / (1j * part[:, None] - self.poles)) ** power @ flat).reshape(
                 len(part), *self.D.shape
             )
         for A, B, C in self.clusters:
