@@ -311,7 +311,7 @@ def injection_gain(
 
 
 def _right(real: float, imaginary: float) -> bool:
-    return real > 0
+    return real >= 0
 
 
 def _outside(real: float, imaginary: float) -> bool:
