@@ -182,7 +182,7 @@ class _Solver:
         centre = min(1.0, max(float(after) / mu, 1e-6) ** power)
         second = [_symmetric(e @ d @ W) for d, e, W in zip(dS, dZ, inverse, strict=True)]
         dx, dS, dZ = self.direction(factor, inverse, r, centre * mu, second)
-        share = 0.9 + 0.09 * min(a, b)
+        share = 0.9 + 0.09 * min(1.0, a, b)  # of the way to the boundary, never beyond
         a, b = (min(1.0, share * _longest(M, d)) for M, d in ((self.S, dS), (self.Z, dZ)))
         self.x = self.x + a * dx
         self.S = [S + a * d for S, d in zip(self.S, dS, strict=True)]
