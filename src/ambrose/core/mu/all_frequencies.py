@@ -225,8 +225,8 @@ class _Task:
             if np.isinf(high[i]):
                 if low[i] > _HIGHEST:
                     raise NumericalFailure(
-                        f"the level {self.level:.6g} is not proved towards infinite frequency: the direct term reaches it; allow "
-                        "a higher level"
+                        f"the level {self.level:.6g} is not proved towards infinite frequency: the direct term reaches it; "
+                        "allow a higher level"
                     )
                 new_low += [low[i], 4 * max(low[i], 1e-300)]
                 new_high += [4 * max(low[i], 1e-300), np.inf]
