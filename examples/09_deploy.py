@@ -25,8 +25,8 @@ deployment = delivery.deployment
 
 # Software in the loop: the same text, compiled, in this process. What is read back out of it is verified again.
 code = amb.CompiledBlock(delivery.block)
-law = amb.delayed(amb.read_law(code), code.delay)
-verdict = amb.verify(machine, law, tolerances=False)
+law = amb.read_law(code)
+verdict = amb.verify(machine, law, delay_samples=code.delay, tolerances=False)
 runs = {point.label: amb.simulate(machine, code, "impulse-parallel", point=point) for point in machine.operation.points}
 
 # The PID does not hold twice the nominal pressure, sampled or not: refused (tolerances left out, to see it sooner).

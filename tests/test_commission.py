@@ -192,4 +192,4 @@ def test_results_are_plain_data(commissioned):
     found = json.loads(json.dumps(commissioned.to_dict()))
     assert found["compiled"] is commissioned.from_code
     assert found["rig"] == dict.fromkeys(LABELS, "completed")
-    assert [point["label"] for point in found["sampled"]] == [*LABELS, "over the tolerances, sampled"]
+    assert [point["label"] for point in found["sampled"]] == [*LABELS, f"over all tolerances around {LABELS[0]}, sampled"]

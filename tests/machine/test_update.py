@@ -190,7 +190,7 @@ def test_a_bundled_machine_after_an_identification(file):
         bearings=(replace(a, force_per_current=(400 / 3, 140.0), negative_stiffness=(1e7 / 9, 1.3e6)), b),
         amplifier=replace(machine.amplifier, **own),
         seals=(seal,),
-        tolerances=(*machine.tolerances[1:], Tolerance(machine.tolerances[0].parameter, relative=1 / 7),
+        tolerances=(*machine.tolerances[1:], replace(machine.tolerances[0], relative=1 / 7),
                     Tolerance("bearing.A.force_per_current.zeta", relative=0.01)),
         source=f"{machine.source}; identified", assumed=machine.assumed[:2] + machine.assumed[3:],
     )  # fmt: skip

@@ -11,7 +11,6 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, transfer_function
-from ambrose.machine.file.toml import loads_machine, read_machine_text
 from ambrose.plant.timing import Timing, machine_timing, timing_of
 from ambrose.synthesis.pid import pid_controller
 
@@ -60,17 +59,12 @@ def test_a_delay_without_a_rate_is_refused():
             Timing(1e-4, samples)
 
 
-@pytest.mark.parametrize(
-    ("lines", "words"),
-    [
-        ('sample_time = "100 us"\ndelay = "50 us"\n', "round it up"),
-        ('delay = "50 us"\n', "add sample_time"),
-    ],
-)
-def test_a_machine_file_states_whole_samples(lines, words):
-    text = read_machine_text("seal-rig").replace("derivative_filter = 0.1\n", f"derivative_filter = 0.1\n{lines}")
-    with pytest.raises(InvalidInput, match=f"whole number of samples of sample_time; .*{words}"):
-        loads_machine(text)
+def test_a_fraction_of_a_sample_in_a_machine_file_is_rounded_up_and_said():
+    """Identification finds such delays; outputs are set when a sample is taken."""
+    found = machine_timing(stating(100e-6, 140e-6))
+    assert found.delay_samples == 2 and str(found) == "sampled at 10000 Hz, 2 samples late (machine file, 1.4 rounded up)"
+    assert machine_timing(stating(100e-6, 100e-6)).source == "machine file"
+    assert machine_timing(stating(None, 100e-6)) is None  # a delay alone tells no rate
 
 
 def test_the_late_continuous_law_follows_the_sampled_one():

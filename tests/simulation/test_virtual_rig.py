@@ -218,7 +218,7 @@ def test_bad_input_is_refused():
         controller=StateSpace([], [], [], np.eye(4), [f"err_{i}" for i in "abcd"], [f"u_{i}" for i in "abcd"]),
     )
     refused("every is 0", every=0)
-    refused("computing_delay", computing_delay=2)
+    refused("computing delay", computing_delay=-1)
     refused("bending_modes", bending_modes=-1)
     refused("multiple of dt", scenario=Scenario("x", 0.1, pulses=(Pulse("e_A_zeta", 1.0, 0.01234567),)))
     refused(

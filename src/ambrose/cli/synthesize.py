@@ -56,6 +56,7 @@ def synthesize(
     """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
     from ambrose.core.checks import check_positive, invalid
     from ambrose.evaluation.plants import plant_at
+    from ambrose.plant.timing import machine_timing
     from ambrose.synthesis.controller_file import write_controller
     from ambrose.synthesis.design import design
     from ambrose.synthesis.options import DesignOptions
@@ -63,6 +64,8 @@ def synthesize(
 
     description = load(machine)
     hertz = 6.283185307179586  # rad/s
+    if loss is not None and rate_hz is None and machine_timing(description) is None:
+        raise invalid("--rate-hz", "not given", "given with --loss", "say at which rate the controller will run")
     if loss is not None:  # before the design, which takes a while
         check_positive(loss, "--loss", "5 allows 5 %", zero_allowed=True)
     if speeds_hz is not None and not 0 < speeds_hz[0] < speeds_hz[1]:

@@ -263,7 +263,7 @@ class PidSettings(Part):
     tilt_gain: Annotated[Ratio, "gain of the tilting part relative to the translating part"] = 1.0
     sample_time: Annotated[Time | None, "sample time of the deployed controller; default: continuous"] = None
     delay: Annotated[
-        Time | None, "from the displacements read to the currents set, a whole number of samples; default: one sample"
+        Time | None, "from the displacements read to the currents set, rounded up to whole samples; default: one sample"
     ] = None
 
 

@@ -6,6 +6,7 @@ by the caller goes before the controller's own rate, that before the rate it was
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,9 +33,8 @@ class Timing:
     def __post_init__(self) -> None:
         check_positive(self.sample_time, "the sample time", "give it in seconds")
         if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int) or self.delay_samples < 0:
-            raise invalid(
-                "the computing delay", repr(self.delay_samples), "a whole number of samples, zero or more", "1 is usual"
-            )
+            least = "a whole number of samples, zero or more"
+            raise invalid("the computing delay (delay_samples)", repr(self.delay_samples), least, "1 is usual")
 
     @property
     def rate(self) -> float:
@@ -80,16 +80,15 @@ def loop_delay(sample_time: float, computing_samples: int = 1) -> float:
 def machine_timing(machine: Machine | None) -> Timing | None:
     """What the machine file says: [controller] sample_time and delay (None: one sample); None where it states no rate.
 
-    Raises InvalidInput for a fraction of a sample.
+    A fraction of a sample, as identification may find it, is rounded up: outputs are set when a sample is taken.
     """
     settings = None if machine is None else machine.controller
     if settings is None or settings.sample_time is None:
         return None
     late = 1.0 if settings.delay is None else settings.delay / settings.sample_time
-    if abs(late - round(late)) > 1e-6:
-        given, least = f"{settings.delay:g} s", f"a whole number of samples of {settings.sample_time:g} s"
-        raise invalid("the computing delay", given, least, "round it up: outputs are set when a sample is taken")
-    return Timing(settings.sample_time, round(late), "machine file")
+    whole = math.ceil(late - 1e-6)
+    rounded = f", {late:.3g} rounded up" if abs(late - whole) > 1e-6 else ""
+    return Timing(settings.sample_time, whole, f"machine file{rounded}")
 
 
 def timing_of(

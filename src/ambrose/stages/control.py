@@ -23,13 +23,13 @@ def resume_or_design(
     The same: package version, machine, operating point, method and options. What is taken up is certified again on the full
     plant, a scheduled controller at every speed of its grid; where the margins are not those of the file it is designed anew.
     """
-    options = (options or DesignOptions()).on(plant.machine)
+    options = options or DesignOptions()
     try:
         kept = read_controller(path)
     except AmbroseError:
         kept = None  # absent, or not readable any more
     if kept is not None and kept.provenance.key == provenance(plant, method, options).key:
-        wrong = contradiction(plant, kept, sampled_margins(plant, kept.law, options.timing()))
+        wrong = contradiction(plant, kept, sampled_margins(plant, kept.law, options.on(plant.machine).timing()))
         if not wrong:
             return kept
         progress(f"{path.name} is not taken up: {wrong}; designing it anew")

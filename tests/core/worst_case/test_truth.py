@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from benchmarks import worst_case_truth
 
+from ambrose.core.lft import RealBlock
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case.bounds import proved_gain
 from ambrose.core.worst_case.crossing import box_margin
+from ambrose.core.worst_case.loop import box_loop
 from ambrose.core.worst_case.search import worst_gain
 
 
@@ -40,3 +42,9 @@ def test_a_member_whose_pole_is_sharper_than_the_nominal_ones():
     assert worst.value >= max(norms) * (1 - 1e-6)
     bound = proved_gain(box, worst.value)
     assert max(norms) < bound.value < 1.02 * worst.value
+
+
+def test_a_loop_through_which_nothing_passes_has_no_gain():
+    """A ZeroDivisionError of the search before, met by one of 500 random systems."""
+    loop = box_loop(StateSpace([[-1.0]], [[0.5, 1.0]], [[1.0], [0.0]], np.zeros((2, 2))), [RealBlock("p", 1)])
+    assert worst_gain(loop).value == 0.0

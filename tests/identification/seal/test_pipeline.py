@@ -42,6 +42,7 @@ def machine():
         given,
         shaft=tuple(replace(part, elements=1) for part in given.shaft),
         operation=replace(given.operation, points=points),
+        tolerances=tuple(replace(item, around=()) for item in given.tolerances),
     )
 
 

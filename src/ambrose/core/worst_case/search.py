@@ -231,7 +231,11 @@ def _slopes(M: np.ndarray, slope: np.ndarray, loop: BoxLoop, delta: np.ndarray) 
     inverse = np.linalg.inv(np.eye(n) - M[:n, :n] * wide)  # (I - M11 D)^-1
     right = inverse @ M[:n, n:]
     T = M[n:, n:] + (M[n:, :n] * wide) @ right
+    if not np.isfinite(T).all():  # a pole is met to rounding: the search steps back from it
+        return -float(np.log(np.finfo(float).tiny)), np.zeros(loop.parameters), 0.0
     u, s, v = np.linalg.svd(T)
+    if s[0] < np.finfo(float).tiny:  # nothing passes here, whichever way it would grow
+        return -float(np.log(np.finfo(float).tiny)), np.zeros(loop.parameters), 0.0
     a, b = u[:, 0].conj(), v[0].conj()
     forward = (a @ M[n:, :n]) * wide @ inverse  # M21 D (I - M11 D)^-1
     left = a @ M[n:, :n] + forward @ M[:n, :n]  # M21 (I - D M11)^-1

@@ -55,7 +55,7 @@ def update_seal(machine: Machine, fit: SealFit, form: str = "line") -> Machine:
         stated = [i for i, one in enumerate(tolerances) if _names(one, fit.seal, letter)]  # of both axes, or of single entries
         for i in stated:
             if half_width(tolerances[i], getattr(seal_coefficients(changed, machine.operation.nominal), letter)) < width:
-                tolerances[i] = Tolerance(tolerances[i].parameter, absolute=width)
+                tolerances[i] = replace(tolerances[i], relative=None, absolute=width)
         if not stated:
             tolerances.append(Tolerance(f"seal.{fit.seal}.{letter}", absolute=width))
     seals = tuple(changed if one is item else one for one in machine.seals)

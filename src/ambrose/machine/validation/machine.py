@@ -125,11 +125,6 @@ def _controller(machine: MachineDescription) -> Iterator[str]:
     times, filters = ("integral_time", "derivative_time", "derivative_filter"), ("low_pass", "low_pass_damping", "lead")
     yield from not_positive(where, pid, "leave it out where there is none", *times, *filters, "tilt_gain", "sample_time")
     yield from not_positive(where, pid, "a controller cannot see ahead", "delay", zero=True)
-    if pid.delay is not None and pid.delay > 0:
-        samples = pid.delay / pid.sample_time if pid.sample_time else 0.5
-        if abs(samples - round(samples)) > 1e-6:
-            remedy = "round it up: outputs are set when a sample is taken" if pid.sample_time else "add sample_time"
-            yield complaint(where, "delay", f"{pid.delay:g} s", "a whole number of samples of sample_time", remedy)
     for i, notch in enumerate(pid.notches):
         inside = f"[[controller.notch]] {i + 1}"
         yield from not_positive(inside, notch, "leave the notch out where there is none", "frequency", "pole_damping")
