@@ -49,7 +49,7 @@ def test_a_verified_controller_is_written(controllers, tmp_path):
     header = (tmp_path / "code" / "seal_rig.h").read_text()
     for text in (
         "Controller hinf", "Machine    seal-rig, hash ", "Verified   zero pressure: stable, sensitivity peak 17",
-        "over the tolerances: 0 unstable", "SEAL_RIG_ERR_B_ETA = 3 /* within +-0.0005 m */",
+        "over all tolerances around nominal pressure: 0 unstable", "SEAL_RIG_ERR_B_ETA = 3 /* within +-0.0005 m */",
         "SEAL_RIG_U_A_ZETA = 0, /* within +-4 A */", "set 1 sample after the errors were measured",
     ):  # fmt: skip
         assert text in header

@@ -196,7 +196,7 @@ def test_another_methods_values_stand_beside(done):
     table = identification_report(checked, compared=rows).sections[0].tables[-1]
     assert table.title == "Beside the other file" and len(table.cells) == len(checked.result.paths)
     assert table.cells[0][4].text == "the other states no interval"
-    assert table.cells[-1][4].text == "noise"  # the seal's k, which the file states to 100 %
+    assert table.cells[-1][4].text == "the other states no interval"  # of the seal's k: the file states the pressure's
 
 
 def test_not_converged_is_not_sure(done):
