@@ -105,6 +105,7 @@ def test_simulate_runs_the_virtual_rig(controller, tmp_path):
     assert "touchdown at" in json.loads(done.stdout)["text"]
 
 
+@pytest.mark.campaign
 def test_study_compares_the_controllers(study):
     directory, done = study
     assert done.exit_code == 0, done.stderr  # the polished mu controller meets every check
@@ -128,6 +129,7 @@ def test_study_compares_the_controllers(study):
         assert words in page
 
 
+@pytest.mark.campaign
 def test_study_resumes_with_a_kept_controller_and_redesigns_a_damaged_one(tmp_path):
     text = Path(str(bundled_machines()["seal-rig"])).read_text()
     machine = tmp_path / "pid-only.toml"
@@ -145,6 +147,7 @@ def test_study_resumes_with_a_kept_controller_and_redesigns_a_damaged_one(tmp_pa
     assert json.loads(path.read_text())["A"] == json.loads(before)["A"]
 
 
+@pytest.mark.campaign
 def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_path, monkeypatch):
     def only_pid(plant, method, **options):
         if method != "pid":

@@ -31,6 +31,8 @@ from ambrose.stages.commissioning import commission, compile_controller
 from ambrose.synthesis.controller_file import read_controller
 from ambrose.synthesis.pid import pid_synthesis
 
+pytestmark = pytest.mark.campaign  # minutes
+
 LABELS = ("nominal pressure", "zero pressure")
 
 

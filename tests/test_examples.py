@@ -10,6 +10,8 @@ import pytest
 
 from ambrose.core.statespace import is_stable
 
+pytestmark = pytest.mark.campaign  # minutes
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 

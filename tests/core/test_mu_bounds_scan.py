@@ -15,6 +15,8 @@ from scipy.optimize import minimize_scalar
 from ambrose.core.lft import ComplexBlock, FullBlock, RealBlock
 from ambrose.core.mu.bounds import mu_bounds
 
+pytestmark = pytest.mark.campaign  # minutes
+
 COUNT = int(os.environ.get("AMBROSE_MU_SCANS", "40"))  # problems per structure; the large run uses 1000
 
 

@@ -94,8 +94,9 @@ def mu_of_one_repeated_real_block(rng, d):
     clear[:3] = False  # repeated eigenvalues: a bit moves them by its root
     assert (found.upper[clear] >= real[clear] * (1 - 1e-12)).all()
     np.testing.assert_allclose(found.lower[clear], real[clear], rtol=1e-9)
-    single = mu_bounds(M[4], [RealBlock("delta", repeat=3)])  # the same alone as in company
-    return {"alone": (np.array([single.upper, single.lower]) - [found.upper[4], found.lower[4]] + 1.0, 1e-4)}
+    single = mu_bounds(M[4], [RealBlock("delta", repeat=3)])  # alone as in company; of the upper bound no tightness is stated
+    assert single.upper >= real[4] * (1 - 1e-12) or not clear[4]
+    return {"alone": (np.array([single.lower - found.lower[4] + 1.0]), 1e-4)}
 
 
 @case

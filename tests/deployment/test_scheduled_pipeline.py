@@ -35,6 +35,8 @@ from ambrose.verification import nominal
 from ambrose.verification.checks import Check, Checks
 from schedule_driver import block_of, small_schedule
 
+pytestmark = pytest.mark.campaign  # minutes
+
 GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
 DT = 1e-4
 TOP = 300.0  # rad/s

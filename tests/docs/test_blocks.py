@@ -19,8 +19,13 @@ from docs_build.blocks import (
 
 from ambrose.cli import main
 
+MINUTES = {"how-to/identify.md", "identification.md", "how-to/deploy.md", "index.md"}
+NAMES = [name for name, path in pages().items() if blocks(path.read_text(encoding="utf-8"))]
 
-@pytest.mark.parametrize("name", [name for name, path in pages().items() if blocks(path.read_text(encoding="utf-8"))])
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.campaign) if name in MINUTES else name for name in NAMES]
+)
 def test_page_runs_as_printed(name, cache):
     run_page(name, cache)
 

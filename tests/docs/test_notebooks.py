@@ -6,6 +6,8 @@ import re
 import pytest
 from docs_build.notebooks import NOTEBOOKS, executed
 
+pytestmark = pytest.mark.campaign  # minutes
+
 PATHS = sorted(NOTEBOOKS.glob("*.ipynb"))
 
 

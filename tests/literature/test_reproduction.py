@@ -28,7 +28,7 @@ from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 from ambrose.synthesis.weights import machine_weights, scale_control
 from ambrose.verification import nominal, robust
 
-pytestmark = pytest.mark.literature
+pytestmark = [pytest.mark.literature, pytest.mark.campaign]
 HZ = 2 * np.pi
 
 

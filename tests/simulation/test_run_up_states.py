@@ -36,6 +36,8 @@ from ambrose.simulation.run_up import spin_up
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
+pytestmark = pytest.mark.campaign  # minutes
+
 LOW, HIGH, KNOT = 60.0, 2800.0, 1500.0  # rad/s; of the table
 RUN_UP = Scenario("run-up", 0.1, unbalances=(Unbalance("piston", 1e-4),), speed=LOW, to_speed=HIGH)
 OUTPUTS = ["q_A_zeta", "q_B_eta", "q_piston_x"]

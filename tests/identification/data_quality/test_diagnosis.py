@@ -33,6 +33,8 @@ from ambrose.simulation.disturbances import Prbs, Pulse
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
+pytestmark = pytest.mark.campaign  # minutes
+
 DT, K, LIMIT = 1e-4, 12000, 0.5
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")

@@ -30,6 +30,8 @@ from ambrose.simulation.disturbances import SteppedSine
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
+pytestmark = pytest.mark.campaign  # minutes
+
 HZ = 2 * np.pi
 DT = 1e-4
 NOMINAL = 2.04e5

@@ -72,7 +72,9 @@ def test_the_bent_rotor_leaves_the_bearings_where_beam_theory_says():
 
 def test_coupling_and_seal_carry_their_part():
     """With the rotor moved by 10 um in parallel, the springs of coupling and seal pull at the bearings by their levers."""
-    machine = replace(BARE, couplings=RIG.couplings, seals=tuple(replace(s, K=1e5, scales_with_pressure=()) for s in BARE.seals))
+    machine = replace(
+        BARE, couplings=RIG.couplings, seals=tuple(replace(s, K=1e5, scales_with_pressure=()) for s in BARE.seals)
+    )
     y = np.array([[0, 0, 0, 0], [10e-6, 0, 10e-6, 0]])
     forces, places = static_load.bearing_forces(machine, POINT, levels_of([[0], [0]], ("center_x",), y))
     np.testing.assert_allclose(places[1], [10e-6, 0, 10e-6, 0], atol=0.3e-6)

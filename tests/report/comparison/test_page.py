@@ -32,6 +32,8 @@ from ambrose.synthesis.result import Certificate, Synthesis
 from ambrose.verification import nominal, robust
 from ambrose.verification.checks import Check, Checks, Curve
 
+pytestmark = pytest.mark.campaign  # minutes
+
 POINTS = ("zero pressure", "nominal pressure", "twice nominal pressure")
 
 

@@ -21,6 +21,8 @@ from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import published_p5_problem, with_performance_block
 
+pytestmark = pytest.mark.campaign  # minutes
+
 OMEGA = np.geomspace(1e-3, 1e4, 50)
 
 

@@ -16,6 +16,8 @@ from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.lpv.machine import design_over_speed, plants_over_speed, speed_grid
 from ambrose.synthesis.problem import design_plant
 
+pytestmark = pytest.mark.campaign  # minutes
+
 HZ = 2 * np.pi
 
 

@@ -16,6 +16,8 @@ from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 
+pytestmark = pytest.mark.campaign  # minutes
+
 GRID = np.linspace(1.0, 5.0, 4)
 
 

@@ -41,6 +41,8 @@ from ambrose.synthesis.mu.scaling import BlockScaling, Scaling, scalar_scaling, 
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import design_plant, published_p5_problem, with_performance_block
 
+pytestmark = pytest.mark.campaign  # minutes
+
 OMEGA = np.geomspace(1e-3, 1e4, 90)
 
 
