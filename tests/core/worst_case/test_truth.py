@@ -48,3 +48,10 @@ def test_a_loop_through_which_nothing_passes_has_no_gain():
     """A ZeroDivisionError of the search before, met by one of 500 random systems."""
     loop = box_loop(StateSpace([[-1.0]], [[0.5, 1.0]], [[1.0], [0.0]], np.zeros((2, 2))), [RealBlock("p", 1)])
     assert worst_gain(loop).value == 0.0
+
+
+def test_the_response_is_level_at_infinity():
+    """An invalid division before, met by the search where a random loop has its largest gain at infinity."""
+    loop = worst_case_truth.loop_of(2)
+    slope = loop.model.slope(np.array([1.0, np.inf]))
+    assert np.abs(slope[0]).max() > 0 and not slope[1].any()

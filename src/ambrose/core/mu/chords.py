@@ -53,8 +53,9 @@ class Chords:
         return values
 
     def slope(self, omega: np.ndarray) -> np.ndarray:
-        """dM/d omega (w, n_z, n_w) at omega (w,) [rad/s], finite."""
-        return -1j * self._sum(omega, 2)
+        """dM/d omega (w, n_z, n_w) at omega (w,) [rad/s]; zero at infinity."""
+        finite = np.isfinite(omega)
+        return np.where(finite[:, None, None], -1j * self._sum(np.where(finite, omega, 0.0), 2), 0.0)
 
     def _sum(self, omega: np.ndarray, power: int) -> np.ndarray:
         """The sum of R_k / (j omega - p_k)^power."""
