@@ -114,6 +114,11 @@ def test_the_box_goes_around_every_operating_point():
     assert [len(box.found[0]) if box.found else None for box in verdict.boxes] == [2, 2]
     assert {"bearing.A.negative_stiffness", "coupling.coupling.stiffness"} == set(verdict.boxes[0].found[0])
     assert {"bearing.A.negative_stiffness", "seal.center.k"} == set(verdict.boxes[1].found[0])
+    assert verdict.not_varied[:2] == (
+        "zero pressure: seal.center.k (zero here)",
+        "nominal pressure: coupling.coupling.stiffness (given for zero pressure only)",
+    )
+    assert verdict.to_dict()["not_varied"] == list(verdict.not_varied)
 
 
 def test_a_box_that_fails_at_another_point_fails_the_verification():

@@ -118,7 +118,7 @@ def verify(
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
     return verify_controller(
-        place, _known(controller), several, tolerances=tolerances, rate=rate, delay_samples=delay_samples, progress=progress
+        place, _read(controller), several, tolerances=tolerances, rate=rate, delay_samples=delay_samples, progress=progress
     )
 
 
@@ -141,7 +141,7 @@ def simulate(
     from ambrose.plant.model import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    return simulate_scenario(place, _known(controller), scenario, point=point, linear=linear, **options)
+    return simulate_scenario(place, _read(controller), scenario, point=point, linear=linear, **options)
 
 
 def identify(machine: Machine | str, records: Any, controller: Any = None, **options: Any) -> Identification:
@@ -203,7 +203,7 @@ def machine_of(machine: Any) -> Machine:
     return load_machine(machine)
 
 
-def _known(controller: Any) -> Any:
+def _read(controller: Any) -> Any:
     """A controller with all that is known of it: a Synthesis, from its file too; else the law. Raises InvalidInput."""
     from ambrose.synthesis.controller_file import read_controller
 
@@ -219,7 +219,7 @@ def law_of(controller: Any) -> Any:
     from ambrose.plant.control_program import ControlProgram
 
     if isinstance(controller, str | os.PathLike) or hasattr(controller, "law"):
-        return _known(controller).law
+        return _read(controller).law
     if isinstance(controller, ScheduledSystem | ControlProgram):
         return controller
     return as_statespace(controller)

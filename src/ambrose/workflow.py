@@ -20,6 +20,7 @@ from ambrose.machine.atomic_write import write_json
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.plant.uncertainty import not_varied
 from ambrose.stages.commissioning import NAME, Commissioning, commission
 from ambrose.stages.control import resume_or_design
 from ambrose.stages.plants import schedulable
@@ -195,7 +196,12 @@ def write_report(result: Study, path: Path) -> None:
         over_speed=[(full.point.label, curve) for curve in result.speed_curves],
         extra=sections,
         facts=(
-            ("Verified on", f"the full model at {len(result.plants)} operating points, and over all tolerances around each"),
+            ("Verified on", f"the full model at {len(result.plants)} operating points, and over all tolerances around them"),
+            *(
+                ("Not varied around", "; ".join(still))
+                for still in [[w for p in result.plants for w in not_varied(p)]]
+                if still
+            ),
             ("Loop judged", "; ".join(dict.fromkeys(candidate.timing for candidate in result.candidates))),
             *((f"{NAME} verified on", "the identified machine, as it runs: sampled, late") for _ in [done] if done),
             *((f"No {name}", why) for name, why in result.failed),

@@ -18,7 +18,7 @@ from ambrose.deployment.discretisation.deployment import deploy, unmet_limits
 from ambrose.deployment.pipeline import machine_limits
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing, loop_delay
+from ambrose.plant.timing import Timing
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.design import design
@@ -69,7 +69,7 @@ def reference(plants):
 def problem(plants, synthesis):
     weights = synthesis.weights
     model = open_model(reduce(plants["nominal pressure"]), design_tolerances(RIG), True)
-    return design_plant(apply_delay(model, loop_delay(SAMPLE)), weights)
+    return design_plant(apply_delay(model, Timing(SAMPLE).lag), weights)
 
 
 def on_the_rig(program, label):

@@ -8,7 +8,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import loop_delay
+from ambrose.plant.timing import Timing
 from ambrose.synthesis import design as module
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
@@ -102,5 +102,5 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
     assert seen["judge"] is None and "loss" not in seen
     design(plant, "polish", match_reference=False, rate=1e4, loss=0.05)
     assert seen["states"] == states + 4 and callable(seen["judge"]) and seen["loss"] == 0.05  # a Pade state per axis
-    assert DesignOptions(rate=1e4, delay_samples=2).timing().lag == loop_delay(1e-4, 2)
+    assert DesignOptions(rate=1e4, delay_samples=2).timing() == Timing(1e-4, 2)
     assert DesignOptions().timing() is None

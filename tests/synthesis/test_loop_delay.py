@@ -10,7 +10,7 @@ from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import select
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import loop_delay
+from ambrose.plant.timing import Timing
 from ambrose.synthesis.design import design
 from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.problem import open_model
@@ -27,12 +27,12 @@ def plant():
 
 
 def test_the_delay_counts_computing_and_half_a_sample_of_holding():
-    assert loop_delay(1e-4) == pytest.approx(1.5e-4)
-    assert loop_delay(1e-4, 0) == pytest.approx(0.5e-4)
+    assert Timing(1e-4).lag == pytest.approx(1.5e-4)
+    assert Timing(1e-4, 0).lag == pytest.approx(0.5e-4)
     with pytest.raises(InvalidInput, match="sample time"):
-        loop_delay(0.0)
+        Timing(0.0)
     with pytest.raises(InvalidInput, match="computing delay"):
-        loop_delay(1e-4, -1)
+        Timing(1e-4, -1)
 
 
 def test_only_the_currents_are_late(plant):

@@ -9,7 +9,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing, loop_delay
+from ambrose.plant.timing import Timing
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
@@ -27,7 +27,7 @@ def task():
     plant = assemble(load_machine("seal-rig"))
     weights = machine_weights(plant.machine)
     problem, nominal = (
-        design_plant(apply_delay(open_model(reduce(plant), None, flag), loop_delay(SAMPLE)), weights, uncertain=flag)
+        design_plant(apply_delay(open_model(reduce(plant), None, flag), Timing(SAMPLE).lag), weights, uncertain=flag)
         for flag in (True, False)
     )
     return problem, hinf_synthesis(nominal).controller, sampled_sensitivity(reduce(plant, 1), Timing(SAMPLE))

@@ -33,6 +33,8 @@ def verify(machine: str, path: Path, rate_hz: float | None, delay_samples: int |
         for _, checks in result.labelled:
             print_checks(checks, everything)
         click.echo(f"The loop that was judged is {result.timing}.")
+        for words in result.not_varied:
+            click.echo(f"Not varied around {words}.")
         for label in result.left_out:
             click.echo(f"{label}: left out, the schedule does not cover this operating point")
     sys.exit(0 if result.passed else 1)

@@ -18,7 +18,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.timing import Timing, timing_of
-from ambrose.plant.uncertainty import tolerances_around
+from ambrose.plant.uncertainty import not_varied, tolerances_around
 from ambrose.synthesis.weights import machine_weights
 from ambrose.verification import nominal, robust, sampled
 from ambrose.verification.checks import Checks
@@ -57,7 +57,8 @@ def verify_controller(
     timing = timing_of(within[0].machine, controller, rate, delay_samples)
     checks = verify_points(within, law, progress, timing)
     boxes = verify_tolerances(within, law, checks, progress, timing) if tolerances else ()
-    return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing))
+    still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
+    return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still)
 
 
 def running_law(law: Any, plant: Plant, timing: Timing | None) -> StateSpace:

@@ -44,7 +44,7 @@ class Timing:
     @property
     def lag(self) -> float:
         """By how much the currents are late on average [s]: computing, and half a sample of holding."""
-        return loop_delay(self.sample_time, self.delay_samples)
+        return (self.delay_samples + 0.5) * self.sample_time
 
     def in_loop(self, law: StateSpace) -> StateSpace:
         """A fixed law as the loop sees it: sampled by Tustin's map unless it is, and late. Raises InvalidInput."""
@@ -64,17 +64,6 @@ class Timing:
 
 
 DEFAULT = Timing(1e-4, 1, "assumed: nothing says it")  # where a rate is needed and nobody knows one
-
-
-def loop_delay(sample_time: float, computing_samples: int = 1) -> float:
-    """The delay [s] by which a sampled controller's currents are late on average: computing and half a sample of holding.
-
-    Raises InvalidInput for a sample time that is not positive, and for computing_samples below zero.
-    """
-    check_positive(sample_time, "the sample time", "give it in seconds")
-    if computing_samples < 0:
-        raise invalid("the computing delay", f"{computing_samples} samples", "zero or more", "1 is usual")
-    return (computing_samples + 0.5) * sample_time
 
 
 def machine_timing(machine: Machine | None) -> Timing | None:

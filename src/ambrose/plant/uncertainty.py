@@ -113,6 +113,18 @@ def tolerances_around(plant: Plant, tolerances: Sequence[Tolerance] | None = Non
     return tuple(t for t in here if t.relative is None or any(c.nominal != 0 for c in channels(plant, t.parameter)))
 
 
+def not_varied(plant: Plant) -> tuple[str, ...]:
+    """The machine's tolerances that do not hold around the plant's operating point, each with the reason, in words."""
+    label, held = plant.point.label or "the point", tolerances_around(plant)
+    found = []
+    for item in plant.machine.tolerances:
+        if item not in held:
+            elsewhere = item.around and plant.point.label not in item.around
+            why = f"given for {', '.join(item.around)} only" if elsewhere else "zero here"
+            found.append(f"{label}: {item.parameter} ({why})")
+    return tuple(found)
+
+
 def _half_widths(tolerance: Tolerance, places: Sequence[Channel]) -> list[float]:
     if tolerance.absolute is not None:
         # The same absolute change in every occurrence, with the sign that the occurrence gives the parameter.

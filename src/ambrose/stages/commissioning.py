@@ -49,7 +49,7 @@ class Commissioning:
     """identification: its ``machine`` is the one designed for; candidate: the controller, verified on that machine as it runs
     (sampled, late, its law read out of the code), its rig traces from the code; deployment: the sampled loop as designed;
     files: the code; apart: largest difference between the law of the running code and the design's, relative to the largest
-    entry (None: there is no C compiler here, the law in Python ran)."""
+    entry (None: the law in Python ran, for want of a C compiler, or because it is not one sample late)."""
 
     identification: LoopIdentification
     candidate: Candidate
@@ -74,7 +74,10 @@ class Commissioning:
         rate = 1 / deployed.controller.dt if deployed.controller.dt else float("nan")
         rows = [
             ("Controller", f"{deployed.controller.n_states} states, {rate:g} Hz, {deployed.delay} sample of computing delay"),
-            ("Runs on the rig as", "its law in Python: no C compiler here" if self.apart is None else "the compiled C code"),
+            (
+                "Runs on the rig as",
+                "the compiled C code" if self.from_code else "its law in Python: no C compiler here, or not one sample late",
+            ),
             ("Files", ", ".join(path.name for path in self.files)),
         ]
         if self.apart is not None:
@@ -166,7 +169,8 @@ def compile_controller(
     block = build_block(deployment, "controller", errors, currents)
     progress("writing the C code")
     files = tuple(write_code(directory / "code", block, "double", provenance_lines(file, deployment)))
-    return deployment, CompiledBlock(block) if has_compiler() else block.system, files
+    steps = has_compiler() and deployment.delay == 1  # the rig runs code that is one sample late, no other
+    return deployment, CompiledBlock(block) if steps else block.system, files
 
 
 def read_running_law(program: CompiledBlock | StateSpace, deployment: Deployment) -> tuple[StateSpace, float | None]:

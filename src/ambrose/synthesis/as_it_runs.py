@@ -23,7 +23,8 @@ _MARGINAL = 1e-9  # of the largest pole; integrators are meant to be on the boun
 def certify_as_it_runs(plant: Plant, result: Synthesis, timing: Timing | None) -> Synthesis:
     """The synthesis with the margins of its sampled loop on ``plant``; "unstable" where that is. None: unchanged.
 
-    A controller that is unstable by itself gets a note: it may hold its loop, but runs away whenever the loop is open.
+    A controller that is unstable by itself gets a note: it may hold its loop, but runs away whenever the loop is open. So does
+    one with a pole beyond half the rate, which export refuses.
     """
     if timing is None:
         return result
@@ -35,6 +36,9 @@ def certify_as_it_runs(plant: Plant, result: Synthesis, timing: Timing | None) -
     if pole > _MARGINAL * max(old.fastest_pole, 1.0):
         away = f"the controller itself is unstable (a pole at {pole:+.4g} rad/s): it runs away whenever the loop is open"
         notes += (f"{away}, and is not exported unless that is wanted (force); another control weight may give a stable one",)
+    if result.controller.dt is None and old.fastest_pole * timing.sample_time > np.pi:
+        need = f"sample at {old.fastest_pole / np.pi:.4g} Hz or more, or roll it off below {np.pi * timing.rate:.4g} rad/s"
+        notes += (f"a pole at {old.fastest_pole:.4g} rad/s is beyond half the sample rate, and export refuses it; {need}",)
     return replace(result, certificate=certificate, notes=notes, status=result.status if stable else Status.UNSTABLE)
 
 

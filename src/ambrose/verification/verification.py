@@ -25,13 +25,15 @@ class Verification(Presented):
 
     A point without a box has no tolerance around it, or an unstable loop. left_out: the operating points that could not be
     verified, such as those outside a controller's schedule; a verification that leaves a point out is not passed. timing: what
-    loop was judged, "continuous" or "sampled at 10000 Hz, ...".
+    loop was judged, "continuous" or "sampled at 10000 Hz, ...". not_varied: tolerances of the machine file that do not hold
+    around a point, with the reason (the file's ``around``, or a nominal value of zero).
     """
 
     points: tuple[Checks, ...]
     boxes: tuple[Checks, ...] = ()
     left_out: tuple[str, ...] = ()
     timing: str = CONTINUOUS
+    not_varied: tuple[str, ...] = ()
 
     @property
     def labelled(self) -> tuple[tuple[str, Checks], ...]:
@@ -103,6 +105,7 @@ class Verification(Presented):
             "tolerances": [checks.to_dict() for checks in self.boxes],
             "left_out": list(self.left_out),
             "timing": self.timing,
+            "not_varied": list(self.not_varied),
         }
 
     def to_frame(self) -> Any:
