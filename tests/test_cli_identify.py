@@ -280,7 +280,8 @@ def test_a_loop_is_not_modelled_without_its_controller(place, tmp_path):
 
 def test_interruption_leaves_no_file(place, tmp_path):
     out = tmp_path / "m.toml"
-    command = "from ambrose.cli import main; main()"
+    # a shell's background job ignores the signal, and so would what it starts
+    command = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from ambrose.cli import main; main()"
     arguments = ["identify", RIG, place / "one.h5", "--controller", place / "pid.json", "-o", out]
     run = subprocess.Popen(
         [sys.executable, "-c", command, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
