@@ -167,6 +167,14 @@ def _prefixed(name: str, progress: Progress) -> Progress:
     return lambda stage: progress(f"{name}: {stage}")
 
 
+def _loops_judged(candidates: tuple[Candidate, ...]) -> str:
+    """Which loop was judged of which controllers, in words."""
+    names: dict[str, list[str]] = {}
+    for candidate in candidates:
+        names.setdefault(candidate.timing, []).append(candidate.name)
+    return "; ".join(f"of {', '.join(own)} {timing}" if len(names) > 1 else timing for timing, own in names.items())
+
+
 def write_report(result: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
     from ambrose.report.commissioning import commissioning_section
@@ -202,7 +210,7 @@ def write_report(result: Study, path: Path) -> None:
                 for still in [[w for p in result.plants for w in not_varied(p)]]
                 if still
             ),
-            ("Loop judged", "; ".join(dict.fromkeys(candidate.timing for candidate in result.candidates))),
+            ("Loop judged", _loops_judged(result.candidates)),
             *((f"{NAME} verified on", "the identified machine, as it runs: sampled, late") for _ in [done] if done),
             *((f"No {name}", why) for name, why in result.failed),
         ),

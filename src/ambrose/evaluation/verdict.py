@@ -22,7 +22,7 @@ from ambrose.plant.uncertainty import not_varied, tolerances_around
 from ambrose.synthesis.weights import machine_weights
 from ambrose.verification import nominal, robust, sampled
 from ambrose.verification.checks import Checks
-from ambrose.verification.verification import CONTINUOUS, Verification, box_label
+from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
 
 def verify_controller(
@@ -127,8 +127,9 @@ def _continuous_box(plant: Plant, law: StateSpace, held: tuple[Tolerance, ...], 
     else:
         weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
         box = robust.check(plant, law, held, weights)
-    model = "continuous loop with the mean delay of the sampled one"
-    return replace(box, notes=(*box.notes, f"Worst cases and bounds: {model}.")) if late else box
+    if not late:
+        return box
+    return replace(box, checks=tuple(replace(c, detail=f"{c.detail}; {WITH_MEAN_DELAY}") for c in box.checks))
 
 
 def _joined(label: str, parts: Sequence[Checks]) -> Checks:

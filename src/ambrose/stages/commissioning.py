@@ -120,7 +120,7 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     synthesis = resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
     deployment, program, files = compile_controller(known, directory, progress)
     law, apart = read_running_law(program, deployment)
-    running = Deployed(law, program, plants, Timing(timing.sample_time, deployment.delay))
+    running = Deployed(law, program, plants, Timing(timing.sample_time, deployment.delay, "its code"))
     tolerances = design_tolerances(known[0].machine)
     candidate = evaluate(NAME, synthesis, known, progress, deployed=running, tolerances=tolerances)
     return Commissioning(identification, candidate, deployment, files, apart)

@@ -12,6 +12,7 @@ from ambrose.verification.checks import Check, Checks, check_columns, checks_tab
 
 OVER_TOLERANCES = "over all tolerances"
 CONTINUOUS = "continuous: no sample rate is known"
+WITH_MEAN_DELAY = "of the continuous loop with the mean delay of the sampled one"  # in the details of what was found on it
 
 
 def box_label(point: str) -> str:

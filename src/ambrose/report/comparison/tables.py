@@ -14,7 +14,7 @@ from ambrose.report import units
 from ambrose.report.page import Cell, Row, Table, Verdict
 from ambrose.report.tables import RELATION, place, reason, verdict
 from ambrose.verification.checks import Check, Checks
-from ambrose.verification.verification import OVER_TOLERANCES
+from ambrose.verification.verification import OVER_TOLERANCES, WITH_MEAN_DELAY
 
 Better = Callable[..., Any]  # min or max
 
@@ -141,7 +141,9 @@ def _box_cell(checks: Checks) -> Cell:
 def _proof(check: Check | None) -> str:
     if check is None:
         return "stable at every point tried"
-    return "stability proved everywhere" if check.value >= 1 else f"stability proved for {units.number(check.value)} of them"
+    model = " with its mean delay" if WITH_MEAN_DELAY in check.detail else ""
+    share = "all over them" if check.value >= 1 else f"for {units.number(check.value)} of them"
+    return f"stability of the loop{model} proved {share}"
 
 
 def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
