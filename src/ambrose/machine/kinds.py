@@ -13,6 +13,7 @@ from ambrose.machine.messages import meant, shown
 from ambrose.machine.units import DIMENSIONS, read_quantity
 
 UNIT_STRING = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[A-Za-zµμ°%].*$"
+_LARGEST_COUNT = 1_000_000
 PLACEHOLDER = "x-quantity"  # stands for a reference until pydantic has made the schema, which knows only its own definitions
 
 
@@ -248,6 +249,8 @@ class Count(_Kind):
     def read(self, value: object) -> int:
         if isinstance(value, bool) or not isinstance(value, int):
             raise ValueError(f"is {shown(value)}, but must be a whole number; write it without decimals, quotes or unit")
+        if abs(value) > _LARGEST_COUNT:
+            raise ValueError(f"is {shown(value)}, but must be at most {_LARGEST_COUNT}; correct it")
         return value
 
     def schema(self) -> dict[str, Any]:

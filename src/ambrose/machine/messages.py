@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 _LONGEST = 60
+SHOWN = 20  # problems, or known names, in one message
 
 
 def shown(value: object) -> str:
@@ -18,6 +19,12 @@ def shown(value: object) -> str:
         text = f'"{value}"' if isinstance(value, str) else repr(value)
     except ValueError:  # Python refuses to print integers of thousands of digits
         text = "an integer of thousands of digits"
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 10]} ..."
+
+
+def quoted(value: object) -> str:
+    """A value that somebody else wrote, as Python writes it, shortened."""
+    text = repr(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 10]} ..."
 
 
@@ -34,14 +41,16 @@ def suggestion(word: str, known: Iterable[str], nothing: str = "there is none") 
     close = meant(word, names)
     if close:
         return f'did you mean "{close}"?'
-    return f"known: {', '.join(names)}" if names else nothing
+    rest = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"known: {', '.join(names[:SHOWN])}{rest}" if names else nothing
 
 
 def listed(name: str, problems: Sequence[str]) -> str:
     """One message out of one problem or many."""
     if len(problems) == 1:
         return f"{name}: {problems[0]}"
-    return "\n  - ".join([f"{name} has {len(problems)} problems:", *problems])
+    rest = [f"and {len(problems) - SHOWN} more; mend these first"] if len(problems) > SHOWN else []
+    return "\n  - ".join([f"{name} has {len(problems)} problems:", *problems[:SHOWN], *rest])
 
 
 def complaint(where: str, key: str, value: object, requirement: str, remedy: str) -> str:

@@ -18,6 +18,7 @@ from ambrose.machine.messages import meant, shown
 
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
 _UNIT = re.compile(r"[A-Za-z%°][A-Za-z%°_]*-?\d?(?:[ /][A-Za-z%°(][A-Za-z%°_()]*-?\d?\)?)*")
+_LONGEST_TEXT = 200  # characters of a quantity
 _LONGEST_UNIT = 40
 _PI = Fraction("3.14159265358979323846264338327950288419716939937511")
 _FLOAT_DIGITS = 17  # tell any two floats apart
@@ -138,7 +139,7 @@ def canonical_unit(text: str) -> str:
 
 
 def _read_text(text: str, dimension: Dimension) -> float:
-    match = _NUMBER.fullmatch(text.strip())
+    match = _NUMBER.fullmatch(text.strip()) if len(text) <= _LONGEST_TEXT else None
     if match is None:
         raise _unreadable(text, dimension)
     digits, unit = match[1], canonical_unit(match[2])

@@ -7,7 +7,6 @@ disturbance d_<axis> [m], reference r_<axis> [m], force f_<port>_<direction> [N]
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib.resources import files
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.machine.file.toml import read_toml
 from ambrose.machine.messages import suggestion
 from ambrose.machine.record.record import signal_dimension
 from ambrose.machine.units import DIMENSIONS, read_quantity
@@ -174,9 +174,8 @@ def load_scenario(name: str | Path) -> Scenario:
     if not path.is_file():
         raise InvalidInput(f"{name} is neither a file nor a bundled scenario; {suggestion(str(name), _bundled_names())}")
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-        return read_scenario(document)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, InvalidInput) as error:
+        return read_scenario(read_toml(Path(str(path)), "its file"))
+    except (OSError, InvalidInput) as error:
         raise InvalidInput(f"scenario {name}: {error}") from error
 
 

@@ -11,7 +11,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Material, ShaftSection
 from ambrose.machine.file.tables import MachineFile, Table, table_below
 from ambrose.machine.machine import Machine
-from ambrose.machine.messages import listed, shown, suggestion
+from ambrose.machine.messages import SHOWN, listed, shown, suggestion
 from ambrose.machine.validation.machine import InvalidMachine
 
 _LABELS = ("name", "label", "bearing", "parameter")
@@ -42,7 +42,9 @@ def read_table(model: type[Table], document: Mapping[str, Any], name: str) -> Ta
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise InvalidInput(listed(name, [_line(detail, document, model) for detail in error.errors()])) from None
+        found = error.errors(include_url=False)
+        lines = [_line(detail, document, model) for detail in found[:SHOWN]]
+        raise InvalidInput(listed(name, [*lines, *[""] * (len(found) - SHOWN)])) from None  # what is beyond is counted only
 
 
 def named_materials(document: Mapping[str, Any]) -> dict[str, Material]:

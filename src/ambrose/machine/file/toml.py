@@ -5,17 +5,24 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.limits import TOML_BYTES, TOML_DEPTH, TOML_ENTRIES, excess
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import meant, shown
 
-_LARGEST_FILE = 10_000_000  # bytes; a machine file has a few thousand
+_QUOTED = re.compile(  # strings and comments; one that is never closed ends where the text or the line does
+    r'"""(?:[^"\\]|\\.|"(?!""))*+"{0,5}|\'\'\'(?:[^\']|\'(?!\'\'))*+\'{0,5}|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+', re.DOTALL
+)  # fmt: skip
+_DEEP_KEY = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{TOML_DEPTH}}}")
+_BRACKET = re.compile(r"[][{}]")
 
 
 def bundled_machines() -> dict[str, Path]:
@@ -40,14 +47,42 @@ def loads_machine(text: str, name: str = "machine file") -> Machine:
         raise InvalidInput(
             f"{name}: the file is empty; it needs at least [machine], [[shaft]], [[bearing]], [[sensor]], [amplifier]"
         )
+    return machine_from_document(parse_toml(text, name), name, text)
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """A small TOML file of any kind, ``what`` in messages, as plain data. Raises OSError, and InvalidInput."""
+    if path.stat().st_size > TOML_BYTES:
+        raise InvalidInput(f"{what}: it has {path.stat().st_size} bytes, but at most {TOML_BYTES} are allowed; make it shorter")
+    try:
+        return parse_toml(path.read_bytes().decode("utf-8-sig"), what)
+    except UnicodeDecodeError as error:
+        raise InvalidInput(f"{what}: it is not UTF-8 text ({error}); save it as UTF-8 text") from None
+
+
+def parse_toml(text: str, name: str) -> dict[str, Any]:
+    """TOML of any kind as plain data, after its size was looked at (machine/limits.py); ``name`` stands in messages.
+
+    Raises InvalidInput.
+    """
+    if len(text) > TOML_BYTES:
+        raise InvalidInput(f"{name}: it has {len(text)} characters, but at most {TOML_BYTES} are allowed; is it the right file?")
+    bare = _QUOTED.sub("s", text)  # a parser of nested things takes long, and memory, before it can count
+    depth = max(accumulate({"[": 1, "{": 1}.get(mark, -1) for mark in _BRACKET.findall(bare)), default=0)
+    if depth > TOML_DEPTH or _DEEP_KEY.search(bare):
+        what = "brackets are" if depth > TOML_DEPTH else "a key is"
+        raise InvalidInput(f"{name}: {what} nested too deeply, more than {TOML_DEPTH} times; lists nest at most three deep here")
+    entries = sum(map(bare.count, "=,["))
+    if entries > TOML_ENTRIES:
+        raise InvalidInput(f"{name}: it has about {entries} entries, but at most {TOML_ENTRIES} are allowed; make tables coarser")
     try:
         document = tomllib.loads(text)
-    except RecursionError:
-        raise InvalidInput(f"{name}: brackets are nested too deeply; a machine file nests lists at most three deep") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         remedy = "check quotes, brackets and commas there; a cut-off file ends like this too"
         raise InvalidInput(f"{name}: not valid TOML: {error}; {remedy}") from None
-    return machine_from_document(document, name, text)
+    for complaint in excess(document):
+        raise InvalidInput(f"{name}: {complaint}")
+    return document
 
 
 def dumps_machine(machine: Machine) -> str:
@@ -76,9 +111,12 @@ def read_machine_text(file: Any) -> str:
     try:
         if path.is_dir():
             raise InvalidInput(f"{path} is a directory; give the machine file in it")
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InvalidInput(f"{path} has {path.stat().st_size} bytes; that is no machine file")
+        if path.stat().st_size > TOML_BYTES:
+            size = f"{path.stat().st_size} bytes, but at most {TOML_BYTES} are allowed"
+            raise InvalidInput(f"{path} has {size}; that is no machine file")
         return path.read_bytes().decode("utf-8-sig")
+    except InvalidInput:
+        raise
     except FileNotFoundError:
         close = meant(str(path), bundled)
         hint = f'did you mean "{close}"?' if close else f"bundled machines: {', '.join(bundled)}"

@@ -13,18 +13,19 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationErr
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.json_schema import DIALECT, tidy_schema, write_schema
+from ambrose.machine.messages import quoted
 from ambrose.machine.record.record import FORMAT, POINT_KEYS, VERSION, Record, si_values
 
 
 def _format(value: object) -> str:
     if value != FORMAT:
-        raise invalid("the format", repr(value), repr(FORMAT), f"a record names its format and version {VERSION}")
+        raise invalid("the format", quoted(value), repr(FORMAT), f"a record names its format and version {VERSION}")
     return FORMAT
 
 
 def _version(value: object) -> int:
     if str(value) != str(VERSION):
-        raise invalid("the version", repr(value), str(VERSION), "update ambrose or convert the file")
+        raise invalid("the version", quoted(value), str(VERSION), "update ambrose or convert the file")
     return VERSION
 
 
@@ -36,7 +37,7 @@ def _number(value: Any, info: ValidationInfo) -> float:
         number = math.nan
     if not math.isfinite(number):
         name = str(info.field_name)
-        raise invalid(POINT_KEYS.get(name, name), repr(value), "a finite number", "correct the attribute")
+        raise invalid(POINT_KEYS.get(name, name), quoted(value), "a finite number", "correct the attribute")
     return number
 
 

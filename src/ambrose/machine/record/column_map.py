@@ -22,7 +22,7 @@ offset = 20.0
 from __future__ import annotations
 
 import math
-import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,23 +70,22 @@ class ColumnMap(Part):
     def __post_init__(self) -> None:
         if not self.columns:
             raise InvalidInput("the column map names no signal; add a [[signal]] with name, source and unit")
-        names = [column.name for column in self.columns]
-        for name in names:
-            if names.count(name) > 1:
-                raise InvalidInput(f"the signal {name} is named {names.count(name)} times, but must be once; rename one")
+        for name, times in Counter(column.name for column in self.columns).items():
+            if times > 1:
+                raise InvalidInput(f"the signal {name} is named {times} times, but must be once; rename one")
         if self.sample_rate_hz is not None:
             check_positive(self.sample_rate_hz, "sample_rate_hz", "give the sampling frequency in Hz")
 
 
 def load_columns(path: str | Path) -> ColumnMap:
     """The column map in a TOML file. Raises InvalidInput naming file, table and key."""
+    from ambrose.machine.file.toml import read_toml
+
     path = Path(path)
     try:
-        return read_columns(tomllib.loads(path.read_text(encoding="utf-8")), f"column map {path}")
+        return read_columns(read_toml(path, f"column map {path}"), f"column map {path}")
     except OSError as error:
         raise InvalidInput(f"the column map {path} cannot be read: {error.strerror or error}; check its name") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"column map {path}: {error}") from error
 
 
 def read_columns(document: Mapping[str, Any], name: str = "column map") -> ColumnMap:

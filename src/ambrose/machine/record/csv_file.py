@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.limits import CHECKED_FIRST, NAME, NOTES, NUMBERS, SIGNALS
+from ambrose.machine.messages import quoted
 from ambrose.machine.record.attributes import RecordAttributes, read_attributes, record_of
 from ambrose.machine.record.record import Record, si_values
 from ambrose.machine.record.timing import uniform_rate
 
+_HEAD_LINE = 3 * NAME * SIGNALS  # characters
+_CELL, _BLANK = 100, 1000  # characters of a cell at most, on average; blank lines
+_BLOCK = 200_000  # numbers read together
 _HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\]\s*)?")
 
 
@@ -28,45 +36,103 @@ def write_csv(record: Record, path: Path) -> None:
 
 def read_csv(path: Path) -> Record:
     """The record; a spreadsheet's byte order mark and line ends are understood. Raises InvalidInput."""
-    import warnings
-
-    try:
-        with path.open(encoding="utf-8-sig") as file:
+    with path.open(encoding="utf-8-sig") as file:
+        try:
             lines: dict[str, str] = {}
-            line = file.readline()
-            while line.startswith("#"):
+            head = _lines(file, _HEAD_LINE)
+            for count, line in enumerate(head):  # noqa: B007
+                if not line.startswith("#"):
+                    break
+                if count > 2 * NOTES:
+                    raise invalid("the number of lines that begin with #", "larger", f"at most {2 * NOTES}", "leave some out")
                 key, colon, value = line[1:].partition(":")
                 if colon:
                     lines[key.strip()] = value.strip()
-                line = file.readline()
+            else:
+                line = ""
             attributes = read_attributes(lines)
             columns = _csv_columns(line)
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
-                table = np.loadtxt(file, delimiter=",", comments=None, ndmin=2)
-    except InvalidInput:
-        raise
-    except (ValueError, UserWarning) as error:
-        raise InvalidInput(f"the rows below the header cannot be read ({error}); give a number in every cell") from error
-    if table.shape[1] != len(columns):
-        raise invalid("the number of columns", table.shape[1], f"{len(columns)} as in the header", "export it again")
-    _check_complete(path, attributes, len(table))
-    time = si_values("time", columns[0][1], table[:, 0])[0]
+            record_of(attributes, columns[1:], np.zeros((len(columns) - 1, 1)), 1.0, 0.0)  # refuses names and units first
+            time, values = _rows(file, file.tell(), columns)
+        except InvalidInput:
+            raise
+        except ValueError as error:
+            raise InvalidInput(f"the rows below the header cannot be read ({error}); give a number in every cell") from error
+    _check_complete(path, attributes, len(time))
+    time = si_values("time", columns[0][1], time)[0]
     rate = uniform_rate(time, attributes.sample_rate_hz)
-    return record_of(attributes, columns[1:], table[:, 1:].T.copy(), rate, float(time[0]))
+    return record_of(attributes, columns[1:], values, rate, float(time[0]))
+
+
+def _lines(file: TextIO, longest: int) -> Iterator[str]:
+    """The lines that are not blank. Raises InvalidInput for a longer one, without reading all of it."""
+    blank = 0
+    while line := file.readline(longest + 1):
+        if len(line) > longest:
+            raise invalid("the length of a line", "larger", f"at most {longest} characters", "is this a record?")
+        blank += not line.strip()
+        if blank > _BLANK:
+            raise invalid("the number of blank lines", "larger", f"at most {_BLANK}", "remove them")
+        if line.strip():
+            yield line
+
+
+def _rows(file: TextIO, start: int, columns: Sequence[tuple[str, str]]) -> tuple[np.ndarray, np.ndarray]:
+    """Times (k,) and values (p, k) of the rows behind ``start``, block by block: they take the memory of the numbers once."""
+    width = len(columns)
+
+    def lines() -> Iterator[str]:
+        file.seek(start)
+        return _lines(file, _CELL * width)
+
+    rows = sum(1 for _ in lines())
+    if rows == 0:
+        raise ValueError("there is none")
+    if rows * width > NUMBERS:
+        raise invalid("the number of values", rows * width, f"at most {NUMBERS}", "split the record")
+    if rows * width > CHECKED_FIRST:
+        for _ in _blocks(lines(), columns):
+            pass
+    time, values = np.empty(rows), np.empty((width - 1, rows))
+    for first, table in _blocks(lines(), columns):
+        part = slice(first, first + len(table))
+        time[part], values[:, part] = table[:, 0], table[:, 1:].T
+    return time, values
+
+
+def _blocks(lines: Iterator[str], columns: Sequence[tuple[str, str]]) -> Iterator[tuple[int, np.ndarray]]:
+    """Number of the first row and numbers (n, columns) of one block after the other, all of them finite."""
+    first = 0
+    while block := list(islice(lines, max(1, _BLOCK // len(columns)))):
+        try:
+            table = np.loadtxt(block, delimiter=",", comments=None, ndmin=2)
+        except ValueError as error:
+            raise ValueError(re.sub(r"at row (\d+)", lambda row: f"at row {first + int(row[1])}", str(error))) from error
+        if table.shape[1] != len(columns):
+            raise invalid("the number of columns", table.shape[1], f"{len(columns)} as in the header", "export it again")
+        if not np.isfinite(table).all():
+            i, j = (int(index) for index in np.argwhere(~np.isfinite(table))[0])
+            if j == 0:
+                raise invalid("a time", "not finite", "a number", f"look at data row {first + i + 1}")
+            at = f"{columns[j][0]} at sample {first + i} (t = {table[i, 0]:g} s)"
+            raise invalid(at, table[i, j], "finite", "cut the record before it, or measure again")
+        yield first, table
+        first += len(table)
 
 
 def _csv_columns(line: str) -> list[tuple[str, str]]:
     if ";" in line or "\t" in line:
         raise invalid("the separator of the columns", "a semicolon or tab", "a comma", "export with comma and decimal point")
     columns = []
+    if line.count(",") > SIGNALS:
+        raise invalid("the number of signals", line.count(","), f"at most {SIGNALS}", "split the record")
     for cell in line.rstrip("\r\n").split(","):
-        match = _HEADER.fullmatch(cell)
+        match = _HEADER.fullmatch(cell.strip()) if len(cell) < 3 * NAME else None
         if match is None or not match[1] or match[2] is None:
-            raise invalid("the header cell", repr(cell.strip()), "a name with its unit, such as y_A_zeta [m]", "add the unit")
+            raise invalid("the header cell", quoted(cell.strip()), "a name with its unit, such as y_A_zeta [m]", "add the unit")
         columns.append((match[1], match[2]))
     if columns[0][0] != "time" or len(columns) < 2:
-        raise invalid("the first column", repr(columns[0][0]), "time [s], followed by signals", "put the time first")
+        raise invalid("the first column", quoted(columns[0][0]), "time [s], followed by signals", "put the time first")
     return columns
 
 

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.limits import NUMBERS
 from ambrose.machine.record.column_map import Column, ColumnMap, load_columns, read_columns
-from ambrose.machine.record.mat_tdms import Variable, variables_of
-from ambrose.machine.record.record import LARGEST, Record, si_values
+from ambrose.machine.record.apart import variables_of
+from ambrose.machine.record.mat_tdms import Variable
+from ambrose.machine.record.record import Record, si_values
 from ambrose.machine.record.timing import uniform_rate
 
 _AGREE = 1e-3  # sample rates this close are the same one
@@ -28,15 +30,25 @@ def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str 
     path = Path(path)
     if not isinstance(columns, ColumnMap):
         columns = read_columns(columns) if isinstance(columns, Mapping) else load_columns(columns)
-    with variables_of(path) as find:
-        variables = [find(column.source) for column in columns.columns]
-        time = None if columns.time is None else find(columns.time.source)
+    try:
+        return _record(path, columns)
+    except InvalidInput as error:
+        raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+
+
+def _record(path: Path, columns: ColumnMap) -> Record:
+    wanted = [*columns.columns, *([] if columns.time is None else [columns.time])]
+    with variables_of(path, [column.source for column in wanted]) as found:
+        time = None if columns.time is None else found[-1]
+        variables = found[: len(columns.columns)]
         _check_lengths(columns, variables, time)
         rate, start = _timing(columns, variables, time)
+        for column, variable in zip(columns.columns, variables, strict=True):
+            _check_finite(column, variable, lambda sample: f" (t = {start + sample / rate:g} s)")
         values = np.empty((len(variables), len(variables[0].values)))
         units = []
         for row, column, variable in zip(values, columns.columns, variables, strict=True):
-            row[:], unit = _converted(column, variable, lambda sample: f" (t = {start + sample / rate:g} s)")
+            row[:], unit = _converted(column, variable)
             units.append(unit)
     values.flags.writeable = False
     names = tuple(column.name for column in columns.columns)
@@ -52,23 +64,24 @@ def _check_lengths(columns: ColumnMap, variables: list[Variable], time: Variable
             "the numbers of samples", lengths, "the same for all signals", "leave out those sampled otherwise, or resample them"
         )
     k = next(iter(lengths.values()))
-    if k == 0 or k * len(variables) > LARGEST:
-        raise invalid("the number of samples", k, f"at least 1, and at most {LARGEST} values in all", "choose other variables")
+    if k == 0 or k * len(variables) > NUMBERS:
+        raise invalid("the number of samples", k, f"at least 1, and at most {NUMBERS} values in all", "choose other variables")
 
 
-def _converted(column: Column, variable: Variable, moment: Callable[[int], str]) -> tuple[np.ndarray, str]:
-    """Scaled values (k,) in SI and that unit."""
-    raw = variable.values
-    if not np.isfinite(raw).all():
-        sample = int(np.argmin(np.isfinite(raw)))
+def _check_finite(column: Column, variable: Variable, moment: Callable[[int], str]) -> None:
+    if (sample := variable.bad) is not None:
         at = f"{column.source} at sample {sample}{moment(sample)}"
-        raise invalid(at, raw[sample], "finite", "cut the file before it, or measure again")
+        raise invalid(at, variable.values[sample], "finite", "cut the file before it, or measure again")
+
+
+def _converted(column: Column, variable: Variable) -> tuple[np.ndarray, str]:
+    """Scaled values (k,) in SI and that unit."""
     unit = column.unit or variable.unit
     if not unit:
         raise InvalidInput(
             f"the signal {column.name} has no unit, neither in the file nor in the column map; add unit = ... to its [[signal]]"
         )
-    return si_values(column.name, unit, column.scale * raw.astype(float) + column.offset)
+    return si_values(column.name, unit, column.scale * variable.values.astype(float) + column.offset)
 
 
 def _timing(columns: ColumnMap, variables: list[Variable], time: Variable | None) -> tuple[float, float]:
@@ -78,7 +91,8 @@ def _timing(columns: ColumnMap, variables: list[Variable], time: Variable | None
     if columns.sample_rate_hz is not None:
         stated.append(("the column map", columns.sample_rate_hz))
     if columns.time is not None and time is not None:
-        seconds = _converted(columns.time, time, lambda sample: "")[0]
+        _check_finite(columns.time, time, lambda sample: "")
+        seconds = _converted(columns.time, time)[0]
         try:
             stated.append((f"the time column {columns.time.source}", uniform_rate(seconds, None)))
         except InvalidInput as error:

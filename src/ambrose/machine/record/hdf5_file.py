@@ -6,7 +6,8 @@ in chunks that were never written. Such a file is read as far as every signal re
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,15 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.record.attributes import read_attributes, record_of
-from ambrose.machine.record.record import LARGEST, Record
+from ambrose.machine.limits import CHECKED_FIRST, CHUNK_BYTES, NOTES, NUMBERS, PACKED, SIGNALS, TEXT, UNPACKED
+from ambrose.machine.messages import quoted
+from ambrose.machine.record.attributes import RecordAttributes, read_attributes, record_of
+from ambrose.machine.record.record import Record, check_samples
 from ambrose.machine.record.recovery import Settled, left_open
 
 LIBVER = ("v110", "v110")  # the format of HDF5 1.10: checksums on the structure as well
 COMPLETE, UNFINISHED = "complete", "false"  # the attribute that an unfinished record carries
+_BLOCK = 1_000_000  # samples read together while they are checked
 _DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 
 
@@ -48,13 +52,19 @@ def read_hdf5(path: Path) -> Record:
 
     try:
         with _opened(path) as file:
-            attributes = read_attributes({key: _plain(value, key) for key, value in file.attrs.items()})
+            if len(file.attrs) > NOTES:
+                raise invalid("the number of attributes", len(file.attrs), f"at most {NOTES}", "remove some")
+            attributes = read_attributes({key: _attribute(file.attrs, key) for key in file.attrs})
             group = file.get("signals")
             if not isinstance(group, h5py.Group) or not len(group):
                 raise InvalidInput("the group /signals is missing or empty; a record keeps one dataset per signal there")
+            if len(group) > SIGNALS:
+                raise invalid("the number of signals", len(group), f"at most {SIGNALS}", "split the record")
             datasets = {name: _dataset(group, name, h5py) for name in group}
-            units = [(name, str(_plain(data.attrs.get("unit", ""), "unit"))) for name, data in datasets.items()]
-            values = _values(datasets, complete=(COMPLETE, UNFINISHED) not in attributes.notes)
+            units = [(name, str(_attribute(data.attrs, "unit"))) for name, data in datasets.items()]
+            check_packing(list(datasets.values()), path)
+            record_of(attributes, units, np.zeros((len(units), 1)), 1.0, 0.0)  # refuses names and units, before all is read
+            values = _values(datasets, attributes)
     except InvalidInput:
         raise
     except _DAMAGE as error:
@@ -73,30 +83,50 @@ def _opened(path: Path) -> Iterator[Any]:
         yield file
 
 
-def _plain(value: Any, key: str) -> Any:
-    if isinstance(value, bytes):
-        value = value.decode("utf-8", "replace")
-    if not isinstance(value, str) and np.ndim(value) != 0:
-        raise invalid(f"the attribute {key}", "an array", "a number or a text", "remove it")
-    return value
+def _attribute(attributes: Any, key: str) -> Any:
+    """An attribute, after its size was looked at; "" where there is none."""
+    if key not in attributes:
+        return ""
+    head = attributes.get_id(key)
+    if head.shape != () or head.get_storage_size() > TEXT or head.dtype.kind in "V":
+        what = "an array" if head.shape else "too long"
+        raise invalid(f"the attribute {quoted(key)}", what, f"a number or a text of at most {TEXT} bytes", "remove it")
+    value = attributes[key]
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def check_packing(datasets: Sequence[Any], path: Path) -> None:
+    """Refuse datasets that would unpack to much more than their file, as only zeros do. Raises InvalidInput."""
+    size, held = path.stat().st_size, sum((data.size or 0) * max(data.dtype.itemsize, 8) for data in datasets)
+    if held > max(UNPACKED, PACKED * size):
+        raise invalid("the file's content", f"{held} bytes in {size}", f"at most {PACKED} times the file", "is it damaged?")
+    chunk = max((math.prod(data.chunks or (0,)) * data.dtype.itemsize for data in datasets), default=0)
+    if chunk > CHUNK_BYTES:
+        raise invalid("a chunk", f"{chunk} bytes", f"at most {CHUNK_BYTES}", "repack the file with smaller chunks (h5repack -l)")
 
 
 def _dataset(group: Any, name: str, h5py: Any) -> Any:
     data = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
     if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.dtype.kind not in "fiu" or data.is_virtual:
         raise invalid(f"/signals/{name}", "something else", "a dataset of real numbers with one axis", "export it again")
-    if data.size * len(group) > LARGEST:
-        raise invalid("the number of values", data.size * len(group), f"at most {LARGEST}", "split the record")
+    if data.size * len(group) > NUMBERS:
+        raise invalid("the number of values", data.size * len(group), f"at most {NUMBERS}", "split the record")
     return data
 
 
-def _values(datasets: dict[str, Any], *, complete: bool) -> np.ndarray:
+def _values(datasets: dict[str, Any], attributes: RecordAttributes) -> np.ndarray:
     """All signals (p, k) in the units of the file; of an unfinished record the samples that all signals have."""
+    complete = (COMPLETE, UNFINISHED) not in attributes.notes
     lengths = {name: data.shape[0] for name, data in datasets.items()}
     if complete and len(set(lengths.values())) > 1:
         raise invalid("the numbers of samples", lengths, "the same for all signals", "export the record again")
     k = min(lengths.values())
     if complete:
+        if k * len(datasets) > CHECKED_FIRST:
+            rate = attributes.sample_rate_hz or math.nan
+            for name, data in datasets.items():
+                for first in range(0, k, _BLOCK):
+                    check_samples(name, data[first : min(first + _BLOCK, k)], first, attributes.start_time_s, rate)
         return _read(datasets, k)
     chunk = max((data.chunks or (1,))[0] for data in datasets.values())
     try:

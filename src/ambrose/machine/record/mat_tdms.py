@@ -5,10 +5,11 @@ Each reader hands out numbers by the name that its program uses, and what the fi
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.limits import FOREIGN_NUMBERS
 from ambrose.machine.messages import suggestion
 
 _PART = re.compile(r"(?P<name>.*?)\s*\(\s*(?:(?P<row>\d+)\s*,\s*:|:\s*,\s*(?P<column>\d+))\s*\)")
@@ -24,15 +26,28 @@ _SHOWN = 20  # names in a message
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One axis of numbers (k,) as they stand in the file; unit and sample rate [Hz] where the file states them."""
+    """One axis of numbers (k,) as they stand in the file; unit and sample rate [Hz] where the file states them.
+
+    bad: the first sample that is not finite.
+    """
 
     values: np.ndarray
     unit: str = ""
     rate: float | None = None
+    bad: int | None = None
+
+
+def read_variables(path: Path, names: Iterable[str]) -> Iterator[Variable]:
+    """The variables of these names, one after the other. Raises InvalidInput; what a reader's crash is, apart.py knows."""
+    with _opened(path) as find:
+        for name in names:
+            found = find(name)
+            finite = np.isfinite(found.values)
+            yield found if finite.all() else replace(found, bad=int(np.argmin(finite)))
 
 
 @contextmanager
-def variables_of(path: Path) -> Iterator[Callable[[str], Variable]]:
+def _opened(path: Path) -> Iterator[Callable[[str], Variable]]:
     """A function from the name of a variable to its Variable, while the file is open for reading.
 
     MATLAB: "y", a field "log.y", a column or row of a matrix "Y(:,2)", "Y(2,:)". TDMS: "group/channel". Raises InvalidInput.
@@ -45,6 +60,9 @@ def variables_of(path: Path) -> Iterator[Callable[[str], Variable]]:
     try:
         with readers[path.suffix.lower()](path) as find:
             yield find
+    except MemoryError:
+        most = f"a variable may have {FOREIGN_NUMBERS} numbers"
+        raise InvalidInput(f"{path}: it takes too much memory; {most}, save it in parts") from None
     except InvalidInput as error:
         raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
     except Exception as error:  # parsers of damaged files raise anything
@@ -60,11 +78,12 @@ def _matlab(path: Path) -> Iterator[Callable[[str], Variable]]:
         newer = file.read(10) == b"MATLAB 7.3"
     if newer or h5py.is_hdf5(path):
         with h5py.File(path, "r") as tree:
-            yield lambda name: Variable(_part(name, lambda plain: _from_tree(tree, plain)))
+            load = lru_cache(maxsize=1)(lambda plain: _from_tree(tree, plain, path))
+            yield lambda name: Variable(_part(name, load))
     else:
         import scipy.io
 
-        known = [name for name, _, _ in scipy.io.whosmat(path)]
+        known = {name: math.prod(map(int, shape)) for name, shape, _ in scipy.io.whosmat(path)}
         load = lru_cache(maxsize=1)(lambda top: scipy.io.loadmat(path, variable_names=[top])[top])
         yield lambda name: Variable(_part(name, lambda plain: _from_matlab5(load, known, plain)))
 
@@ -90,10 +109,11 @@ def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
     return array.take(index - 1, axis=axis)
 
 
-def _from_matlab5(load: Callable[[str], np.ndarray], known: list[str], name: str) -> np.ndarray:
+def _from_matlab5(load: Callable[[str], np.ndarray], known: Mapping[str, int], name: str) -> np.ndarray:
     top, *fields = name.split(".")
     if top not in known:
-        raise _unknown(name, known, "variable")
+        raise _unknown(name, list(known), "variable")
+    _check_count(top, known[top])
     value = load(top)
     for i, key in enumerate(fields):
         names = value.dtype.names or ()
@@ -105,8 +125,15 @@ def _from_matlab5(load: Callable[[str], np.ndarray], known: list[str], name: str
     return np.asarray(value)
 
 
-def _from_tree(tree: Any, name: str) -> np.ndarray:
+def _check_count(name: str, count: int) -> None:
+    if count > FOREIGN_NUMBERS:
+        raise InvalidInput(f"{name} has {count} numbers, but at most {FOREIGN_NUMBERS} are read; save it in parts")
+
+
+def _from_tree(tree: Any, name: str, path: Path) -> np.ndarray:
     import h5py
+
+    from ambrose.machine.record.hdf5_file import check_packing
 
     node = tree
     for i, key in enumerate(name.split(".")):
@@ -118,6 +145,8 @@ def _from_tree(tree: Any, name: str) -> np.ndarray:
         raise _unknown(name, [f"{name}.{member}" for member in node], "variable")
     if node.attrs.get("MATLAB_class", b"") in {b"char", b"cell"}:
         raise InvalidInput(f"the variable {name} holds no numbers, but must hold real ones in rows or columns; save its parts")
+    _check_count(name, node.size or 0)
+    check_packing([node], path)
     return np.asarray(node[()]).T  # MATLAB stores column by column
 
 
@@ -141,6 +170,7 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
         if name not in channels:
             raise _unknown(name, list(channels), "channel")
         channel = channels[name]
+        _check_count(name, len(channel))
         values = channel[:]
         if values.dtype.kind == "M":  # a column of time stamps
             values = (values - values[:1]) / np.timedelta64(1, "s")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -13,6 +14,8 @@ from ambrose.core.checks import InvalidInput, check_finite, check_positive, inva
 from ambrose.core.presentation import Presented, data_frame, html_table
 from ambrose.core.statespace import index_of
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.limits import NAME, NOTES, SIGNALS, TEXT
+from ambrose.machine.messages import quoted
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
 
 FORMAT, VERSION = "ambrose-record", 1
@@ -28,8 +31,8 @@ POINT_KEYS = {
     "point": "label",
 }
 RESERVED = {"format", "version", "machine", "sample_rate_hz", "start_time_s", "samples", *POINT_KEYS}
+_BLOCK = 1_000_000  # samples looked at together
 _SIGNAL, _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_]*"), re.compile(r"[a-z][a-z0-9_]*")
-LARGEST = 500_000_000  # numbers in one file: 4 GB
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -59,11 +62,8 @@ class Record(Presented):
         values = self.values if _is_settled(self.values) else np.array(self.values, dtype=float)
         if values.ndim != 2 or values.shape[0] != p or values.shape[1] == 0:
             raise invalid("the shape of values", values.shape, f"({p}, k) with k > 0", "give one row per signal")
-        bad = np.argwhere(~np.isfinite(values))
-        if len(bad):
-            i, j = (int(index) for index in bad[0])
-            at = f"sample {j} (t = {self.start_time + j / self.sample_rate_hz:g} s)"
-            raise invalid(f"{self.signals[i]} at {at}", values[i, j], "finite", "cut the record before it, or measure again")
+        for name, row in zip(self.signals, values, strict=True):
+            check_samples(name, row, 0, self.start_time, self.sample_rate_hz)
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "notes", tuple(sorted(self.notes)))  # files do not keep their order
@@ -139,24 +139,38 @@ def _is_settled(values: Any) -> bool:
     return type(values) is np.ndarray and values.dtype == float and values.base is None and not values.flags.writeable
 
 
+def check_samples(name: str, values: np.ndarray, first: int, start: float, rate: float) -> None:
+    """Refuse samples (n,) of a signal, from number ``first`` on, that are not finite. Raises InvalidInput."""
+    for begin in range(0, len(values), _BLOCK):  # a long record has no second array of its length
+        finite = np.isfinite(values[begin : begin + _BLOCK])
+        if not finite.all():
+            j = begin + int(np.argmin(finite))
+            at = f"{name} at sample {first + j} (t = {start + (first + j) / rate:g} s)"
+            raise invalid(at, values[j], "finite", "cut the record before it, or measure again")
+
+
 def _check_texts(record: Record) -> None:
+    for what, count, most in (("signals", len(record.signals), SIGNALS), ("notes", len(record.notes), NOTES)):
+        if count > most:
+            raise invalid(f"the number of {what}", count, f"at most {most}", "split the record")
+    keys, names = Counter(key for key, _ in record.notes), Counter(record.signals)
     if len(record.units) != len(record.signals):
         raise invalid("the number of units", len(record.units), str(len(record.signals)), "give one per signal")
     if not record.signals:
         raise invalid("the number of signals", 0, "at least 1", "a record needs a signal")
     for name, unit in zip(record.signals, record.units, strict=True):
-        if not _SIGNAL.fullmatch(name) or name == "time" or record.signals.count(name) > 1:
-            raise invalid(f"the signal name {name!r}", "not usable", "a unique identifier other than time", "rename it")
+        if not _SIGNAL.fullmatch(name) or name == "time" or names[name] > 1 or len(name) > NAME:
+            raise invalid(f"the signal name {quoted(name)}", "not usable", "a unique identifier other than time", "rename it")
         si = _dimension(name, unit).unit
         if unit != si:
-            raise invalid(f"the unit of {name}", repr(unit), f"the SI unit {si!r}", "convert with si_values() first")
+            raise invalid(f"the unit of {name}", quoted(unit), f"the SI unit {si!r}", "convert with si_values() first")
     for key, text in (("machine", record.machine), ("point", record.point.label), *record.notes):
-        if not isinstance(text, str) or "\n" in text or "\r" in text or text != text.strip():
-            raise invalid(f"{key}", repr(text), "one line of text without outer spaces", "shorten or strip it")
+        if not isinstance(text, str) or "\n" in text or "\r" in text or text != text.strip() or len(text) > TEXT:
+            raise invalid(key[:NAME], quoted(text), "one line of text without outer spaces", "shorten or strip it")
     for key, _ in record.notes:
-        if not _KEY.fullmatch(key) or key in RESERVED or [k for k, _ in record.notes].count(key) > 1:
+        if not _KEY.fullmatch(key) or key in RESERVED or keys[key] > 1 or len(key) > NAME:
             raise invalid(
-                f"the note {key!r}", "not usable", "a unique lower_case word that the format leaves free", "rename it"
+                f"the note {quoted(key)}", "not usable", "a unique lower_case word that the format leaves free", "rename it"
             )
 
 
@@ -164,7 +178,7 @@ def signal_dimension(name: str) -> Dimension:
     """What a signal measures, by the prefix of its name ("y_A_zeta": length, in "m"). Raises InvalidInput if unknown."""
     prefix = name.partition("_")[0]
     if prefix not in _PREFIXES:
-        raise invalid(f"the prefix of signal {name!r}", repr(prefix), f"one of {', '.join(_PREFIXES)}", "rename the signal")
+        raise invalid(f"the prefix of signal {quoted(name)}", quoted(prefix), f"one of {', '.join(_PREFIXES)}", "rename the signal")
     return DIMENSIONS[_PREFIXES[prefix]]
 
 
@@ -193,5 +207,5 @@ def _dimension(name: str, unit: str) -> Dimension:
             return dimension
     if prefix in _PREFIXES:
         what = candidates[0]
-        raise invalid(f"the unit of {name}", repr(unit), f"a unit of {what.name} such as {what.unit}", "correct the unit")
-    raise invalid(f"the unit of {name}", repr(unit), "a known unit", "convert the signal to an SI unit and write that")
+        raise invalid(f"the unit of {name}", quoted(unit), f"a unit of {what.name} such as {what.unit}", "correct the unit")
+    raise invalid(f"the unit of {name}", quoted(unit), "a known unit", "convert the signal to an SI unit and write that")

@@ -15,6 +15,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, MachineDescription
+from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.validation import parts
@@ -48,7 +49,21 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
         *(_whole, parts.shaft, _names, _places, parts.discs, parts.bearings, parts.sensors, parts.amplifier, parts.couplings),
         *(validate_seals.seals, _controller, _operation, _tolerances, _requirements, _weights),
     )
-    return tuple(_not_finite(machine, "")) or tuple(line for check in checks for line in check(machine))
+    found = tuple(_sizes(machine)) or tuple(_not_finite(machine, ""))
+    return found or tuple(line for check in checks for line in check(machine))
+
+
+def _sizes(machine: MachineDescription) -> Iterator[str]:
+    """More than is allowed hides all else, and is looked at first (machine/limits.py)."""
+    plural = {"disc", "bearing", "sensor", "seal", "coupling"}
+    several = {key: getattr(machine, f"{key}s") for key in plural}
+    notches = {} if machine.controller is None else {"notch": machine.controller.notches}
+    yield from excess({"shaft": machine.shaft, "tolerance": machine.tolerances, **several})
+    yield from excess({"operation": {"point": machine.operation.points}, "controller": notches})
+    for bearing in machine.bearings:
+        yield from excess({"bearing": {"measured": bearing.measured}})
+    for sensor in machine.sensors:
+        yield from excess({"sensor": {"runout": sensor.runout}})
 
 
 def _not_finite(thing: object, place: str) -> Iterator[str]:
@@ -125,6 +140,12 @@ def _controller(machine: MachineDescription) -> Iterator[str]:
     times, filters = ("integral_time", "derivative_time", "derivative_filter"), ("low_pass", "low_pass_damping", "lead")
     yield from not_positive(where, pid, "leave it out where there is none", *times, *filters, "tilt_gain", "sample_time")
     yield from not_positive(where, pid, "a controller cannot see ahead", "delay", zero=True)
+    sample = pid.sample_time
+    if sample is not None and 0 < sample < SAMPLE_TIME:
+        yield complaint(where, "sample_time", f"{sample:g} s", f"at least {SAMPLE_TIME:g} s", "1e-4 s is usual")
+    elif sample is not None and (pid.delay or 0) > DELAY_SAMPLES * sample:
+        most = f"at most {DELAY_SAMPLES} sample times, {DELAY_SAMPLES * sample:g} s"
+        yield complaint(where, "delay", f"{pid.delay:g} s", most, "one sample time is usual")
     for i, notch in enumerate(pid.notches):
         inside = f"[[controller.notch]] {i + 1}"
         yield from not_positive(inside, notch, "leave the notch out where there is none", "frequency", "pole_damping")

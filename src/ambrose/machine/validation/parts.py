@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator
 
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, BiasPoint, MachineDescription, MagneticBearing, ShaftSection
+from ambrose.machine.limits import ELEMENTS
 from ambrose.machine.messages import complaint, number, shown, suggestion
 from ambrose.machine.validation.signs import not_positive
 
 JOINT = 1e-9  # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
-_MOST_ELEMENTS = 1000  # per section; more is a slip of the pen
 
 
 def shaft(machine: MachineDescription) -> Iterator[str]:
@@ -47,9 +47,9 @@ def _section(where: str, section: ShaftSection) -> Iterator[str]:
     if mass is not None and mass <= max(bore, 0):
         remedy = "it is the outer diameter that carries the mass; leave it out where it is the outer_diameter"
         yield complaint(where, "mass_diameter", number(mass, "m"), f"above the inner_diameter, {bore:g} m", remedy)
-    if not 1 <= section.elements <= _MOST_ELEMENTS:
+    if not 1 <= section.elements <= ELEMENTS:
         remedy = "one element per diameter of length is a good start"
-        yield complaint(where, "elements", section.elements, f"from 1 to {_MOST_ELEMENTS}", remedy)
+        yield complaint(where, "elements", section.elements, f"from 1 to {ELEMENTS}", remedy)
     material = section.material
     inside = f"{where}, material {material.name}".rstrip()
     yield from not_positive(inside, material, "see the material's data sheet", "density", "youngs_modulus")
