@@ -31,7 +31,13 @@ FOREIGN_NUMBERS = 30_000_000  # of one variable or channel of a MAT or TDMS file
 PACKED = 100  # times as many bytes as its file a record may unpack to,
 UNPACKED = 80_000_000  # ... or so many in any case
 CHUNK_BYTES = 64_000_000  # of one chunk of an HDF5 dataset, which is unpacked as a whole
+BESIDE = 50_000_000  # bytes of an HDF5 record beside its signals: attributes, other groups
 SIGNALS, NOTES = 1000, 1000  # of a record
+
+
+CONTROLLER_BYTES, CONTROLLER_NUMBERS = 64_000_000, 1_000_000  # of a controller file; one with 500 states and 4 axes: 6 MB
+STATES, GRID_POINTS = 500, 200  # of a controller, and of its schedule
+JSON_KEYS, JSON_DEPTH = 1000, 20  # of one table, and within each other
 
 
 def excess(tables: Mapping[str, Any], above: str = "") -> Iterator[str]:

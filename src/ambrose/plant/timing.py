@@ -13,6 +13,7 @@ from typing import Any
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d, delayed, pade
 from ambrose.core.statespace import StateSpace, append, as_statespace, is_system, series
+from ambrose.machine.limits import DELAY_SAMPLES
 from ambrose.machine.machine import Machine
 from ambrose.plant.control_program import ControlProgram
 
@@ -35,6 +36,8 @@ class Timing:
         if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int) or self.delay_samples < 0:
             least = "a whole number of samples, zero or more"
             raise invalid("the computing delay (delay_samples)", repr(self.delay_samples), least, "1 is usual")
+        if self.delay_samples > DELAY_SAMPLES:  # each is a state of every axis
+            raise invalid("delay_samples", self.delay_samples, f"at most {DELAY_SAMPLES}", "1 is usual")
 
     @property
     def rate(self) -> float:

@@ -19,6 +19,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, 
 from ambrose.core.response import sample_polynomial, simulate_piecewise
 from ambrose.core.statespace import StateSpace, as_statespace, index_of, poles, select
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.limits import NUMBERS
 from ambrose.machine.record.record import Record, signal_dimension
 from ambrose.simulation.scenario import Scenario
 from ambrose.simulation.trace import Trace
@@ -27,7 +28,6 @@ from ambrose.simulation.waveforms import FASTEST, waveforms
 LoopAt = Callable[[float], Any]
 _SAMPLE_TIME = 1e-4  # [s] unless the scenario, the loop or the caller says otherwise
 _ESCAPE = 1e-3  # [m] where an unstable loop is stopped when no displacement limit is given
-_LARGEST = 500_000_000  # numbers in one simulation: 4 GB
 _FROZEN = 5  # speeds of a run-up at which the poles are looked at
 _FEWEST, _MOST = 32, 1024  # intervals of constant speed in a run-up
 _SAME_STATES = 1e-6  # of an output's row of C: rounding of loops whose states mean the same at all speeds
@@ -65,9 +65,9 @@ def run(
     loop_at, first, speed = _resolve(loop, scenario, point)
     step = _sample_time(first, scenario, dt)
     k = int(min(scenario.duration / step, 1e15) + 1e-6) + 1
-    if k * (len(first.inputs) + len(first.outputs)) > _LARGEST:
+    if k * (len(first.inputs) + len(first.outputs)) > NUMBERS:
         raise invalid(
-            "the number of samples", f"{k:g}", f"at most {_LARGEST} values in all", "shorten the scenario or raise dt"
+            "the number of samples", f"{k:g}", f"at most {NUMBERS} values in all", "shorten the scenario or raise dt"
         )
     names, c = waveforms(scenario, first.inputs, step, k, mass)
     shown = list(first.outputs if outputs is None else outputs)

@@ -61,8 +61,9 @@ def waveforms(
 
 def sample_of(time: float, dt: float, what: str) -> int:
     """The sample number of an edge at a time [s]; raises InvalidInput where it falls between samples."""
-    index = round(time / dt)
-    if abs(index - time / dt) > 1e-6 * max(1.0, index):
+    ratio = min(time / dt, 1e15)
+    index = round(ratio)
+    if abs(index - ratio) > 1e-6 * max(1.0, index):
         remedy = "move it or choose another sample time"
         raise invalid(what, f"{time:g} s", f"a multiple of dt = {dt:g} s", remedy)
     return index

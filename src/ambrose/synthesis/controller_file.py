@@ -9,16 +9,19 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import stat
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, FailFast, Field, ValidationError, WithJsonSchema
 from pydantic.json_schema import GenerateJsonSchema
 
 from ambrose.core.checks import InvalidInput, check_path, invalid
@@ -26,7 +29,18 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.file.toml import machine_hash
+from ambrose.machine.limits import (
+    CONTROLLER_BYTES,
+    CONTROLLER_NUMBERS,
+    DELAY_SAMPLES,
+    GRID_POINTS,
+    JSON_DEPTH,
+    JSON_KEYS,
+    SAMPLE_TIME,
+    STATES,
+)
 from ambrose.machine.machine import Machine
+from ambrose.machine.messages import quoted
 from ambrose.synthesis.hinf.scaling import Matrices
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
 from ambrose.synthesis.weights import Weights
@@ -35,7 +49,6 @@ from ambrose.version import __version__
 FORMAT = "ambrose-controller"
 VERSION = 3  # 1 and 2 told less than a Synthesis says and are refused
 _UNITS = {"inputs": ("err_", "m"), "outputs": ("u_", "A")}
-_LARGEST = 64_000_000  # bytes; a controller with 500 states and 4 axes takes 6 MB
 _AGAIN = "write the file again"
 
 
@@ -54,7 +67,7 @@ Loose = Annotated[
     WithJsonSchema({"anyOf": [{"type": "number"}, {"enum": ["nan", "inf", "-inf"]}]}),
 ]
 Text = Annotated[str, Field(min_length=1)]
-Matrix = list[list[Number]]
+Matrix = Annotated[list[Annotated[list[Number], FailFast()]], FailFast()]  # a file of wrong numbers has one complaint
 
 
 class _Table(BaseModel):
@@ -91,8 +104,8 @@ class SchedulingTable(_Table):
     unit: Text
     interpolation: Literal["linear"]
     outside: Literal["refuse", "clamp"] = Field(description="what happens beyond the grid")
-    grid: list[Number] = Field(description="ascending values of the parameter")
-    points: list[SystemTable] = Field(description="one for each value of the grid, of the controller's own sizes")
+    grid: Annotated[list[Number], FailFast(), Field(max_length=GRID_POINTS)] = Field(description="ascending values of the parameter")
+    points: Annotated[list[SystemTable], FailFast()] = Field(description="one for each value of the grid, of the controller's own sizes")
 
 
 class CertificateTable(_Table):
@@ -138,8 +151,8 @@ class ControllerTable(_Table):
     status: Annotated[Status, Field(strict=False)]
     stopped_early: Text | None = Field(description="why the iteration ended before its end")
     gamma: Loose = Field(description="the norm that the method reached [-]")
-    inputs: Annotated[list[ErrorSignal], Field(min_length=1)]
-    outputs: Annotated[list[CurrentSignal], Field(min_length=1)]
+    inputs: Annotated[list[ErrorSignal], FailFast(), Field(min_length=1)]
+    outputs: Annotated[list[CurrentSignal], FailFast(), Field(min_length=1)]
     sample_time: Number | None = Field(description="[s]; null: continuous")
     A: Matrix
     B: Matrix
@@ -148,8 +161,8 @@ class ControllerTable(_Table):
     scheduling: SchedulingTable | None
     certificate: CertificateTable | None = Field(description="null: the status is uncertified")
     weights: WeightsTable | None
-    history: list[dict[str, Loose]] = Field(description="a row for each iteration")
-    notes: list[str]
+    history: Annotated[list[dict[str, Loose]], FailFast()] = Field(description="a row for each iteration")
+    notes: Annotated[list[str], FailFast()]
     provenance: ProvenanceTable
 
 
@@ -226,13 +239,17 @@ def _read(path: Path) -> Any:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             raise InvalidInput("is no ordinary file; give the path of a file")
-        if status.st_size > _LARGEST:
-            raise invalid("the file's size", f"{status.st_size} bytes", f"at most {_LARGEST}", "is this the right file?")
+        if status.st_size > CONTROLLER_BYTES:
+            raise invalid("the file's size", f"{status.st_size} bytes", f"at most {CONTROLLER_BYTES}", "is this the right file?")
         text = path.read_bytes().decode("utf-8")
     except OSError as error:
         raise InvalidInput(f"cannot be read ({error.strerror or error}); check the path") from error
     except UnicodeDecodeError as error:
         raise InvalidInput(f"is not text (byte {error.start} is no UTF-8); is this the right file?") from error
+    if (numbers := text.count(",")) > CONTROLLER_NUMBERS:
+        raise invalid("the count of numbers", f"about {numbers}", f"at most {CONTROLLER_NUMBERS}", "reduce the controller's order")
+    if _depth(text) > JSON_DEPTH:
+        raise InvalidInput(f"is not JSON of a controller, nested more than {JSON_DEPTH} times; {_AGAIN}")
     try:
         return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
@@ -244,16 +261,22 @@ def _read(path: Path) -> Any:
         raise InvalidInput(f"is not JSON that can be read ({error}); {_AGAIN}") from error
 
 
+def _depth(text: str) -> int:
+    marks = re.findall(r"[][{}]", re.sub(r'"(?:[^"\\]|\\.)*+"?', "", text))
+    return max(accumulate(1 if mark in "[{" else -1 for mark in marks), default=0)
+
+
 def _no_constant(text: str) -> float:
     raise invalid("a number", text, "finite", f"{_AGAIN} from a controller without NaN")
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     result = dict(pairs)
+    if len(pairs) > JSON_KEYS:
+        raise invalid("the number of keys of a table", len(pairs), f"at most {JSON_KEYS}", "is this the right file?")
     if len(result) != len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise invalid(f"key {twice!r}", "given twice", "given once", _AGAIN)
+        (twice, _), *_ = Counter(name for name, _ in pairs).most_common(1)
+        raise invalid(f"key {quoted(twice)}", "given twice", "given once", _AGAIN)
     return result
 
 
@@ -284,7 +307,7 @@ def _complaint(detail: Any) -> InvalidInput:
     *above, last = path = detail["loc"]
     kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
     if kind == "extra_forbidden":
-        return InvalidInput(f"{_place(above)} has the unknown key {last!r}; remove it, or use the version that wrote it")
+        return InvalidInput(f"{_place(above)} has the unknown key {quoted(last)}; remove it, or use the version that wrote it")
     if kind == "missing":
         return InvalidInput(f"{_place(above)} lacks the key {last!r}; {_AGAIN}, it may come from another version")
     if kind == "model_type":
@@ -293,8 +316,8 @@ def _complaint(detail: Any) -> InvalidInput:
         "literal_error": context.get("expected"), "enum": context.get("expected"),
         "string_pattern_mismatch": f"{str(context.get('pattern')).strip('^.')}<axis>", "value_error": str(context.get("error")),
     }.get(kind)  # fmt: skip
-    shown = repr(value)
-    return invalid(_place(path), shown if len(shown) < 80 else type(value).__name__, requirement or detail["msg"], _AGAIN)
+    shown = repr(value) if not isinstance(value, list | dict | str) or len(value) < 80 else ""
+    return invalid(_place(path), shown if 0 < len(shown) < 80 else type(value).__name__, requirement or detail["msg"], _AGAIN)
 
 
 def _place(path: Sequence[str | int]) -> str:
@@ -306,6 +329,9 @@ def _place(path: Sequence[str | int]) -> str:
 def _synthesis(table: ControllerTable) -> Synthesis:
     """The tables' content as nouns; raises InvalidInput where they do not fit together."""
     inputs, outputs = [item.name for item in table.inputs], [item.name for item in table.outputs]
+    if len(table.A) > STATES:
+        raise invalid("the number of states", len(table.A), f"at most {STATES}", "reduce the controller")
+    _check_timing(table.provenance.settings or {})
 
     def system(letters: ControllerTable | SystemTable, where: str = "") -> StateSpace:
         parts = _matrices(letters, where, len(table.A), len(inputs), len(outputs))
@@ -327,6 +353,14 @@ def _synthesis(table: ControllerTable) -> Synthesis:
         system(table), table.method, table.gamma, table.status, certificate, tuple(table.history), tuple(table.notes),
         scheduled, table.stopped_early, None if table.weights is None else _weights(table.weights), Provenance(**made),
     )  # fmt: skip
+
+
+def _check_timing(settings: Mapping[str, Any]) -> None:
+    """What ``plant.timing`` reads: the rate and the delay that the controller was designed for."""
+    for key, most in (("rate", 1 / SAMPLE_TIME), ("delay_samples", DELAY_SAMPLES)):
+        value = settings.get(key)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= most):
+            raise invalid(f"provenance.settings.{key}", quoted(value), f"a number from 0 to {most:g}", "design it again")
 
 
 def _weights(table: WeightsTable) -> Weights:

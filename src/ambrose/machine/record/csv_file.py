@@ -20,7 +20,7 @@ from ambrose.machine.record.timing import uniform_rate
 
 _HEAD_LINE = 3 * NAME * SIGNALS  # characters
 _CELL, _BLANK = 100, 1000  # characters of a cell at most, on average; blank lines
-_BLOCK = 200_000  # numbers read together
+_BLOCK, _READ = 200_000, 1 << 20  # numbers, and bytes, read together
 _HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\]\s*)?")
 
 
@@ -70,11 +70,10 @@ def _lines(file: TextIO, longest: int) -> Iterator[str]:
     while line := file.readline(longest + 1):
         if len(line) > longest:
             raise invalid("the length of a line", "larger", f"at most {longest} characters", "is this a record?")
-        blank += not line.strip()
-        if blank > _BLANK:
-            raise invalid("the number of blank lines", "larger", f"at most {_BLANK}", "remove them")
-        if line.strip():
+        if not line.isspace():
             yield line
+        elif (blank := blank + 1) > _BLANK:
+            raise invalid("the number of blank lines", "larger", f"at most {_BLANK}", "remove them")
 
 
 def _rows(file: TextIO, start: int, columns: Sequence[tuple[str, str]]) -> tuple[np.ndarray, np.ndarray]:
@@ -85,19 +84,20 @@ def _rows(file: TextIO, start: int, columns: Sequence[tuple[str, str]]) -> tuple
         file.seek(start)
         return _lines(file, _CELL * width)
 
-    rows = sum(1 for _ in lines())
-    if rows == 0:
-        raise ValueError("there is none")
+    with open(file.name, "rb") as raw:
+        ends = ((part.count(b"\n"), part.count(b"\r")) for part in iter(lambda: raw.read(_READ), b""))
+        rows = 1 + sum(max(pair) for pair in ends)  # at least so many
     if rows * width > NUMBERS:
         raise invalid("the number of values", rows * width, f"at most {NUMBERS}", "split the record")
     if rows * width > CHECKED_FIRST:
-        for _ in _blocks(lines(), columns):
-            pass
-    time, values = np.empty(rows), np.empty((width - 1, rows))
+        rows = sum(len(table) for _, table in _blocks(lines(), columns))
+    time, values, filled = np.empty(rows), np.empty((width - 1, rows)), 0
     for first, table in _blocks(lines(), columns):
-        part = slice(first, first + len(table))
-        time[part], values[:, part] = table[:, 0], table[:, 1:].T
-    return time, values
+        filled = first + len(table)
+        time[first:filled], values[:, first:filled] = table[:, 0], table[:, 1:].T
+    if filled == 0:
+        raise ValueError("there is none")
+    return time[:filled], values if filled == rows else values[:, :filled].copy()
 
 
 def _blocks(lines: Iterator[str], columns: Sequence[tuple[str, str]]) -> Iterator[tuple[int, np.ndarray]]:

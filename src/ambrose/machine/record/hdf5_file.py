@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.limits import CHECKED_FIRST, CHUNK_BYTES, NOTES, NUMBERS, PACKED, SIGNALS, TEXT, UNPACKED
+from ambrose.machine.limits import BESIDE, CHECKED_FIRST, CHUNK_BYTES, NOTES, NUMBERS, PACKED, SIGNALS, TEXT, UNPACKED
 from ambrose.machine.messages import quoted
 from ambrose.machine.record.attributes import RecordAttributes, read_attributes, record_of
 from ambrose.machine.record.record import Record, check_samples
@@ -52,6 +52,8 @@ def read_hdf5(path: Path) -> Record:
 
     try:
         with _opened(path) as file:
+            if "format" in file.attrs:
+                _check_beside(file.get("signals"), path.stat().st_size, h5py)
             if len(file.attrs) > NOTES:
                 raise invalid("the number of attributes", len(file.attrs), f"at most {NOTES}", "remove some")
             attributes = read_attributes({key: _attribute(file.attrs, key) for key in file.attrs})
@@ -93,6 +95,15 @@ def _attribute(attributes: Any, key: str) -> Any:
         raise invalid(f"the attribute {quoted(key)}", what, f"a number or a text of at most {TEXT} bytes", "remove it")
     value = attributes[key]
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _check_beside(group: Any, size: int, h5py: Any) -> None:
+    """Refuse a file with much more than its signals: opening an attribute reads it, however long it is."""
+    names = list(group) if isinstance(group, h5py.Group) and len(group) <= SIGNALS else []
+    plain = [name for name in names if isinstance(group.get(name, getlink=True), h5py.HardLink)]
+    stored = sum(data.id.get_storage_size() for name in plain if isinstance(data := group[name], h5py.Dataset))
+    if size - stored > BESIDE:
+        raise invalid("what the file holds beside its signals", f"{size - stored} bytes", f"at most {BESIDE}", "remove it")
 
 
 def check_packing(datasets: Sequence[Any], path: Path) -> None:

@@ -92,7 +92,7 @@ class Plan:
 
 def plan(rig: Rig, scenario: Scenario, dt: float, seed: int) -> Plan:
     """The scenario on the rig at a control sample time [s]. Raises InvalidInput for signals, ports or axes it has not."""
-    result = Plan(rig, scenario, dt, int(scenario.duration / dt + 1e-6) + 1, np.random.default_rng(seed))
+    result = Plan(rig, scenario, dt, int(min(scenario.duration / dt, 1e15) + 1e-6) + 1, np.random.default_rng(seed))
     for item in scenario.all_windows:
         if item.signal not in result.inputs:
             raise invalid(f"the signal {item.signal!r}", "unknown", "an input", suggestion(item.signal, result.inputs))

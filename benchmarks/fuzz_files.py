@@ -1,0 +1,290 @@
+"""Random damage to every kind of file that the command line reads: a refusal has exit status 2 and a message, never a traceback.
+
+    python -m benchmarks.fuzz_files [number of each kind, 1000] [seed, 0]
+
+A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as such; the worker goes on behind
+them. Counted as a breach of the contract: a traceback, an exit status other than 0 and 2 (for a verification 1 as well), the end
+of the process by a signal, more than 30 s. What kills the reader of a MATLAB or LabVIEW file in the worker is tried again the
+way the command does it, in a process of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import nullcontext
+from pathlib import Path
+from unittest import mock
+
+SECONDS = 30
+MACHINE = """[machine]
+schema = 1
+name = "tiny"
+[[shaft]]
+length = "300 mm"
+outer_diameter = "40 mm"
+elements = 3
+[[bearing]]
+name = "A"
+position = "50 mm"
+bias_current = "2 A"
+force_per_current = [100, 100]
+negative_stiffness = "0.5 N/um"
+max_current = "2 A"
+[[sensor]]
+bearing = "A"
+position = "50 mm"
+[[bearing]]
+name = "B"
+position = 0.25
+bias_current = "2 A"
+force_per_current = 100
+negative_stiffness = "0.5 N/um"
+[[sensor]]
+bearing = "B"
+position = 0.25
+[amplifier]
+order = "first"
+bandwidth = "1 kHz"
+[[seal]]
+name = "s"
+position = 0.15
+reference_pressure = "2 bar"
+scales_with_pressure = ["k", "C"]
+k = 1e5
+C = 1e2
+[controller]
+gain = "20 A/mm"
+derivative_time = "2 ms"
+sample_time = "100 us"
+[operation]
+speed_range = [0, "12000 rpm"]
+[[operation.point]]
+label = "nominal"
+speed = "6000 rpm"
+seal_pressure = "1 bar"
+[[tolerance]]
+parameter = "bearing.A.negative_stiffness"
+relative = "10 %"
+"""
+COLUMNS = """machine = "tiny"
+sample_rate_hz = 1000
+point = {speed = 0, seal_pressure = 0}
+signal = [{name = "y_A_zeta", source = "SOURCE", unit = "m"}]
+"""
+VALUES = ("0", "-1", "1", "2", "7", "0.3", "1e3", "-1e-3", "1e308", "-1e308", "1e-300", "1e15", "400", "1e-9", "60", "12345678901")
+TOKENS = (
+    *("0", "-1", "1e308", "-1e308", "1e-320", "nan", "inf", "9" * 400, "1" * 5000, "0x" + "f" * 300, "2147483648", "1e9", '""'),
+    *('"5 kg"', '"1e99 mm"', '"nan"', "true", "null", "[]", "{}", "[[", "]]", "{", '"', "'''", "\\u0000", "\x1b[31m", "\0", "\ud7ff"),
+    *("a.b.c.d.e.f.g.h.i.j.k.l.m.n = 1\n", "[" * 50, "{a=" * 50, "=", ",", "\n", "#", "é", "﻿", "1979-05-27", "a" * 300),
+)
+
+
+def originals(folder: Path) -> dict[str, list[bytes]]:
+    """Sound files of every kind."""
+    import h5py
+    import numpy as np
+    import scipy.io
+
+    import ambrose as amb
+    from ambrose.core.scheduled import ScheduledSystem
+    from ambrose.machine.record.files import write_record
+    from ambrose.machine.record.record import Record
+    from ambrose.synthesis.controller_file import write_controller
+    from ambrose.synthesis.result import Synthesis
+
+    machine = folder / "tiny.toml"
+    machine.write_text(MACHINE)
+    found: dict[str, list[bytes]] = {"machine": [MACHINE.encode()]}
+    pid = amb.design(amb.load_machine(machine), "pid")
+    law = pid.controller
+    scheduled = ScheduledSystem([0.0, 500.0, 1000.0], [law] * 3)
+    laws = [pid, Synthesis(law, "lpv", scheduled=scheduled)]
+    found["controller"] = [write_controller(folder / "k.json", item).read_bytes() for item in laws]
+    wave = np.sin(np.arange(50.0))
+    record = Record("tiny", 1e3, ("y_A_zeta", "i_A_zeta"), ("m", "A"), np.array([wave, wave]), notes=(("by", "x"),))
+    found["csv"] = [write_record(record, folder / "r.csv").read_bytes()]
+    old = folder / "old.h5"
+    with h5py.File(old, "w", libver="earliest") as file:
+        file.attrs.update({key: value for key, value in record.attributes.items() if value is not None})
+        for name, unit, row in zip(record.signals, record.units, record.values, strict=True):
+            data = file.create_dataset(f"signals/{name}", data=row, chunks=(16,), compression="gzip", shuffle=True)
+            data.attrs["unit"] = unit
+    found["hdf5"] = [write_record(record, folder / "r.h5").read_bytes(), old.read_bytes()]
+    variables = {"y": wave, "log": {"a": wave, "c": np.array([wave, "text"], object)}, "z": np.eye(3), "t": "text"}
+    for name, packed in (("a", False), ("b", True)):
+        scipy.io.savemat(folder / f"{name}.mat", variables, do_compression=packed)
+    scipy.io.savemat(folder / "c.mat", {"y": wave}, format="4")
+    with h5py.File(folder / "d.mat", "w", userblock_size=512) as file:
+        file["y"] = wave[None]
+    found["mat"] = [(folder / f"{name}.mat").read_bytes() for name in "abcd"]
+    try:
+        from nptdms import ChannelObject, TdmsWriter
+    except ImportError:
+        return found
+    with TdmsWriter(folder / "r.tdms") as writer:
+        for _ in range(2):
+            writer.write_segment([ChannelObject("g", "y", wave, {"wf_increment": 1e-3, "unit_string": "m"})])
+    found["tdms"] = [(folder / "r.tdms").read_bytes()]
+    return found
+
+
+def mutated(data: bytes, chance: random.Random, *, text: bool) -> bytes:
+    """The same with one to six random changes: bits, slices and numbers, and in a text tokens, lines and values."""
+    for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
+        at, size = chance.randrange(len(data) + 1), chance.choice((1, 2, 4, 8, 60, 400))
+        other = chance.randrange(len(data) + 1)
+        way = chance.randrange(10 if text else 5)
+        if text and chance.random() < 0.6:  # another number: the form stays, the physics may not
+            numbers = [*re.finditer(rb"(?<![\w.])-?\d[\d.]*(?:e[+-]?\d+)?(?![\w.])", data)]
+            place = chance.choice(numbers) if numbers else re.search(rb"$", data)
+            value = chance.choice((chance.choice(VALUES).encode(), chance.choice(numbers)[0] if numbers else b"1"))
+            data = data[: place.start()] + value + data[place.end() :]  # type: ignore[union-attr]
+        elif way == 0 and data:
+            at = min(at, len(data) - 1)
+            data = data[:at] + bytes([data[at] ^ (1 << chance.randrange(8))]) + data[at + 1 :]
+        elif way == 1:
+            data = data[:at] + data[at + size :]
+        elif way == 2:
+            data = data[:at] + data[other : other + size] + data[at:]
+        elif way == 3:
+            data = data[:at] + data[other : other + size] + data[at + size :]
+        elif way == 4 and not text:
+            number = chance.choice((0, 1, 255, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63, 2**64 - 1, chance.getrandbits(64)))
+            data = data[:at] + number.to_bytes(8, "little")[: chance.choice((1, 2, 4, 8))] + data[at + chance.choice((1, 4, 8)) :]
+        elif way == 4 and chance.random() < 0.2:
+            data = data[:at]
+        elif text:
+            token = chance.choice(TOKENS).encode("utf-8", "surrogatepass")
+            places = list(re.finditer(rb'-?\d[\d.eE+-]*|"[^"\n]*"|\w+' if way < 8 else rb"[^\n]*\n", data))
+            if places:
+                place = chance.choice(places)
+                swap = chance.choice(places)[0] if way in {5, 8} else token
+                data = data[: place.start()] + swap + data[place.end() if way != 9 else place.start() :]
+    return data
+
+
+def cases(kind: str, files: list[bytes], seed: int) -> Iterator[bytes]:
+    """Damaged files of a kind, without end."""
+    number = 0
+    while True:
+        chance = random.Random(f"{kind} {seed} {number}")
+        yield mutated(chance.choice(files), chance, text=kind in {"machine", "controller", "csv"})
+        number += 1
+
+
+def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
+    """ "read", "refused", or what breaks the contract."""
+    from click.testing import CliRunner
+
+    from ambrose.cli import main
+    from ambrose.machine.record import foreign
+    from ambrose.machine.record.mat_tdms import read_variables
+
+    commands = {
+        "machine": ["check", str(path)],
+        "controller": ["verify", str(folder / "tiny.toml"), "--controller", str(path)],
+    }
+    columns = folder / f"{kind}.map.toml"
+    given = ["--columns", str(columns)] if columns.exists() else []
+    arguments = commands.get(kind, ["convert", str(path), *given, "-o", str(folder / "out.h5")])
+    here = mock.patch.object(foreign, "variables_of", lambda path, names: nullcontext(list(read_variables(path, names))))
+    with nullcontext() if apart else here:
+        result = CliRunner().invoke(main, arguments)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        return f"traceback: {result.exception!r:.150}"
+    if result.exit_code == 2:
+        return "refused" if "ambrose: " in result.output else f"status 2 without a message: {result.output:.150}"
+    return "read" if result.exit_code in ({0, 1} if kind == "controller" else {0}) else f"status {result.exit_code}"
+
+
+def work(kind: str, folder: Path, seed: int, first: int, last: int) -> None:
+    """What a worker does: judge one case after the other, and tell each."""
+    from ambrose.machine.record.apart import _limit_memory
+
+    if kind in {"mat", "tdms"}:
+        _limit_memory()
+    files = [path.read_bytes() for path in sorted(folder.glob(f"{kind}.*.original"))]
+    path = folder / f"{kind}.{ {'machine': 'toml', 'controller': 'json', 'hdf5': 'h5'}.get(kind, kind)}"
+    out = sys.stdout
+    for number, data in zip(range(last), cases(kind, files, seed), strict=False):
+        if number >= first:
+            path.write_bytes(data)
+            print(number, json.dumps(judge(kind, path, folder)), file=out, flush=True)
+
+
+def campaign(kind: str, folder: Path, seed: int, count: int) -> tuple[Counter[str], list[str]]:
+    """How many were read and refused, and the breaches."""
+    tally: Counter[str] = Counter()
+    breaches, number = [], 0
+    while number < count:
+        command = [sys.executable, "-W", "ignore", "-m", __name__ if __name__ != "__main__" else "benchmarks.fuzz_files"]
+        worker = subprocess.Popen(
+            [*command, "work", kind, str(folder), str(seed), str(number), str(count)], stdout=subprocess.PIPE, text=True
+        )
+        words = ""
+        while number < count:
+            words = _line(worker)
+            if not words.partition(" ")[2]:
+                break
+            verdict = json.loads(words.partition(" ")[2])
+            tally[verdict if verdict in {"read", "refused"} else "breach"] += 1
+            breaches += [f"{kind} {number}: {verdict}"] if verdict not in {"read", "refused"} else []
+            number += 1
+        worker.kill()
+        status = worker.wait()
+        if number < count:
+            verdict = f"the process ended with {status}, or took more than {SECONDS} s"
+            if kind in {"mat", "tdms"}:
+                verdict = judge(kind, folder / f"{kind}.{kind}", folder, apart=True)
+            tally["refused apart" if verdict == "refused" else "breach"] += 1
+            breaches += [f"{kind} {number}: {verdict}"] if verdict != "refused" else []
+            number += 1
+    return tally, breaches
+
+
+def _line(worker: subprocess.Popen[str]) -> str:
+    import threading
+
+    assert worker.stdout is not None
+    found: list[str] = []
+    reader = threading.Thread(target=lambda: found.append(worker.stdout.readline()), daemon=True)  # type: ignore[union-attr]
+    reader.start()
+    reader.join(SECONDS + 20)  # and the start of the worker
+    return found[0] if found else ""
+
+
+def prepare(folder: Path) -> list[str]:
+    """The sound files, for the workers; the kinds."""
+    found = originals(folder)
+    for kind, files in found.items():
+        for i, data in enumerate(files):
+            (folder / f"{kind}.{i}.original").write_bytes(data)
+    for kind, source in (("mat", "y"), ("tdms", "g/y")):
+        (folder / f"{kind}.map.toml").write_text(COLUMNS.replace("SOURCE", source))
+    return list(found)
+
+
+def run(count: int, seed: int) -> int:
+    """All kinds; the number of breaches."""
+    total = 0
+    with tempfile.TemporaryDirectory() as name:
+        for kind in prepare(Path(name)):
+            tally, breaches = campaign(kind, Path(name), seed, count)
+            print(f"{kind:12s}", dict(tally), flush=True)
+            print("".join(f"  {line}\n" for line in breaches), end="", flush=True)
+            total += len(breaches)
+    return total
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["work"]:
+        work(sys.argv[2], Path(sys.argv[3]), *map(int, sys.argv[4:]))
+    else:
+        sys.exit(bool(run(*map(int, [*sys.argv[1:], "1000", "0"][:2]))))
