@@ -1,11 +1,11 @@
-"""Random damage to every kind of file that the command line reads: a refusal has exit status 2 and a message, never a traceback.
+"""Random damage to every kind of file that the command line reads: refused with exit status 2 and a message, or read.
 
     python -m benchmarks.fuzz_files [number of each kind, 1000] [seed, 0]
 
 A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as such; the worker goes on behind
-them. Counted as a breach of the contract: a traceback, an exit status other than 0 and 2 (for a verification 1 as well), the end
-of the process by a signal, more than 30 s. What kills the reader of a MATLAB or LabVIEW file in the worker is tried again the
-way the command does it, in a process of its own.
+them. Counted as a breach of the contract: a traceback, an exit status other than 0 and 2 (for a verification 1 as well), the
+end of the process by a signal, more than 30 s. What kills the reader of a MATLAB or LabVIEW file in the worker is tried again
+the way the command does it, in a process of its own.
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ MACHINE = """[machine]
 schema = 1
 name = "tiny"
 [[shaft]]
-length = "300 mm"
+length = "100 mm"
 outer_diameter = "40 mm"
-elements = 3
+[[shaft]]
+length = "200 mm"
+outer_diameter = "50 mm"
 [[bearing]]
 name = "A"
 position = "50 mm"
@@ -78,10 +80,44 @@ sample_rate_hz = 1000
 point = {speed = 0, seal_pressure = 0}
 signal = [{name = "y_A_zeta", source = "SOURCE", unit = "m"}]
 """
-VALUES = ("0", "-1", "1", "2", "7", "0.3", "1e3", "-1e-3", "1e308", "-1e308", "1e-300", "1e15", "400", "1e-9", "60", "12345678901")
+VALUES = (
+    "0",
+    "-1",
+    "1",
+    "2",
+    "7",
+    "0.3",
+    "1e3",
+    "-1e-3",
+    "1e308",
+    "-1e308",
+    "1e-300",
+    "1e15",
+    "400",
+    "1e-9",
+    "60",
+    "12345678901",
+)
 TOKENS = (
     *("0", "-1", "1e308", "-1e308", "1e-320", "nan", "inf", "9" * 400, "1" * 5000, "0x" + "f" * 300, "2147483648", "1e9", '""'),
-    *('"5 kg"', '"1e99 mm"', '"nan"', "true", "null", "[]", "{}", "[[", "]]", "{", '"', "'''", "\\u0000", "\x1b[31m", "\0", "\ud7ff"),
+    *(
+        '"5 kg"',
+        '"1e99 mm"',
+        '"nan"',
+        "true",
+        "null",
+        "[]",
+        "{}",
+        "[[",
+        "]]",
+        "{",
+        '"',
+        "'''",
+        "\\u0000",
+        "\x1b[31m",
+        "\0",
+        "\ud7ff",
+    ),
     *("a.b.c.d.e.f.g.h.i.j.k.l.m.n = 1\n", "[" * 50, "{a=" * 50, "=", ",", "\n", "#", "é", "﻿", "1979-05-27", "a" * 300),
 )
 
@@ -157,7 +193,9 @@ def mutated(data: bytes, chance: random.Random, *, text: bool) -> bytes:
             data = data[:at] + data[other : other + size] + data[at + size :]
         elif way == 4 and not text:
             number = chance.choice((0, 1, 255, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63, 2**64 - 1, chance.getrandbits(64)))
-            data = data[:at] + number.to_bytes(8, "little")[: chance.choice((1, 2, 4, 8))] + data[at + chance.choice((1, 4, 8)) :]
+            data = (
+                data[:at] + number.to_bytes(8, "little")[: chance.choice((1, 2, 4, 8))] + data[at + chance.choice((1, 4, 8)) :]
+            )
         elif way == 4 and chance.random() < 0.2:
             data = data[:at]
         elif text:
@@ -204,6 +242,12 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     return "read" if result.exit_code in ({0, 1} if kind == "controller" else {0}) else f"status {result.exit_code}"
 
 
+def place(kind: str, folder: Path) -> Path:
+    """Where the damaged file goes."""
+    suffixes = {"machine": "toml", "controller": "json", "hdf5": "h5"}
+    return folder / f"damaged.{suffixes.get(kind, kind)}"
+
+
 def work(kind: str, folder: Path, seed: int, first: int, last: int) -> None:
     """What a worker does: judge one case after the other, and tell each."""
     from ambrose.machine.record.apart import _limit_memory
@@ -211,7 +255,7 @@ def work(kind: str, folder: Path, seed: int, first: int, last: int) -> None:
     if kind in {"mat", "tdms"}:
         _limit_memory()
     files = [path.read_bytes() for path in sorted(folder.glob(f"{kind}.*.original"))]
-    path = folder / f"{kind}.{ {'machine': 'toml', 'controller': 'json', 'hdf5': 'h5'}.get(kind, kind)}"
+    path = place(kind, folder)
     out = sys.stdout
     for number, data in zip(range(last), cases(kind, files, seed), strict=False):
         if number >= first:
@@ -242,7 +286,7 @@ def campaign(kind: str, folder: Path, seed: int, count: int) -> tuple[Counter[st
         if number < count:
             verdict = f"the process ended with {status}, or took more than {SECONDS} s"
             if kind in {"mat", "tdms"}:
-                verdict = judge(kind, folder / f"{kind}.{kind}", folder, apart=True)
+                verdict = judge(kind, place(kind, folder), folder, apart=True)
             tally["refused apart" if verdict == "refused" else "breach"] += 1
             breaches += [f"{kind} {number}: {verdict}"] if verdict != "refused" else []
             number += 1

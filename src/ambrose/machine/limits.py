@@ -20,8 +20,19 @@ SEAL_POLES = 60  # of all seals with states together; two to four states each
 DELAY_SAMPLES = 100
 SAMPLE_TIME = 1e-7  # [s] the least
 TABLES: Mapping[str, int] = {
-    **{"shaft": ELEMENTS, "material": 100, "disc": 100, "bearing": 8, "sensor": 8, "seal": 40, "coupling": 20, "tolerance": 60},
-    **{"operation.point": 50, "controller.notch": 20, "bearing.measured": 20, "sensor.runout": 20, "signal": 1000},
+    "shaft": ELEMENTS,
+    "material": 100,
+    "disc": 100,
+    "bearing": 8,
+    "sensor": 8,
+    "seal": 40,
+    "coupling": 20,
+    "tolerance": 60,
+    "operation.point": 50,
+    "controller.notch": 20,
+    "bearing.measured": 20,
+    "sensor.runout": 20,
+    "signal": 1000,
 }  # and at most ENTRIES_EACH in any other list
 ENTRIES_EACH = 1000
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import NumericalFailure, check_shape, invalid
+from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_failure
 from ambrose.core.mechanical import SecondOrder, project, to_statespace, velocity_scales
 from ambrose.core.statespace import StateSpace, balance
 from ambrose.physics.rotor import free_modes
@@ -72,6 +72,7 @@ def default_bending_modes(plant: Plant) -> int:
     return min(int((bending <= highest).sum()) + 1, available)
 
 
+@named_failure("the reduction of the plant")
 def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: bool = True) -> Reduction:
     """Split off the slow modes of the rotor on its bearings, seals and couplings: 8 + 4 bending_modes states, and the seals'.
 

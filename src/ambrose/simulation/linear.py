@@ -66,9 +66,7 @@ def run(
     step = _sample_time(first, scenario, dt)
     k = int(min(scenario.duration / step, 1e15) + 1e-6) + 1
     if k * (len(first.inputs) + len(first.outputs)) > NUMBERS:
-        raise invalid(
-            "the number of samples", f"{k:g}", f"at most {NUMBERS} values in all", "shorten the scenario or raise dt"
-        )
+        raise invalid("the number of samples", f"{k:g}", f"at most {NUMBERS} values in all", "shorten the scenario or raise dt")
     names, c = waveforms(scenario, first.inputs, step, k, mass)
     shown = list(first.outputs if outputs is None else outputs)
     watched = [name for name in first.outputs if name.startswith("q_")] or [n for n in first.outputs if n.startswith("y_")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, named_failure
 from ambrose.core.statespace import poles
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
@@ -23,6 +23,7 @@ def schedulable(plant: Plant) -> bool:
     return plant.machine.weights is not None
 
 
+@named_failure("the model of the machine")
 def facts(machine: Machine) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies, open-loop poles, sizes."""
     rotor = finite_element_rotor(machine)

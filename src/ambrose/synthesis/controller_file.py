@@ -104,8 +104,12 @@ class SchedulingTable(_Table):
     unit: Text
     interpolation: Literal["linear"]
     outside: Literal["refuse", "clamp"] = Field(description="what happens beyond the grid")
-    grid: Annotated[list[Number], FailFast(), Field(max_length=GRID_POINTS)] = Field(description="ascending values of the parameter")
-    points: Annotated[list[SystemTable], FailFast()] = Field(description="one for each value of the grid, of the controller's own sizes")
+    grid: Annotated[list[Number], FailFast(), Field(max_length=GRID_POINTS)] = Field(
+        description="ascending values of the parameter"
+    )
+    points: Annotated[list[SystemTable], FailFast()] = Field(
+        description="one for each value of the grid, of the controller's own sizes"
+    )
 
 
 class CertificateTable(_Table):
@@ -240,14 +244,18 @@ def _read(path: Path) -> Any:
         if not stat.S_ISREG(status.st_mode):
             raise InvalidInput("is no ordinary file; give the path of a file")
         if status.st_size > CONTROLLER_BYTES:
-            raise invalid("the file's size", f"{status.st_size} bytes", f"at most {CONTROLLER_BYTES}", "is this the right file?")
+            raise invalid(
+                "the file's size", f"{status.st_size} bytes", f"at most {CONTROLLER_BYTES}", "is this the right file?"
+            )
         text = path.read_bytes().decode("utf-8")
     except OSError as error:
         raise InvalidInput(f"cannot be read ({error.strerror or error}); check the path") from error
     except UnicodeDecodeError as error:
         raise InvalidInput(f"is not text (byte {error.start} is no UTF-8); is this the right file?") from error
     if (numbers := text.count(",")) > CONTROLLER_NUMBERS:
-        raise invalid("the count of numbers", f"about {numbers}", f"at most {CONTROLLER_NUMBERS}", "reduce the controller's order")
+        raise invalid(
+            "the count of numbers", f"about {numbers}", f"at most {CONTROLLER_NUMBERS}", "reduce the controller's order"
+        )
     if _depth(text) > JSON_DEPTH:
         raise InvalidInput(f"is not JSON of a controller, nested more than {JSON_DEPTH} times; {_AGAIN}")
     try:

@@ -10,10 +10,11 @@ import scipy.io
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.column_map import Column, ColumnMap, load_columns, read_columns
 from ambrose.machine.record import foreign
+from ambrose.machine.record.column_map import Column, ColumnMap, load_columns, read_columns
 from ambrose.machine.record.foreign import read_foreign
 from ambrose.machine.record.mat_tdms import read_variables
+
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):

@@ -19,8 +19,12 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.messages import meant, shown
 
 _QUOTED = re.compile(  # strings and comments; one that is never closed ends where the text or the line does
-    r'"""(?:[^"\\]|\\.|"(?!""))*+"{0,5}|\'\'\'(?:[^\']|\'(?!\'\'))*+\'{0,5}|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+', re.DOTALL
-)  # fmt: skip
+    r'"""(?:[^"\\]|\\.|"(?!""))*+"{0,5}'
+    r"|'''(?:[^']|'(?!''))*+'{0,5}"
+    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'[^'\n]*+'?|#[^\n]*+",
+    re.DOTALL,
+)
 _DEEP_KEY = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{TOML_DEPTH}}}")
 _BRACKET = re.compile(r"[][{}]")
 
@@ -66,15 +70,21 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     Raises InvalidInput.
     """
     if len(text) > TOML_BYTES:
-        raise InvalidInput(f"{name}: it has {len(text)} characters, but at most {TOML_BYTES} are allowed; is it the right file?")
+        raise InvalidInput(
+            f"{name}: it has {len(text)} characters, but at most {TOML_BYTES} are allowed; is it the right file?"
+        )
     bare = _QUOTED.sub("s", text)  # a parser of nested things takes long, and memory, before it can count
     depth = max(accumulate({"[": 1, "{": 1}.get(mark, -1) for mark in _BRACKET.findall(bare)), default=0)
     if depth > TOML_DEPTH or _DEEP_KEY.search(bare):
         what = "brackets are" if depth > TOML_DEPTH else "a key is"
-        raise InvalidInput(f"{name}: {what} nested too deeply, more than {TOML_DEPTH} times; lists nest at most three deep here")
+        raise InvalidInput(
+            f"{name}: {what} nested too deeply, more than {TOML_DEPTH} times; lists nest at most three deep here"
+        )
     entries = sum(map(bare.count, "=,["))
     if entries > TOML_ENTRIES:
-        raise InvalidInput(f"{name}: it has about {entries} entries, but at most {TOML_ENTRIES} are allowed; make tables coarser")
+        raise InvalidInput(
+            f"{name}: it has about {entries} entries, but at most {TOML_ENTRIES} are allowed; make tables coarser"
+        )
     try:
         document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:

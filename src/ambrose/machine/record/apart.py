@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,21 +40,21 @@ def variables_of(path: Path, names: Sequence[str]) -> Iterator[list[Variable]]:
         ]
 
 
-def _ask(path: Path, names: Sequence[str], answer: Path) -> dict[str, list[list[str]]] | dict[str, str]:
+def _ask(path: Path, names: Sequence[str], answer: Path) -> dict[str, Any]:
     limit = _SECONDS + (path.stat().st_size / _BYTES_PER_SECOND if path.is_file() else 0)
-    command = [sys.executable, "-P", "-m", __name__, str(path), str(answer)]
-    found = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    found = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
     remedy = "it is damaged, too large, or made to do harm: save its numbers again as plain variables"
     try:
-        done = subprocess.run(
-            command, input=json.dumps(names).encode(), env={**os.environ, **found}, timeout=limit, check=False, **quiet
-        )
-        return json.loads(answer.read_text(encoding="utf-8"))
+        status = subprocess.run(
+            [sys.executable, "-P", "-m", __name__, str(path), str(answer)], input=json.dumps(names).encode(), timeout=limit,
+            env={**os.environ, **found}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False,
+        ).returncode  # fmt: skip
     except subprocess.TimeoutExpired:
         raise InvalidInput(f"{path}: it cannot be read within {limit:.0f} s; {remedy}") from None
+    try:
+        return dict(json.loads(answer.read_text(encoding="utf-8")))
     except (OSError, ValueError):
-        raise InvalidInput(f"{path}: its reader came to a sudden end (status {done.returncode}); {remedy}") from None
+        raise InvalidInput(f"{path}: its reader came to a sudden end (status {status}); {remedy}") from None
 
 
 def _answer(path: Path, answer: Path) -> None:

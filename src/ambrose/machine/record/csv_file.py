@@ -40,7 +40,7 @@ def read_csv(path: Path) -> Record:
         try:
             lines: dict[str, str] = {}
             head = _lines(file, _HEAD_LINE)
-            for count, line in enumerate(head):  # noqa: B007
+            for count, line in enumerate(head):
                 if not line.startswith("#"):
                     break
                 if count > 2 * NOTES:
@@ -107,7 +107,7 @@ def _blocks(lines: Iterator[str], columns: Sequence[tuple[str, str]]) -> Iterato
         try:
             table = np.loadtxt(block, delimiter=",", comments=None, ndmin=2)
         except ValueError as error:
-            raise ValueError(re.sub(r"at row (\d+)", lambda row: f"at row {first + int(row[1])}", str(error))) from error
+            raise ValueError(f"{error}, counted from row {first}" if first else str(error)) from error
         if table.shape[1] != len(columns):
             raise invalid("the number of columns", table.shape[1], f"{len(columns)} as in the header", "export it again")
         if not np.isfinite(table).all():

@@ -10,8 +10,8 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.limits import NUMBERS
-from ambrose.machine.record.column_map import Column, ColumnMap, load_columns, read_columns
 from ambrose.machine.record.apart import variables_of
+from ambrose.machine.record.column_map import Column, ColumnMap, load_columns, read_columns
 from ambrose.machine.record.mat_tdms import Variable
 from ambrose.machine.record.record import Record, si_values
 from ambrose.machine.record.timing import uniform_rate

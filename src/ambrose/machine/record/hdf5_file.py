@@ -113,7 +113,9 @@ def check_packing(datasets: Sequence[Any], path: Path) -> None:
         raise invalid("the file's content", f"{held} bytes in {size}", f"at most {PACKED} times the file", "is it damaged?")
     chunk = max((math.prod(data.chunks or (0,)) * data.dtype.itemsize for data in datasets), default=0)
     if chunk > CHUNK_BYTES:
-        raise invalid("a chunk", f"{chunk} bytes", f"at most {CHUNK_BYTES}", "repack the file with smaller chunks (h5repack -l)")
+        raise invalid(
+            "a chunk", f"{chunk} bytes", f"at most {CHUNK_BYTES}", "repack the file with smaller chunks (h5repack -l)"
+        )
 
 
 def _dataset(group: Any, name: str, h5py: Any) -> Any:

@@ -178,7 +178,9 @@ def signal_dimension(name: str) -> Dimension:
     """What a signal measures, by the prefix of its name ("y_A_zeta": length, in "m"). Raises InvalidInput if unknown."""
     prefix = name.partition("_")[0]
     if prefix not in _PREFIXES:
-        raise invalid(f"the prefix of signal {quoted(name)}", quoted(prefix), f"one of {', '.join(_PREFIXES)}", "rename the signal")
+        raise invalid(
+            f"the prefix of signal {quoted(name)}", quoted(prefix), f"one of {', '.join(_PREFIXES)}", "rename the signal"
+        )
     return DIMENSIONS[_PREFIXES[prefix]]
 
 

@@ -143,7 +143,7 @@ def _controller(machine: MachineDescription) -> Iterator[str]:
     sample = pid.sample_time
     if sample is not None and 0 < sample < SAMPLE_TIME:
         yield complaint(where, "sample_time", f"{sample:g} s", f"at least {SAMPLE_TIME:g} s", "1e-4 s is usual")
-    elif sample is not None and (pid.delay or 0) > DELAY_SAMPLES * sample:
+    elif sample is not None and pid.delay is not None and pid.delay > DELAY_SAMPLES * sample > 0:
         most = f"at most {DELAY_SAMPLES} sample times, {DELAY_SAMPLES * sample:g} s"
         yield complaint(where, "delay", f"{pid.delay:g} s", most, "one sample time is usual")
     for i, notch in enumerate(pid.notches):
