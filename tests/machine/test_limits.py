@@ -44,8 +44,8 @@ LARGE = {
     "elements in all": (lambda: sections(41, 10), "410 elements in all, but at most 400"),
     "discs": (lambda: several("disc", 9000, 'name = "d{}"\nposition = 0.1\nmass = 1'), "[[disc]], but at most 100"),
     "empty discs": (lambda: several("disc", 20_000, ""), "[[disc]], but at most 100"),
-    "bearings": (lambda: several("bearing", 9000, 'name = "b{}"\nposition = 0.1\nbias_current = 1'), "[[bearing]], but at most 8"),
-    "tolerances": (lambda: several("tolerance", 9000, 'parameter = "seal.center.C"\nrelative = 0.1'), "[[tolerance]], but at most"),
+    "bearings": (lambda: several("bearing", 9000, 'name = "b{}"\nposition = 0.1\nbias_current = 1'), "[[bearing]], but at"),
+    "tolerances": (lambda: several("tolerance", 9000, 'parameter = "seal.center.C"\nrelative = 0.1'), "[[tolerance]], but"),
     "points": (lambda: several("operation.point", 9000, 'label = "p{}"'), "[[operation.point]], but at most 50"),
     "notches": (lambda: several("controller.notch", 30, "frequency = {}"), "[[controller.notch]], but at most 20"),
     "labels": (lambda: SMALL.replace('["standstill"]', "[" + '"a",' * 1001 + "]"), "1001 entries in tolerance.around"),
@@ -56,7 +56,7 @@ LARGE = {
     "entries": (lambda: SMALL + "x = [" + "1," * 100_001 + "]", "entries, but at most 100000"),
     "bytes": (lambda: SMALL + "#" * 1_000_000, "characters, but at most 1000000"),
     "count": (lambda: SMALL.replace("order = 2\namp", f"order = {2**70}\namp"), "at most 1000000"),
-    "poles": (lambda: SMALL + '[[seal]]\nname = "p"\nposition = 0.1\nfrequency_dependence = "states"\npoles = 61', "63 poles in all"),
+    "poles": (lambda: SMALL.replace("poles = 2", "poles = 61"), "61 poles in all, but at most 60"),
     "delay": (lambda: SMALL.replace('delay = "100 us"', "delay = 1e9"), "at most 100 sample times"),
     "rate": (lambda: SMALL.replace('sample_time = "100 us"', "sample_time = 1e-300"), "sample_time is 1e-300 s"),
     "deep key": (lambda: "a" + ".a" * 100_000 + " = 1\n" + SMALL, "a key is nested too deeply"),
@@ -124,7 +124,7 @@ def test_the_limits_are_documented(page, numbers):
         number for number in numbers if f" {number:,} ".replace(",", " ") not in text.replace("|", " ").replace("\n", " ")
     ] == []
     if page == "machine-file.md":
-        missing = [key for key, most in limits.TABLES.items() if f"`{key}` | {most} |" not in text]
+        missing = [key for key, most in limits.TABLES.items() if f"tables `{key}` | {most} |" not in text]
         assert missing == ["signal"]  # of a column map
 
 
@@ -333,16 +333,16 @@ def test_damaged_controllers_are_read_or_refused(workshop):
     [
         (lambda text: "[" * 1_000_000, "nested more than 20 times"),
         (lambda text: "[" + "[]," * 1_000_001 + "]", "the count of numbers is about 1000001, but must be at most 1000000"),
-        (lambda text: "{" + ",".join(f'"k{i}": 0' for i in range(1001)) + "}", "keys of a table is 1001, but must be at most 1000"),
-        (lambda text: text.replace('"settings": {', '"settings": {"delay_samples": 1000000, "rate": 1e4, ', 1), "delay_samples is 1000000"),
-        (lambda text: text.replace('"settings": {', '"settings": {"rate": "x", ', 1), "settings.rate is 'x'"),
-        (lambda text: re.sub(r'"A": \[.*?\n \]', f'"A": {[[0.0]] * 501}', text, count=1, flags=re.DOTALL), "states is 501, but must"),
+        (lambda text: "{" + ",".join(f'"k{i}": 0' for i in range(1001)) + "}", "keys of a table is 1001"),
+        (lambda text: re.sub('"delay_samples": [^,}]+', '"delay_samples": 1000000', text), "delay_samples is 1000000"),
+        (lambda text: re.sub('"rate": [^,}]+', '"rate": "x"', text), "settings.rate is 'x'"),
+        (lambda text: re.sub(r'"A": \[.*?\n \]', f'"A": {[[0.0]] * 501}', text, count=1, flags=re.S), "states is 501"),
     ],
 )  # fmt: skip
 def test_a_controller_file_with_too_much_is_refused_at_once(workshop, tmp_path, change, message):
     path = tmp_path / "k.json"
     sound = (workshop[0] / "controller.0.original").read_text()
-    path.write_text(change(sound.replace('"rate": null', '"other": null').replace('"delay_samples": null', '"another": null')))
+    path.write_text(change(sound))
     begun = time.process_time()
     with pytest.raises(InvalidInput, match=message) as caught:
         read_controller(path)

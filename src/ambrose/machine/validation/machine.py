@@ -15,7 +15,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, MachineDescription
-from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME, excess
+from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME, SEAL_POLES, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.validation import parts
@@ -64,6 +64,9 @@ def _sizes(machine: MachineDescription) -> Iterator[str]:
         yield from excess({"bearing": {"measured": bearing.measured}})
     for sensor in machine.sensors:
         yield from excess({"sensor": {"runout": sensor.runout}})
+    poles = sum(max(seal.poles, 0) for seal in machine.seals if seal.frequency_dependence == "states")
+    if poles > SEAL_POLES:
+        yield f"[[seal]]: the seals have {poles} poles in all, but at most {SEAL_POLES} are allowed; lower poles, 3 suit most"
 
 
 def _not_finite(thing: object, place: str) -> Iterator[str]:

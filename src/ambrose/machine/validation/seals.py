@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 
 from ambrose.machine.description import MachineDescription
-from ambrose.machine.limits import SEAL_POLES
 from ambrose.machine.messages import complaint, number, shown, suggestion
 from ambrose.machine.seals import (
     FREQUENCY_DEPENDENCE,
@@ -28,9 +27,6 @@ _PRESWIRL = 2.0  # surface speeds; inlet swirl measured on test rigs stays below
 
 
 def seals(machine: MachineDescription) -> Iterator[str]:
-    poles = sum(max(seal.poles, 0) for seal in machine.seals if seal.frequency_dependence == "states")
-    if poles > SEAL_POLES:
-        yield f"[[seal]]: the seals have {poles} poles in all, but at most {SEAL_POLES} are allowed; lower poles, 3 suit most"
     for seal in machine.seals:
         where = f"[[seal]] {seal.name}"
         yield from not_positive(where, seal, "give a pressure difference", "reference_pressure")
