@@ -196,6 +196,7 @@ ROWS = "time [s],y_A [m]\n0,1\n0.1,2\n"
         (HEAD + ROWS + "\n" * 10_000 + "0.2,1\n", "the number of blank lines is larger"),
         (HEAD + "time [s],y_A [" + "m*m/m*" * 5000 + "m]\n0,1\n", "the header cell is"),
         (HEAD + ROWS.replace("0.1", "1e-300") + "1e300,2\n", "a time step is"),
+        (HEAD + ROWS.replace("0.1", "1e-9") + "2e-9,1\n1e308,1\n-1e308,1\n", "a time step is"),
     ],
 )
 def test_a_csv_record_with_too_much_is_refused_at_once(tmp_path, text, message):

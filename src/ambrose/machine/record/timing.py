@@ -21,7 +21,7 @@ def uniform_rate(time: np.ndarray, stated: float | None) -> float:
     if usual <= 0 or len(bad):
         i = int(bad[0]) if len(bad) else 0
         what = f"{step[i]:g} s after t = {time[i]:.9g} s"
-        missing = round(min(step[i] / usual, 1e15)) - 1 if usual > 0 else 0
+        missing = round(step[i] / usual) - 1 if usual > 0 and abs(step[i]) < 1e15 * usual else 0
         remedy = f"{missing} samples are missing there" if missing > 0 else "resample the signals uniformly"
         raise invalid("a time step", what, f"positive and uniform (here {usual:g} s)", remedy)
     rate = (len(time) - 1) / float(time[-1] - time[0])
