@@ -15,9 +15,10 @@ def uniform_rate(time: np.ndarray, stated: float | None) -> float:
         raise invalid("the number of samples", len(time), "at least 2", "one row has no time step")
     if not np.isfinite(time).all():
         raise invalid("a time", "not finite", "a number", f"look at data row {int(np.argmin(np.isfinite(time))) + 1}")
-    step = np.diff(time)
-    usual = float(np.median(step))
-    bad = np.flatnonzero(np.abs(step - usual) > _JITTER * abs(usual))
+    with np.errstate(over="ignore"):
+        step = np.diff(time)
+        usual = float(np.median(step))
+        bad = np.flatnonzero(~(np.abs(step - usual) <= _JITTER * abs(usual)))
     if usual <= 0 or len(bad):
         i = int(bad[0]) if len(bad) else 0
         what = f"{step[i]:g} s after t = {time[i]:.9g} s"
