@@ -277,6 +277,7 @@ def test_certificate_of_one_full_block_is_the_h_infinity_norm():
     assert not mu_certificate(system, blocks, norm * (1 - 1e-5), (0, np.inf)).proved
 
 
+@pytest.mark.campaign
 def test_certificates_of_random_systems_agree_with_a_fine_grid():
     """12 random systems: never proved below a lower bound found on a grid; proved with 1 % room above the upper one."""
     rng = np.random.default_rng(8)

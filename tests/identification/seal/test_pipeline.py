@@ -117,6 +117,7 @@ def test_a_table_follows_the_curve_and_survives_its_file():
     assert "Seal center, pressure by pressure" in done.comment
 
 
+@pytest.mark.campaign
 def test_a_line_says_that_the_points_are_none():
     lined = found("line")
     k = lined.to_dict()["seal"]["lines"]["k"]
@@ -128,6 +129,7 @@ def test_a_line_says_that_the_points_are_none():
     assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in higher.comment
 
 
+@pytest.mark.campaign
 def test_without_a_calm_record_all_are_fitted_together():
     law = replace(machine(), seals=(replace(machine().seals[0], k=0.7 * 3.203e6),))
     inside = replace(law, operation=replace(law.operation, points=(OperatingPoint(seal_pressure=1e5),)))

@@ -211,6 +211,7 @@ def test_not_converged_is_not_sure(done):
     assert verdict.passed is False and "NOT converged" in verdict.text and not report.result.passed
 
 
+@pytest.mark.campaign
 def test_a_residual_that_cannot_be_drawn_says_why(done):
     """The four excitations of this record are independent, so S is drawn; alike ones leave words."""
     machine, checked = done
