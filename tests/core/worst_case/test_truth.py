@@ -44,6 +44,18 @@ def test_a_member_whose_pole_is_sharper_than_the_nominal_ones():
     assert max(norms) < bound.value < 1.02 * worst.value
 
 
+@pytest.mark.parametrize(("seed", "least"), [(186, 0.165265549), (264, 0.932697167)])
+def test_an_eigenvalue_that_turns_fast_between_two_grid_points_is_a_crossing(seed, least):
+    """Newton's iteration left the interval and dropped these: margins 0.449 and 2.98 were found; the truth is by bisection."""
+    loop = worst_case_truth.loop_of(seed)
+    found = box_margin(loop)
+    assert found.factor == pytest.approx(least, rel=1e-8)
+    below, above = worst_case_truth.abscissa(loop, found.delta * np.array([[1 - 1e-6], [1 + 1e-6]]))
+    assert below < 0 < above
+    inside = np.linspace(-found.factor, found.factor, 2001)[1:-1, None]
+    assert (worst_case_truth.abscissa(loop, inside) < 0).all()
+
+
 def test_a_loop_through_which_nothing_passes_has_no_gain():
     """A ZeroDivisionError of the search before, met by one of 500 random systems."""
     loop = box_loop(StateSpace([[-1.0]], [[0.5, 1.0]], [[1.0], [0.0]], np.zeros((2, 2))), [RealBlock("p", 1)])
