@@ -49,6 +49,7 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
     "free_mode_reduction": "plant.reduce",
     "perturbed": "plant.uncertainty",
     "identify_residual": "identification.youla.identify:identify_injected",
+    "finite_response": "identification.youla.impulse_response",
     "run_up_steps": "simulation.run_up:steps",
     "with_performance_block": "synthesis.problem",
     "performance_weight": "synthesis.weights",
@@ -74,6 +75,9 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         module, _, there = _HOME[name].partition(":")
         item = getattr(import_module(f"ambrose.{module}"), there or name)
+        if not isinstance(item, type):  # a function: wrong types are named, and it pickles as what it is called here
+            item = import_module("ambrose.core.arguments").names_wrong_types(item)
+            item.__module__, item.__qualname__ = "ambrose", name
         globals()[name] = item
         return item
     raise AttributeError(f"module 'ambrose' has no attribute {name!r}; dir(ambrose) lists what it has")

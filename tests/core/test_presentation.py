@@ -9,7 +9,7 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock
-from ambrose.core.mu.bounds import mu_bounds, mu_certificate, mu_peak
+from ambrose.core.mu.bounds import mu_bounds, mu_peak
 from ambrose.core.presentation import Presented, data_frame, html_table, to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
@@ -26,7 +26,6 @@ RESULTS = [
     frequency_response(WIDE, OMEGA),
     mu_bounds(frequency_response(LOOP, OMEGA).values, BLOCKS),
     mu_peak(LOOP, BLOCKS, OMEGA),
-    mu_certificate(LOOP, BLOCKS, 1.0, (0.1, 10.0)),
 ]
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.core.statespace import static_gain
 from ambrose.identification import excitation
 
 
@@ -33,17 +32,6 @@ def test_chirp_has_the_frequency_it_should():
     assert abs(wave).max() <= 1
 
 
-def test_multisine_has_only_its_lines_and_a_low_crest():
-    dt, k = 1e-4, 10_000
-    w = 2 * np.pi * np.arange(5, 105)
-    wave = excitation.multisine(w, k, dt)
-    spectrum = np.abs(np.fft.rfft(wave))
-    assert np.abs(wave).max() == pytest.approx(1)
-    np.testing.assert_allclose(spectrum[5:105], spectrum[5], rtol=1e-9)
-    assert max(spectrum[:5].max(), spectrum[105:].max()) < 1e-9 * spectrum[5]
-    assert 1 / np.sqrt(np.mean(wave**2)) < 1.9  # zero phases: 14
-
-
 def test_patterns():
     machine = load_machine("seal-rig")
     wave = np.repeat([0.0, 1.0, 0.0], (20, 10, 20))
@@ -53,16 +41,6 @@ def test_patterns():
     np.testing.assert_array_equal(tilt["e_A_eta"], -tilt["e_B_eta"])
     single = excitation.pattern(machine, "single", wave, 0.1, "B_zeta")
     assert [name for name, value in single.items() if value.any()] == ["e_B_zeta"]
-
-
-def test_amplitude_advice_respects_both_limits():
-    machine = load_machine("seal-rig")  # 4 A, touchdown gap 250 um
-    axes = machine.axes
-    gain = np.vstack([3 * np.eye(4), 1e-6 * np.eye(4)])
-    loop = static_gain(gain, [f"e_{a}" for a in axes], [f"{kind}_{a}" for kind in "uy" for a in axes])
-    waves = {"e_A_zeta": excitation.prbs(8, 1, 255)}
-    assert excitation.largest_amplitude(loop, machine, waves, 1e-4) == pytest.approx(2 / 4)  # u + e = 4 A per A
-    assert excitation.largest_amplitude(loop, machine, waves, 1e-4, gap_share=1e-3) == pytest.approx(0.25)
 
 
 def test_order_of_excitation():
@@ -83,7 +61,6 @@ def test_order_of_excitation():
         (lambda: excitation.prbs(40, 1, 10), "order of the sequence is 40"),
         (lambda: excitation.prbs(8, 0, 10), "clock is 0"),
         (lambda: excitation.chirp(1.0, 4e4, 10, 1e-4), "below Nyquist"),
-        (lambda: excitation.multisine([], 10, 1e-4), "at least one"),
         (lambda: excitation.pattern(load_machine("seal-rig"), "single", [1.0], 1.0, "C_zeta"), "one of A_zeta"),
         (lambda: excitation.pattern(load_machine("seal-rig"), "sideways", [1.0], 1.0), "parallel, tilt, single"),
     ],

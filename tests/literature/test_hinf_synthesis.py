@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5, published_p5_data, published_p5_problem
 
 from ambrose.core.checks import AmbroseError
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty
 from ambrose.core.statespace import StateSpace, connect, select, transfer_function
-from ambrose.plant.published import published_p5, published_p5_data
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.problem import published_p5_problem
 from random_plants import KINDS, random_plant
 
 pytestmark = pytest.mark.literature

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5, published_p5_problem, published_p5_weights
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
@@ -17,11 +18,10 @@ from ambrose.core.worst_case import bounds
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
-from ambrose.plant.published import published_p5
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.problem import design_plant, published_p5_problem, published_p5_weights
+from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weights import Weights, control_weight, performance_weight
 from ambrose.verification import robust
 from ambrose.verification.checks import Checks

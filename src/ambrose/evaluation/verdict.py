@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
@@ -25,6 +26,7 @@ from ambrose.verification.checks import Checks
 from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
 
+@names_wrong_types
 def verify_controller(
     machine: Machine | Plant | Sequence[Plant],
     controller: Any,

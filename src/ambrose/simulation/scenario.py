@@ -15,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.messages import suggestion
 from ambrose.machine.record.record import signal_dimension
@@ -64,6 +65,7 @@ class Scenario:
     switch_at: float | None = None
     description: str = ""
 
+    @names_wrong_types
     def __post_init__(self) -> None:
         check_positive(self.duration, "the scenario's duration", "give it in seconds")
         if self.sample_time is not None:

@@ -183,6 +183,7 @@ def write_controller(
         made = replace(made, package_version=__version__, machine=machine.name, machine_hash=machine_hash(machine))
     if date is not None or not made.date:
         made = replace(made, date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"))
+    path = check_path(path, "controller file")
     content = replace(result, provenance=made).to_dict()
     signals = {side: _signals(content[side], side) for side in _UNITS}
     return write_text(path, _layout({"format": FORMAT, "version": VERSION, **content, **signals}), "controller file")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import to_plain
 from ambrose.machine.file.toml import machine_hash
@@ -48,6 +49,7 @@ def methods_for(plant: Plant) -> tuple[str, ...]:
     return tuple(method for method in METHODS if possible.get(method))
 
 
+@names_wrong_types
 def design(
     plant: Plant,
     method: str,

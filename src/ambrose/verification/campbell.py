@@ -99,22 +99,6 @@ def _follow(found: Modes, candidates: Modes) -> np.ndarray:
     return order
 
 
-def critical_speeds(found: CampbellMap) -> tuple[tuple[float, str], ...]:
-    """Speeds [rad/s] at which a mode's frequency equals the speed, with its whirl direction there, ascending.
-
-    Between the map's speeds the frequencies are interpolated by cubic splines.
-    """
-    from scipy.interpolate import CubicSpline
-
-    result = []
-    for frequency, whirl in zip(found.frequency, found.whirl, strict=True):
-        excess = CubicSpline(found.speeds, frequency - found.speeds)
-        for root in excess.roots(extrapolate=False):
-            if root > 0:
-                result.append((float(root), direction(float(np.interp(root, found.speeds, whirl)))))
-    return tuple(sorted(result))
-
-
 def campbell_curves(found: CampbellMap) -> list[Curve]:
     """The map as two curves: "campbell" (frequencies and the line of the speed itself) and "campbell.damping"."""
     names = found.names

@@ -101,7 +101,6 @@ BALANCE_GRADE = Criterion(
     (Limit("", 2.5e-3, True),),
     note="G2.5 is the grade the reference work assumes; the force at speed W balanced at W_b is mass grade W^2 / W_b",
 )
-CRITERIA: tuple[Criterion, ...] = (SENSITIVITY, SENSITIVITY_RANGE, CLEARANCE, LOG_DECREMENT, BALANCE_GRADE)
 
 TWO_PI = 2 * np.pi
 SPEED_RANGE_FACTOR = 3.0  # ISO 14839-3: multiples of the rated speed that the sensitivity is evaluated to

@@ -141,16 +141,6 @@ def stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequ
     return replace(found, name="robust.stability.all", title=f"Unstable points over {names}")
 
 
-def prove_stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Check:
-    """robust.stability.proved alone: the factor on all tolerances up to which stability is proved, on the plant given.
-
-    Arguments as for ``check``. A proof that does not succeed is a value 0 and says why. Raises InvalidInput, and UnstableSystem
-    for a loop that is unstable at its centre.
-    """
-    loop = box_loops(plant, controller, tolerances)[0]
-    return _proof_check(loop, box_margin(loop), _label(plant))
-
-
 def _label(plant: Plant | GeneralizedPlant) -> str:
     if not isinstance(plant, Plant):
         return f"{plant.system.n_states} states"

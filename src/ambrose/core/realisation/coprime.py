@@ -224,15 +224,6 @@ def _watched(factors: CoprimeFactors, plant: StateSpace, w: Sequence[str], z: Se
     return select(exchange(merged, v, factors.alpha), [*factors.alpha, *w], [*factors.eps, *z])
 
 
-def plant_of_residual(factors: CoprimeFactors, residual: Any) -> StateSpace:
-    """G(S) = (N + V S)(M + U S)^-1, the plant that has the residual system S (alpha -> eps)."""
-    S = as_statespace(residual)
-    S = rename(S, [f"S {name}" for name in factors.alpha], [f"S {name}" for name in factors.eps])
-    fed = _fed(append(factors.right, S), {name: f"S {name}" for name in factors.eps})
-    merged = _joined(fed, {name: [f"S {name}"] for name in factors.alpha}, factors.alpha)
-    return select(exchange(merged, factors.alpha, factors.plant.inputs), factors.plant.inputs, factors.plant.outputs)
-
-
 def _fed(system: StateSpace, fed: Mapping[str, str]) -> StateSpace:
     """``system`` with an output added to each input named: fed maps inputs to outputs."""
     loop = np.zeros((len(system.inputs), len(system.outputs)))

@@ -57,11 +57,6 @@ class Repeats:
 
         return np.asarray(stdtrit(self.count - 1, (1 + self.level) / 2) * self.deviation / np.sqrt(self.count))
 
-    @property
-    def deviation_range(self) -> np.ndarray:
-        """Interval (2, q) of the true standard deviation, by chi-square for normal scatter."""
-        return np.asarray(np.array(deviation_factors(self.count, self.level))[:, None] * self.deviation)
-
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data, SI."""
         return {

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import scipy.signal
+from benchmarks.stepped_frf import stepped
 
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.frf.phasors import steps_of
-from ambrose.identification.frf.stepped_sine import stepped
 from ambrose.machine.record.record import Record
 
 HZ = 2 * np.pi
