@@ -77,7 +77,7 @@ def __getattr__(name: str) -> Any:
         item = getattr(import_module(f"ambrose.{module}"), there or name)
         if not isinstance(item, type):  # a function: wrong types are named, and it pickles as what it is called here
             item = import_module("ambrose.core.arguments").names_wrong_types(item)
-            item.__module__, item.__qualname__ = "ambrose", name
+            item.__module__, item.__name__, item.__qualname__ = "ambrose", name, name
         globals()[name] = item
         return item
     raise AttributeError(f"module 'ambrose' has no attribute {name!r}; dir(ambrose) lists what it has")

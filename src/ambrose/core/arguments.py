@@ -40,7 +40,7 @@ def names_wrong_types(function: Function) -> Function:
         except AmbroseError:
             raise
         except (TypeError, AttributeError, ValueError, LookupError, OverflowError) as error:
-            check_types(function, args, keywords, error)
+            check_types(named, args, keywords, error)
             raise
 
     return named  # type: ignore[return-value]
@@ -74,7 +74,7 @@ def _annotated(
     for name, value in bound.arguments.items():
         parameter = bound.signature.parameters[name]
         if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
-            yield name, value, _evaluated(parameter.annotation, function.__module__)
+            yield name, value, _evaluated(parameter.annotation, inspect.unwrap(function).__module__)
 
 
 class _Names(dict[str, Any]):
