@@ -1,6 +1,6 @@
 """``python -m docs_build.report_picture out/seal-rig/report.html``: the picture of the report on the first page.
 
-It carries the stored figures that it shows in a text chunk of the PNG, so that tests/docs/test_figures.py notices when it is stale.
+It carries the stored figures that it shows in a text chunk of the PNG: tests/docs/test_figures.py notices when it is stale.
 """
 
 import json
@@ -52,9 +52,8 @@ def main(report):
     html, figures = Path(report).read_text(encoding="utf-8"), shown()
     missing = [f"{name} {value}" for name, value in figures.items() if value not in html]
     if missing:
-        sys.exit(
-            f"{report} does not show the stored figures {', '.join(missing)}; run python -m docs_build.figures --write study"
-        )
+        remedy = "run python -m docs_build.figures --write study"
+        sys.exit(f"{report} does not show the stored figures {', '.join(missing)}; {remedy}")
     browser = shutil.which("chromium") or shutil.which("chrome") or shutil.which("google-chrome")
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder) / "report.png"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from ambrose.version import __version__
+
+TYPE_CHECKING = False  # as type checkers understand it; typing itself is most of the time that this import takes
 
 _HOME = {  # public name -> module[:name there]; imported on first use, so that ``import ambrose`` stays fast
     **dict.fromkeys(("assemble", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"),
@@ -59,6 +60,8 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
 __all__ = ["__version__", *_HOME]  # noqa: PLE0604
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from ambrose.api import assemble as assemble
     from ambrose.api import design as design
     from ambrose.api import export as export

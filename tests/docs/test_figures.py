@@ -40,9 +40,8 @@ def test_readme_quotes_what_is_stored(phrase):
 
 
 def test_the_picture_of_the_report_shows_the_stored_study():
-    assert carried() == shown(), (
-        "stale picture; run make demo, then python -m docs_build.report_picture out/seal-rig/report.html"
-    )
+    remedy = "run make demo, then python -m docs_build.report_picture out/seal-rig/report.html"
+    assert carried() == shown(), f"stale picture; {remedy}"
 
 
 def test_groups_stored_are_those_with_a_recipe():

@@ -50,7 +50,7 @@ def result(candidates: Sequence[Candidate]) -> Verdict:
     if not good:
         return Verdict("", False, "no controller passes every check")
     passes = "passes" if len(good) == 1 else "pass"
-    return Verdict("", True, f"{len(good)} of {len(candidates)} controllers {passes} every check: {', '.join(good)}")
+    return Verdict("", True, f"{len(good)} of {len(candidates)} controllers {passes} every check: {'; '.join(good)}")
 
 
 def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Verdict, ...]:
