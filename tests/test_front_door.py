@@ -148,7 +148,7 @@ WRONG = [
     (lambda m, c: amb.hinf_synthesis(3), "plant"),
     (lambda m, c: amb.mu_bounds("x", [amb.RealBlock("k")]), "M"),
     (lambda m, c: amb.hinf_norm("x"), "system"),
-    (lambda m, c: amb.time_response(c.controller, np.zeros((2, 4)), dt=[]), "help(time_response)"),
+    (lambda m, c: amb.run_up_steps(3, 4, ["y"]), "see help(run_up_steps)"),
     (lambda m, c: amb.hinf_norm(10**400), "D is not numeric"),
     (lambda m, c: amb.mu_bounds([[1.0]], [amb.RealBlock("k")], seed=-1), "seed"),
     (lambda m, c: amb.study(m, 3), "directory is 3"),

@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy.stats
+from benchmarks.scatter_study import deviation_factors, scatter_study, study
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.validation.repeatability import deviation_factors, of_estimates, repeats, scatter_study, study
+from ambrose.identification.validation.repeatability import of_estimates, repeats
 
 PATHS = ("bearing.A.force_per_current.zeta", "amplifier.eddy_bandwidth")
 
