@@ -61,7 +61,7 @@ def critical_speeds(found):
     crossings = []
     for frequency, whirl in zip(found.frequency, found.whirl, strict=True):
         for root in CubicSpline(found.speeds, frequency - found.speeds).roots(extrapolate=False):
-            crossings += [(root, direction(float(np.interp(root, found.speeds, whirl))))] * (root > 0)
+            crossings += [(root, direction(float(np.interp(root, found.speeds, whirl))))] * bool(root > 0)
     return sorted(crossings)
 
 

@@ -46,8 +46,8 @@ TARGETS: Mapping[Target, tuple[Arithmetic, ...]] = {  # with what each can compu
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ExportOptions:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ExportOptions(Presented):
     """How a controller is written.
 
     name: prefix of every name in the code, a C identifier. arithmetic: of the code. rate [Hz]: of the samples, delay_samples:

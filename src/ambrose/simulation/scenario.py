@@ -17,6 +17,7 @@ from typing import Any
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.presentation import Presented
 from ambrose.machine.messages import suggestion
 from ambrose.machine.record.record import signal_dimension
 from ambrose.machine.units import DIMENSIONS, read_quantity
@@ -37,8 +38,8 @@ LEVITATED = "levitated"
 INITIAL_STATES = (LEVITATED, "resting")
 
 
-@dataclass(frozen=True, slots=True)
-class Scenario:
+@dataclass(frozen=True, slots=True, repr=False)
+class Scenario(Presented):
     """All disturbances of one simulation, which lasts ``duration`` [s].
 
     speed [rad/s] (None: that of the loop) goes linearly to ``to_speed`` over ``ramp`` [s] (None: the whole duration) and

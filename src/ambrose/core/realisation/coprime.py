@@ -32,6 +32,7 @@ from ambrose.core.checks import (
 )
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_equations import discrete_lyapunov, lyapunov
+from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance
 from ambrose.core.statespace import (
     StateSpace,
@@ -49,8 +50,8 @@ from ambrose.core.statespace import (
 _UNSEEN = 1e-13  # of the largest eigenvalue: a mode that the outputs do not show
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CoprimeFactors:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CoprimeFactors(Presented):
     """The eight factors, as two systems that are each other's inverse; the single ones by name (M~ is ``M_left``).
 
     plant_gain (n, p), controller_gain (nk, m): L and L_K of the observers. left: [V~ -U~; -N~ M~] from (v, y) to (alpha, eps);
