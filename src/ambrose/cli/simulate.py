@@ -43,7 +43,7 @@ def simulate(
 ) -> None:
     """Run a scenario on the virtual rig (or the linear model) and write the record (*.h5 or *.csv).
 
-    An *.h5 record of the rig grows while it runs, as *.partial.h5, which stays readable when the run is interrupted.
+    An *.h5 record of the rig grows while it runs, as *.h5.partial, which stays readable when the run is interrupted.
     """
     from ambrose.evaluation.trial import simulate_scenario
     from ambrose.machine.record.files import write_record

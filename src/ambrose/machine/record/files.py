@@ -18,15 +18,16 @@ from ambrose.machine.record.record import Record
 
 
 def read_record(path: str | Path) -> Record:
-    """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file; what an interrupted run left has the note complete = "false".
+    """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file, or what an unfinished run has left so far (.partial).
 
     Raises InvalidInput with the file's name and what is wrong.
     """
     from ambrose.machine.record.csv_file import read_csv
     from ambrose.machine.record.hdf5_file import read_hdf5
+    from ambrose.machine.record.stream import SUFFIX, read_stream
 
     path = check_path(path, "record")
-    reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv})
+    reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv, SUFFIX: read_stream})
     if not path.is_file():
         raise InvalidInput(f"{path} is not a file; check the name")
     try:
