@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_shown
+from ambrose.cli.terminal import AS_JSON, MACHINE, claim, kept, load, print_table, progress_shown
 
 METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, which is not imported for --help
 
@@ -67,6 +67,7 @@ def identify(
     check_arguments(method, given, flags)
     description = load(machine)
     other = load(str(compare)) if compare is not None else None
+    claim(machine_file=output, report=report)
     settings = {name: value for name, value in asked.items() if name in given}
     if start:
         settings["start"] = _starts(start)
@@ -75,7 +76,8 @@ def identify(
         law = read_controller(controller).controller if controller else None
         done = run(description, records, law, method=method, provenance=names, progress=progress, **settings)
         compared = None if other is None else agreement(done.result, other)
-        write_text(output, done.comment + machine_text(done.machine), "machine file")
+        text = done.comment + machine_text(done.machine)
+        failure = kept(lambda path: write_text(path, text, "machine file"), output)
         if report is not None:
             from ambrose.report.identification.page import identification_report
             from ambrose.report.identification.static_load import static_report
@@ -83,7 +85,7 @@ def identify(
 
             progress("writing the report")
             make: Any = static_report if done.method == "static" else identification_report
-            write(make(done, compared=compared), report)
+            failure = kept(lambda path: write(make(done, compared=compared), path), report) or failure
     if as_json:
         rows = None if compared is None else [row.to_dict() for row in compared]
         files = {"machine_file": str(output), "report": str(report) if report else None}
@@ -91,6 +93,8 @@ def identify(
     else:
         _print(done, compared)
         click.echo(f"Machine with these values and their uncertainty: {output}" + (f". Report: {report}" if report else ""))
+    if failure is not None:
+        raise failure
     sys.exit(0 if done.passed else 1)
 
 

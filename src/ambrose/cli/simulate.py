@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, load, progress_shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, progress_shown
 
 
 @click.command()
@@ -46,11 +46,13 @@ def simulate(
     An *.h5 record of the rig grows while it runs, as *.h5.partial, which stays readable when the run is interrupted.
     """
     from ambrose.evaluation.trial import simulate_scenario
-    from ambrose.machine.record.files import write_record
+    from ambrose.machine.record.files import check_suffix, write_record
     from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)
     controller = read_controller(path)
+    check_suffix(output)
+    claim(record=output, report=report)
     growing = not linear and output.suffix.lower() != ".csv"
     options: dict[str, Any] = {} if second is None else {"second": read_controller(second)}
     if not linear:
@@ -60,13 +62,12 @@ def simulate(
             description, controller, scenario, point=point, linear=linear, rate=rate_hz, delay_samples=delay_samples,
             progress=progress, **options,
         )  # fmt: skip
-    if not growing:
-        write_record(trace.record, output)
+    failure = None if growing else kept(lambda path: write_record(trace.record, path), output)
     if report is not None:
         from ambrose.report.page import write
         from ambrose.report.record.page import record_report
 
-        write(record_report(trace, description), report)
+        failure = kept(lambda path: write(record_report(trace, description), path), report) or failure
     summary = {
         "record": str(output),
         "outcome": trace.outcome,
@@ -75,4 +76,6 @@ def simulate(
         "report": str(report) if report else None,
     }
     click.echo(json.dumps(summary) if as_json else f"{output}: {trace.text}")
+    if failure is not None:
+        raise failure
     sys.exit(0 if trace.outcome == "completed" and trace.stable else 1)

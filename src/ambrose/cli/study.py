@@ -18,6 +18,7 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prin
 @AS_JSON
 def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
     """The whole chain: every controller the machine file allows, verified, simulated and compared in report.html."""
+    from ambrose.core.checks import InvalidInput
     from ambrose.report.tables import verdict
     from ambrose.workflow import study
 
@@ -42,4 +43,6 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
                 marks.append("red")
         print_table(f"{description.name}: {len(result.candidates)} controllers", ("controller", "at", "verdict"), rows, marks)
         click.echo(f"Most checks are met by {result.best.name}. Report: {report}")
+    if result.unwritten:
+        raise InvalidInput("; ".join(result.unwritten))
     sys.exit(0 if result.passed else 1)

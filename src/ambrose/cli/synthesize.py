@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, load, print_table, progress_shown, shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, shown
 
 
 @click.command()
@@ -81,12 +81,13 @@ def synthesize(
         match_reference=match_reference,
         speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
     )
+    claim(controller_file=output)
     with progress_shown(as_json) as progress:
         progress("assembling the plant")
         plant = plant_at(description, point)
         progress(f"designing ({method})")
         result = design(plant, method, options=options, progress=progress)
-    write_controller(output, result)
+    failure = kept(lambda path: write_controller(path, result), output)
     certificate = result.certificate.to_dict()
     factor = None if result.weights is None else result.weights.control_factor
     if as_json:
@@ -103,4 +104,6 @@ def synthesize(
         rows += [("note", note) for note in result.notes]
         early = "STOPPED EARLY: " if result.stopped_early else ""
         print_table(f"{method} controller, {early}{result.verdict}: {output}", ("certificate", "value"), rows)
+    if failure is not None:
+        raise failure
     sys.exit(0 if result.status is Status.VERIFIED else 1)

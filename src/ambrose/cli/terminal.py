@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import click
@@ -77,3 +80,34 @@ def print_checks(checks: Any, everything: bool) -> None:
 
 def shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def claim(**places: Path | None) -> None:
+    """Holds the files that a command will write until it ends: what cannot be written, or is being written by another run, is
+    refused before the work begins. Raises InvalidInput."""
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.atomic_write import check_file
+    from ambrose.machine.claim import claimed
+
+    known: dict[str, str] = {}
+    for what, path in ((what.replace("_", " "), path) for what, path in places.items() if path is not None):
+        check_file(path, what)
+        if (other := known.setdefault(os.path.realpath(path), what)) != what:
+            raise InvalidInput(f"{path} is to hold the {other} and the {what}; give one of them another name")
+        click.get_current_context().with_resource(claimed(path, what))
+
+
+def kept(write: Callable[[Path], Any], path: Path) -> Exception | None:
+    """Writes a result at the end of the work; where that fails, into the folder for temporary files instead. Returns what to
+    raise after the other results are printed; None: nothing failed."""
+    from ambrose.core.checks import InvalidInput
+
+    try:
+        write(path)
+    except InvalidInput as error:
+        with suppress(InvalidInput, OSError):
+            elsewhere = Path(tempfile.mkdtemp(prefix="ambrose-")) / path.name
+            write(elsewhere)
+            return InvalidInput(f"{error}; it was written to {elsewhere} instead")
+        return error
+    return None

@@ -74,6 +74,29 @@ class Steady(io.FileIO):
             raise self.failed
 
 
+def set_aside(path: Path) -> None:
+    """What stands at ``path``, if anything, makes room and is called ``earlier-<name>``. Raises InvalidInput."""
+    earlier = path.with_name(f"earlier-{path.name}")
+    try:
+        if os.path.lexists(path):
+            if earlier.is_dir() and not earlier.is_symlink():
+                shutil.rmtree(earlier)
+            os.replace(path, earlier)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InvalidInput(f"cannot rename {path} to {earlier.name}: {reason}; remove one of them") from error
+
+
+def make_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder ``path``, made with those above it if absent. Raises InvalidInput."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InvalidInput(f"cannot make the folder {path}: {reason}; give one that can be written") from error
+    return Path(path)
+
+
 def check_file(path: str | os.PathLike[str], what: str) -> Path:
     """``path``, after refusing one that cannot become a file. Raises InvalidInput."""
     target = Path(path)

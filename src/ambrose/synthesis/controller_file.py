@@ -127,6 +127,7 @@ class ProvenanceTable(_Table):
     machine_hash: Text | None = Field(description="SHA-256 of everything in the machine file that is computed with")
     date: Annotated[str, AfterValidator(_date)] = Field(description="UTC, ISO 8601")
     settings: dict[str, Any] | None = Field(description="what the design was asked for")
+    digest: Text | None = Field(default=None, description="SHA-256 of all else but the date, for resuming a study")
 
 
 class ControllerTable(_Table):
@@ -183,7 +184,8 @@ def write_controller(
         made = replace(made, package_version=__version__, machine=machine.name, machine_hash=machine_hash(machine))
     if date is not None or not made.date:
         made = replace(made, date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"))
-    content = replace(result, provenance=made).to_dict()
+    written = replace(result, provenance=made)
+    content = replace(written, provenance=replace(made, digest=written.digest)).to_dict()
     signals = {side: _signals(content[side], side) for side in _UNITS}
     return write_text(path, _layout({"format": FORMAT, "version": VERSION, **content, **signals}), "controller file")
 

@@ -50,6 +50,11 @@ def write_record(record: Record, path: str | Path) -> Path:
     return path
 
 
+def check_suffix(path: Path) -> None:
+    """Refuses a name that write_record would refuse. Raises InvalidInput."""
+    _by_suffix(path, dict.fromkeys((".h5", ".hdf5", ".csv"), read_record))
+
+
 def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
     if path.suffix.lower() not in choices:
         foreign = path.suffix.lower() in {".mat", ".tdms"}
