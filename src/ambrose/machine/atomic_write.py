@@ -144,7 +144,7 @@ def write_files(directory: str | os.PathLike[str], files: Mapping[str, str | byt
                 _fill(draft / "new", files)
                 (draft / "old").mkdir()
                 for name in (name for name in files if (target / name).exists()):
-                    shutil.copy2(target / name, draft / "old" / name)
+                    shutil.copyfile(target / name, draft / "old" / name)
                 _settle(draft)
                 os.replace(draft, target / INTERRUPTED)
                 _switch(target, files, draft)
@@ -185,7 +185,8 @@ def _switch(target: Path, names: Iterable[str], away: Path) -> None:
                 os.replace(held / "old" / name, target / name)
         os.replace(held, away)
         raise
-    os.replace(held, away)
+    with suppress(OSError):  # it is empty, and in nobody's way
+        os.replace(held, away)
 
 
 def _finish_interrupted(target: Path, away: Path) -> None:

@@ -65,9 +65,11 @@ def claimed(path: str | os.PathLike[str], what: str) -> Iterator[None]:
     try:
         yield
     finally:
-        if sys.platform != "win32":  # there a file that is open cannot be removed
-            _remove(lock)
-        os.close(descriptor)
+        try:
+            if sys.platform != "win32":  # there a file that is open cannot be removed
+                _remove(lock)
+        finally:
+            os.close(descriptor)
         if sys.platform == "win32":
             _remove(lock)
 
