@@ -1,4 +1,4 @@
-"""python fault_driver.py FOLDER [KIND ...], with faults.c preloaded: every way of writing files, failed and killed at each of its operations.
+"""python fault_driver.py FOLDER [KIND ...], with faults.c preloaded: all ways of writing, failed and killed at each operation.
 
 Prints a line for each: what was written, how it failed, at which operation, how the writer ended, what stands there afterwards.
 """
