@@ -207,3 +207,35 @@ def test_what_is_set_aside_replaces_what_was_so_before(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["earlier-code", "earlier-report.html"]
     assert (tmp_path / "earlier-report.html").read_text() == "second"
     assert [path.name for path in (tmp_path / "earlier-code").iterdir()] == ["second"]
+
+
+@pytest.mark.parametrize("failing", [1, 3, 4])
+def test_a_process_that_dies_while_it_puts_files_back_leaves_old_or_new(tmp_path, monkeypatch, failing):
+    """One file cannot be replaced, and at every step of the undoing the process dies."""
+    real = os.replace
+    for last in range(12):
+        folder, seen = tmp_path / f"{last}", {"replaced": 0, "undoing": 0}
+        write_files(folder, dict.fromkeys("abc", "old"))
+
+        def replace(source, target, folder=folder, seen=seen, last=last):
+            if seen["undoing"]:
+                seen["undoing"] += 1
+                if seen["undoing"] > last + 1:
+                    raise Dead
+            elif Path(target).parent == folder and Path(source).parent.name == "new":
+                seen["replaced"] += 1
+                if seen["replaced"] == failing:
+                    seen["undoing"] = 1
+                    raise PermissionError(13, "in use")
+            real(source, target)
+
+        monkeypatch.setattr(os, "replace", replace)
+        with pytest.raises((Dead, InvalidInput)) as told:
+            write_files(folder, dict.fromkeys("abcd", "new"))
+        monkeypatch.setattr(os, "replace", real)
+        if told.type is InvalidInput:
+            assert "in use; nothing was changed there" in str(told.value) and not (folder / INTERRUPTED).exists()
+        write_files(folder, {"other": ""})
+        texts = [path.read_text() for path in sorted(folder.glob("?"))]
+        assert texts in (["old"] * 3, ["new"] * 4), (last, texts)
+    assert told.type is InvalidInput  # the last one got to the end
