@@ -85,7 +85,8 @@ def identify(
 
             progress("writing the report")
             make: Any = static_report if done.method == "static" else identification_report
-            failure = kept(lambda path: write(make(done, compared=compared), path), report) or failure
+            unwritten = kept(lambda path: write(make(done, compared=compared), path), report)
+            failure, report = unwritten or failure, None if unwritten else report
     if as_json:
         rows = None if compared is None else [row.to_dict() for row in compared]
         files = {"machine_file": str(output), "report": str(report) if report else None}

@@ -67,7 +67,8 @@ def simulate(
         from ambrose.report.page import write
         from ambrose.report.record.page import record_report
 
-        failure = kept(lambda path: write(record_report(trace, description), path), report) or failure
+        unwritten = kept(lambda path: write(record_report(trace, description), path), report)
+        failure, report = unwritten or failure, None if unwritten else report
     summary = {
         "record": str(output),
         "outcome": trace.outcome,
