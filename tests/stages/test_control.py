@@ -130,7 +130,7 @@ def test_why_a_file_is_not_taken_up_is_said(name, plant, kept, designs):
 
 
 def test_the_first_run_goes_on_with_what_the_second_will_read(plant, first, tmp_path, monkeypatch):
-    """Arrays in another order in memory gave other last digits: checks.json of a resumed study differed from the first."""
+    """It went on with what it had designed, undated and perhaps in another order in memory: last digits were left to chance."""
     law = first[0].controller
     turned = replace(
         first[0], controller=replace(law, A=np.asfortranarray(law.A)), provenance=provenance(plant, "hinf", OWN_GAIN)
