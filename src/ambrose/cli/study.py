@@ -26,9 +26,9 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     directory = output or Path(f"study-{description.name}")
     with progress_shown(as_json) as progress:
         result = study(description, directory, progress)
-    report = directory / "report.html"
+    report = None if result.unwritten else directory / "report.html"
     if as_json:
-        click.echo(json.dumps({**result.to_dict(), "report": str(report)}))
+        click.echo(json.dumps({**result.to_dict(), "report": report and str(report)}))
     else:
         rows = [(name, "design", why) for name, why in result.failed]
         marks = ["red"] * len(rows)
@@ -42,7 +42,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
                 rows.append((candidate.name, label, "left out: its schedule does not cover this point"))
                 marks.append("red")
         print_table(f"{description.name}: {len(result.candidates)} controllers", ("controller", "at", "verdict"), rows, marks)
-        click.echo(f"Most checks are met by {result.best.name}. Report: {report}")
+        click.echo(f"Most checks are met by {result.best.name}." + (f" Report: {report}" if report else ""))
     if result.unwritten:
         raise InvalidInput("; ".join(result.unwritten))
     sys.exit(0 if result.passed else 1)
