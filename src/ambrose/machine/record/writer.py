@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.atomic_write import draft_of
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.ordinary_file import refuse_special
 from ambrose.machine.record.hdf5_file import COMPLETE, LIBVER, UNFINISHED, fixed
 from ambrose.machine.record.record import Record
 
@@ -84,8 +85,7 @@ class RecordWriter:
 
         if self._file is not None or self.samples:
             raise InvalidInput(f"the record {self.path} was written by this writer already; make a new one")
-        if self.path.is_dir():
-            raise invalid("the path of the record", repr(str(self.path)), "that of a file", "add a file name")
+        refuse_special(self.path, "record")
         with draft_of(self.partial, "record") as draft, h5py.File(draft, "w", libver=LIBVER) as file:
             attributes = {**self._header.attributes, COMPLETE: UNFINISHED}
             file.attrs.update({key: fixed(value) for key, value in attributes.items()})
