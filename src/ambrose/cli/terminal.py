@@ -99,7 +99,7 @@ def streams_settled() -> Iterator[None]:
 
 def _settled(stream: Any, name: str) -> Any:
     if stream is None:
-        return open(os.devnull, "w", encoding="utf-8")
+        return io.StringIO()
     buffered = getattr(stream, "buffer", None)
     raw = getattr(buffered, "raw", buffered)  # unbuffered, it is the file itself
     if isinstance(raw, io.RawIOBase):
