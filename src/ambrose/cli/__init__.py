@@ -11,6 +11,7 @@ import sys
 from typing import Any, NoReturn
 
 import click
+from click.exceptions import NoArgsIsHelpError
 
 from ambrose.cli.check import check, machines
 from ambrose.cli.convert import convert
@@ -21,29 +22,34 @@ from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
 from ambrose.cli.terminal import say, streams_settled
 from ambrose.cli.verify import verify
-from ambrose.machine.messages import BULLET, one_line
+from ambrose.machine.messages import BULLET
 from ambrose.version import __version__
 
 
 class AmbroseCommand(click.Group):
     """Turns every refusal of the package, and every file that cannot be used, into one message and exit status 2."""
 
-    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+    def main(self, args: Any = None, prog_name: Any = None, *, standalone_mode: bool = True, **extra: Any) -> Any:  # type: ignore[override]
         # Before numpy is loaded: at these sizes (some hundred states) BLAS threads cost more than they bring.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         if not standalone_mode:
-            return super().main(*args, standalone_mode=False, **extra)
+            return super().main(args, prog_name, standalone_mode=False, **extra)
         with streams_settled():
             try:
-                status = super().main(*args, standalone_mode=False, **extra)
+                status = super().main(args, prog_name, standalone_mode=False, **extra)
             except OSError as error:
                 remedy = "check that it exists, may be read or written, and has room"
                 stop(f"{error.filename or 'file'}: {error.strerror or error}; {remedy}")
             except (KeyboardInterrupt, click.Abort):
                 stop("interrupted; what was finished before stays on disk", 130)
             except click.ClickException as error:
-                error.message = one_line(error.message)
-                error.show()
+                context = getattr(error, "ctx", None)
+                if isinstance(error, NoArgsIsHelpError):
+                    error.show()
+                else:
+                    usage = context.get_usage().splitlines() if context else ()
+                    for line in (*usage, f"Error: {error.format_message()}"):
+                        say(line, err=True)
                 sys.exit(2)
             except Exception as error:
                 from ambrose.core.checks import AmbroseError  # with numpy, which --help does without
