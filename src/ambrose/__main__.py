@@ -32,7 +32,7 @@ def main() -> None:
     try:
         _run(interrupt, asked)
     except KeyboardInterrupt:  # as _run was left
-        sys.exit(130)
+        os._exit(130)
 
 
 def _run(interrupt: Callable[[int, Any], None], asked: list[int]) -> None:
@@ -48,7 +48,7 @@ def _run(interrupt: Callable[[int, Any], None], asked: list[int]) -> None:
             raise
         if not isinstance(error, SystemExit):  # while importing
             _say()
-        sys.exit(130)
+        os._exit(130)  # SystemExit would end as a death by SIGINT where the interruption passed through exec() on its way
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
