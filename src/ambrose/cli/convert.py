@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, claim
+from ambrose.cli.terminal import AS_JSON, claim, say, say_json
 
 
 @click.command()
@@ -28,4 +27,4 @@ def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> 
     summary = {"record": str(output), "signals": result.signals, "samples": count, "sample_rate_hz": rate}
     signals = f"{', '.join(result.signals[:8])}{' ...' if len(result.signals) > 8 else ''}"
     words = f"{output}: {count / rate:.6g} s at {rate:.6g} Hz, {len(result.signals)} signals ({signals})"
-    click.echo(json.dumps(summary) if as_json else words)
+    say_json(summary) if as_json else say(words)

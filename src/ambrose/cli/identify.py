@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, claim, kept, load, print_table, progress_shown
+from ambrose.cli.terminal import AS_JSON, MACHINE, claim, kept, load, print_table, progress_shown, say, say_json
 
 METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, which is not imported for --help
 
@@ -90,10 +89,10 @@ def identify(
     if as_json:
         rows = None if compared is None else [row.to_dict() for row in compared]
         files = {"machine_file": str(output), "report": str(report) if report else None}
-        click.echo(json.dumps({**done.to_dict(), "compared": rows, **files}))
+        say_json({**done.to_dict(), "compared": rows, **files})
     else:
         _print(done, compared)
-        click.echo(f"Machine with these values and their uncertainty: {output}" + (f". Report: {report}" if report else ""))
+        say(f"Machine with these values and their uncertainty: {output}" + (f". Report: {report}" if report else ""))
     if failure is not None:
         raise failure
     sys.exit(0 if done.passed else 1)
@@ -138,9 +137,9 @@ def _print(done: Any, compared: Any) -> None:
     if compared is not None:
         _table(tables.compared_table(compared))
     for line in (f"Verdict: {done.verdict}", *[f"Warning: {finding}" for finding in done.doubts]):
-        click.echo(line)
+        say(line)
     if done.method != "static" and done.seal is not None and done.seal.note:
-        click.echo(f"Note: {done.seal.note}.")
+        say(f"Note: {done.seal.note}.")
 
 
 def _table(table: Any, only_failed: bool = False) -> None:

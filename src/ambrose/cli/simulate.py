@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, progress_shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, progress_shown, say, say_json
 
 
 @click.command()
@@ -76,7 +75,7 @@ def simulate(
         "stable": trace.stable,
         "report": str(report) if report else None,
     }
-    click.echo(json.dumps(summary) if as_json else f"{output}: {trace.text}")
+    say_json(summary) if as_json else say(f"{output}: {trace.text}")
     if failure is not None:
         raise failure
     sys.exit(0 if trace.outcome == "completed" and trace.stable else 1)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, say_json, shown
 
 
 @click.command()
@@ -95,7 +94,7 @@ def synthesize(
             "controller": str(output), "method": method, "status": result.status, "stopped_early": result.stopped_early,
             "control_weight_factor": factor, "notes": result.notes, "certificate": certificate,
         }  # fmt: skip
-        click.echo(json.dumps(summary))
+        say_json(summary)
     else:
         numbers = {**certificate, **certificate["margins"]}
         rows = [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name != "margins"]

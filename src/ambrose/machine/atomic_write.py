@@ -15,6 +15,7 @@ from typing import Any
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import to_plain
 from ambrose.machine.claim import claimed
+from ambrose.machine.ordinary_file import refuse_special
 
 INTERRUPTED = "interrupted-write"  # in a folder: old and new files of a write that was killed while it replaced them
 
@@ -107,6 +108,7 @@ def check_file(path: str | os.PathLike[str], what: str) -> Path:
             f"cannot write the {what} {target}: {target.parent} is not a directory; "
             "give a file in an existing folder, or create the folder first"
         )
+    refuse_special(target, what)
     return target
 
 
@@ -218,11 +220,10 @@ def _settle(folder: Path) -> None:
 def check_place(directory: str | os.PathLike[str], names: Iterable[str] = ()) -> Path:
     """``directory`` as a path, after refusing one that cannot become or hold these files. Raises InvalidInput."""
     target = Path(directory)
-    if target.exists() and not target.is_dir():
-        raise InvalidInput(f"cannot write to {target}: it is a file; give the path of a folder")
+    if os.path.lexists(target) and not target.is_dir():
+        raise InvalidInput(f"cannot write to {target}: it is no folder; give the path of one")
     if not target.parent.is_dir():
         raise InvalidInput(f"cannot write to {target}: {target.parent} is not a directory; create it first")
-    blocked = [name for name in names if (target / name).is_dir()]
-    if blocked:
-        raise InvalidInput(f"cannot write {target / blocked[0]}: it is a directory; remove it or give another folder")
+    for name in names:
+        refuse_special(target / name, "file")
     return target

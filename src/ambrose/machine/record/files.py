@@ -14,6 +14,7 @@ from typing import Any
 
 from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.machine.atomic_write import draft_of
+from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.record.record import Record
 
 
@@ -28,8 +29,7 @@ def read_record(path: str | Path) -> Record:
 
     path = check_path(path, "record")
     reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv, SUFFIX: read_stream})
-    if not path.is_file():
-        raise InvalidInput(f"{path} is not a file; check the name")
+    check_source(path, "record")
     try:
         return reader(path)
     except (InvalidInput, OSError) as error:

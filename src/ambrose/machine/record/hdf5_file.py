@@ -57,7 +57,7 @@ def read_hdf5(path: Path) -> Record:
     try:
         with h5py.File(path, "r") as file:
             attributes = read_attributes({key: _plain(value, key) for key, value in file.attrs.items()})
-            group = file.get("signals")
+            group = own_member(file, "signals", "/signals") if "signals" in file else None
             if not isinstance(group, h5py.Group) or not len(group):
                 raise InvalidInput("the group /signals is missing or empty; a record keeps one dataset per signal there")
             datasets = {name: _dataset(group, name, h5py) for name in group}
@@ -72,7 +72,20 @@ def read_hdf5(path: Path) -> Record:
     return record_of(attributes, units, values, attributes.sample_rate_hz, attributes.start_time_s)
 
 
+def own_member(group: Any, name: str, place: str) -> Any:
+    """What stands under ``name`` in the file itself: a link could lead into any file of this computer, and so could numbers
+    kept outside (external storage, virtual datasets). Raises InvalidInput."""
+    import h5py
+
+    found = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+    if found is None or (isinstance(found, h5py.Dataset) and (found.is_virtual or found.external)):
+        raise invalid(place, "a link, or kept in another file", "in the file itself", "export it again, in one file")
+    return found
+
+
 def _plain(value: Any, key: str) -> Any:
+    if isinstance(value, str):
+        value = value.encode("utf-8", "surrogateescape")
     if isinstance(value, bytes):
         value = value.decode("utf-8", "replace")
     if not isinstance(value, str) and np.ndim(value) != 0:
@@ -81,8 +94,8 @@ def _plain(value: Any, key: str) -> Any:
 
 
 def _dataset(group: Any, name: str, h5py: Any) -> Any:
-    data = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-    if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.dtype.kind not in "fiu" or data.is_virtual:
+    data = own_member(group, name, f"/signals/{name}")
+    if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.dtype.kind not in "fiu":
         raise invalid(f"/signals/{name}", "something else", "a dataset of real numbers with one axis", "export it again")
     if data.size * len(group) > LARGEST:
         raise invalid("the number of values", data.size * len(group), f"at most {LARGEST}", "split the record")
