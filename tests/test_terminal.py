@@ -38,9 +38,9 @@ def call(*arguments, charset="utf-8"):
 
 
 def described(path, text):
-    """A machine file with that description, and label of its nominal point."""
+    """A machine file with that description."""
     quoted = '"' + "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in text) + '"'
-    changed = SMALL.replace('"Two bearings, a disc, a seal and a coupling"', quoted).replace('"nominal"', quoted)
+    changed = SMALL.replace('"Two bearings, a disc, a seal and a coupling"', quoted)
     path.write_text(changed, encoding="utf-8")
     return path
 
