@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, load, print_table, progress_shown, shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, say_json, shown
 
 
 @click.command()
@@ -81,12 +80,13 @@ def synthesize(
         match_reference=match_reference,
         speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
     )
+    claim(controller_file=output)
     with progress_shown(as_json) as progress:
         progress("assembling the plant")
         plant = plant_at(description, point)
         progress(f"designing ({method})")
         result = design(plant, method, options=options, progress=progress)
-    write_controller(output, result)
+    failure = kept(lambda path: write_controller(path, result), output)
     certificate = result.certificate.to_dict()
     factor = None if result.weights is None else result.weights.control_factor
     if as_json:
@@ -94,7 +94,7 @@ def synthesize(
             "controller": str(output), "method": method, "status": result.status, "stopped_early": result.stopped_early,
             "control_weight_factor": factor, "notes": result.notes, "certificate": certificate,
         }  # fmt: skip
-        click.echo(json.dumps(summary))
+        say_json(summary)
     else:
         numbers = {**certificate, **certificate["margins"]}
         rows = [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name != "margins"]
@@ -103,4 +103,6 @@ def synthesize(
         rows += [("note", note) for note in result.notes]
         early = "STOPPED EARLY: " if result.stopped_early else ""
         print_table(f"{method} controller, {early}{result.verdict}: {output}", ("certificate", "value"), rows)
+    if failure is not None:
+        raise failure
     sys.exit(0 if result.status is Status.VERIFIED else 1)

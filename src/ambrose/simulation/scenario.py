@@ -19,6 +19,7 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.machine.messages import suggestion
+from ambrose.machine.ordinary_file import read_text
 from ambrose.machine.record.record import signal_dimension
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.simulation.disturbances import (
@@ -173,13 +174,17 @@ def load_scenario(name: str | Path) -> Scenario:
 
     Quantities are SI numbers or strings with a unit ("10 ms", "0.05 A"). Raises InvalidInput naming file, table and key.
     """
-    path = files("ambrose").joinpath("simulation", "scenarios", f"{name}.toml") if str(name) in _bundled_names() else Path(name)
-    if not path.is_file():
-        raise InvalidInput(f"{name} is neither a file nor a bundled scenario; {suggestion(str(name), _bundled_names())}")
+    bundled = files("ambrose").joinpath("simulation", "scenarios", f"{name}.toml")
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-        return read_scenario(document)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, InvalidInput) as error:
+        text = read_text(str(bundled) if str(name) in _bundled_names() else name, "scenario")
+    except InvalidInput as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
+        known = suggestion(str(name), _bundled_names())
+        raise InvalidInput(f"{name} is neither a file nor a bundled scenario; {known}") from None
+    try:
+        return read_scenario(tomllib.loads(text))
+    except (tomllib.TOMLDecodeError, InvalidInput) as error:
         raise InvalidInput(f"scenario {name}: {error}") from error
 
 

@@ -14,8 +14,7 @@ from typing import Any
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import meant, shown
-
-_LARGEST_FILE = 10_000_000  # bytes; a machine file has a few thousand
+from ambrose.machine.ordinary_file import read_text
 
 
 def bundled_machines() -> dict[str, Path]:
@@ -74,23 +73,13 @@ def read_machine_text(file: Any) -> str:
     bundled = bundled_machines()
     path = bundled.get(os.fspath(file), Path(file))
     try:
-        if path.is_dir():
-            raise InvalidInput(f"{path} is a directory; give the machine file in it")
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InvalidInput(f"{path} has {path.stat().st_size} bytes; that is no machine file")
-        return path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
+        return read_text(path, "machine file")
+    except InvalidInput as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
         close = meant(str(path), bundled)
         hint = f'did you mean "{close}"?' if close else f"bundled machines: {', '.join(bundled)}"
         raise InvalidInput(f'"{path}" is neither a file nor a bundled machine; {hint}') from None
-    except UnicodeDecodeError as error:
-        remedy = "save it as UTF-8 text"
-        raise InvalidInput(
-            f"{path} is not UTF-8 text (byte {error.start} is 0x{error.object[error.start]:02x}); {remedy}"
-        ) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InvalidInput(f"{path} cannot be read: {reason}; check its name and permissions") from error
 
 
 def _lines(table: Mapping[str, Any], path: str) -> Iterator[str]:

@@ -31,6 +31,7 @@ from typing import Annotated, Any
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.kinds import Name, Quantity, Text, Words
+from ambrose.machine.ordinary_file import read_text
 from ambrose.machine.part import Part
 
 
@@ -80,12 +81,9 @@ class ColumnMap(Part):
 
 def load_columns(path: str | Path) -> ColumnMap:
     """The column map in a TOML file. Raises InvalidInput naming file, table and key."""
-    path = Path(path)
     try:
-        return read_columns(tomllib.loads(path.read_text(encoding="utf-8")), f"column map {path}")
-    except OSError as error:
-        raise InvalidInput(f"the column map {path} cannot be read: {error.strerror or error}; check its name") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return read_columns(tomllib.loads(read_text(path, "column map")), f"column map {path}")
+    except tomllib.TOMLDecodeError as error:
         raise InvalidInput(f"column map {path}: {error}") from error
 
 
