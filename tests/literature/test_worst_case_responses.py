@@ -14,12 +14,12 @@ from ambrose.core.statespace import poles, select
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
+from ambrose.plant.unbalance import residual_unbalance
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import linear
 from ambrose.simulation.disturbances import Pulse
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification.unbalance import residual_unbalance
 
 MACHINE = load_machine("turboexpander")
 PLANT = reduce(assemble(MACHINE, MACHINE.operation.points[4]), 1)

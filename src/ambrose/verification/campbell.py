@@ -16,10 +16,11 @@ import numpy as np
 from ambrose.core.checks import check_shape, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import spectral_abscissa
+from ambrose.machine.criteria import TWO_PI, Demand
 from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import TWO_PI, Demand, judge
+from ambrose.verification.criteria import judge
 from ambrose.verification.rotor_modes import OSCILLATORY, Modes, damping_ratio, direction, modes
 
 

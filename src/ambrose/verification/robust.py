@@ -35,13 +35,14 @@ from ambrose.core.worst_case.bounds import FAILURES, gain_bound, proved_gain, pr
 from ambrose.core.worst_case.crossing import BoxMargin, box_margin
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, default_grid, gains, samples, unstable_poles
 from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
+from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.loop import Law, law_at, match_axes, match_controller
 from ambrose.plant.model import Plant
 from ambrose.synthesis.problem import design_plant, with_performance_block
 from ambrose.synthesis.weights import Weights
 from ambrose.verification.checks import Check, Checks, Curve
-from ambrose.verification.criteria import SENSITIVITY, TWO_PI, Demand, demand, information, judge, zone_lines
+from ambrose.verification.criteria import information, judge, zone_lines
 
 FAMILY = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _APART = 0.01  # between what is found and what is proved, above which the search looks again where the proof ends
