@@ -12,14 +12,31 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
 
 @click.command()
 @MACHINE
-@click.option("--method", type=click.Choice(["pid", "hinf", "mu", "polish", "lpv"]), default="pid", show_default=True)
-@click.option("--bending-modes", type=int, default=0, show_default=True, help="Bending modes per plane in the design model.")
+@click.option("--method", type=click.Choice(["pid", "hinf", "mu", "polish", "lpv", "tuned"]), default="pid", show_default=True)
+@click.option(
+    "--bending-modes",
+    type=int,
+    default=None,
+    help="Bending modes per plane in the design model; default: none, with --method tuned all that matter.",
+)
 @click.option(
     "--match-reference/--own-gain",
     default=None,
     help="Scale the control weight until the direct gains match the reference PID's; default: with a constant weight.",
 )
-@click.option("--order", type=int, default=None, help="States of the polished controller; default: half of what mu needs.")
+@click.option(
+    "--order",
+    type=int,
+    default=None,
+    help="States of the polished (default: half of what mu needs) or the tuned controller (three per axis).",
+)
+@click.option(
+    "--structure",
+    type=click.Choice(["plane", "free", "axis"]),
+    default="plane",
+    show_default=True,
+    help="With --method tuned: which axes share a part of the controller.",
+)
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: the design point.")
 @RATE
 @DELAY
@@ -41,9 +58,10 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
 def synthesize(
     machine: str,
     method: str,
-    bending_modes: int,
+    bending_modes: int | None,
     match_reference: bool | None,
     order: int | None,
+    structure: str,
     point: str | None,
     rate_hz: float | None,
     delay_samples: int | None,
@@ -77,6 +95,7 @@ def synthesize(
         loss=None if loss is None else loss / 100,
         order=order,
         bending_modes=bending_modes,
+        structure=structure,
         match_reference=match_reference,
         speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.criteria import CLEARANCE, CURRENT_PULSE, SENSITIVITY, SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, demand
+from ambrose.machine.criteria import CLEARANCE, SENSITIVITY, SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, demand
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import top_speed
@@ -30,8 +30,8 @@ _BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
 class Aims:
     """Limits; None asks for nothing.
 
-    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|. gain [A/m]: of K S_o. unbalance
-    U [kg m] up to ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none). compliance [m/N].
+    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|. gain [A/m]: of K S_o.
+    unbalance U [kg m] up to ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none). compliance [m/N].
     settling [s] after the current pulse. damping [-] of modes below ``damped_to`` [rad/s], guard [-] of those above. highest
     [rad/s]: end of the grid.
     """
@@ -94,6 +94,3 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
 def highest_verified(machine: Machine) -> float:
     """The frequency [rad/s] up to which ISO 14839-3 has the sensitivity judged."""
     return max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * top_speed(machine))
-
-
-PULSE = CURRENT_PULSE

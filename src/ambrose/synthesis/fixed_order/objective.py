@@ -26,6 +26,8 @@ _IGNORED = 1e-3  # share of the p-norm below which a frequency is left out
 _RINGING = 0.7  # imaginary part over modulus above which a pole is held to a damping ratio
 _WATCHED = 20.0  # times the damping asked for: better damped poles are left out
 _TIMED_TO = 2e4  # rad/s; what is faster than that does not matter for settling
+_SLOW_TO = 2000.0  # rad/s; below it a step of the quadrature turns the latest time by this phase, above it 4 pulse durations:
+_PHASE = 0.15  # rad
 _SETTLING_POWER = 0.4  # of the settling ratio: an exponential decay enters about as a rate
 
 
@@ -255,7 +257,10 @@ def _stacks(models: Sequence[LoopModel]) -> list[tuple[np.ndarray, list[np.ndarr
     """The models of every size together: their places, and A, B, C, D (m, ...)."""
     sizes = np.array([len(model.A) for model in models])
     return [
-        (np.flatnonzero(sizes == size), [np.stack([getattr(models[i], k) for i in np.flatnonzero(sizes == size)]) for k in "ABCD"])
+        (
+            np.flatnonzero(sizes == size),
+            [np.stack([getattr(models[i], k) for i in np.flatnonzero(sizes == size)]) for k in "ABCD"],
+        )
         for size in np.unique(sizes)
     ]
 
@@ -313,7 +318,10 @@ class _Settling:
         self.peak: np.ndarray | None = None
         self.at = np.flatnonzero(omega < min(_TIMED_TO, omega[-1] * (1 + 1e-9)))
         w = omega[self.at]
-        fine = np.unique(np.concatenate([np.linspace(0, 2000, 6001), np.linspace(2000, max(w[-1], 2001.0), 6000)]))
+        last = PULSE.duration + 8 * settling
+        slow = np.linspace(0, _SLOW_TO, int(np.ceil(_SLOW_TO * last / _PHASE)) + 1)
+        fast = np.linspace(_SLOW_TO, max(w[-1], _SLOW_TO + 1), int(np.ceil(w[-1] * 4 * PULSE.duration / _PHASE)) + 2)
+        fine = np.unique(np.concatenate([slow, fast]))
         fine = fine[fine <= w[-1]]
         spline = CubicSpline(w, np.eye(len(w)), bc_type="natural")(np.maximum(fine, w[0]))
         step = np.gradient(fine)
@@ -359,9 +367,7 @@ class _Settling:
         return float(share.sum())
 
 
-def _controller_slope(
-    Z: np.ndarray, Q: np.ndarray, G: np.ndarray, S: np.ndarray, X: np.ndarray, Y: np.ndarray
-) -> np.ndarray:
+def _controller_slope(Z: np.ndarray, Q: np.ndarray, G: np.ndarray, S: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
     """df/dTheta from df/dQ (m, w, a, a): dQ = S_i dK S_o, S_i = I - Q G."""
     used = np.abs(Z).sum(axis=(2, 3)) > 0
     psi = np.zeros(X.shape[:1] + Q.shape[-2:], complex)
@@ -378,4 +384,3 @@ def _theta_slope(psi: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
         [psi.sum(axis=0).real, (psi @ XH).sum(axis=0).real],
         [(YH @ psi).sum(axis=0).real, (YH @ psi @ XH).sum(axis=0).real],
     ])  # fmt: skip
-

@@ -18,10 +18,9 @@ from scipy.sparse.csgraph import connected_components
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.realisation.modal_form import modal_form
-from ambrose.core.statespace import StateSpace, select
+from ambrose.core.statespace import StateSpace
 from ambrose.machine.machine import Machine
 
-KINDS = ("plane", "free", "axis")
 _SLOWEST = 1.0  # rad/s; an integrator is a state of this rate, else descent could never move it
 _ZERO = 1e-9  # of the largest entry: couples nothing
 Groups = tuple[tuple[int, ...], ...]
@@ -134,11 +133,15 @@ def _scaled(
     gain = np.sqrt(np.abs(frequency_response(K, omega).values).max(initial=1e-30))
     for block in blocks:
         i = slice(start, start + len(block[0]))
-        axes = next(g for g in groups if np.abs(block[1][:, list(g)]).max(initial=0) + np.abs(block[2][list(g)]).max(initial=0) > 0)
+        axes = next(
+            g for g in groups if np.abs(block[1][:, list(g)]).max(initial=0) + np.abs(block[2][list(g)]).max(initial=0) > 0
+        )
         free[i, list(axes)] = free[list(axes), i] = True
         poles = np.abs(np.linalg.eigvals(block[0]))
         j = slice(start - m, start - m + len(poles))
-        rate[j] = np.maximum(np.abs(np.diag(block[0])) if not block[0][~np.eye(len(poles), dtype=bool)].any() else poles, _SLOWEST)
+        rate[j] = np.maximum(
+            np.abs(np.diag(block[0])) if not block[0][~np.eye(len(poles), dtype=bool)].any() else poles, _SLOWEST
+        )
         into = np.linalg.norm(block[1] / np.sqrt(rate[j])[:, None] / gain)
         out = np.linalg.norm(block[2] / gain / np.sqrt(rate[j]))
         even[j] = np.sqrt(max(into, 1e-30) / max(out, 1e-30)) if min(into, out) > 0 else 1.0
