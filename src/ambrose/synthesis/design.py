@@ -65,8 +65,8 @@ def design(
 
     method: "pid" (the machine's reference controller), "hinf" (H-infinity for the nominal plant), "mu" (D-K iteration over the
     machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case), "lpv" (scheduled over
-    speed), "tuned" (to the requirements themselves, at all operating points of the plant's machine and with the worst corners of
-    the tolerances around each; the others know the plant's point alone). options: all of them, or single ones by name as
+    speed), "tuned" (to the requirements themselves, at all operating points of the plant's machine and with the worst corners
+    of the tolerances around each; the others know the plant's point alone). options: all of them, or single ones by name as
     ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, structure (``DesignOptions``).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of

@@ -68,9 +68,7 @@ def first_settings(machine: Machine) -> PidSettings:
     k_i = np.array([value for item in found for value in item.force_per_current])
     k_s = np.array([value for item in found for value in item.negative_stiffness])
     if not (k_i > 0).all() or not (k_s > 0).all():
-        raise InvalidInput(
-            f"machine {machine.name!r} has no force per current or no negative stiffness; add a [controller] table"
-        )
+        raise InvalidInput(f"machine {machine.name!r} has magnets without force or stiffness; add a [controller] table")
     rate = float(np.sqrt(k_s.mean() * len(machine.bearings) / mass_properties(finite_element_rotor(machine)).mass))
     return PidSettings(tuple(2 * k_s / k_i), integral_time=20 / rate, derivative_time=0.5 / rate)
 

@@ -31,9 +31,9 @@ class Aims:
     """Limits; None asks for nothing.
 
     sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|. gain [A/m]: of K S_o.
-    unbalance U [kg m] up to ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none). compliance [m/N].
-    settling [s] after the current pulse. damping [-] of modes below ``damped_to`` [rad/s], guard [-] of those above. highest
-    [rad/s]: end of the grid.
+    unbalance U [kg m] up to ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none). compliance
+    [m/N]. settling [s] after the current pulse. damping [-] of modes below ``damped_to`` [rad/s], guard [-] of those above.
+    highest [rad/s]: end of the grid.
     """
 
     sensitivity: float
@@ -67,8 +67,10 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         margins.append(wanted.gain_margin / (wanted.gain_margin - 1))
     if wanted.phase_margin is not None and 0 < wanted.phase_margin < np.pi:
         margins.append(1 / (2 * np.sin(wanted.phase_margin / 2)))
-    gaps = [b.touchdown_gap or b.gap for b in machine.bearings if b.touchdown_gap or b.gap]
-    orbits = [wanted.unbalance_orbit, CLEARANCE.limits[0].value * min(gaps) if gaps else None]
+    gaps = [gap for b in machine.bearings if (gap := b.touchdown_gap or b.gap) is not None]
+    orbits = [
+        value for value in (wanted.unbalance_orbit, *(CLEARANCE.limits[0].value * gap for gap in gaps)) if value is not None
+    ]
     decrement = demand("log decrement", wanted).limit or 0.0
     damping = _MARGIN * decrement / np.hypot(2 * np.pi, decrement)
     bearings = [b for b in machine.bearings for _ in range(2)]
@@ -85,7 +87,7 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         highest=_BEYOND * highest_verified(machine),
         unbalance=0.0 if residual is None else residual.moment,
         unbalance_to=wanted.unbalance_to or top or (0.0 if residual is None else residual.speed),
-        orbit=min((value for value in orbits if value is not None), default=None),
+        orbit=min(orbits, default=None),
         compliance=wanted.compliance_peak,
         settling=wanted.settling_time,
     )

@@ -2,8 +2,8 @@
 
 The sampled loop is exact and yet rational in a continuous variable: with w = (2/T) (z - 1)/(z + 1) Tustin's map leaves the
 controller as it is, and the plant, sampled behind its hold and late by whole samples, becomes another continuous plant
-(Franklin, Powell & Workman 1998, sec. 7.3). Frequency responses are taken at true frequencies: the plant's times hold and delay, the
-controller's at (2/T) tan(w T/2); aliasing is left out, as in verification.
+(Franklin, Powell & Workman 1998, sec. 7.3). Frequency responses are taken at true frequencies: the plant's times hold and
+delay, the controller's at (2/T) tan(w T/2); aliasing is left out, as in verification.
 """
 
 from __future__ import annotations

@@ -17,7 +17,8 @@ from scipy.interpolate import CubicSpline
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.fixed_order.aims import PULSE, Aims
+from ambrose.machine.criteria import CURRENT_PULSE as PULSE
+from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.loops import LoopModel, warped
 from ambrose.synthesis.fixed_order.structure import Structure
 from ambrose.synthesis.weight_tuning import BAND
@@ -67,7 +68,7 @@ class Objective:
     match: float = 0.08
     _channels: list[_Channel] = field(init=False)
     _G: np.ndarray = field(init=False)
-    _stacks: list[tuple[np.ndarray, list[np.ndarray]]] = field(init=False)
+    _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
     _settling: _Settling | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -157,7 +158,7 @@ class Objective:
             size = np.linalg.norm(T, 2, axis=(2, 3))
             if size.size:
                 i, j = np.unravel_index(int(size.argmax()), size.shape)
-                found[channel.name] = Ratio(float(size[i, j]), self.models[i].label, float(self.omega[channel.at[j]]))
+                found[channel.name] = Ratio(float(size[i, j]), self.models[int(i)].label, float(self.omega[channel.at[j]]))
         if self._settling is not None:
             late, _, _ = self._settling.ratios(self._G, Q, anew=True)
             worst = late.max(axis=(1, 2, 3))
@@ -218,7 +219,7 @@ class Objective:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LoopPoles:
-    """values (m, n) of closed loops; left (m, n, a+k), right (m, a+k, n): d value = left_i dTheta right_i (empty: not asked)."""
+    """values (m, n) of closed loops; left (m, n, a+k), right (m, a+k, n): d value = left_i dTheta right_i."""
 
     values: np.ndarray
     left: np.ndarray
@@ -253,16 +254,12 @@ def _loop_poles(theta: np.ndarray, stack: list[np.ndarray], slopes: bool = False
     return _LoopPoles(values, W @ (into @ inner), (back @ out) @ V)
 
 
-def _stacks(models: Sequence[LoopModel]) -> list[tuple[np.ndarray, list[np.ndarray]]]:
+def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarray]]]:
     """The models of every size together: their places, and A, B, C, D (m, ...)."""
-    sizes = np.array([len(model.A) for model in models])
-    return [
-        (
-            np.flatnonzero(sizes == size),
-            [np.stack([getattr(models[i], k) for i in np.flatnonzero(sizes == size)]) for k in "ABCD"],
-        )
-        for size in np.unique(sizes)
-    ]
+    groups: dict[int, list[int]] = {}
+    for i, model in enumerate(models):
+        groups.setdefault(len(model.A), []).append(i)
+    return [(places, [np.stack([getattr(models[i], k) for i in places]) for k in "ABCD"]) for places in groups.values()]
 
 
 def _damping(values: np.ndarray, aims: Aims) -> tuple[np.ndarray, np.ndarray]:

@@ -133,17 +133,13 @@ def _scaled(
     gain = np.sqrt(np.abs(frequency_response(K, omega).values).max(initial=1e-30))
     for block in blocks:
         i = slice(start, start + len(block[0]))
-        axes = next(
-            g for g in groups if np.abs(block[1][:, list(g)]).max(initial=0) + np.abs(block[2][list(g)]).max(initial=0) > 0
-        )
+        axes = next(g for g in groups if block[1][:, list(g)].any() or block[2][list(g)].any())
         free[i, list(axes)] = free[list(axes), i] = True
-        poles = np.abs(np.linalg.eigvals(block[0]))
+        poles = np.abs(np.linalg.eigvals(block[0]) if block[0][~np.eye(len(block[0]), dtype=bool)].any() else np.diag(block[0]))
         j = slice(start - m, start - m + len(poles))
-        rate[j] = np.maximum(
-            np.abs(np.diag(block[0])) if not block[0][~np.eye(len(poles), dtype=bool)].any() else poles, _SLOWEST
-        )
-        into = np.linalg.norm(block[1] / np.sqrt(rate[j])[:, None] / gain)
-        out = np.linalg.norm(block[2] / gain / np.sqrt(rate[j]))
+        rate[j] = np.maximum(poles, _SLOWEST)
+        into = float(np.linalg.norm(block[1] / np.sqrt(rate[j])[:, None] / gain))
+        out = float(np.linalg.norm(block[2] / gain / np.sqrt(rate[j])))
         even[j] = np.sqrt(max(into, 1e-30) / max(out, 1e-30)) if min(into, out) > 0 else 1.0
         start += len(poles)
     A, B, C = A * even / even[:, None], B / even[:, None], C * even

@@ -1,10 +1,11 @@
 """One controller of fixed order for the whole envelope, tuned to the requirements themselves.
 
-From a start that need not hold every point, a smooth maximum of all ratios of a requirement to its limit (objective.py) is moved
-downhill with exact gradients, over the models of all operating points at once, as the loop runs: sampled and late. Rounds raise
-the power of the p-norm; after each the frequency grid takes in the loops' resonances and true peaks, for what the grid does not
-see gets exploited, and the worst member of the tolerances around every point joins the models (Apkarian & Noll 2006; Apkarian,
-Gahinet & Buhr 2014 tune to requirements this way). What a round gives is judged on the full plants, and the best is returned.
+From a start that need not hold every point, a smooth maximum of all ratios of a requirement to its limit (objective.py) is
+moved downhill with exact gradients, over the models of all operating points at once, as the loop runs: sampled and late. Rounds
+raise the power of the p-norm; after each the frequency grid takes in the loops' resonances and true peaks, for what the grid
+does not see gets exploited, and the worst member of the tolerances around every point joins the models (Apkarian & Noll 2006;
+Apkarian, Gahinet & Buhr 2014 tune to requirements this way). What a round gives is judged on the full plants, and the best is
+returned.
 """
 
 from __future__ import annotations
@@ -108,8 +109,7 @@ def tune_controller(
     try:
         controller = _holding(job, controller)
         for number, power in enumerate(_POWERS, 1):
-            share = job.clock.seconds * (1 - number / len(_POWERS))
-            controller, used = _descended(job, controller, power, lambda share=share: job.clock.left > share)  # type: ignore[misc]
+            controller, used = _descended(job, controller, power)
             rounds.append(_judged(job, controller, job.models))
             history.append(_row(job, number, power, used, rounds[-1]))
             job.say(f"round {number}: {used} steps at p = {power:g}, {len(job.models)} models; {_in_words(rounds[-1])}")
@@ -161,9 +161,7 @@ def _start(job: _Job, start: StateSpace, order: int | None) -> StateSpace:
         start = StateSpace(A, B, C, np.zeros((m, m)), start.inputs, start.outputs)
     wanted = max(_STATES_PER_AXIS * len(start.inputs), start.n_states) if order is None else order
     if wanted < start.n_states:
-        raise invalid(
-            "order", wanted, f"{start.n_states} or more, the states of the start", "simplify the [controller], or give more"
-        )
+        raise invalid("order", wanted, f"{start.n_states} or more, as the start has", "simplify the [controller], or give more")
     return _with_states(start, wanted - start.n_states, job.groups)
 
 
@@ -229,7 +227,7 @@ def _grid(job: _Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndar
     return np.array(kept)
 
 
-def _descended(job: _Job, controller: StateSpace, power: float, proceed: Callable[[], bool]) -> tuple[StateSpace, int]:
+def _descended(job: _Job, controller: StateSpace, power: float) -> tuple[StateSpace, int]:
     """One descent; true peaks of a denser grid are kept for the next."""
     structure, x = structured(controller, job.groups)
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
@@ -241,7 +239,7 @@ def _descended(job: _Job, controller: StateSpace, power: float, proceed: Callabl
     def allowed(trial: np.ndarray) -> bool:
         return float(np.abs(np.linalg.eigvals(structure.matrices(trial)[0])).max(initial=0.0)) <= fastest
 
-    x, used = descend(lambda v: cost(v, power), allowed, x, _ITERATIONS, 1e-4, proceed)
+    x, used = descend(lambda v: cost(v, power), allowed, x, _ITERATIONS, 1e-4, lambda: job.clock.left > 0)
     dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
     job.extra += [float(dense.omega[i]) for i in set(dense.sensitivity(x).argmax(axis=1))]
     return structure.controller(x), used
@@ -258,8 +256,8 @@ def _best(job: _Job, rounds: list[_Round]) -> _Round:
     best = min(found, key=lambda item: item.worst)
     if not np.isfinite(best.worst):
         raise NumericalFailure(
-            f"no controller of order {best.controller.n_states} that holds the full plant at all {len(job.full)} operating points "
-            "was found; allow a higher order, more bending modes or another structure, or drop a point"
+            f"no controller of order {best.controller.n_states} that holds the full plant at all {len(job.full)} operating "
+            "points was found; allow a higher order, more bending modes or another structure, or drop a point"
         )
     return best
 
@@ -289,7 +287,8 @@ def _add_members(job: _Job, controller: StateSpace) -> StateSpace:
 def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims) -> dict[str, float]:
     """The corner of the tolerances around a plant with the largest sigma_max(S_o) over its limit; {} without tolerances.
 
-    By closing the parameters' feedback where the nominal loop's ratio is above half its largest, all corners at once (at most 512, drawn at random).
+    By closing the parameters' feedback at frequencies where the nominal loop's ratio is above half its largest; all corners, at
+    most 512, drawn at random.
     """
     held = tolerances_around(plant)
     if not held:
@@ -309,7 +308,7 @@ def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, ai
     KS = K @ S
     M = P[:, :n, :n] - P[:, :n, n:] @ KS @ P[:, n:, :n]
     into, out = -P[:, :n, n:] @ KS, S @ P[:, n:, :n]
-    owner = np.repeat(np.arange(len(names)), [block.repeat for block in model.blocks])
+    owner = np.repeat(np.arange(len(names)), [block.n_w for block in model.blocks])
     limit = aims.sensitivity_limit(omega)
     ratio = np.linalg.norm(S, 2, axis=(1, 2)) / limit
     near = ratio >= 0.5 * ratio.max()
