@@ -280,7 +280,7 @@ def _add_members(job: _Job, controller: StateSpace) -> StateSpace:
         if found and key not in job.members:
             job.members.add(key)
             label = f"{plant.point.label}, {', '.join(f'{name} {value:+.3g}' for name, value in found.items())}"
-            job.models.append(loop_model(perturbed(plant, found), job.timing, label))
+            job.models.append(loop_model(perturbed(plant, found, tolerances_around(plant)), job.timing, label))
     return _holding(job, controller)
 
 
@@ -355,11 +355,10 @@ def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reas
     found = [certify(plant, law) for plant in job.full]
     worst = max(range(len(found)), key=lambda k: found[k].closed_loop_norm)
     machine = job.full[0].machine
-    runs = "continuous" if job.timing is None else str(job.timing)
     certificate = Certificate(
         all(item.stable for item in found), max(item.spectral_abscissa for item in found), found[worst].closed_loop_norm,
         fastest_pole(best.controller), {f"ratio_{name}": ratio.value for name, ratio in best.ratios.items()},
-        f"{machine.name}, full plant at {len(found)} operating points; {runs}",
+        f"{machine.name}, full plant at {len(found)} operating points",
     )  # fmt: skip
     binding = max(best.ratios, key=lambda name: best.ratios[name].value)
     at = best.ratios[binding]
