@@ -32,8 +32,8 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
 )
 @click.option(
     "--structure",
-    type=click.Choice(["plane", "free", "axis"]),
-    default="plane",
+    type=click.Choice(["free", "plane", "axis"]),
+    default="free",
     show_default=True,
     help="With --method tuned: which axes share a part of the controller.",
 )

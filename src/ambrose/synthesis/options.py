@@ -11,7 +11,7 @@ from ambrose.core.checks import check_positive, check_shape, invalid
 from ambrose.machine.machine import Machine
 from ambrose.plant.timing import Timing, machine_timing, timing_of
 
-STRUCTURES = ("plane", "free", "axis")
+STRUCTURES = ("free", "plane", "axis")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +34,7 @@ class DesignOptions:
     loss: float | None = None
     order: int | None = None
     bending_modes: int | None = None
-    structure: str = "plane"
+    structure: str = "free"
     match_reference: bool | None = None
     speeds: tuple[float, float] | None = None
 

@@ -84,7 +84,7 @@ def tune_controller(
     timing: Timing | None = None,
     *,
     order: int | None = None,
-    structure: str = "plane",
+    structure: str = "free",
     bending_modes: int | None = None,
     reference: StateSpace | None = None,
     time_limit: float = 120.0,
@@ -94,7 +94,7 @@ def tune_controller(
 
     plants: the full plants of one machine at its operating points. start: a continuous controller err -> u, such as the
     machine's PID; it need not hold them all. order: its states (None: three per axis, or those of the start). structure:
-    "plane" (bearings at one angle: what zeta and eta read is kept apart), "axis" (every axis alone) or "free". bending_modes:
+    "free", "plane" (bearings at one angle: what zeta and eta read is kept apart) or "axis" (every axis alone). bending_modes:
     per plane in the models that are tuned on (None: all below the frequency up to which sensitivity is judged, and one more).
     reference: a controller whose direct gains below 200 Hz are kept within 8 % rms (None: free). time_limit [s] of computing.
 
@@ -109,6 +109,8 @@ def tune_controller(
     try:
         controller = _holding(job, controller)
         for number, power in enumerate(_POWERS, 1):
+            if number > 1:  # fewer unknowns first
+                job.groups = axis_groups(plants[0].machine, structure)
             controller, used = _descended(job, controller, power)
             rounds.append(_judged(job, controller, job.models))
             history.append(_row(job, number, power, used, rounds[-1]))
@@ -140,7 +142,7 @@ def _prepared(
     modes = bending_modes_for(full[0]) if bending_modes is None else bending_modes
     small = tuple(reduce(plant, modes) if plant.bending_modes is None else plant for plant in full)
     return _Job(
-        full, small, timing, aims_of(machine, start), axis_groups(machine, structure),
+        full, small, timing, aims_of(machine, start), axis_groups(machine, "plane" if structure == "free" else structure),
         [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference,
     )  # fmt: skip
 
