@@ -22,7 +22,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import design_plant, published_p5_problem, with_performance_block
+from ambrose.synthesis.problem import design_plant, with_performance_block
+from benchmarks.published_p5 import published_p5_problem
 
 
 def run() -> list[dict[str, Any]]:

@@ -13,7 +13,6 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification import excitation
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.phasors import steps_of
 from ambrose.identification.seal import stepped_sine
@@ -23,6 +22,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_controller
+from benchmarks import waveforms
 
 DT, HZ = 1e-4, 2 * np.pi
 BAND = (10 * HZ, 140 * HZ)
@@ -42,7 +42,7 @@ def _records(noise: float) -> list[Record]:
     plant = _plant()
     loop = closed_loop(plant, c2d(pid_controller(plant.machine.controller, plant.machine), DT, "tustin", delay=DT))
     e, y, u, d = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "eyud")
-    wave, made = 0.1 * excitation.chirp(2 * HZ, 150 * HZ, 200_000, DT), []
+    wave, made = 0.1 * waveforms.chirp(2 * HZ, 150 * HZ, 200_000, DT), []
     for i in range(4):
         drive = np.zeros((8, len(wave)))
         drive[i] = wave

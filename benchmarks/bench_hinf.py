@@ -16,8 +16,8 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.hinf.scaling import scale_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.problem import published_p5_problem
 from ambrose.synthesis.result import Synthesis
+from benchmarks.published_p5 import published_p5_problem
 
 
 def run() -> list[dict[str, Any]]:

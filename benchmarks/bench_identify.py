@@ -20,7 +20,6 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identification import excitation
 from ambrose.identification.output_error.closed_loop import LeastSquares, ParameterEstimate, identify
 from ambrose.identification.output_error.loop_model import over_weights
 from ambrose.identification.output_error.normal_equations import normal_equations
@@ -32,6 +31,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
+from benchmarks import waveforms
 
 DT, PERIOD = 1e-4, 5110
 NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
@@ -65,7 +65,7 @@ class Case:
 
     def record(self, seconds: float, noise: float = 1e-7) -> Record:
         k = round(seconds / DT)
-        e = np.stack([0.1 * excitation.prbs(9, 10, k, shift=127 * i * self.distinct) for i in range(4)])
+        e = np.stack([0.1 * waveforms.prbs(9, 10, k, shift=127 * i * self.distinct) for i in range(4)])
         y = simulate(self.loop, e)
         y += noise * np.random.default_rng(1).standard_normal(y.shape)
         return Record(

@@ -27,7 +27,7 @@ from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.identify import StaticLoad
-from ambrose.identification.validation.repeatability import Repeats, ScatterStudy, of_estimates, repeats, scatter_study
+from ambrose.identification.validation.repeatability import Repeats, of_estimates, repeats
 from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
@@ -42,6 +42,7 @@ from ambrose.simulation.disturbances import Prbs, Pulse
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 from benchmarks.campaign_page import Condition, campaign_report
+from benchmarks.scatter_study import ScatterStudy, scatter_study
 
 DT = 1e-4
 BIASES = (6.0, 8.0, 10.0)

@@ -33,7 +33,7 @@ from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weights import machine_weights
 from ambrose.verification.robust import box_loops
-from ambrose.verification.worst_case_responses import (
+from benchmarks.worst_case_responses import (
     BoxUnbalance,
     PulseFamily,
     loop_over_box,

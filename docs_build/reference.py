@@ -44,7 +44,7 @@ def front_door():
     ambrose = importlib.import_module("ambrose")
     rows = {"functions": [], "nouns": [], "errors": []}
     for name in sorted(set(ambrose.__all__) - {"__version__"}):
-        item = getattr(ambrose, name)
+        item = inspect.unwrap(getattr(ambrose, name))
         kind = "functions" if inspect.isfunction(item) else "errors" if is_error(item) else "nouns"
         rows[kind].append(f"| [`{name}`][{item.__module__}.{item.__qualname__}] | {first_sentence(item)} |")
     tables = [

@@ -1,4 +1,4 @@
-"""Everywhere in the tests: shapes stated in docstrings are checked, and `tests/` is importable (random_systems).
+"""Everywhere in the tests: shapes stated in docstrings are checked, `tests/` (random_systems) and `benchmarks` are importable.
 
 On CI Hypothesis repeats the same cases, so that a verdict depends on the commit alone; at a desk it looks for new ones.
 """
@@ -10,6 +10,7 @@ from pathlib import Path
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.append(str(Path(__file__).parents[1]))  # the campaigns are commands and no part of the package
 
 import shape_contract
 

@@ -49,6 +49,7 @@ def call(*arguments):
     return result
 
 
+@pytest.mark.campaign
 def test_every_command_judges_the_loop_that_runs(stating, tmp_path):
     """The sampled sensitivity peak of design, verification and the code's header is one number; the rig runs at that rate."""
     controller = tmp_path / "controller.json"

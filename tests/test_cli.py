@@ -55,7 +55,7 @@ def test_check_tells_the_printed_figures():
     assert "69 kg" in call("check", RIG).stdout
 
 
-@pytest.mark.parametrize("method", ["hinf", "mu"])
+@pytest.mark.parametrize("method", ["hinf", pytest.param("mu", marks=pytest.mark.campaign)])
 def test_robust_methods_are_certified_on_the_full_plant(method, tmp_path):
     done = call("synthesize", RIG, "--method", method, "-o", tmp_path / "c.json", "--json")
     assert done.exit_code == 0, done.stderr

@@ -148,6 +148,7 @@ def test_static_loads_from_the_command_line(place, identified, tmp_path):
     assert refused.exit_code == 2 and "hold no load" in refused.stderr and not (tmp_path / "no.toml").exists()
 
 
+@pytest.mark.campaign
 def test_a_seal_by_pressure_from_the_command_line(tmp_path, place):
     """Records of the rig at three pressures; the machine that results holds the line, and goes through the other commands."""
     from ambrose.machine.description import OperatingPoint

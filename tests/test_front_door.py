@@ -3,12 +3,14 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import control
 import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.plant.assemble import assemble as plant_assemble
 
 POINT = "nominal pressure"
 
@@ -58,7 +60,7 @@ def test_operating_points_by_label_by_noun_and_by_keyword(machine):
     by_label = amb.assemble(machine, "twice")
     noun = next(point for point in machine.operation.points if point.label == "twice nominal pressure")
     by_keyword = amb.assemble(machine, POINT, seal_pressure=noun.seal_pressure)
-    for other in (amb.assemble(machine, noun), by_keyword):
+    for other in (amb.assemble(machine, noun), by_keyword, plant_assemble(machine, "twice")):
         np.testing.assert_array_equal(by_label.system.A, other.system.A)
 
 
@@ -146,6 +148,30 @@ WRONG = [
     (lambda m, c: amb.hinf_synthesis(3), "plant"),
     (lambda m, c: amb.mu_bounds("x", [amb.RealBlock("k")]), "M"),
     (lambda m, c: amb.hinf_norm("x"), "system"),
+    (lambda m, c: amb.run_up_steps(3, 4, ["y"]), "see help(run_up_steps)"),
+    (lambda m, c: amb.hinf_norm(10**400), "D is not numeric"),
+    (lambda m, c: amb.mu_bounds([[1.0]], [amb.RealBlock("k")], seed=-1), "seed"),
+    (lambda m, c: amb.study(m, 3), "directory is 3"),
+    (lambda m, c: amb.study(m, progress="x"), "progress is 'x'"),
+    (lambda m, c: amb.export(c, None, to="c"), "directory is None"),
+    (lambda m, c: amb.export(c, "code", to=[]), "to is of type list"),
+    (lambda m, c: amb.export(c, "code", to="c", options={}), "options is of type dict"),
+    (lambda m, c: amb.export("a\0b", "code", to="c"), "null"),
+    (lambda m, c: amb.simulate(m, c, 3), "scenario"),
+    (lambda m, c: amb.load_scenario(None), "name is None"),
+    (lambda m, c: amb.identify(m, "r.csv", c, unknown=3), "unknown is 3"),
+    (lambda m, c: amb.verify(m, c, points=[1.5]), "operating point is 1.5"),
+    (lambda m, c: amb.verify(m, c, points=POINT, tolerances=False, progress=3), "progress is 3"),
+    (lambda m, c: amb.reduce(amb.assemble(m), np.zeros(3)), "bending_modes is of type ndarray"),
+    (lambda m, c: amb.write_controller("c.json", c, "machine"), "machine is 'machine'"),
+    (lambda m, c: amb.write_controller(3, c), "path"),
+    (lambda m, c: amb.Scenario("s", 1.0, pulses=("x",)), "pulses[0] is 'x'"),
+    (lambda m, c: amb.StateSpace([[0.0]], [[0.0]], [[0.0]], [[0.0]], 3), "inputs is 3"),
+    (lambda m, c: amb.GeneralizedPlant(c.controller, 3, [], [], []), "w is 3"),
+    (lambda m, c: replace(m, shaft=(3,)), "shaft[0] is 3"),
+    (lambda m, c: replace(m, operation=None), "operation is None"),
+    (lambda m, c: plant_assemble(m, "nominel"), "nominal pressure"),
+    (lambda m, c: plant_assemble(m, 3), "operating point is 3"),
 ]
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from ambrose.version import __version__
+
+TYPE_CHECKING = False  # as type checkers understand it; typing itself is most of the time that this import takes
 
 _HOME = {  # public name -> module[:name there]; imported on first use, so that ``import ambrose`` stays fast
     **dict.fromkeys(("assemble", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"),
@@ -49,6 +50,7 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
     "free_mode_reduction": "plant.reduce",
     "perturbed": "plant.uncertainty",
     "identify_residual": "identification.youla.identify:identify_injected",
+    "finite_response": "identification.youla.impulse_response",
     "run_up_steps": "simulation.run_up:steps",
     "with_performance_block": "synthesis.problem",
     "performance_weight": "synthesis.weights",
@@ -58,6 +60,8 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
 __all__ = ["__version__", *_HOME]  # noqa: PLE0604
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from ambrose.api import assemble as assemble
     from ambrose.api import design as design
     from ambrose.api import export as export
@@ -74,6 +78,9 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         module, _, there = _HOME[name].partition(":")
         item = getattr(import_module(f"ambrose.{module}"), there or name)
+        if not isinstance(item, type):  # a function: wrong types are named, and it pickles as what it is called here
+            item = import_module("ambrose.core.arguments").names_wrong_types(item)
+            item.__module__, item.__name__, item.__qualname__ = "ambrose", name, name
         globals()[name] = item
         return item
     raise AttributeError(f"module 'ambrose' has no attribute {name!r}; dir(ambrose) lists what it has")

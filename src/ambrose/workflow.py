@@ -7,7 +7,7 @@ commissions: it identifies the machine from a record of the virtual rig and runs
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.evaluation.candidate import Candidate, evaluate, points_of, run_ups
 from ambrose.evaluation.plants import Progress, campbell_map, full_plants, plant_gain
 from ambrose.evaluation.trial import RunUp
-from ambrose.machine.atomic_write import write_json
+from ambrose.machine.atomic_write import make_folder, set_aside, write_json
+from ambrose.machine.claim import claimed
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
@@ -37,7 +38,8 @@ class Study(Presented):
     candidates: the controllers that the machine file allows (PID, H-infinity, mu), each with its checks and traces.
     speed_curves: the Campbell map with the first of them, for machines that turn. failed: (controller, why) for those that
     could not be designed. commissioned: what commissioning on the rig gave, its controller among the candidates (None: not
-    possible, see failed). run_ups: scheduled and robust controllers while the machine runs up.
+    possible, see failed). run_ups: scheduled and robust controllers while the machine runs up. unwritten: why a result
+    could not be written.
     """
 
     machine: Machine
@@ -48,6 +50,7 @@ class Study(Presented):
     failed: tuple[tuple[str, str], ...] = ()
     commissioned: Commissioning | None = None
     run_ups: tuple[RunUp, ...] = ()
+    unwritten: tuple[str, ...] = ()
 
     @property
     def best(self) -> Candidate:
@@ -63,7 +66,8 @@ class Study(Presented):
         """Machine, controllers, the best of them and whether it meets every check."""
         facts = {"machine": self.machine.name, "passed": self.passed, "best": self.best.name}
         failed = {"failed": [name for name, _ in self.failed]} if self.failed else {}
-        return {**facts, "controllers": [candidate.name for candidate in self.candidates], **failed}
+        unwritten = {"unwritten": list(self.unwritten)} if self.unwritten else {}
+        return {**facts, "controllers": [candidate.name for candidate in self.candidates], **failed, **unwritten}
 
     def to_dict(self) -> dict[str, Any]:
         """The study as JSON-ready data: certificates and checks of every candidate."""
@@ -114,14 +118,21 @@ def _failures(candidate: Candidate) -> int:
 def study(machine: Machine, directory: str | Path, progress: Progress = lambda stage: None) -> Study:
     """All stages in order; leaves controller-<method>.json, commissioned/, checks.json and report.html in ``directory``.
 
-    Raises InvalidInput for a machine with neither controller settings nor weights, and where ``directory`` cannot be written.
+    A report of an earlier run, its checks and its code are called ``earlier-...`` before anything is made anew. What cannot be
+    written in the end is told in ``unwritten``, with all results kept. Raises InvalidInput for a machine with neither
+    controller settings nor weights, and where ``directory`` cannot be written or another run writes it.
     """
-    directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
+    with claimed(make_folder(directory), "study"):
+        return _study(machine, Path(directory), progress)
+
+
+def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
     progress("assembling the finite-element plant at every operating point")
     plants = full_plants(machine)
     progress("reducing it")
     reduced = reduce(plants[0])
+    for name in ("checks.json", "report.html", "commissioned/code"):
+        set_aside(directory / name)
     candidates, failed = _candidates(plants, directory, progress)
     commissioned = None
     if {"pid", "polish"} <= {candidate.synthesis.method for candidate in candidates}:
@@ -135,9 +146,16 @@ def study(machine: Machine, directory: str | Path, progress: Progress = lambda s
     rising = run_ups(plants[0], tuple(candidates), progress)
     result = Study(machine, plants, reduced, tuple(candidates), speed_curves, tuple(failed), commissioned, rising)
     progress("writing the report")
-    write_json(directory / "checks.json", result.to_dict())
-    write_report(result, directory / "report.html")
-    return result
+    unwritten = []
+    for write in (
+        lambda: write_json(directory / "checks.json", result.to_dict()),
+        lambda: write_report(result, directory / "report.html"),
+    ):
+        try:
+            write()
+        except InvalidInput as error:
+            unwritten.append(str(error))
+    return replace(result, unwritten=tuple(unwritten))
 
 
 def _candidates(

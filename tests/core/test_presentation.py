@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -9,10 +10,21 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock
-from ambrose.core.mu.bounds import mu_bounds, mu_certificate, mu_peak
+from ambrose.core.mu.bounds import mu_bounds, mu_peak
+from ambrose.core.norms import hinf_norm
 from ambrose.core.presentation import Presented, data_frame, html_table, to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Plain(Presented):
+    name: str
+    values: np.ndarray
+    size: float = 1.5
+    parts: tuple[RealBlock, ...] = ()
+    more: tuple[float, ...] = ()
+
 
 NAMES = [f"a signal with a long name, number {k}" for k in range(30)]
 WIDE = StateSpace(-np.eye(3), np.ones((3, 30)), np.ones((30, 3)), np.zeros((30, 30)), NAMES, [f"{n} out" for n in NAMES])
@@ -26,7 +38,8 @@ RESULTS = [
     frequency_response(WIDE, OMEGA),
     mu_bounds(frequency_response(LOOP, OMEGA).values, BLOCKS),
     mu_peak(LOOP, BLOCKS, OMEGA),
-    mu_certificate(LOOP, BLOCKS, 1.0, (0.1, 10.0)),
+    hinf_norm(LOOP),
+    Plain("a", np.zeros((2, 3)), 1.5, (RealBlock("k"),)),
 ]
 
 
@@ -46,6 +59,12 @@ def test_one_line_and_a_table(result):
 def test_blocks_are_one_line_as_they_are(block):
     assert len(repr(block)) < 100
     assert eval(repr(block)) == block
+
+
+def test_without_facts_of_its_own_it_shows_what_is_not_default():
+    item = Plain("a", np.zeros((2, 3)), parts=(RealBlock("k"),))
+    assert repr(item) == "Plain(name=a, values=array (2, 3), parts=1)"
+    assert item.to_dict()["parts"] == [{"name": "k", "repeat": 1}]
 
 
 def test_plain_data():

@@ -57,6 +57,7 @@ def test_a_verified_controller_is_written(controllers, tmp_path):
 
 
 @pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+@pytest.mark.campaign
 def test_the_guides_example_compiles(controllers, tmp_path):
     export(read_controller(controllers["hinf"]), tmp_path / "code", to="c", options=ExportOptions(name="seal_rig"))
     example = re.search(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)

@@ -4,6 +4,7 @@ import pytest
 from docs_build.blocks import pages
 from docs_build.figures import UnknownFigure, differences, lookup, quoted, render, stored
 from docs_build.recipes import QUICK, SLOW
+from docs_build.report_picture import carried, shown
 
 
 @pytest.mark.parametrize("group", QUICK)
@@ -36,6 +37,11 @@ README = [  # the README is read where no site builder fills figures in
 def test_readme_quotes_what_is_stored(phrase):
     text = " ".join(pages()["README.md"].read_text(encoding="utf-8").split())
     assert render(phrase, stored()) in text
+
+
+def test_the_picture_of_the_report_shows_the_stored_study():
+    remedy = "run make demo, then python -m docs_build.report_picture out/seal-rig/report.html"
+    assert carried() == shown(), f"stale picture; {remedy}"
 
 
 def test_groups_stored_are_those_with_a_recipe():

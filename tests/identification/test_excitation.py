@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
+from benchmarks import waveforms
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.core.statespace import static_gain
 from ambrose.identification import excitation
 
 
 @pytest.mark.parametrize("order", [3, 7, 10, 13])
 def test_prbs_has_maximal_length(order):
     period = 2**order - 1
-    bits = excitation.prbs(order, 1, 2 * period)
+    bits = waveforms.prbs(order, 1, 2 * period)
     np.testing.assert_array_equal(bits[:period], bits[period:])
     assert bits[:period].sum() in {1, -1}  # balanced to one bit
     runs = {tuple(np.roll(bits[:period], -i)[:order]) for i in range(period)}
@@ -20,49 +19,17 @@ def test_prbs_has_maximal_length(order):
 
 
 def test_prbs_clock_and_shift():
-    slow, fast = excitation.prbs(8, 5, 1000), excitation.prbs(8, 1, 1000)
+    slow, fast = waveforms.prbs(8, 5, 1000), waveforms.prbs(8, 1, 1000)
     np.testing.assert_array_equal(slow, np.repeat(fast, 5)[:1000])
-    np.testing.assert_array_equal(excitation.prbs(8, 1, 100, shift=30), fast[30:130])
+    np.testing.assert_array_equal(waveforms.prbs(8, 1, 100, shift=30), fast[30:130])
 
 
 def test_chirp_has_the_frequency_it_should():
     dt, k = 1e-4, 40_000
-    wave = excitation.chirp(100.0, 900.0, k, dt)
+    wave = waveforms.chirp(100.0, 900.0, k, dt)
     phase = np.unwrap(np.angle(np.exp(1j * (100 * np.arange(k) * dt + 100 * (np.arange(k) * dt) ** 2))))
     np.testing.assert_allclose(wave, np.sin(phase), atol=1e-9)  # 800 rad/s in 4 s: w(t) = 100 + 200 t
     assert abs(wave).max() <= 1
-
-
-def test_multisine_has_only_its_lines_and_a_low_crest():
-    dt, k = 1e-4, 10_000
-    w = 2 * np.pi * np.arange(5, 105)
-    wave = excitation.multisine(w, k, dt)
-    spectrum = np.abs(np.fft.rfft(wave))
-    assert np.abs(wave).max() == pytest.approx(1)
-    np.testing.assert_allclose(spectrum[5:105], spectrum[5], rtol=1e-9)
-    assert max(spectrum[:5].max(), spectrum[105:].max()) < 1e-9 * spectrum[5]
-    assert 1 / np.sqrt(np.mean(wave**2)) < 1.9  # zero phases: 14
-
-
-def test_patterns():
-    machine = load_machine("seal-rig")
-    wave = np.repeat([0.0, 1.0, 0.0], (20, 10, 20))
-    parallel = excitation.pattern(machine, "parallel", wave, 0.1)
-    assert all(value.max() == 0.1 for value in parallel.values())
-    tilt = excitation.pattern(machine, "tilt", wave, 0.1)
-    np.testing.assert_array_equal(tilt["e_A_eta"], -tilt["e_B_eta"])
-    single = excitation.pattern(machine, "single", wave, 0.1, "B_zeta")
-    assert [name for name, value in single.items() if value.any()] == ["e_B_zeta"]
-
-
-def test_amplitude_advice_respects_both_limits():
-    machine = load_machine("seal-rig")  # 4 A, touchdown gap 250 um
-    axes = machine.axes
-    gain = np.vstack([3 * np.eye(4), 1e-6 * np.eye(4)])
-    loop = static_gain(gain, [f"e_{a}" for a in axes], [f"{kind}_{a}" for kind in "uy" for a in axes])
-    waves = {"e_A_zeta": excitation.prbs(8, 1, 255)}
-    assert excitation.largest_amplitude(loop, machine, waves, 1e-4) == pytest.approx(2 / 4)  # u + e = 4 A per A
-    assert excitation.largest_amplitude(loop, machine, waves, 1e-4, gap_share=1e-3) == pytest.approx(0.25)
 
 
 def test_order_of_excitation():
@@ -80,12 +47,9 @@ def test_order_of_excitation():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: excitation.prbs(40, 1, 10), "order of the sequence is 40"),
-        (lambda: excitation.prbs(8, 0, 10), "clock is 0"),
-        (lambda: excitation.chirp(1.0, 4e4, 10, 1e-4), "below Nyquist"),
-        (lambda: excitation.multisine([], 10, 1e-4), "at least one"),
-        (lambda: excitation.pattern(load_machine("seal-rig"), "single", [1.0], 1.0, "C_zeta"), "one of A_zeta"),
-        (lambda: excitation.pattern(load_machine("seal-rig"), "sideways", [1.0], 1.0), "parallel, tilt, single"),
+        (lambda: waveforms.prbs(40, 1, 10), "order of the sequence is 40"),
+        (lambda: waveforms.prbs(8, 0, 10), "clock is 0"),
+        (lambda: waveforms.chirp(1.0, 4e4, 10, 1e-4), "below Nyquist"),
     ],
 )
 def test_bad_input(call, words):

@@ -4,13 +4,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks import waveforms
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification import excitation
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.parameters import nominal_values
 from ambrose.machine.description import OperatingPoint, Tolerance
@@ -40,7 +40,7 @@ def plant_at(pressure, bias=None):
 def record(plant, k=2500, noise=0.0, seed=0, axes=(0, 1, 2, 3)):
     e = np.zeros((4, k))
     for i in axes:
-        e[i] = 0.1 * excitation.prbs(9, 10, k, shift=127 * i)
+        e[i] = 0.1 * waveforms.prbs(9, 10, k, shift=127 * i)
     y = simulate(select(closed_loop(plant, c2d(rig()[1], DT, "tustin", delay=DT)), E, Y), e)
     y = y + noise * np.random.default_rng(seed).standard_normal(y.shape)
     return Record("seal-rig", 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, np.vstack([y, e]), plant.point)

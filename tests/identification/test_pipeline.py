@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from benchmarks import waveforms
 
 import ambrose
 from ambrose import load_machine
@@ -16,7 +17,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification import excitation, loop
+from ambrose.identification import loop
 from ambrose.identification.findings import Code
 from ambrose.identification.pipeline import Provenance, identify
 from ambrose.machine.record.files import write_record
@@ -39,7 +40,7 @@ def setting():
     plant = free_mode_reduction(assemble(replace(machine, bearings=bearings)), 1)
     controller = pid_controller(machine.controller, machine)
     whole = closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT))
-    e = np.stack([0.1 * excitation.prbs(9, 10, 6000, shift=127 * i) for i in range(4)])
+    e = np.stack([0.1 * waveforms.prbs(9, 10, 6000, shift=127 * i) for i in range(4)])
     names = [[f"{kind}_{axis}" for axis in plant.axes] for kind in "yue"]
     values = np.vstack([simulate(select(whole, names[2], names[0] + names[1]), e), e])
     values[:4] += 1e-9 * np.random.default_rng(0).standard_normal((4, 6000))

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5, published_p5_data, published_p5_problem
 
 from ambrose.core.checks import AmbroseError
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty
 from ambrose.core.statespace import StateSpace, connect, select, transfer_function
-from ambrose.plant.published import published_p5, published_p5_data
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.problem import published_p5_problem
 from random_plants import KINDS, random_plant
 
 pytestmark = pytest.mark.literature
@@ -64,7 +63,10 @@ def test_published_p5_plant():
     np.testing.assert_allclose(peaks, [3.91, 2.63, 2.31, 2.48, 3.94], atol=0.02)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+QUICK = ("plain", "weights")
+
+
+@pytest.mark.parametrize("kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.campaign) for k in KINDS])
 def test_every_random_plant_against_the_other_codes(kind):
     """All are solved and verified; where another code's gamma is lower, its own loop's norm shows that it is wrong.
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5, published_p5_problem, published_p5_weights
 
 from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
@@ -22,7 +23,6 @@ from ambrose.core.statespace import StateSpace, connect, poles, rename, select, 
 from ambrose.machine.description import Tolerance
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
-from ambrose.plant.published import published_p5
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import linear, virtual_rig
@@ -30,7 +30,7 @@ from ambrose.simulation.scenario import load_scenario
 from ambrose.simulation.trace import settling
 from ambrose.synthesis.design import design
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.problem import design_plant, published_p5_problem, published_p5_weights
+from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weights import machine_weights, scale_control
 from ambrose.verification import robust
 from ambrose.verification.loop_response import loop_evaluator

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5, published_p5_data, published_p5_pid
 from scipy.optimize import brentq
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, connect, rename, select, spectral_abscissa
-from ambrose.plant.published import published_p5, published_p5_data, published_p5_pid
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.pid import axes_controller
 

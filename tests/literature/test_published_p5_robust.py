@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import (
+    published_p5,
+    published_p5_data,
+    published_p5_pid,
+    published_p5_problem,
+    published_p5_weights,
+)
 
-from ambrose.plant.published import published_p5, published_p5_data, published_p5_pid
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.pid import axes_controller
-from ambrose.synthesis.problem import published_p5_problem, published_p5_weights
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.verification import robust
 

@@ -241,6 +241,7 @@ ratio = st.floats(1e-3, 0.9)
 signed = physical(-1e9, 1e9)
 angle = physical(-7, 7)
 text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+line = st.text(st.characters(exclude_categories=["Cs", "Cc", "Zl", "Zp"]), max_size=20).map(str.strip)
 pair = st.tuples(positive, positive)
 signed_pair = st.tuples(signed, signed)
 
@@ -262,7 +263,7 @@ def shafts(draw):
         mass = draw(maybe(st.just(outer + 0.1)))
         material = d.Material(draw(positive), draw(positive), draw(physical(0, 0.49)), draw(text))
         material = draw(st.sampled_from([d.Material(), material]))
-        sections.append(d.ShaftSection(end, length, outer, bore, mass, draw(st.integers(1, 1000)), material, draw(text)))
+        sections.append(d.ShaftSection(end, length, outer, bore, mass, draw(st.integers(1, 80)), material, draw(text)))
         end += length
     return tuple(sections)
 
@@ -360,7 +361,7 @@ def machines(draw):
         crossover, draw(st.integers(1, 8)), limit, draw(positive), draw(positive),
     )  # fmt: skip
     return Machine(
-        name="m" + draw(text),
+        name="m" + draw(line),
         shaft=shaft,
         bearings=(draw(bearings("A", place)), draw(bearings("B-2_", place))),
         sensors=tuple(d.Sensor(name, draw(place), draw(pair), draw(maybe(positive))) for name in ("A", "B-2_")),

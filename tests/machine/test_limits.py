@@ -17,12 +17,13 @@ from benchmarks import fuzz_files
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import limits
 from ambrose.machine.description import OperatingPoint, ShaftSection
-from ambrose.machine.file.toml import loads_machine, read_toml
+from ambrose.machine.file.toml import loads_machine
 from ambrose.machine.record import apart, csv_file, hdf5_file
-from ambrose.machine.record.column_map import Column, ColumnMap
+from ambrose.machine.record.column_map import Column, ColumnMap, load_columns
 from ambrose.machine.record.files import read_record, write_record
 from ambrose.machine.record.foreign import read_foreign
 from ambrose.machine.record.record import Record
+from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.controller_file import read_controller
 
 HERE = Path(__file__)
@@ -106,10 +107,11 @@ def test_of_many_problems_the_first_are_told():
 
 def test_a_scenario_and_a_column_map_have_the_limits_of_a_file(tmp_path):
     path = tmp_path / "x.toml"
-    for text, message in (("#" * 1_000_001, "1000001 bytes"), ("a" + ".a" * 50_000 + " = 1", "nested"), ("\xff", "UTF-8")):
+    for text, message in (("#" * 1_000_001, "1000000 bytes"), ("a" + ".a" * 50_000 + " = 1", "nested"), ("\xff", "UTF-8")):
         path.write_bytes(text.encode("latin-1"))
-        with pytest.raises(InvalidInput, match=f"^the map: .*{message}"):
-            read_toml(path, "the map")
+        for load in (load_scenario, load_columns):
+            with pytest.raises(InvalidInput, match=rf"x\.toml.*{message}"):
+                load(path)
 
 
 @pytest.mark.parametrize("page, numbers", [

@@ -132,6 +132,7 @@ def test_small_motion_is_that_of_the_linear_simulation(case, drive):
     assert rig.stable == expected.stable
 
 
+@pytest.mark.campaign
 def test_run_up_is_that_of_the_linear_simulation():
     """Gyroscopic moments, unbalance and its angular acceleration; the linear run-up is good to its own estimate."""
     scenario = load_scenario("run-up")

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks import waveforms
 
 from ambrose import load_machine
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification import excitation
 from ambrose.identification.output_error import closed_loop
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
@@ -30,7 +30,7 @@ def test_a_fit_that_does_not_converge_ends_the_commissioning(tmp_path, monkeypat
     plant = free_mode_reduction(assemble(replace(machine, bearings=bearings)), 1)
     controller = pid_controller(machine.controller, machine)
     loop = loop_of(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT))
-    e = np.stack([0.1 * excitation.prbs(9, 10, 6000, shift=127 * i) for i in range(4)])
+    e = np.stack([0.1 * waveforms.prbs(9, 10, 6000, shift=127 * i) for i in range(4)])
     names = [[f"{kind}_{axis}" for axis in plant.axes] for kind in "yue"]
     values = np.vstack([simulate(select(loop, names[2], names[0] + names[1]), e), e])
     record = Record(machine.name, 1 / DT, (*names[0], *names[1], *names[2]), ("m",) * 4 + ("A",) * 8, values, plant.point)

@@ -105,6 +105,44 @@ def test_what_cannot_be_read_is_designed_anew(content, plant, kept, designs):
     assert len(designs) == 1
 
 
+def test_a_file_that_was_changed_is_not_taken_up_and_kept_aside(plant, kept, designs):
+    """A gamma, a note and a last digit written into the file by hand stood in the next report."""
+    content = json.loads(kept.read_text(encoding="utf-8"))
+    content["A"][0][0] *= 1 + 1e-12
+    content["gamma"] = 0.1
+    kept.write_text(json.dumps(content), encoding="utf-8")
+    lines = []
+    resume_or_design(plant, "hinf", kept, lines.append, OWN_GAIN)
+    assert designs == [("hinf", OWN_GAIN)]
+    assert "controller-hinf.json is not taken up: it was changed after it was written" in lines[0]
+    assert json.loads((kept.parent / "earlier-controller-hinf.json").read_text(encoding="utf-8"))["gamma"] == 0.1
+
+
+@pytest.mark.parametrize("name", ["another package version", "another delay"])
+def test_why_a_file_is_not_taken_up_is_said(name, plant, kept, designs):
+    content = json.loads(kept.read_text(encoding="utf-8"))
+    CHANGES[name](content["provenance"])
+    kept.write_text(json.dumps(content), encoding="utf-8")
+    lines = []
+    resume_or_design(plant, "hinf", kept, lines.append, OWN_GAIN)
+    words = {"another package version": "package version", "another delay": "delay_samples"}[name]
+    assert lines == [f"controller-hinf.json is not taken up: it was made for another {words}; designing it anew"]
+
+
+def test_the_first_run_goes_on_with_what_the_second_will_read(plant, first, tmp_path, monkeypatch):
+    """It went on with what it had designed, undated and perhaps in another order in memory: last digits were left to chance."""
+    law = first[0].controller
+    turned = replace(
+        first[0], controller=replace(law, A=np.asfortranarray(law.A)), provenance=provenance(plant, "hinf", OWN_GAIN)
+    )
+    monkeypatch.setattr(control, "design", lambda *arguments, **options: turned)
+    path = tmp_path / "controller-hinf.json"
+    made, again = (resume_or_design(plant, "hinf", path, lambda text: None, OWN_GAIN) for _ in range(2))
+    assert made.provenance == again.provenance and made.provenance.digest
+    assert made.controller.A.flags.c_contiguous == again.controller.A.flags.c_contiguous
+    assert made == again == turned
+
+
 def test_a_schedule_is_certified_again_at_every_speed(tmp_path, designs):
     """It was taken up as it was; of the fixed ones at least the margins were recomputed."""
     machine = load_machine("turboexpander")

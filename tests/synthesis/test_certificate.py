@@ -5,6 +5,7 @@ from __future__ import annotations
 import control
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5_pid
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
@@ -19,7 +20,6 @@ from ambrose.core.statespace import (
     transfer_function,
 )
 from ambrose.machine.description import PidSettings
-from ambrose.plant.published import published_p5_pid
 from ambrose.synthesis.certificate import certify, continuous_equivalent, disk_margins, fastest_pole
 from ambrose.synthesis.pid import axes_controller
 from eigenvalue_margins import loop_margins, opened

@@ -6,6 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import (
+    published_p5,
+    published_p5_data,
+    published_p5_pid,
+    published_p5_problem,
+    published_p5_weights,
+)
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
@@ -16,16 +23,10 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
-from ambrose.plant.published import published_p5, published_p5_data, published_p5_pid
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.pid import axes_controller, pid_controller
-from ambrose.synthesis.problem import (
-    design_plant,
-    published_p5_problem,
-    published_p5_weights,
-    with_performance_block,
-)
+from ambrose.synthesis.problem import design_plant, with_performance_block
 from ambrose.synthesis.weights import Weights, control_weight, machine_weights, performance_weight
 
 OMEGA = np.array([0.01, 1.0, 30.0, 250.0, 900.0, 1e4])

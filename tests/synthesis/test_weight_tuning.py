@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5, published_p5_data, published_p5_pid, published_p5_weights
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, static_gain
-from ambrose.plant.published import published_p5, published_p5_data, published_p5_pid
 from ambrose.synthesis.pid import axes_controller
-from ambrose.synthesis.problem import published_p5_weights
 from ambrose.synthesis.result import Certificate, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 

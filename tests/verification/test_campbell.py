@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.plant.assemble import assemble
-from ambrose.verification.campbell import campbell, campbell_curves, critical_speeds
+from ambrose.verification.campbell import campbell, campbell_curves, direction
 
 PORTS = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 
@@ -53,6 +54,15 @@ def test_closed_form_through_crossings(single_masses):
                     errors.append(np.abs(frequency / poles.imag - 1).max() + np.abs(damping + poles.real / np.abs(poles)).max())
         assert min(errors) < 1e-9  # one branch throughout, although forward 1 crosses both modes of disc 2
         assert np.abs(whirl[5:]).min() > 0.99
+
+
+def critical_speeds(found):
+    """Speeds [rad/s] at which a mode's frequency equals the speed, with its whirl direction there, by cubic splines."""
+    crossings = []
+    for frequency, whirl in zip(found.frequency, found.whirl, strict=True):
+        for root in CubicSpline(found.speeds, frequency - found.speeds).roots(extrapolate=False):
+            crossings += [(root, direction(float(np.interp(root, found.speeds, whirl))))] * bool(root > 0)
+    return sorted(crossings)
 
 
 def test_critical_speeds_in_closed_form(single_masses):

@@ -9,10 +9,10 @@ from hypothesis.extra.numpy import arrays
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.core.sampling import c2d
+from ambrose.core.sampling import c2d, hold
 from ambrose.core.statespace import select
 from ambrose.plant.loop import closed_loop
-from ambrose.verification.loop_response import LoopResponse, add_poles, frequency_grid, hold, loop_at, loop_evaluator
+from ambrose.verification.loop_response import LoopResponse, add_poles, frequency_grid, loop_at, loop_evaluator
 from physical_numbers import physical
 
 # The shaft's element frequencies reach 1e7 rad/s, its rigid stiffness is 1e5 rad2/s2: in first-order form eps 1e7/(1e5/1e7) is

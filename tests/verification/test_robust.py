@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5, published_p5_problem, published_p5_weights
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
@@ -17,11 +18,10 @@ from ambrose.core.worst_case import bounds
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
-from ambrose.plant.published import published_p5
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.problem import design_plant, published_p5_problem, published_p5_weights
+from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weights import Weights, control_weight, performance_weight
 from ambrose.verification import robust
 from ambrose.verification.checks import Checks
@@ -159,6 +159,7 @@ def test_a_proof_that_fails_takes_no_result_with_it(rigid, robust_controller, mo
     assert np.isinf(found["robust.sensitivity.bound"].value) and "not available" in found["robust.sensitivity.bound"].title
 
 
+@pytest.mark.campaign
 def test_two_parameters(rigid, robust_controller):
     found = robust.check(rigid, robust_controller, PAIR)
     worst, bound = found["robust.sensitivity.worst"].value, found["robust.sensitivity.bound"].value
@@ -173,6 +174,7 @@ def test_two_parameters(rigid, robust_controller):
     assert not any(check.name.startswith("robust.sensitivity.at") for check in found.checks)
 
 
+@pytest.mark.campaign
 def test_mu_below_one_means_performance_everywhere(rigid, robust_controller):
     """Main loop theorem: with weights relaxed until mu < 1, the weighted norm of every perturbed loop is below 1."""
     half = (Tolerance(K, relative=0.5),)
@@ -192,6 +194,7 @@ def closed_by(problem: GeneralizedPlant, controller: StateSpace, delta: float) -
     return lft(GeneralizedPlant(close_uncertainty(problem, {K: delta}), w, problem.u, z, problem.y), controller)
 
 
+@pytest.mark.campaign
 def test_generalized_plant_is_taken_as_it_is():
     controller = hinf_synthesis(published_p5_problem(uncertain=False)).controller
     found = robust.check(published_p5(), controller, weights=published_p5_weights())
@@ -206,6 +209,7 @@ def test_unstable_nominal_loop_is_a_verdict(rigid):
     assert found.checks[0].value > 0
 
 
+@pytest.mark.campaign
 def test_own_grid_and_progress(rigid, robust_controller):
     told: list[float] = []
     omega = np.geomspace(10, 1e4, 30)

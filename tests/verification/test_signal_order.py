@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.worst_case_responses import loop_over_box
 
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.sampling import c2d
@@ -22,7 +23,6 @@ from ambrose.synthesis.pid import pid_controller
 from ambrose.verification import nominal, robust
 from ambrose.verification.campbell import speed_stability_check
 from ambrose.verification.loop_response import loop_at, loop_evaluator
-from ambrose.verification.worst_case_responses import loop_over_box
 
 TOLERANCES = (Tolerance("seal.center.k", relative=0.5),)
 
@@ -99,6 +99,7 @@ def test_a_generalized_plant(plant, controllers):
     same(first.to_dict(), second.to_dict())
 
 
+@pytest.mark.campaign
 def test_linear_simulation_and_the_virtual_rig(rig, plant, controllers):
     scenario = Scenario("push", 0.02, pulses=(Pulse("e_A_zeta", 0.05, 0.0, 0.005),))
     first, second = (linear.run(closed_loop(plant, K), scenario) for K in controllers)

@@ -10,9 +10,9 @@ import scipy.linalg as sla
 
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import static_gain
+from ambrose.machine.criteria import CURRENT_PULSE, Pulse
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import closed_loop
-from ambrose.verification.criteria import CURRENT_PULSE, Pulse
 from ambrose.verification.transient import PulseResponse, pulse_checks, pulse_response
 
 

@@ -11,14 +11,13 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
 from ambrose.plant.assemble import assemble
+from ambrose.plant.unbalance import residual_unbalance, unbalance
 from ambrose.verification.loop_response import frequency_grid, loop_evaluator
 from ambrose.verification.unbalance import (
     assembled_check,
     distributed_orbits,
     orbit,
-    residual_unbalance,
     top_speed,
-    unbalance,
     unbalance_checks,
     unbalance_curve,
     worst_orbit,

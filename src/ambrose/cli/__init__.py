@@ -1,4 +1,5 @@
-"""The `ambrose` command. Exit status: 0 done and all required checks passed, 1 done but a check failed, 2 bad input.
+"""The `ambrose` command. Exit status: 0 done and all required checks passed, 1 done but a check failed, 2 bad input,
+130 interrupted.
 
 Results go to standard output (with --json exactly one JSON object), progress and errors to standard error.
 """
@@ -7,9 +8,10 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Any
+from typing import Any, NoReturn
 
 import click
+from click.exceptions import NoArgsIsHelpError
 
 from ambrose.cli.check import check, machines
 from ambrose.cli.convert import convert
@@ -18,30 +20,51 @@ from ambrose.cli.identify import identify
 from ambrose.cli.simulate import simulate
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
+from ambrose.cli.terminal import say, streams_settled
 from ambrose.cli.verify import verify
+from ambrose.machine.messages import BULLET
 from ambrose.version import __version__
 
 
 class AmbroseCommand(click.Group):
     """Turns every refusal of the package, and every file that cannot be used, into one message and exit status 2."""
 
-    def invoke(self, ctx: click.Context) -> Any:
+    def main(self, args: Any = None, prog_name: Any = None, *, standalone_mode: bool = True, **extra: Any) -> Any:  # type: ignore[override]
         # Before numpy is loaded: at these sizes (some hundred states) BLAS threads cost more than they bring.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        from ambrose.core.checks import AmbroseError
+        if not standalone_mode:
+            return super().main(args, prog_name, standalone_mode=False, **extra)
+        with streams_settled():
+            try:
+                status = super().main(args, prog_name, standalone_mode=False, **extra)
+            except OSError as error:
+                remedy = "check that it exists, may be read or written, and has room"
+                stop(f"{error.filename or 'file'}: {error.strerror or error}; {remedy}")
+            except (KeyboardInterrupt, click.Abort):
+                stop("interrupted; what was finished before stays on disk", 130)
+            except click.ClickException as error:
+                context = getattr(error, "ctx", None)
+                if isinstance(error, NoArgsIsHelpError):
+                    error.show()
+                else:
+                    usage = context.get_usage().splitlines() if context else ()
+                    for line in (*usage, f"Error: {error.format_message()}"):
+                        say(line, err=True)
+                sys.exit(2)
+            except Exception as error:
+                from ambrose.core.checks import AmbroseError  # with numpy, which --help does without
 
-        try:
-            return super().invoke(ctx)
-        except AmbroseError as error:
-            stop(str(error))
-        except OSError as error:
-            stop(f"{error.filename or 'file'}: {error.strerror or error}; check that it exists and may be read or written")
-        except KeyboardInterrupt:
-            stop("interrupted; what was finished before stays on disk", 130)
+                if not isinstance(error, AmbroseError):
+                    raise
+                stop(str(error))
+            sys.exit(status if isinstance(status, int) else 0)
 
 
-def stop(message: str, status: int = 2) -> None:
-    click.echo(f"ambrose: {message}", err=True)
+def stop(message: str, status: int = 2) -> NoReturn:
+    first, *others = message.split(BULLET)
+    say(f"ambrose: {first}", err=True)
+    for line in others:
+        say(f"  - {line}", err=True)
     sys.exit(status)
 
 

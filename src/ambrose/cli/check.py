@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table
+from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, say_json
 
 
 @click.command()
@@ -18,7 +17,7 @@ def machines(as_json: bool) -> None:
 
     descriptions = {name: load_machine(name).description for name in bundled_machines()}
     if as_json:
-        click.echo(json.dumps(descriptions))
+        say_json(descriptions)
         return
     print_table("Bundled machines", ("name", "what it is"), list(descriptions.items()))
 
@@ -32,7 +31,7 @@ def check(machine: str, as_json: bool) -> None:
 
     known = facts(load(machine))
     if as_json:
-        click.echo(json.dumps(known))
+        say_json(known)
         return
     title = ": ".join(text for text in (known["machine"], known["description"]) if text)
     print_table(title, ("quantity", "value"), _facts_in_words(known))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import AS_JSON
+from ambrose.cli.terminal import AS_JSON, claim, say, say_json
 
 
 @click.command()
@@ -17,13 +16,15 @@ from ambrose.cli.terminal import AS_JSON
 @AS_JSON
 def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> None:
     """Write a record (*.h5, *.csv), or a file of MATLAB (*.mat) or LabVIEW (*.tdms), as a record (*.h5 or *.csv)."""
-    from ambrose.machine.record.files import read_record, write_record
+    from ambrose.machine.record.files import check_suffix, read_record, write_record
     from ambrose.machine.record.foreign import read_foreign
 
+    check_suffix(output)
+    claim(record=output)
     result = read_record(record) if columns is None else read_foreign(record, columns)
     write_record(result, output)
     count, rate = result.values.shape[1], result.sample_rate_hz
     summary = {"record": str(output), "signals": result.signals, "samples": count, "sample_rate_hz": rate}
     signals = f"{', '.join(result.signals[:8])}{' ...' if len(result.signals) > 8 else ''}"
     words = f"{output}: {count / rate:.6g} s at {rate:.6g} Hz, {len(result.signals)} signals ({signals})"
-    click.echo(json.dumps(summary) if as_json else words)
+    say_json(summary) if as_json else say(words)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown
+from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, say, say_json
 
 
 @click.command()
@@ -67,11 +66,12 @@ def export(
         delivery = write_for_target(file, output, to=target, machine=known, options=options, progress=progress)
     content = delivery.to_dict()
     if as_json:
-        click.echo(json.dumps(content))
+        say_json(content)
     else:
         for problem in content["problems"]:
-            click.echo(f"forced although {problem}", err=True)
+            say(f"forced although {problem}", err=True)
         for limit in content["unmet_limits"]:
-            click.echo(f"the loop as it runs misses a limit: {limit}", err=True)
-        click.echo("\n".join(content["files"]))
+            say(f"the loop as it runs misses a limit: {limit}", err=True)
+        for path in content["files"]:
+            say(path)
     sys.exit(0 if content["verified"] and not content["unmet_limits"] else 1)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, progress_shown
+from ambrose.cli.terminal import AS_JSON, MACHINE, claim, kept, load, print_table, progress_shown, say, say_json
 
 METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, which is not imported for --help
 
@@ -67,6 +66,7 @@ def identify(
     check_arguments(method, given, flags)
     description = load(machine)
     other = load(str(compare)) if compare is not None else None
+    claim(machine_file=output, report=report)
     settings = {name: value for name, value in asked.items() if name in given}
     if start:
         settings["start"] = _starts(start)
@@ -75,7 +75,8 @@ def identify(
         law = read_controller(controller).controller if controller else None
         done = run(description, records, law, method=method, provenance=names, progress=progress, **settings)
         compared = None if other is None else agreement(done.result, other)
-        write_text(output, done.comment + machine_text(done.machine), "machine file")
+        text = done.comment + machine_text(done.machine)
+        failure = kept(lambda path: write_text(path, text, "machine file"), output)
         if report is not None:
             from ambrose.report.identification.page import identification_report
             from ambrose.report.identification.static_load import static_report
@@ -83,14 +84,17 @@ def identify(
 
             progress("writing the report")
             make: Any = static_report if done.method == "static" else identification_report
-            write(make(done, compared=compared), report)
+            unwritten = kept(lambda path: write(make(done, compared=compared), path), report)
+            failure, report = unwritten or failure, None if unwritten else report
     if as_json:
         rows = None if compared is None else [row.to_dict() for row in compared]
         files = {"machine_file": str(output), "report": str(report) if report else None}
-        click.echo(json.dumps({**done.to_dict(), "compared": rows, **files}))
+        say_json({**done.to_dict(), "compared": rows, **files})
     else:
         _print(done, compared)
-        click.echo(f"Machine with these values and their uncertainty: {output}" + (f". Report: {report}" if report else ""))
+        say(f"Machine with these values and their uncertainty: {output}" + (f". Report: {report}" if report else ""))
+    if failure is not None:
+        raise failure
     sys.exit(0 if done.passed else 1)
 
 
@@ -133,9 +137,9 @@ def _print(done: Any, compared: Any) -> None:
     if compared is not None:
         _table(tables.compared_table(compared))
     for line in (f"Verdict: {done.verdict}", *[f"Warning: {finding}" for finding in done.doubts]):
-        click.echo(line)
+        say(line)
     if done.method != "static" and done.seal is not None and done.seal.note:
-        click.echo(f"Note: {done.seal.note}.")
+        say(f"Note: {done.seal.note}.")
 
 
 def _table(table: Any, only_failed: bool = False) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, load, progress_shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, progress_shown, say, say_json
 
 
 @click.command()
@@ -43,14 +42,16 @@ def simulate(
 ) -> None:
     """Run a scenario on the virtual rig (or the linear model) and write the record (*.h5 or *.csv).
 
-    An *.h5 record of the rig grows while it runs, as *.partial.h5, which stays readable when the run is interrupted.
+    An *.h5 record of the rig grows while it runs, as *.h5.partial, which stays readable when the run is interrupted.
     """
     from ambrose.evaluation.trial import simulate_scenario
-    from ambrose.machine.record.files import write_record
+    from ambrose.machine.record.files import check_suffix, write_record
     from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)
     controller = read_controller(path)
+    check_suffix(output)
+    claim(record=output, report=report)
     growing = not linear and output.suffix.lower() != ".csv"
     options: dict[str, Any] = {} if second is None else {"second": read_controller(second)}
     if not linear:
@@ -60,13 +61,13 @@ def simulate(
             description, controller, scenario, point=point, linear=linear, rate=rate_hz, delay_samples=delay_samples,
             progress=progress, **options,
         )  # fmt: skip
-    if not growing:
-        write_record(trace.record, output)
+    failure = None if growing else kept(lambda path: write_record(trace.record, path), output)
     if report is not None:
         from ambrose.report.page import write
         from ambrose.report.record.page import record_report
 
-        write(record_report(trace, description), report)
+        unwritten = kept(lambda path: write(record_report(trace, description), path), report)
+        failure, report = unwritten or failure, None if unwritten else report
     summary = {
         "record": str(output),
         "outcome": trace.outcome,
@@ -74,5 +75,7 @@ def simulate(
         "stable": trace.stable,
         "report": str(report) if report else None,
     }
-    click.echo(json.dumps(summary) if as_json else f"{output}: {trace.text}")
+    say_json(summary) if as_json else say(f"{output}: {trace.text}")
+    if failure is not None:
+        raise failure
     sys.exit(0 if trace.outcome == "completed" and trace.stable else 1)

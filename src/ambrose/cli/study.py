@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, print_table, progress_shown
+from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, print_table, progress_shown, say, say_json
 
 
 @click.command(name="study")
@@ -18,16 +17,18 @@ from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, prin
 @AS_JSON
 def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
     """The whole chain: every controller the machine file allows, verified, simulated and compared in report.html."""
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.ordinary_file import file_name
     from ambrose.report.tables import verdict
     from ambrose.workflow import study
 
     description = load(machine)
-    directory = output or Path(f"study-{description.name}")
+    directory = output or Path(f"study-{file_name(description.name)}")
     with progress_shown(as_json) as progress:
         result = study(description, directory, progress)
-    report = directory / "report.html"
+    report = None if result.unwritten else directory / "report.html"
     if as_json:
-        click.echo(json.dumps({**result.to_dict(), "report": str(report)}))
+        say_json({**result.to_dict(), "report": report and str(report)})
     else:
         rows = [(name, "design", why) for name, why in result.failed]
         marks = ["red"] * len(rows)
@@ -41,5 +42,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
                 rows.append((candidate.name, label, "left out: its schedule does not cover this point"))
                 marks.append("red")
         print_table(f"{description.name}: {len(result.candidates)} controllers", ("controller", "at", "verdict"), rows, marks)
-        click.echo(f"Most checks are met by {result.best.name}. Report: {report}")
+        say(f"Most checks are met by {result.best.name}." + (f" Report: {report}" if report else ""))
+    if result.unwritten:
+        raise InvalidInput("; ".join(result.unwritten))
     sys.exit(0 if result.passed else 1)

@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, load, print_table, progress_shown, shown
+from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, say_json, shown
 
 
 @click.command()
 @MACHINE
-@click.option("--method", type=click.Choice(["pid", "hinf", "mu", "polish", "lpv"]), default="pid", show_default=True)
-@click.option("--bending-modes", type=int, default=0, show_default=True, help="Bending modes per plane in the design model.")
+@click.option("--method", type=click.Choice(["pid", "hinf", "mu", "polish", "lpv", "tuned"]), default="pid", show_default=True)
+@click.option(
+    "--bending-modes",
+    type=int,
+    default=None,
+    help="Bending modes per plane in the design model; default: none, with --method tuned all that matter.",
+)
 @click.option(
     "--match-reference/--own-gain",
     default=None,
     help="Scale the control weight until the direct gains match the reference PID's; default: with a constant weight.",
 )
-@click.option("--order", type=int, default=None, help="States of the polished controller; default: half of what mu needs.")
+@click.option(
+    "--order",
+    type=int,
+    default=None,
+    help="States of the polished (default: half of what mu needs) or the tuned controller (three per axis).",
+)
+@click.option(
+    "--structure",
+    type=click.Choice(["free", "plane", "axis"]),
+    default="free",
+    show_default=True,
+    help="With --method tuned: which axes share a part of the controller.",
+)
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: the design point.")
 @RATE
 @DELAY
@@ -42,9 +58,10 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, load, print_tabl
 def synthesize(
     machine: str,
     method: str,
-    bending_modes: int,
+    bending_modes: int | None,
     match_reference: bool | None,
     order: int | None,
+    structure: str,
     point: str | None,
     rate_hz: float | None,
     delay_samples: int | None,
@@ -78,15 +95,17 @@ def synthesize(
         loss=None if loss is None else loss / 100,
         order=order,
         bending_modes=bending_modes,
+        structure=structure,
         match_reference=match_reference,
         speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
     )
+    claim(controller_file=output)
     with progress_shown(as_json) as progress:
         progress("assembling the plant")
         plant = plant_at(description, point)
         progress(f"designing ({method})")
         result = design(plant, method, options=options, progress=progress)
-    write_controller(output, result)
+    failure = kept(lambda path: write_controller(path, result), output)
     certificate = result.certificate.to_dict()
     factor = None if result.weights is None else result.weights.control_factor
     if as_json:
@@ -94,7 +113,7 @@ def synthesize(
             "controller": str(output), "method": method, "status": result.status, "stopped_early": result.stopped_early,
             "control_weight_factor": factor, "notes": result.notes, "certificate": certificate,
         }  # fmt: skip
-        click.echo(json.dumps(summary))
+        say_json(summary)
     else:
         numbers = {**certificate, **certificate["margins"]}
         rows = [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name != "margins"]
@@ -103,4 +122,6 @@ def synthesize(
         rows += [("note", note) for note in result.notes]
         early = "STOPPED EARLY: " if result.stopped_early else ""
         print_table(f"{method} controller, {early}{result.verdict}: {output}", ("certificate", "value"), rows)
+    if failure is not None:
+        raise failure
     sys.exit(0 if result.status is Status.VERIFIED else 1)

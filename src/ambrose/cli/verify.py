@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import ALL, AS_JSON, DELAY, MACHINE, RATE, load, print_checks, progress_shown
+from ambrose.cli.terminal import ALL, AS_JSON, DELAY, MACHINE, RATE, load, print_checks, progress_shown, say, say_json
 
 
 @click.command()
@@ -28,13 +27,13 @@ def verify(machine: str, path: Path, rate_hz: float | None, delay_samples: int |
     with progress_shown(as_json) as progress:
         result = verify_controller(description, controller, rate=rate_hz, delay_samples=delay_samples, progress=progress)
     if as_json:
-        click.echo(json.dumps({"machine": description.name, **result.to_dict()}))
+        say_json({"machine": description.name, **result.to_dict()})
     else:
         for _, checks in result.labelled:
             print_checks(checks, everything)
-        click.echo(f"The loop that was judged is {result.timing}.")
+        say(f"The loop that was judged is {result.timing}.")
         for words in result.not_varied:
-            click.echo(f"Not varied around {words}.")
+            say(f"Not varied around {words}.")
         for label in result.left_out:
-            click.echo(f"{label}: left out, the schedule does not cover this operating point")
+            say(f"{label}: left out, the schedule does not cover this operating point")
     sys.exit(0 if result.passed else 1)

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+_LONGEST = 300  # characters of a value in a message
+
 
 class AmbroseError(Exception):
     """Anything this package refuses or fails to do; the message names quantity, value and remedy."""
@@ -34,7 +36,9 @@ class UnstableSystem(AmbroseError, ValueError):
 
 def invalid(name: str, value: object, requirement: str, remedy: str) -> InvalidInput:
     """The one form of a complaint: what it is, what it was, what it must be, what to do."""
-    return InvalidInput(f"{name} is {value}, but must be {requirement}; {remedy}")
+    text = str(value)
+    given = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 10]} ..."
+    return InvalidInput(f"{name} is {given}, but must be {requirement}; {remedy}")
 
 
 @contextmanager
@@ -80,7 +84,7 @@ def check_finite(x: ArrayLike, name: str) -> np.ndarray:
             raise TypeError(f"it holds {array.dtype}")
         if array.dtype.kind not in "fc":
             array = array.astype(float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInput(f"{name} is not numeric ({error}); give a rectangular array of numbers") from error
     bad = ~np.isfinite(array)
     if bad.any():
@@ -94,6 +98,8 @@ def check_path(path: Any, what: str) -> Path:
     """``path`` as a Path. Raises InvalidInput for what is none, as a number or an object given by mistake."""
     if not isinstance(path, str | os.PathLike):
         raise invalid(f"the path of the {what}", type(path).__name__, "a text or a Path", "give the name of a file")
+    if "\0" in str(path):
+        raise invalid(f"the path of the {what}", repr(str(path)), "free of null characters", "give the name of a file")
     return Path(path)
 
 

@@ -30,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
 from ambrose.core.presentation import Presented, to_plain
 from ambrose.core.statespace import StateSpace, append, as_statespace, close, match_signals, poles, rename, select, static_gain
@@ -103,6 +104,7 @@ class GeneralizedPlant(Presented):
     y: tuple[str, ...]
     blocks: tuple[Block, ...]
 
+    @names_wrong_types
     def __init__(
         self,
         system: Any,

@@ -17,6 +17,7 @@ import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, named_failure
 from ambrose.core.frequency import SchurForm, evaluate, schur_form, state_response_at
+from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
 
@@ -27,8 +28,8 @@ _PEAKS = 6  # local maxima followed at once
 _ROUNDING = 10.0  # a pole is marginal when it is closer to the boundary than this many rounding errors
 
 
-@dataclass(frozen=True, slots=True)
-class HinfNorm:
+@dataclass(frozen=True, slots=True, repr=False)
+class HinfNorm(Presented):
     """The largest singular value over all frequencies, and where it is attained.
 
     value: attained at ``frequency`` [rad/s] (inf when only approached at infinite frequency); no frequency has a gain above

@@ -16,14 +16,17 @@ _LONGEST = 190  # characters of a repr
 class Presented:
     """A result with a one-line ``repr`` and a table for notebooks, both made from its ``facts``.
 
-    A subclass is a dataclass with ``repr=False`` and says what it is by ``facts``.
+    A subclass is a dataclass with ``repr=False``; it says by ``facts`` what it is, where its fields are not that.
     """
 
     __slots__ = ()
 
     def facts(self) -> Mapping[str, Any]:
-        """What a reader wants to know first: a few named texts and numbers (SI), most important first."""
-        raise NotImplementedError
+        """What a reader wants to know first, most important first (SI); else the fields that are not at their default."""
+        fields = dataclasses.fields(self)  # type: ignore[arg-type]  # every subclass is a dataclass
+        values = {field.name: getattr(self, field.name) for field in fields}
+        told = [f.name for f in fields if hasattr(values[f.name], "shape") or values[f.name] not in ((), f.default)]
+        return {name: _fact(values[name]) for name in told}
 
     def to_dict(self) -> dict[str, Any]:
         """All fields of the dataclass, ready for JSON (``to_plain``)."""
@@ -39,6 +42,13 @@ class Presented:
         return html_table(
             [(name.replace("_", " "), in_words(value)) for name, value in self.facts().items()], type(self).__name__
         )
+
+
+def _fact(value: Any) -> Any:
+    if hasattr(value, "shape") and value.shape:
+        return f"array {value.shape}"
+    nested = isinstance(value, tuple) and any(dataclasses.is_dataclass(item) for item in value)
+    return len(value) if nested else value
 
 
 def in_words(value: Any) -> str:
@@ -85,4 +95,6 @@ def to_plain(value: Any) -> Any:
         return str(value)
     if isinstance(value, str | int | float | bool) or value is None:
         return value
+    if dataclasses.is_dataclass(value):
+        return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     raise TypeError(f"{type(value).__name__} is no plain data")

@@ -112,6 +112,12 @@ def _tustin(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace:
     return StateSpace(Ad * t[:, None] / t, Bd * t[:, None], CE / t, D, system.inputs, system.outputs, dt)
 
 
+def hold(omega: np.ndarray, dt: float) -> np.ndarray:
+    """Zero-order hold over dt [s] at omega (w,) [rad/s], unit gain at zero frequency: sinc(w T/2) exp(-j w T/2), (w,)."""
+    half = omega * dt / 2
+    return np.sinc(half / np.pi) * np.exp(-1j * half)
+
+
 def pade(delay: float, order: int, input: str = "u1", output: str = "y1") -> StateSpace:
     """All-pass approximation of a pure delay [s] (diagonal Pade), for continuous loop models."""
     check_positive(delay, "delay", "leave the delay out if there is none")

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import (
     InvalidInput,
     NumericalFailure,
@@ -67,6 +68,7 @@ class StateSpace(Presented):
     outputs: tuple[str, ...]
     dt: float | None
 
+    @names_wrong_types
     def __init__(
         self,
         A: ArrayLike | ControllerLike,

@@ -28,11 +28,12 @@ from ambrose.deployment.discretisation.deployment import (
     deploy_scheduled,
     unmet_limits,
 )
-from ambrose.deployment.fmu.archive import generate_fmus
+from ambrose.deployment.fmu.archive import check_compiler, generate_fmus
 from ambrose.deployment.mat import generate_mat
 from ambrose.deployment.provenance import provenance_lines
 from ambrose.deployment.structured_text import generate_structured_text
 from ambrose.machine.atomic_write import check_place, write_files
+from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
@@ -46,8 +47,8 @@ TARGETS: Mapping[Target, tuple[Arithmetic, ...]] = {  # with what each can compu
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ExportOptions:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ExportOptions(Presented):
     """How a controller is written.
 
     name: prefix of every name in the code, a C identifier. arithmetic: of the code. rate [Hz]: of the samples, delay_samples:
@@ -135,10 +136,13 @@ def export(
     machine = bundled_machine(synthesis) if machine is None else machine
     limits = _limits(synthesis, machine, options)
     check_place(directory)  # all this before the verification, which takes seconds
-    deployment, block = _deploy(synthesis, machine, options, limits, progress)
-    progress("writing")
-    files = _files(to, synthesis, deployment, block, options)
-    return Delivery(to, deployment, block, tuple(write_files(directory, files)))
+    if to == "fmu" and not options.sources_only:
+        check_compiler()
+    with claimed(directory, "folder"):
+        deployment, block = _deploy(synthesis, machine, options, limits, progress)
+        progress("writing")
+        files = _files(to, synthesis, deployment, block, options)
+        return Delivery(to, deployment, block, tuple(write_files(directory, files, held=True)))
 
 
 def _synthesis(controller: Any, machine: Machine | None) -> Synthesis:

@@ -41,7 +41,7 @@ def plant_at(machine: Machine, point: str | OperatingPoint | None = None) -> Pla
 
 
 def chosen_point(machine: Machine, point: str | OperatingPoint | None) -> OperatingPoint | None:
-    return operating_point(machine, point) if isinstance(point, str) else point
+    return None if point is None else operating_point(machine, point)
 
 
 def plants_along_speed(plant: Plant) -> Callable[[float], Plant]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.evaluation.plants import Progress, chosen_point
@@ -38,6 +39,7 @@ class RunUp:
     rig_steps: tuple[Step, ...]
 
 
+@names_wrong_types
 def simulate_scenario(
     machine: Machine | Plant,
     controller: Any,

@@ -1,7 +1,4 @@
-"""Excitation signals: sequences, chirps, multisines, pulses; patterns over the axes; how much, and whether it is enough.
-
-A waveform (k,) [-] has the peak 1; a pattern makes of it the excitation (axes, k) [A] that is added to the controller's output.
-"""
+"""Whether the excitation of a record is enough: its order, and the rows of its signals."""
 
 from __future__ import annotations
 
@@ -10,104 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
-from ambrose.core.response import simulate
-from ambrose.core.statespace import StateSpace, select
-from ambrose.machine.machine import Machine
+from ambrose.core.checks import check_shape, invalid
 from ambrose.machine.record.record import Record
-
-PATTERNS = ("parallel", "tilt", "single")
-ORDERS = (3, 20)  # of a binary sequence
-
-
-def prbs(order: int, clock: int, samples: int, shift: int = 0) -> np.ndarray:
-    """A pseudo-random binary sequence (samples,) of +-1: maximum length 2^order - 1 bits, each held for ``clock`` samples.
-
-    It repeats when the samples outlast it; ``shift`` starts it that many bits later, which makes nearly uncorrelated sequences
-    for several axes. Flat spectrum up to about 0.44/(clock dt) Hz. Raises InvalidInput. Golomb (1967), ch. 3.
-    """
-    from scipy.signal import max_len_seq
-
-    if not ORDERS[0] <= order <= ORDERS[1]:
-        raise invalid("the order of the sequence", order, f"from {ORDERS[0]} to {ORDERS[1]}", "10 repeats after 1023 bits")
-    clock, samples = _count(clock, "clock"), _count(samples, "samples")
-    bits = 2.0 * max_len_seq(int(order))[0] - 1.0
-    return bits[(np.arange(samples) // clock + shift) % len(bits)]
-
-
-def chirp(start: float, stop: float, samples: int, dt: float) -> np.ndarray:
-    """A sine (samples,) whose frequency goes linearly from ``start`` to ``stop`` [rad/s]. Raises InvalidInput past Nyquist."""
-    dt = check_positive(dt, "dt", "give the sample time in seconds")
-    for name, frequency in (("start", start), ("stop", stop)):
-        _below_nyquist(check_positive(frequency, name, "give it in rad/s", zero_allowed=True), name, dt)
-    t = np.arange(_count(samples, "samples")) * dt
-    return np.sin(start * t + (stop - start) * t**2 / (2 * max(len(t) * dt, dt)))
-
-
-def multisine(frequencies: ArrayLike, samples: int, dt: float) -> np.ndarray:
-    """The sum (samples,) of equal sines at ``frequencies`` (f,) [rad/s] with Schroeder's phases (1970), scaled to the peak 1.
-
-    Its crest factor is low when the frequencies are equally spaced. Raises InvalidInput beyond Nyquist.
-    """
-    dt = check_positive(dt, "dt", "give the sample time in seconds")
-    w = check_shape(frequencies, "frequencies", "(f)")
-    if not len(w) or np.any(w <= 0):
-        raise invalid("frequencies", w.tolist(), "at least one, all positive", "give them in rad/s")
-    _below_nyquist(float(w.max()), "the highest frequency", dt)
-    j = np.arange(len(w))
-    wave = np.zeros(_count(samples, "samples"))
-    t = np.arange(len(wave)) * dt
-    for frequency, phase in zip(w, -np.pi * j * (j + 1) / len(w), strict=True):
-        wave += np.cos(frequency * t + phase)
-    return wave / np.abs(wave).max()
-
-
-def pattern(machine: Machine, kind: str, wave: ArrayLike, amplitude: float, axis: str = "") -> dict[str, np.ndarray]:
-    """The excitation e_<axis> (k,) [A] of every control axis for one waveform (k,) [-] of peak 1, times ``amplitude`` [A].
-
-    "parallel": the same on all axes; "tilt": opposite at the second bearing; "single": on ``axis`` ("A_zeta") alone.
-    Raises InvalidInput.
-    """
-    wave = check_shape(wave, "wave", "(k)")
-    amplitude = check_positive(amplitude, "amplitude", "give the peak current in A")
-    axes = machine.axes
-    if kind not in PATTERNS:
-        raise invalid("kind", repr(kind), f"one of {', '.join(PATTERNS)}", "choose one of them")
-    if kind == "single" and axis not in axes:
-        raise invalid("axis", repr(axis), f"one of {', '.join(axes)}", "name the axis that is excited")
-    if kind == "tilt" and len(machine.bearings) != 2:
-        raise invalid("the number of bearings", len(machine.bearings), "2 for a tilt pattern", "use parallel or single")
-    single = [float(name == axis) for name in axes]
-    signs = {"parallel": [1.0] * len(axes), "tilt": [1.0, 1.0, -1.0, -1.0], "single": single}[kind]
-    return {f"e_{name}": amplitude * sign * wave for name, sign in zip(axes, signs, strict=True)}
-
-
-def largest_amplitude(
-    loop: StateSpace, machine: Machine, waves: dict[str, np.ndarray], dt: float, margin: float = 0.5, gap_share: float = 0.1
-) -> float:
-    """The factor by which ``waves`` may be multiplied before a limit is near; advice, on the linear loop.
-
-    loop: plant/loop.py's closed loop, inputs e_<axis>, outputs u_<axis> and y_<axis>; waves: e_<axis> (k,) [A]; dt [s]. The
-    command |u + e| stays below ``margin`` of max_current, and |y| below ``gap_share`` of the touchdown gap (or the gap), so
-    that the bearing stays nearly linear. Raises InvalidInput where the machine states no limit at all.
-    """
-    names = list(waves)
-    e = np.stack([check_shape(waves[name], name, "(k)") for name in names])
-    axes = machine.axes
-    signals = [f"{kind}_{axis}" for kind in "uy" for axis in axes]
-    peaks = simulate(select(loop, names, signals), e, loop.dt or dt)
-    limits = []
-    for i, axis in enumerate(axes):
-        bearing = machine.bearings[i // 2]
-        command = peaks[i] + (e[names.index(f"e_{axis}")] if f"e_{axis}" in names else 0.0)
-        gap = bearing.touchdown_gap or bearing.gap
-        for limit, share, signal in ((bearing.max_current, margin, command), (gap, gap_share, peaks[len(axes) + i])):
-            peak = float(np.abs(signal).max())
-            if limit is not None and peak > 0:
-                limits.append(share * limit / peak)
-    if not limits:
-        raise InvalidInput(f"machine {machine.name!r} states no limit that these signals reach; add max_current or gap")
-    return min(limits)
 
 
 def excitation_order(signals: ArrayLike, order: int = 100, threshold: float = 1e-8) -> int:
@@ -156,8 +57,3 @@ def _count(value: int, name: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise invalid(name, repr(value), "a whole number, at least 1", "give a number of samples")
     return int(value)
-
-
-def _below_nyquist(frequency: float, name: str, dt: float) -> None:
-    if frequency * dt >= np.pi:
-        raise invalid(name, f"{frequency:g} rad/s", f"below Nyquist, {np.pi / dt:g} rad/s", "sample faster, or sweep less far")

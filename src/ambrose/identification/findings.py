@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.messages import BULLET
 
 ERROR, WARNING = "error", "warning"
 
@@ -78,4 +79,4 @@ def refuse(findings: Iterable[Finding]) -> None:
     """Raises InvalidInput with every error among the findings, the first one leading."""
     errors = [str(finding) for finding in findings if finding.severity == ERROR]
     if errors:
-        raise InvalidInput("\n".join(errors))
+        raise InvalidInput(BULLET.join(errors))

@@ -13,6 +13,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import as_statespace
@@ -54,6 +55,7 @@ _WHY = {
 }
 
 
+@names_wrong_types
 def identify(
     machine: Machine,
     records: Record | str | Path | Sequence[Record | str | Path],

@@ -21,6 +21,7 @@ from ambrose.identification.validation.repeatability import Repeats
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.machine.machine import Machine
+from ambrose.machine.messages import one_line
 from ambrose.version import __version__
 
 
@@ -31,6 +32,10 @@ class Provenance:
     records: tuple[str, ...] = ()
     controller: str = ""
     date: str = field(default_factory=lambda: date.today().isoformat())
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "records", tuple(map(one_line, self.records)))  # they stand in files of text
+        object.__setattr__(self, "controller", one_line(self.controller))
 
     @property
     def of_records(self) -> str:
@@ -277,4 +282,5 @@ class StaticIdentification(Identification):
 
 def as_comment(lines: Sequence[str]) -> str:
     """Lines for the head of a TOML file; those that begin with a space belong to the one above."""
-    return "".join(f"# {' '.join(line.splitlines())}\n" if line[0] != " " else f"#{line}\n" for line in lines) + "\n"
+    plain = (one_line(" ".join(line.splitlines()) if line[0] != " " else line) for line in lines)
+    return "".join(f"#{'' if line[0] == ' ' else ' '}{line}\n" for line in plain) + "\n"

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.presentation import html_table
 from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Material, OperatingPoint, Tolerance
 from ambrose.machine.part import Part
@@ -23,6 +24,7 @@ class Machine(MachineDescription):
     together.
     """
 
+    @names_wrong_types
     def __post_init__(self) -> None:
         check_machine(self)
 

@@ -4,9 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from unicodedata import category
 
 _LONGEST = 60
 SHOWN = 20  # problems, or known names, in one message
+BULLET = "\n  - "  # before each further line of a message
+
+
+def one_line(text: str) -> str:
+    """``text`` as one line that steers no terminal: what is neither printed nor a space stands as its escape, ``\\x1b``.
+
+    These are control characters (line ends and tabs among them), marks of the reading direction, halves of a character.
+    """
+    if text.isprintable():
+        return text
+    shown = (c if c.isprintable() or category(c) == "Zs" else c.encode("unicode_escape").decode() for c in text)
+    return "".join(shown)
 
 
 def shown(value: object) -> str:
@@ -50,7 +63,7 @@ def listed(name: str, problems: Sequence[str]) -> str:
     if len(problems) == 1:
         return f"{name}: {problems[0]}"
     rest = [f"and {len(problems) - SHOWN} more; mend these first"] if len(problems) > SHOWN else []
-    return "\n  - ".join([f"{name} has {len(problems)} problems:", *problems[:SHOWN], *rest])
+    return BULLET.join([f"{name} has {len(problems)} problems:", *problems[:SHOWN], *rest])
 
 
 def complaint(where: str, key: str, value: object, requirement: str, remedy: str) -> str:

@@ -153,11 +153,6 @@ class BulkFlow:
     grid_error: float
 
     @property
-    def effective_stiffness(self) -> np.ndarray:
-        """K + c w (w,) [N/m]: the real part of Z for a forward whirl."""
-        return self.K + self.c * self.frequencies
-
-    @property
     def effective_damping(self) -> np.ndarray:
         """C - k/w (w,) [N s/m]: negative where the seal drives a forward whirl."""
         return self.C - self.k / self.frequencies

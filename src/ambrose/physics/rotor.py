@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_finite, invalid
 from ambrose.core.mechanical import undamped_modes
+from ambrose.core.presentation import Presented
 from ambrose.machine.description import Disc, ShaftSection
 from ambrose.machine.machine import Machine
 from ambrose.physics.beam import BeamElement, beam_element, shape
@@ -25,8 +26,8 @@ STANDARD_GRAVITY = 9.80665  # [m/s2]
 _PLANES = {"x": (0, 3, 1.0), "y": (1, 2, -1.0)}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rotor:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Rotor(Presented):
     """A rotor of N nodes without bearings.
 
     positions (N,) [m]: the nodes. mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node. plane_mass,
@@ -48,8 +49,8 @@ class Rotor:
         return len(self.positions)
 
 
-@dataclass(frozen=True, slots=True)
-class MassProperties:
+@dataclass(frozen=True, slots=True, repr=False)
+class MassProperties(Presented):
     """mass [kg], centre [m] axial coordinate of the centre of mass, diametral_inertia about it and polar_inertia [kg m2].
 
     As the rotor's matrices have them: "bernoulli-euler" leaves the rotary inertia of the shaft out of diametral_inertia.

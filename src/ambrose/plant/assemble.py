@@ -13,10 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import OperatingPoint, Seal
 from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import operating_point
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes
 from ambrose.physics.seal_rational import has_states
@@ -26,13 +28,14 @@ from ambrose.plant.ports import ports, sensor_ports
 _RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state: the pace of a levitated rotor
 
 
-def assemble(machine: Machine, point: OperatingPoint | None = None) -> Plant:
-    """The full finite-element plant (4 DOF per node) at an operating point (default: the machine's nominal one).
+@names_wrong_types
+def assemble(machine: Machine, point: OperatingPoint | str | None = None) -> Plant:
+    """The full finite-element plant (4 DOF per node) at an operating point, or its label (default: the machine's nominal one).
 
     Its states mean the same at every operating point, see ``attached_statespace``. Raises InvalidInput where the point lies
     outside a seal's table or a bearing's measured bias currents.
     """
-    point = machine.operation.nominal if point is None else point
+    point = machine.operation.nominal if point is None else operating_point(machine, point)
     return wire(machine, point, attached_statespace(machine, point, finite_element_rotor(machine)))
 
 

@@ -14,7 +14,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.presentation import Presented
 from ambrose.machine.file.toml import read_toml
 from ambrose.machine.messages import suggestion
 from ambrose.machine.record.record import signal_dimension
@@ -36,8 +38,8 @@ LEVITATED = "levitated"
 INITIAL_STATES = (LEVITATED, "resting")
 
 
-@dataclass(frozen=True, slots=True)
-class Scenario:
+@dataclass(frozen=True, slots=True, repr=False)
+class Scenario(Presented):
     """All disturbances of one simulation, which lasts ``duration`` [s].
 
     speed [rad/s] (None: that of the loop) goes linearly to ``to_speed`` over ``ramp`` [s] (None: the whole duration) and
@@ -64,6 +66,7 @@ class Scenario:
     switch_at: float | None = None
     description: str = ""
 
+    @names_wrong_types
     def __post_init__(self) -> None:
         check_positive(self.duration, "the scenario's duration", "give it in seconds")
         if self.sample_time is not None:
@@ -170,12 +173,17 @@ def load_scenario(name: str | Path) -> Scenario:
 
     Quantities are SI numbers or strings with a unit ("10 ms", "0.05 A"). Raises InvalidInput naming file, table and key.
     """
-    path = files("ambrose").joinpath("simulation", "scenarios", f"{name}.toml") if str(name) in _bundled_names() else Path(name)
-    if not path.is_file():
-        raise InvalidInput(f"{name} is neither a file nor a bundled scenario; {suggestion(str(name), _bundled_names())}")
+    bundled = files("ambrose").joinpath("simulation", "scenarios", f"{name}.toml")
     try:
-        return read_scenario(read_toml(Path(str(path)), "its file"))
-    except (OSError, InvalidInput) as error:
+        document = read_toml(str(bundled) if str(name) in _bundled_names() else name, "scenario")
+    except InvalidInput as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
+        known = suggestion(str(name), _bundled_names())
+        raise InvalidInput(f"{name} is neither a file nor a bundled scenario; {known}") from None
+    try:
+        return read_scenario(document)
+    except InvalidInput as error:
         raise InvalidInput(f"scenario {name}: {error}") from error
 
 

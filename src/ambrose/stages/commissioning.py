@@ -17,7 +17,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.c.code import write_code
 from ambrose.deployment.c.compiled import CompiledBlock, read_law
-from ambrose.deployment.c.compiler import has_compiler
+from ambrose.deployment.c.compiler import compiler_problem, has_compiler
 from ambrose.deployment.discretisation.deployment import Deployment, deploy, unmet_limits
 from ambrose.deployment.pipeline import machine_limits
 from ambrose.deployment.provenance import provenance_lines
@@ -25,7 +25,7 @@ from ambrose.evaluation.candidate import Candidate, Deployed, evaluate
 from ambrose.evaluation.plants import Progress, full_plants
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
-from ambrose.machine.atomic_write import write_text
+from ambrose.machine.atomic_write import make_folder, write_text
 from ambrose.machine.file.update import machine_text
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
@@ -76,7 +76,7 @@ class Commissioning:
             ("Controller", f"{deployed.controller.n_states} states, {rate:g} Hz, {deployed.delay} sample of computing delay"),
             (
                 "Runs on the rig as",
-                "the compiled C code" if self.from_code else "its law in Python: no C compiler here, or not one sample late",
+                "the compiled C code" if self.from_code else "its law in Python: no code runs here, or not one sample late",
             ),
             ("Files", ", ".join(path.name for path in self.files)),
         ]
@@ -109,7 +109,9 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     """
     if reference.status is not Status.VERIFIED:
         raise InvalidInput("the reference controller does not hold the nominal plant, so there is nothing to record")
-    directory.mkdir(parents=True, exist_ok=True)
+    make_folder(directory)
+    if problem := compiler_problem():
+        progress(f"the code will be written, but its law runs in Python: {problem}")
     record = recorded(plants[0], reference.controller, directory / "record.h5", progress)
     identification = identified(plants[0].machine, record, reference.controller, directory, progress)
     machine = identification.machine
@@ -169,8 +171,12 @@ def compile_controller(
     block = build_block(deployment, "controller", errors, currents)
     progress("writing the C code")
     files = tuple(write_code(directory / "code", block, "double", provenance_lines(file, deployment)))
-    steps = has_compiler() and deployment.delay == 1  # the rig runs code that is one sample late, no other
-    return deployment, CompiledBlock(block) if steps else block.system, files
+    if deployment.delay == 1 and has_compiler():  # the rig runs code that is one sample late, no other
+        try:
+            return deployment, CompiledBlock(block), files
+        except InvalidInput as error:
+            progress(f"its law runs in Python: {error}")
+    return deployment, block.system, files
 
 
 def read_running_law(program: CompiledBlock | StateSpace, deployment: Deployment) -> tuple[StateSpace, float | None]:

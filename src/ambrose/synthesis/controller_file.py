@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import stat
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -41,6 +40,7 @@ from ambrose.machine.limits import (
 )
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import quoted
+from ambrose.machine.ordinary_file import read_text
 from ambrose.synthesis.hinf.scaling import Matrices
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
 from ambrose.synthesis.weights import Weights
@@ -144,6 +144,7 @@ class ProvenanceTable(_Table):
     machine_hash: Text | None = Field(description="SHA-256 of everything in the machine file that is computed with")
     date: Annotated[str, AfterValidator(_date)] = Field(description="UTC, ISO 8601")
     settings: dict[str, Any] | None = Field(description="what the design was asked for")
+    digest: Text | None = Field(default=None, description="SHA-256 of all else but the date, for resuming a study")
 
 
 class ControllerTable(_Table):
@@ -200,7 +201,9 @@ def write_controller(
         made = replace(made, package_version=__version__, machine=machine.name, machine_hash=machine_hash(machine))
     if date is not None or not made.date:
         made = replace(made, date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"))
-    content = replace(result, provenance=made).to_dict()
+    path = check_path(path, "controller file")
+    written = replace(result, provenance=made)
+    content = replace(written, provenance=replace(made, digest=written.digest)).to_dict()
     signals = {side: _signals(content[side], side) for side in _UNITS}
     return write_text(path, _layout({"format": FORMAT, "version": VERSION, **content, **signals}), "controller file")
 
@@ -230,28 +233,15 @@ def read_controller(path: str | os.PathLike[str]) -> Synthesis:
 
     Raises InvalidInput that names the file, the key, its value and the remedy.
     """
-    path = check_path(path, "controller file")
+    text = read_text(path, "controller file", CONTROLLER_BYTES)
     try:
-        return _synthesis(_parse(_read(path)))
+        return _synthesis(_parse(_content(text)))
     except InvalidInput as error:
         raise InvalidInput(f"controller file {path}: {error}") from error
 
 
-def _read(path: Path) -> Any:
-    """The parsed content of a UTF-8 JSON file; NaN, Infinity and repeated keys are refused. Raises InvalidInput."""
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise InvalidInput("is no ordinary file; give the path of a file")
-        if status.st_size > CONTROLLER_BYTES:
-            raise invalid(
-                "the file's size", f"{status.st_size} bytes", f"at most {CONTROLLER_BYTES}", "is this the right file?"
-            )
-        text = path.read_bytes().decode("utf-8")
-    except OSError as error:
-        raise InvalidInput(f"cannot be read ({error.strerror or error}); check the path") from error
-    except UnicodeDecodeError as error:
-        raise InvalidInput(f"is not text (byte {error.start} is no UTF-8); is this the right file?") from error
+def _content(text: str) -> Any:
+    """The parsed content of a JSON file; NaN, Infinity and repeated keys are refused. Raises InvalidInput."""
     if (numbers := text.count(",")) > CONTROLLER_NUMBERS:
         raise invalid(
             "the count of numbers", f"about {numbers}", f"at most {CONTROLLER_NUMBERS}", "reduce the controller's order"

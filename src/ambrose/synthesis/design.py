@@ -8,29 +8,33 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import to_plain
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
+from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.plant.uncertainty import with_offsets_of
 from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
-from ambrose.synthesis.certificate import certify_on_full_plant
+from ambrose.synthesis.certificate import certify_on_full_plant, full_plant_margins
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
+from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.order_selection import reduce_order, sampled_sensitivity
-from ambrose.synthesis.pid import pid_controller, pid_synthesis
+from ambrose.synthesis.pid import first_settings, pid_controller, pid_synthesis
 from ambrose.synthesis.problem import LEAST_TOLERANCE, design_plant, design_tolerances, open_model
 from ambrose.synthesis.result import Provenance, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.synthesis.weights import machine_weights
 
-METHODS = ("pid", "hinf", "mu", "polish", "lpv")
+METHODS = ("pid", "hinf", "mu", "polish", "lpv", "tuned")
 POLISH_ROUNDS = 6
 SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
 
@@ -48,6 +52,7 @@ def methods_for(plant: Plant) -> tuple[str, ...]:
     return tuple(method for method in METHODS if possible.get(method))
 
 
+@names_wrong_types
 def design(
     plant: Plant,
     method: str,
@@ -60,8 +65,9 @@ def design(
 
     method: "pid" (the machine's reference controller), "hinf" (H-infinity for the nominal plant), "mu" (D-K iteration over the
     machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case), "lpv" (scheduled over
-    speed). options: all of them, or single ones by name as ``choices``: rate, delay_samples, loss, order, bending_modes,
-    match_reference, speeds (``DesignOptions``).
+    speed), "tuned" (to the requirements themselves, at all operating points of the plant's machine and with the worst corners
+    of the tolerances around each; the others know the plant's point alone). options: all of them, or single ones by name as
+    ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, structure (``DesignOptions``).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
     "lpv", nor of "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
@@ -75,8 +81,10 @@ def design(
         raise invalid("plant", type(plant).__name__, "a Plant", "assemble(machine, point) gives one")
     if method not in METHODS:
         raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", suggestion(str(method).lower(), METHODS))
-    if options.order is not None and method != "polish":
-        raise invalid("order", options.order, f"None for method {method!r}", "only method 'polish' can choose it")
+    if options.order is not None and method not in {"polish", "tuned"}:
+        raise invalid("order", options.order, f"None for method {method!r}", "only 'polish' and 'tuned' can choose it")
+    if options.loss is not None and method == "tuned":
+        raise invalid("loss", options.loss, "None for method 'tuned'", "give the order, from which it is tuned")
     if options.speeds is not None and method != "lpv":
         raise invalid("speeds", options.speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
     options = options.on(plant.machine)
@@ -84,7 +92,9 @@ def design(
         result = pid_synthesis(plant, timing=options.timing())
     elif method == "lpv":
         grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
-        result = design_over_speed(plant, grid, bending_modes=options.bending_modes, progress=progress)
+        result = design_over_speed(plant, grid, bending_modes=options.bending_modes or 0, progress=progress)
+    elif method == "tuned":
+        result = _tuned(plant, options, progress)
     else:
         result = _by_weights(plant, method, options, progress)
     if options.loss is not None:
@@ -116,12 +126,32 @@ def provenance(plant: Plant, method: str, options: DesignOptions) -> Provenance:
     return Provenance(machine=machine.name, machine_hash=machine_hash(machine), settings=to_plain(settings))
 
 
+def _tuned(plant: Plant, options: DesignOptions, progress: Progress) -> Synthesis:
+    """One controller tuned to the requirements at every operating point of the machine, from its PID or a first guess."""
+    machine, timing = plant.machine, options.timing()
+    settings = first_settings(machine) if machine.controller is None else machine.controller
+    start = pid_controller(settings, machine)
+    plants = [plant if p == plant.point else with_offsets_of(assemble(machine, p), plant) for p in machine.operation.points]
+    if all(item is not plant for item in plants):
+        plants.append(plant)
+    result = tune_controller(
+        plants, start, timing, order=options.order, structure=options.structure, bending_modes=options.bending_modes,
+        reference=start if options.match_reference else None, progress=progress,
+    )  # fmt: skip
+    _, margins, _ = full_plant_margins(plant, result.controller)
+    if machine.controller is not None:
+        margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, start)[0]
+    certificate = replace(result.certificate, margins={**result.certificate.margins, **margins})
+    return replace(result, certificate=certificate)
+
+
 def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:
     """H-infinity, mu or polished mu for the machine's weights."""
     machine, weights = plant.machine, machine_weights(plant.machine)
     uncertain = method in {"mu", "polish"}
     wide = design_tolerances(machine) if uncertain else None
-    small, timing = reduce(plant, options.bending_modes), options.timing()
+    modes, timing = options.bending_modes or 0, options.timing()
+    small = reduce(plant, modes)
     model = apply_delay(open_model(small, wide, uncertain), 0.0 if timing is None else timing.lag)
     synthesis = hinf_synthesis if method == "hinf" else lambda problem: mu_synthesis(problem, order=SCALING_ORDER)
     reference = None if machine.controller is None else pid_controller(machine.controller, machine)
@@ -141,7 +171,7 @@ def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Pro
     if method == "polish":
         start, judge = result, None
         if timing is not None:
-            judge = sampled_sensitivity(reduce(plant, options.bending_modes + 1), timing)
+            judge = sampled_sensitivity(reduce(plant, modes + 1), timing)
         delay_states = len(machine.axes) if timing is not None else 0
         result = polish_synthesis(
             design_plant(model, weights),

@@ -11,6 +11,8 @@ from ambrose.core.checks import check_positive, check_shape, invalid
 from ambrose.machine.machine import Machine
 from ambrose.plant.timing import Timing, machine_timing, timing_of
 
+STRUCTURES = ("free", "plane", "axis")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignOptions:
@@ -18,18 +20,21 @@ class DesignOptions:
     states no rate either, the controller is designed without delay.
 
     loss [-]: with a rate, the order is reduced until the worst sampled sensitivity has risen by this share (0.05: 5 %). order:
-    states of the polished controller (None: half of what mu needs). bending_modes: how many the design model keeps per plane.
-    match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so that
-    controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds:
-    lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal pressure).
-    Raises InvalidInput.
+    states of the polished or the tuned controller (None: half of what mu needs; three per axis). bending_modes: how many the
+    design model keeps per plane (None: none; tuning takes all that the sensitivity is judged at, and one more). structure of
+    the tuned controller: "plane" (zeta and eta kept apart where the bearings stand at one angle), "axis" (each alone) or
+    "free". match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so
+    that controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight.
+    speeds: lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal
+    pressure). Raises InvalidInput.
     """
 
     rate: float | None = None
     delay_samples: int | None = None
     loss: float | None = None
     order: int | None = None
-    bending_modes: int = 0
+    bending_modes: int | None = None
+    structure: str = "free"
     match_reference: bool | None = None
     speeds: tuple[float, float] | None = None
 
@@ -38,7 +43,10 @@ class DesignOptions:
             check_positive(self.rate, "rate", "10000 Hz is usual")
         if self.delay_samples is not None:
             _check_count(self.delay_samples, "the computing delay (delay_samples)", "1 is usual")
-        _check_count(self.bending_modes, "bending_modes", "0 designs for the rigid rotor")
+        if self.bending_modes is not None:
+            _check_count(self.bending_modes, "bending_modes", "0 designs for the rigid rotor")
+        if self.structure not in STRUCTURES:
+            raise invalid("structure", repr(self.structure), f"one of {', '.join(STRUCTURES)}", "leave the default")
         if self.order is not None:
             _check_count(self.order, "order", "None takes half of what mu needs")
         if self.loss is not None:

@@ -112,9 +112,9 @@ def reduce_order(plant: Plant, result: Synthesis, options: DesignOptions, progre
     if loss is None or timing is None:
         raise invalid("loss and rate", "not given", "given", "0.05 at 10000 Hz allows 5 %")
     weights = machine_weights(plant.machine) if result.weights is None else result.weights
-    small = reduce(plant, options.bending_modes)
+    small = reduce(plant, options.bending_modes or 0)
     problem = design_plant(apply_delay(open_model(small, design_tolerances(plant.machine), True), timing.lag), weights)
-    measure = sampled_sensitivity(reduce(plant, options.bending_modes + 1), timing)
+    measure = sampled_sensitivity(reduce(plant, (options.bending_modes or 0) + 1), timing)
     lowest = find_lowest_order(problem, result.controller, measure, loss, progress=progress)
     before, after = result.controller.n_states, lowest.controller.n_states
     note = (

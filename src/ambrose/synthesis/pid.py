@@ -14,6 +14,8 @@ from ambrose.core.checks import InvalidInput, check_finite, invalid, named_failu
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
 from ambrose.machine.description import MagneticBearing, PidSettings
 from ambrose.machine.machine import Machine
+from ambrose.physics import magnet
+from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.model import Plant
 from ambrose.plant.timing import Timing, machine_timing
 from ambrose.synthesis.as_it_runs import certify_as_it_runs
@@ -54,6 +56,21 @@ def pid_controller(settings: PidSettings, machine: Machine) -> StateSpace:
         raise invalid("coordinates", repr(settings.coordinates), " or ".join(COORDINATES), "choose one of them")
     mixing = None if settings.coordinates == "axes" else tilt_translate(machine, settings.tilt_gain)
     return axes_controller(settings, machine.axes, mixing)
+
+
+def first_settings(machine: Machine) -> PidSettings:
+    """A PID to start from where the machine file has none: twice the magnets' negative stiffness, half critically damped.
+
+    Per axis K_p = 2 k_s / k_i leaves the stiffness k_s; with the rotor's mass shared by the bearings that gives w_0, and
+    T_d = 1 / (2 w_0), T_i = 20 / w_0. Nothing is promised of it; tuning starts from there. Raises InvalidInput.
+    """
+    found = [magnet.linearised(bearing, machine.operation.design.bias_current) for bearing in machine.bearings]
+    k_i = np.array([value for item in found for value in item.force_per_current])
+    k_s = np.array([value for item in found for value in item.negative_stiffness])
+    if not (k_i > 0).all() or not (k_s > 0).all():
+        raise InvalidInput(f"machine {machine.name!r} has magnets without force or stiffness; add a [controller] table")
+    rate = float(np.sqrt(k_s.mean() * len(machine.bearings) / mass_properties(finite_element_rotor(machine)).mass))
+    return PidSettings(tuple(2 * k_s / k_i), integral_time=20 / rate, derivative_time=0.5 / rate)
 
 
 def axes_controller(settings: PidSettings, axes: tuple[str, ...], mixing: np.ndarray | None = None) -> StateSpace:

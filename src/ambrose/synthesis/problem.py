@@ -28,10 +28,9 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
-from ambrose.machine.description import DesignWeights, Tolerance
+from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
-from ambrose.plant.published import published_p5, published_p5_data
 from ambrose.plant.uncertainty import uncertain as uncertain_plant
 from ambrose.synthesis.weights import Weights, machine_weights
 
@@ -139,23 +138,3 @@ def with_performance_block(plant: GeneralizedPlant) -> GeneralizedPlant:
         raise invalid("the number of performance signals (w, z)", (n_w, n_z), "at least 1 each", "it has its block already")
     blocks = [*plant.blocks, FullBlock(PERFORMANCE, n_w, n_z)]
     return GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, blocks)
-
-
-def published_p5_weights() -> Weights:
-    """The weights of the published P5 plant, as printed or inferred: M = 3, A_w = 1e-3, w_B = 1.5 rad/s, W_u = 0.315."""
-    data = published_p5_data()["weights"]
-    return machine_weights(
-        DesignWeights(
-            error_scale=data["displacement_unit"],
-            current_scale=data["current_unit"],
-            bandwidth=data["w_B"],
-            control_level=data["control"],
-            peak=data["M"],
-            low_frequency_error=data["A_w"],
-        )
-    )
-
-
-def published_p5_problem(weights: Weights | None = None, uncertain: bool = True) -> GeneralizedPlant:
-    """The design problem of paper P5 on its published plant: 8 rotor, 8 actuator and 4 weight states."""
-    return design_plant(published_p5(), published_p5_weights() if weights is None else weights, uncertain=uncertain)

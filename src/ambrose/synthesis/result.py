@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -48,18 +50,20 @@ class Certificate(Presented):
 @dataclass(frozen=True, slots=True)
 class Provenance:
     """Where a controller comes from: package version; name and hash of the machine (None: not given); date in UTC (ISO 8601, ""
-    until it is written); settings: what ``design`` was asked for, as plain data (None: it comes from elsewhere)."""
+    until it is written); settings: what ``design`` was asked for, as plain data (None: it comes from elsewhere); digest: what
+    ``Synthesis.digest`` was when its file was written (None: it was not)."""
 
     package_version: str = __version__
     machine: str | None = None
     machine_hash: str | None = None
     date: str = ""
     settings: Mapping[str, Any] | None = None
+    digest: str | None = None
 
     @property
-    def key(self) -> tuple[Any, ...]:
-        """All that decides which controller comes out; equal keys, equal controllers."""
-        return self.package_version, self.machine_hash, self.settings
+    def key(self) -> dict[str, Any]:
+        """All that decides which controller comes out, by name; equal keys, equal controllers."""
+        return {"package version": self.package_version, "machine": self.machine_hash, **(self.settings or {"design": None})}
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data."""
@@ -107,6 +111,13 @@ class Synthesis(Presented):
     def law(self) -> StateSpace | ScheduledSystem:
         """What runs: the schedule where there is one, else the controller."""
         return self.controller if self.scheduled is None else self.scheduled
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (64 hexadecimal digits) of all that is said here but the date: matrices, certificate, history, origin."""
+        content = self.to_dict()
+        content["provenance"] |= {"date": "", "digest": None}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def to_control(self) -> Any:
         """The controller as a python-control system."""

@@ -16,10 +16,11 @@ import numpy as np
 from ambrose.core.checks import check_shape, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import spectral_abscissa
+from ambrose.machine.criteria import TWO_PI, Demand
 from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import TWO_PI, Demand, judge
+from ambrose.verification.criteria import judge
 from ambrose.verification.rotor_modes import OSCILLATORY, Modes, damping_ratio, direction, modes
 
 
@@ -97,22 +98,6 @@ def _follow(found: Modes, candidates: Modes) -> np.ndarray:
     distance = np.abs(candidates.poles[None, :] - poles[:, None]) / np.abs(poles)[:, None]
     _, order = linear_sum_assignment(10 * distance + (1 - assurance))
     return order
-
-
-def critical_speeds(found: CampbellMap) -> tuple[tuple[float, str], ...]:
-    """Speeds [rad/s] at which a mode's frequency equals the speed, with its whirl direction there, ascending.
-
-    Between the map's speeds the frequencies are interpolated by cubic splines.
-    """
-    from scipy.interpolate import CubicSpline
-
-    result = []
-    for frequency, whirl in zip(found.frequency, found.whirl, strict=True):
-        excess = CubicSpline(found.speeds, frequency - found.speeds)
-        for root in excess.roots(extrapolate=False):
-            if root > 0:
-                result.append((float(root), direction(float(np.interp(root, found.speeds, whirl)))))
-    return tuple(sorted(result))
 
 
 def campbell_curves(found: CampbellMap) -> list[Curve]:

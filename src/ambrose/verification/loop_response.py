@@ -12,6 +12,7 @@ import numpy as np
 
 from ambrose.core.checks import check_shape, named_failure
 from ambrose.core.frequency import SchurForm, check_nyquist, evaluate, schur_form
+from ambrose.core.sampling import hold
 from ambrose.core.statespace import StateSpace, select
 from ambrose.plant.loop import Law, match_controller
 from ambrose.plant.model import Plant
@@ -123,12 +124,6 @@ def _parted(axes: tuple[str, ...], omega: np.ndarray, P: Matrices, K: Matrices) 
 def _direct(system: StateSpace, s: complex) -> np.ndarray:
     n = system.n_states
     return system.C @ np.linalg.solve(s * np.eye(n) - system.A, system.B.astype(complex)) + system.D
-
-
-def hold(omega: np.ndarray, dt: float) -> np.ndarray:
-    """Zero-order hold over dt [s] at omega (w,) [rad/s], unit gain at zero frequency: sinc(w T/2) exp(-j w T/2), (w,)."""
-    half = omega * dt / 2
-    return np.sinc(half / np.pi) * np.exp(-1j * half)
 
 
 def _form(system: StateSpace) -> SchurForm:

@@ -21,9 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.machine.criteria import TWO_PI, demand
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import TWO_PI, demand, information, judge
+from ambrose.verification.criteria import information, judge
 from ambrose.verification.loop_response import Evaluator, LoopResponse
 from ambrose.verification.peaks import peaks_of
 

@@ -14,24 +14,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape, invalid, named_failure
+from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
 from ambrose.machine.description import Requirements
 from ambrose.plant.loop import Law, closed_loop, match_controller
 from ambrose.plant.model import Plant, top_speed
+from ambrose.plant.unbalance import Unbalance, residual_unbalance
 from ambrose.verification.campbell import speed_stability_check
 from ambrose.verification.checks import Check, Checks, Curve
-from ambrose.verification.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
 from ambrose.verification.loop_response import add_poles, frequency_grid, loop_evaluator
 from ambrose.verification.margins import margin_checks
 from ambrose.verification.rotor_modes import modes, pole_checks, pole_curve
 from ambrose.verification.sensitivity import sensitivity_checks
 from ambrose.verification.transient import pulse_checks, pulse_response
-from ambrose.verification.unbalance import (
-    Unbalance,
-    assembled_check,
-    residual_unbalance,
-    unbalance_checks,
-    unbalance_curve,
-)
+from ambrose.verification.unbalance import assembled_check, unbalance_checks, unbalance_curve
 
 _LOWEST = 0.5 * TWO_PI  # rad/s, start of the default grid
 _SPEEDS = 40  # speeds at which the rotor is assembled anew for unbalance

@@ -35,13 +35,14 @@ from ambrose.core.worst_case.bounds import FAILURES, gain_bound, proved_gain, pr
 from ambrose.core.worst_case.crossing import BoxMargin, box_margin
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, default_grid, gains, samples, unstable_poles
 from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
+from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.loop import Law, law_at, match_axes, match_controller
 from ambrose.plant.model import Plant
 from ambrose.synthesis.problem import design_plant, with_performance_block
 from ambrose.synthesis.weights import Weights
 from ambrose.verification.checks import Check, Checks, Curve
-from ambrose.verification.criteria import SENSITIVITY, TWO_PI, Demand, demand, information, judge, zone_lines
+from ambrose.verification.criteria import information, judge, zone_lines
 
 FAMILY = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _APART = 0.01  # between what is found and what is proved, above which the search looks again where the proof ends
@@ -139,16 +140,6 @@ def stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequ
     found = _corner_check(output)[0]
     names = f"all {output.parameters} tolerances"
     return replace(found, name="robust.stability.all", title=f"Unstable points over {names}")
-
-
-def prove_stability(plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Check:
-    """robust.stability.proved alone: the factor on all tolerances up to which stability is proved, on the plant given.
-
-    Arguments as for ``check``. A proof that does not succeed is a value 0 and says why. Raises InvalidInput, and UnstableSystem
-    for a loop that is unstable at its centre.
-    """
-    loop = box_loops(plant, controller, tolerances)[0]
-    return _proof_check(loop, box_margin(loop), _label(plant))
 
 
 def _label(plant: Plant | GeneralizedPlant) -> str:

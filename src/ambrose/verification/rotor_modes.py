@@ -19,9 +19,10 @@ import scipy.linalg as sla
 
 from ambrose.core.checks import named_failure
 from ambrose.core.statespace import StateSpace, balance, index_of
+from ambrose.machine.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand, information, judge
+from ambrose.verification.criteria import information, judge
 
 PLANAR = 0.1  # below this modulus of the whirl measure a mode has no direction
 OSCILLATORY = 0.7071067811865476  # a damping ratio below this counts as a mode that can ring

@@ -15,6 +15,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa, static_gain
 from ambrose.core.worst_case.loop import box_points
+from ambrose.machine.criteria import Demand, demand
 from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
@@ -23,7 +24,7 @@ from ambrose.plant.uncertainty import perturbed, tolerances_around
 from ambrose.synthesis.certificate import certify
 from ambrose.verification import nominal
 from ambrose.verification.checks import Check, Checks
-from ambrose.verification.criteria import Demand, demand, information, judge
+from ambrose.verification.criteria import information, judge
 from ambrose.verification.verification import box_label
 
 _FULL_POINTS = 40  # points of the box at which the eigenvalues of the full plant's loop are computed

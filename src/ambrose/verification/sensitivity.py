@@ -20,9 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.machine.criteria import SENSITIVITY, TWO_PI, demand
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import SENSITIVITY, TWO_PI, demand, judge, zone_lines
+from ambrose.verification.criteria import judge, zone_lines
 from ambrose.verification.loop_response import Evaluator, LoopResponse
 from ambrose.verification.peaks import Peak, peaks_of
 

@@ -19,12 +19,14 @@ import numpy as np
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
+from ambrose.machine.criteria import CURRENT_PULSE, Pulse, demand
 from ambrose.machine.description import Requirements
 from ambrose.plant.model import Plant
+from ambrose.plant.unbalance import magnet_coefficients
 from ambrose.verification.checks import Check, Curve
-from ambrose.verification.criteria import CURRENT_PULSE, Pulse, demand, information, judge
+from ambrose.verification.criteria import information, judge
 from ambrose.verification.peaks import Peak
-from ambrose.verification.unbalance import axis_limit_check, magnet_coefficients
+from ambrose.verification.unbalance import axis_limit_check
 
 _STEP = 1e-4  # s; a 550 Hz mode has 18 samples a period
 _FIRST_RECORD = 0.25  # s

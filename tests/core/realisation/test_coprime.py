@@ -12,7 +12,6 @@ from ambrose.core.realisation.coprime import (
     exchange,
     injection_gain,
     observer_controller,
-    plant_of_residual,
     residual_lft,
     residual_system,
 )
@@ -113,7 +112,6 @@ def test_residual_system_carries_the_plant(seed, dt):
     close_to(Ml @ (true - at(G)) @ np.linalg.inv(np.eye(2) - at(K) @ true) @ np.linalg.inv(Vl), s)
     close_to((N + V @ s) @ np.linalg.inv(M + U @ s), true, 1e-7)
     close_to(np.linalg.solve(Ml + s @ Ul, Nl + s @ Vl), true, 1e-7)
-    close_to(at(plant_of_residual(factors, S)), true, 1e-7)
     close_to(at(residual_system(factors, G)), 0 * s)
     lft = residual_lft(factors, general)
     close_to(at(close_uncertainty(lft, {"k": 0.05})), s)

@@ -151,6 +151,7 @@ def test_margin_beyond_all_bounds():
     assert proved_margin(loop, margin.factor).value > 19
 
 
+@pytest.mark.campaign
 def test_margins_of_random_loops_enclose_the_truth():
     """proved <= the smallest unstable scale of many random directions, and the search finds no larger one."""
     rng = np.random.default_rng(9)

@@ -59,6 +59,7 @@ def test_the_rig_cannot_tell_the_code_from_the_design(rig, arithmetic, apart):
     assert code.pole == pytest.approx(design.pole)
 
 
+@pytest.mark.campaign
 def test_the_same_verification_comes_out_of_the_code(rig):
     _, plant, block = rig
     code, design = (nominal.check(plant, system) for system in (read_law(CompiledBlock(block)), block.system))

@@ -36,6 +36,7 @@ def robust(plants):
     return hinf_synthesis(design_plant(reduce(assemble(load_machine("seal-rig")), 0), uncertain=False))
 
 
+@pytest.mark.campaign
 def test_a_controller_that_holds_everywhere_is_verified(plants, robust):
     found = deploy(robust, DT, DT, plants=plants)
     assert found.verified
@@ -46,6 +47,7 @@ def test_a_controller_that_holds_everywhere_is_verified(plants, robust):
     assert all("limit" in text for text in unmet_limits(found))
 
 
+@pytest.mark.campaign
 def test_sampled_sensitivity_against_frequency_response(plants, robust):
     """The peak over the box is at least what the sampled loop's response shows at its corners, and nearly that."""
     late = deploy(robust, DT, DT, plants=plants[:1]).in_loop

@@ -6,13 +6,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks import waveforms
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identification import excitation, pipeline
+from ambrose.identification import pipeline
 from ambrose.identification.data_quality.channels import Wiring, wirings
 from ambrose.identification.data_quality.controller import controller_match
 from ambrose.identification.data_quality.diagnosis import diagnose_records
@@ -63,7 +64,7 @@ def synthetic(wrong=0.15, dt=DT):
     law = c2d(match_controller(controller, plant), dt, "tustin", delay=dt)
     loop = select(closed_loop(other, law), names("ed"), names("yui"))
     rng = np.random.default_rng(1)
-    e = np.stack([0.2 * excitation.prbs(9, 10, K, shift=127 * i) for i in range(4)])
+    e = np.stack([0.2 * waveforms.prbs(9, 10, K, shift=127 * i) for i in range(4)])
     values = simulate(loop, np.vstack([e, 3e-8 * rng.standard_normal((4, K))]))
     units = ("m",) * 4 + ("A",) * 12
     return Record(machine.name, 1 / dt, tuple(names("yuie")), units, np.vstack([values, e]), plant.point)
@@ -401,7 +402,7 @@ def test_a_wrong_mass_that_no_record_can_tell():
     machine = replace(machine, seals=(), couplings=(), tolerances=())
     plant = free_mode_reduction(assemble(machine), 1)
     loop = select(closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT)), names("e"), names("yu"))
-    e = np.stack([0.2 * excitation.prbs(9, 10, 10000, shift=127 * i) for i in range(4)])
+    e = np.stack([0.2 * waveforms.prbs(9, 10, 10000, shift=127 * i) for i in range(4)])
     values = np.vstack([simulate(loop, e), e])
     values[:4] += 1e-8 * np.random.default_rng(0).standard_normal((4, 10000))
     record = Record(machine.name, 1 / DT, tuple(names("yue")), ("m",) * 4 + ("A",) * 8, values, plant.point)

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.signal
+from benchmarks import waveforms
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
@@ -117,7 +118,7 @@ def test_predicted_variance_and_circles_against_monte_carlo(loop):
 
 def test_variance_under_a_chirp_allows_for_overlapping_segments():
     """A chirp passes each line within a few overlapping segments: their noise is correlated. 150 records, within 6 %."""
-    u = excitation.chirp(2 * HZ, 200 * HZ, 6000, DT)
+    u = waveforms.chirp(2 * HZ, 200 * HZ, 6000, DT)
     errors, predicted = [], []
     for seed in range(150):
         noise = np.random.default_rng(seed).standard_normal(6000)
@@ -171,7 +172,7 @@ def chirps():
     """20 s, 0.1 A, 2 to 150 Hz on each axis in turn."""
     plant, loop = rig_loop()
     e, y, u = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "eyu")
-    wave = 0.1 * excitation.chirp(2 * HZ, 150 * HZ, 200_000, 1e-4)
+    wave = 0.1 * waveforms.chirp(2 * HZ, 150 * HZ, 200_000, 1e-4)
     made = []
     for i in range(4):
         drive = np.zeros((4, len(wave)))

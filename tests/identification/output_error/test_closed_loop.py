@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.linalg as sla
+from benchmarks import waveforms
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification import excitation
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.loop_model import loop_model
@@ -60,7 +60,7 @@ def measured(loop, e, point, noise=0.0, seed=0, machine="seal-rig", skip=0):
 
 
 def sequences(k, clock=10, order=9):
-    return np.stack([0.1 * excitation.prbs(order, clock, k, shift=127 * i) for i in range(4)])
+    return np.stack([0.1 * waveforms.prbs(order, clock, k, shift=127 * i) for i in range(4)])
 
 
 @cache
@@ -163,7 +163,7 @@ def test_several_records_other_signals_and_a_seal():
     unknown = ("seal.center.K", "seal.center.k", "seal.center.C", "seal.center.c", "coupling.*.stiffness.zeta")
     paths = expand(machine, unknown)
     loop = closed_loop(plant, law)
-    e = np.stack([0.1 * excitation.prbs(9, 10, 3000, shift=100 * i) for i in range(4)])
+    e = np.stack([0.1 * waveforms.prbs(9, 10, 3000, shift=100 * i) for i in range(4)])
     tilt = e * np.array([[1.0], [0.0], [-1.0], [0.0]])
     nominal = nominal_values(plant, paths)
     begin = np.where(nominal == 0, 1e4, 0.9 * nominal)
@@ -173,6 +173,7 @@ def test_several_records_other_signals_and_a_seal():
     np.testing.assert_allclose(result.values / scale, nominal / scale, atol=1e-6)
 
 
+@pytest.mark.campaign
 def test_predicted_deviation_against_monte_carlo():
     machine, _, controller, _ = rig()
     y = clean(1500)

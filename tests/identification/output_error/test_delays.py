@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.linalg as sla
+from benchmarks import waveforms
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
-from ambrose.identification import excitation
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.delays import AHEAD, timed
@@ -46,7 +46,7 @@ def model(paths, delay, unknown):
 
 
 def sequences(k):
-    return np.stack([0.1 * excitation.prbs(9, 10, k, shift=127 * i) for i in range(4)])
+    return np.stack([0.1 * waveforms.prbs(9, 10, k, shift=127 * i) for i in range(4)])
 
 
 def finely(e, delay, late=0.0, parts=10):
@@ -154,6 +154,7 @@ def test_a_mistimed_excitation_is_found(late):
     np.testing.assert_allclose(found.values[:-1], nominal_values(plant, KNOWN), rtol=1e-6)
 
 
+@pytest.mark.campaign
 def test_deviation_of_the_delay_against_monte_carlo():
     machine, _, controller, _ = rig()
     clean = record(sequences(1200), 1.3)

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.linalg as sla
+from benchmarks import waveforms
 from scipy.signal import lfilter
 
 from ambrose import load_machine
@@ -13,7 +14,6 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification import excitation
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.periodic import _columns, _rows
 from ambrose.identification.parameters import expand, nominal_values
@@ -41,7 +41,7 @@ def rig():
 def clean(k=5 * P, skip=0):
     """From rest, or with ``skip`` periods cut off: in steady state."""
     _, plant, controller, _ = rig()
-    e = np.stack([0.1 * excitation.prbs(7, 10, k + skip * P, shift=31 * i) for i in range(4)])
+    e = np.stack([0.1 * waveforms.prbs(7, 10, k + skip * P, shift=31 * i) for i in range(4)])
     y = simulate(select(closed_loop(plant, c2d(controller, DT, "tustin", delay=DT)), E, Y), e)
     values = np.vstack([y, e])[:, skip * P :]
     return Record("seal-rig", 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, values, plant.point)
@@ -82,6 +82,7 @@ def test_agrees_with_time_domain():
     assert all(test.passed for test in lines.tests) and len(lines.tests) == 4
 
 
+@pytest.mark.campaign
 def test_predicted_deviation_against_monte_carlo():
     machine, _, controller, _ = rig()
     values, predicted = [], []

@@ -5,13 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks import waveforms
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification import excitation
 from ambrose.identification.findings import Code
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop as whole_loop
@@ -72,7 +72,7 @@ def record(pressure, noise=5e-9):
     point = OperatingPoint(seal_pressure=pressure)
     plant = free_mode_reduction(assemble(replace(true(), seals=(item,), tolerances=()), point), 1)
     loop = closed_loop(plant, c2d(match_controller(controller(), plant), DT, "tustin", delay=DT))
-    e = np.stack([0.1 * excitation.prbs(9, 10, K, shift=127 * i) for i in range(4)])
+    e = np.stack([0.1 * waveforms.prbs(9, 10, K, shift=127 * i) for i in range(4)])
     values = simulate(select(loop, E, Y + U), e)
     values[:4] += noise * np.random.default_rng(int(pressure)).standard_normal((4, K))
     return Record("seal-rig", 1 / DT, (*Y, *U, *E), ("m",) * 4 + ("A",) * 8, np.vstack([values, e]), point)
@@ -117,6 +117,7 @@ def test_a_table_follows_the_curve_and_survives_its_file():
     assert "Seal center, pressure by pressure" in done.comment
 
 
+@pytest.mark.campaign
 def test_a_line_says_that_the_points_are_none():
     lined = found("line")
     k = lined.to_dict()["seal"]["lines"]["k"]
@@ -128,6 +129,7 @@ def test_a_line_says_that_the_points_are_none():
     assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in higher.comment
 
 
+@pytest.mark.campaign
 def test_without_a_calm_record_all_are_fitted_together():
     law = replace(machine(), seals=(replace(machine().seals[0], k=0.7 * 3.203e6),))
     inside = replace(law, operation=replace(law.operation, points=(OperatingPoint(seal_pressure=1e5),)))
@@ -143,7 +145,7 @@ def test_without_a_calm_record_all_are_fitted_together():
 def _proportional(pressure):
     plant = free_mode_reduction(assemble(true(), OperatingPoint(seal_pressure=pressure)), 1)
     loop = closed_loop(plant, c2d(match_controller(controller(), plant), DT, "tustin", delay=DT))
-    e = np.stack([0.1 * excitation.prbs(9, 10, K, shift=127 * i) for i in range(4)])
+    e = np.stack([0.1 * waveforms.prbs(9, 10, K, shift=127 * i) for i in range(4)])
     return np.vstack([simulate(select(loop, E, Y + U), e), e])
 
 

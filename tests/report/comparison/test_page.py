@@ -136,7 +136,7 @@ def test_verdicts_agree_with_the_checks_and_give_reasons(report: Report, candida
 
 def test_head_says_who_passes_everywhere(report: Report, page: str, candidates: list[Candidate]) -> None:
     good = [candidate.name for candidate in candidates if candidate.passed]
-    expected = f"{len(good)} of 3 controllers passes every check: {', '.join(good)}" if good else "no controller passes"
+    expected = f"{len(good)} of 3 controllers passes every check: {'; '.join(good)}" if good else "no controller passes"
     assert expected in page
     assert [verdict.passed for verdict in report.verdicts] == [candidate.passed for candidate in candidates]
     assert report.verdicts[0].text == (

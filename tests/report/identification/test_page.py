@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks import waveforms
 
 from ambrose import load_machine
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification import excitation
 from ambrose.identification.findings import Code, Finding
 from ambrose.identification.pipeline import Provenance, identify
 from ambrose.identification.seal.by_pressure import SealByPressure
@@ -50,7 +50,7 @@ def done():
     loop = select(
         closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT)), names("ed"), names("yu")
     )
-    e = np.stack([0.1 * excitation.prbs(9, 10, 8000, shift=127 * i) for i in range(4)])
+    e = np.stack([0.1 * waveforms.prbs(9, 10, 8000, shift=127 * i) for i in range(4)])
     noise = 2e-8 * np.random.default_rng(0).standard_normal((4, 8000))
     values = np.vstack([simulate(loop, np.vstack([e, noise])), e])
     record = Record(machine.name, 1 / DT, tuple(names("yue")), ("m",) * 4 + ("A",) * 8, values, plant.point)
@@ -211,6 +211,7 @@ def test_not_converged_is_not_sure(done):
     assert verdict.passed is False and "NOT converged" in verdict.text and not report.result.passed
 
 
+@pytest.mark.campaign
 def test_a_residual_that_cannot_be_drawn_says_why(done):
     """The four excitations of this record are independent, so S is drawn; alike ones leave words."""
     machine, checked = done

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5_problem
 from scipy.linalg import block_diag
 from scipy.optimize import rosen, rosen_der
 
@@ -19,7 +20,7 @@ from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import published_p5_problem, with_performance_block
+from ambrose.synthesis.problem import with_performance_block
 
 pytestmark = pytest.mark.campaign  # minutes
 

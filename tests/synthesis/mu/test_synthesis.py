@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from benchmarks.published_p5 import published_p5, published_p5_problem
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
@@ -30,7 +31,6 @@ from ambrose.core.statespace import (
 )
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
-from ambrose.plant.published import published_p5
 from ambrose.plant.reduce import reduce
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import RealRational, fit_magnitude
@@ -39,7 +39,7 @@ from ambrose.synthesis.mu.matrix_fit import fit_matrix
 from ambrose.synthesis.mu.refine import peak_gain, refine
 from ambrose.synthesis.mu.scaling import BlockScaling, Scaling, scalar_scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import design_plant, published_p5_problem, with_performance_block
+from ambrose.synthesis.problem import design_plant, with_performance_block
 
 pytestmark = pytest.mark.campaign  # minutes
 

@@ -1,11 +1,11 @@
 """Structured singular value mu(M) = 1 / min{ sigma_max(Delta) : det(I - M Delta) = 0 }, mixed real and complex blocks.
 
-The public face: ``mu_bounds`` at given matrices, ``mu_peak`` over frequency, ``mu_certificate`` as a proof over an interval.
-The algorithms are in upper.py, lower.py and interval.py.
+The public face: ``mu_bounds`` at given matrices, ``mu_peak`` over frequency. The algorithms are in upper.py, lower.py and
+peak.py; all_frequencies.py proves a level.
 
 With real blocks only, mu is a discontinuous function of M and may be 0 (det(I - M Delta) never vanishes for real Delta, as for
 M = 6.78j): the smallest error in M, or a step in frequency, may change it by a jump. The upper bound is safe at the M it is
-given and nowhere else; a claim over frequency needs ``mu_certificate``. Some complex uncertainty (a performance block, or a
+given and nowhere else; a claim over frequency needs ``proved_level``. Some complex uncertainty (a performance block, or a
 few per cent of neglected dynamics) makes mu continuous.
 """
 
@@ -20,13 +20,13 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_positive, invalid, named_failure
 from ambrose.core.lft import Block, FullBlock
-from ambrose.core.mu.interval import MuCertificate, MuPeak, mu_certificate, mu_peak
 from ambrose.core.mu.lower import lower_bound
+from ambrose.core.mu.peak import MuPeak, mu_peak
 from ambrose.core.mu.structure import Structure, check_matrix, structure_of
 from ambrose.core.mu.upper import upper_bound
 from ambrose.core.presentation import Presented, to_plain
 
-__all__ = ["MuBounds", "MuCertificate", "MuPeak", "mu_bounds", "mu_certificate", "mu_peak"]
+__all__ = ["MuBounds", "MuPeak", "mu_bounds", "mu_peak"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -101,8 +101,9 @@ def mu_bounds(
     structure = structure_of(blocks)
     array = check_matrix(M, structure)
     check_positive(tolerance, "tolerance", "use something like 1e-4")
-    if max_iterations < 1 or restarts < 0:
-        raise invalid("max_iterations, restarts", (max_iterations, restarts), "at least 1 and 0", "leave the defaults")
+    if max_iterations < 1 or restarts < 0 or seed < 0:
+        given = (max_iterations, restarts, seed)
+        raise invalid("max_iterations, restarts, seed", given, "at least 1, 0 and 0", "leave the defaults")
     batch = array.shape[:-2]
     flat = array.reshape(int(np.prod(batch)), structure.n_z, structure.n_w)
     # sizes near 1 whatever the units, so that nothing over- or underflows

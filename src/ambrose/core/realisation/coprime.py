@@ -32,6 +32,7 @@ from ambrose.core.checks import (
 )
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_equations import discrete_lyapunov, lyapunov
+from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance
 from ambrose.core.statespace import (
     StateSpace,
@@ -49,8 +50,8 @@ from ambrose.core.statespace import (
 _UNSEEN = 1e-13  # of the largest eigenvalue: a mode that the outputs do not show
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CoprimeFactors:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CoprimeFactors(Presented):
     """The eight factors, as two systems that are each other's inverse; the single ones by name (M~ is ``M_left``).
 
     plant_gain (n, p), controller_gain (nk, m): L and L_K of the observers. left: [V~ -U~; -N~ M~] from (v, y) to (alpha, eps);
@@ -222,15 +223,6 @@ def _watched(factors: CoprimeFactors, plant: StateSpace, w: Sequence[str], z: Se
     fed = _fed(joined, {f"seen {name}": name for name in y})
     merged = _joined(fed, {name: [f"seen {name}"] for name in v}, [*v, *w])
     return select(exchange(merged, v, factors.alpha), [*factors.alpha, *w], [*factors.eps, *z])
-
-
-def plant_of_residual(factors: CoprimeFactors, residual: Any) -> StateSpace:
-    """G(S) = (N + V S)(M + U S)^-1, the plant that has the residual system S (alpha -> eps)."""
-    S = as_statespace(residual)
-    S = rename(S, [f"S {name}" for name in factors.alpha], [f"S {name}" for name in factors.eps])
-    fed = _fed(append(factors.right, S), {name: f"S {name}" for name in factors.eps})
-    merged = _joined(fed, {name: [f"S {name}"] for name in factors.alpha}, factors.alpha)
-    return select(exchange(merged, factors.alpha, factors.plant.inputs), factors.plant.inputs, factors.plant.outputs)
 
 
 def _fed(system: StateSpace, fed: Mapping[str, str]) -> StateSpace:

@@ -24,6 +24,7 @@ _DIRECTIONS = 40  # at random, per parameter beyond the first
 _FEW_CORNERS = 5  # parameters up to which all corners are directions
 _STARTS = 6  # per round
 _STEPS = 60
+_HALVINGS = 12  # of a grid interval in which an eigenvalue crosses the real axis
 _NEWTON = 12
 _STILL = 1e-10  # relative imaginary part of the eigenvalue that counts as none
 
@@ -111,7 +112,8 @@ def _candidates(
     for start in range(0, len(directions), step):
         part = directions[start : start + step]
         values = np.linalg.eigvals(M[index] * part[:, None, None, loop.owner])
-        rows += _real_crossings(values, grid[index], np.diff(index) == 1, limit, start)
+        through, touching = _real_crossings(values, grid[index], np.diff(index) == 1, limit)
+        rows += [(factor, start + d, omega) for factor, d, omega in [*_narrowed(loop, part, through), *touching]]
     rows.sort()
     chosen: list[BoxMargin] = []
     bands: dict[int, int] = {}
@@ -125,25 +127,52 @@ def _candidates(
     return chosen
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Brackets:
+    """Eigenvalues (r,) at the two ends (r, 2) [rad/s] of an interval in which they cross the real axis, each of a direction."""
+
+    direction: np.ndarray
+    omega: np.ndarray
+    values: np.ndarray
+
+
 def _real_crossings(
-    values: np.ndarray, omega: np.ndarray, beside: np.ndarray, limit: float, first: int
-) -> list[tuple[float, int, float]]:
-    """(factor, direction, frequency) where an eigenvalue (d, w, n) crosses, or nearly touches, the positive real axis."""
+    values: np.ndarray, omega: np.ndarray, beside: np.ndarray, limit: float
+) -> tuple[_Brackets, list[tuple[float, int, float]]]:
+    """Where an eigenvalue (d, w, n) crosses the positive real axis; and (factor, direction, frequency) where it nearly does."""
     values = np.where(np.abs(values.imag) <= _STILL * np.abs(values), values.real, values)  # real but for rounding, as at zero
     a, b = values[:, :-1], values[:, 1:]
     near = np.abs(a[..., :, None] - b[..., None, :]).argmin(axis=-1)
     b = np.take_along_axis(b, near, axis=-1)
-    through = (a.imag * b.imag <= 0) & (a.real + b.real > 0) & beside[None, :, None]
-    share = np.where(through, a.imag / np.where(a.imag == b.imag, 1.0, a.imag - b.imag), 0.0)
-    size = a.real + share * (b.real - a.real)
-    d, w, i = np.nonzero(through & (size > 1 / (1.3 * limit)))
-    at = omega[w] + share[d, w, i] * (omega[w + 1] - omega[w])
-    rows = list(zip((1 / size[d, w, i]).tolist(), (d + first).tolist(), at.tolist(), strict=True))
+    through = (a.imag * b.imag <= 0) & (np.maximum(a.real, b.real) > 1 / limit) & beside[None, :, None]
+    d, w, i = np.nonzero(through)
+    brackets = _Brackets(d, np.stack([omega[w], omega[w + 1]], axis=1), np.stack([a[d, w, i], b[d, w, i]], axis=1))
     turn = np.abs(values.imag)
     touch = (turn[:, 1:-1] <= turn[:, :-2]) & (turn[:, 1:-1] <= turn[:, 2:]) & (turn[:, 1:-1] < 0.1 * values.real[:, 1:-1])
     d, w, i = np.nonzero(touch & (values.real[:, 1:-1] > 1 / limit))
-    rows += list(zip((1.05 / values.real[d, w + 1, i]).tolist(), (d + first).tolist(), omega[w + 1].tolist(), strict=True))
-    return rows
+    sizes = 1.05 / values.real[d, w + 1, i]
+    return brackets, list(zip(sizes.tolist(), d.tolist(), omega[w + 1].tolist(), strict=True))
+
+
+def _narrowed(loop: BoxLoop, directions: np.ndarray, found: _Brackets) -> list[tuple[float, int, float]]:
+    """(factor, direction, frequency) of the crossings, their brackets halved: the eigenvalues may turn fast in between."""
+    if not len(found.direction):
+        return []
+    n, (low, high), (a, b) = len(loop.owner), found.omega.T.copy(), found.values.T.copy()
+    wide = directions[found.direction][:, loop.owner]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        M = loop.at(middle)[:, :n, :n]
+        values = np.linalg.eigvals(np.where(middle[:, None, None] > 0, M, M.real) * wide[:, None, :])
+        at = np.abs(values - 0.5 * (a + b)[:, None]).argmin(axis=1)
+        value = values[np.arange(len(at)), at]
+        upper = value.imag * a.imag > 0  # the crossing is in the upper half
+        low, a = np.where(upper, middle, low), np.where(upper, value, a)
+        high, b = np.where(upper, high, middle), np.where(upper, b, value)
+    share = np.where(a.imag == b.imag, 0.0, a.imag / np.where(a.imag == b.imag, 1.0, a.imag - b.imag))
+    size, omega = a.real + share * (b.real - a.real), low + share * (high - low)
+    kept = size > 0
+    return list(zip((1 / size[kept]).tolist(), found.direction[kept].tolist(), omega[kept].tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

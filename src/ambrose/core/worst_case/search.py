@@ -17,6 +17,7 @@ import numpy as np
 
 from ambrose.core.checks import named_failure
 from ambrose.core.lft import Block
+from ambrose.core.presentation import Presented
 from ambrose.core.worst_case.elimination import determinants_at
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, box_points, default_grid, gains
 
@@ -27,8 +28,8 @@ _BESIDE = (-1.0, 0.0, 1.0)  # of a member's pole, in its decays
 _ROUNDS = 8  # of ascent, each from a new pole
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BoxGain:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class BoxGain(Presented):
     """The largest gain found in the box: value at frequency [rad/s] and delta (k,)."""
 
     value: float

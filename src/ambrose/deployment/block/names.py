@@ -16,6 +16,7 @@ asm bool catch class delete explicit export false friend main mutable namespace 
 public template this throw true try typename using virtual
 """  # C99's and, as the header is meant for C++ as well, the commonest of C++'s
 KEYWORDS = frozenset(_WORDS.split())
+_DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)", re.IGNORECASE)  # no file can be called so on Windows
 
 
 def check_identifiers(name: str, inputs: Sequence[str], outputs: Sequence[str]) -> None:
@@ -34,6 +35,9 @@ def check_identifier(name: str, what: str, remedy: str) -> str:
     """``name`` if it is a C identifier of at most 24 characters and no keyword. Raises InvalidInput."""
     if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or name in KEYWORDS or len(name) > _LONGEST:
         wanted = f"a C identifier of at most {_LONGEST} characters that starts with a letter and is no keyword"
+        raise invalid(what, repr(name), wanted, remedy)
+    if _DEVICES.fullmatch(name):
+        wanted = "unlike a device of Windows, where no file can be called so"
         raise invalid(what, repr(name), wanted, remedy)
     return name
 

@@ -8,9 +8,7 @@ same verification can be made of what the compiler made.
 from __future__ import annotations
 
 import ctypes
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
@@ -22,7 +20,7 @@ from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import to_fixed_point
 from ambrose.deployment.block.scheduled import ScheduledBlock
 from ambrose.deployment.c.code import Arithmetic, Precision, generate
-from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler
+from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler, load_library
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 _SIZE = """#include <stddef.h>
@@ -226,7 +224,4 @@ def _load(name: str, files: dict[str, str], compiler: str | None) -> Any:
         raise InvalidInput(f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; {remedy}")
     sources = [f"{name}.c", "size.c"]
     code = build_library(chosen, {**files, "size.c": _SIZE.format(name=name)}, sources, _FLAGS, "give another compiler")
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / f"{name}.so"
-        target.write_bytes(code)
-        return ctypes.CDLL(str(target))
+    return load_library(code)

@@ -18,7 +18,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import check_identifier
 from ambrose.deployment.c.code import Arithmetic, block_facts, generate
-from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler
+from ambrose.deployment.c.compiler import COMPILERS, build_library, build_probe, find_compiler
 from ambrose.deployment.fmu.description import (
     Version,
     build_description,
@@ -30,6 +30,7 @@ from ambrose.deployment.fmu.description import (
 from ambrose.deployment.rendering import render
 
 _OWN = ("fmi2", "fmi3", "memory", "instance", "counts", "token", "refuse")  # in templates/fmu_memory.h.j2, fmi2.c.j2, fmi3.c.j2
+_REMEDY = "write an FMU of sources only (--sources-only)"
 _SPACE = uuid.UUID("5d1b0e5e-8f0a-5c0e-9a55-6d1f2c8f2f10")  # of the tokens: equal code has an equal token
 _FOLDERS = {  # (system, machine): folder of FMI 2.0, folder of FMI 3.0, suffix
     ("Linux", "x86_64"): ("linux64", "x86_64-linux", "so"),
@@ -125,14 +126,20 @@ def _place(version: Version) -> tuple[str, str]:
 
 def _compiled(block: ControlBlock, version: Version, code: Mapping[str, str]) -> bytes:
     """The shared library that the sources make here. Raises InvalidInput."""
+    flags = ["-fvisibility=hidden"]
+    return build_library(check_compiler(), code, sources(block, version), flags, _REMEDY, "-lm")
+
+
+def check_compiler() -> str:
+    """The C compiler, after it has shown that it works. Raises InvalidInput."""
     compiler = find_compiler()
     if compiler is None:
         raise InvalidInput(
             f"no C compiler was found ({', '.join(COMPILERS)}): an FMU with a binary needs one; install one, or write "
             "an FMU of sources only (--sources-only)"
         )
-    flags = ["-fvisibility=hidden"]
-    return build_library(compiler, code, sources(block, version), flags, "write an FMU of sources only", "-lm")
+    build_probe(compiler, _REMEDY)
+    return compiler
 
 
 def _page(block: ControlBlock, text: str, provenance: Sequence[str]) -> str:

@@ -9,14 +9,15 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, check_shape, invalid
+from ambrose.core.presentation import Presented
 from ambrose.core.response import impulse_response
 from ambrose.core.statespace import as_statespace
 
 _MOST = 4000  # unknowns per output
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FiniteResponse:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FiniteResponse(Presented):
     """Pulse response h (p, m, taps) of S, from the sample of the pulse on, and its standard deviations (p, m, taps).
 
     normal (m * taps, m * taps): the normal matrix, the same for every output; noise (p,): standard deviation of what the

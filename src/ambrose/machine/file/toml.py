@@ -17,6 +17,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.limits import TOML_BYTES, TOML_DEPTH, TOML_ENTRIES, excess
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import meant, shown
+from ambrose.machine.ordinary_file import read_text
 
 _QUOTED = re.compile(  # strings and comments; one that is never closed ends where the text or the line does
     r'"""(?:[^"\\]|\\.|"(?!""))*+"{0,5}'
@@ -54,14 +55,12 @@ def loads_machine(text: str, name: str = "machine file") -> Machine:
     return machine_from_document(parse_toml(text, name), name, text)
 
 
-def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """A small TOML file of any kind, ``what`` in messages, as plain data. Raises OSError, and InvalidInput."""
-    if path.stat().st_size > TOML_BYTES:
-        raise InvalidInput(f"{what}: it has {path.stat().st_size} bytes, but at most {TOML_BYTES} are allowed; make it shorter")
-    try:
-        return parse_toml(path.read_bytes().decode("utf-8-sig"), what)
-    except UnicodeDecodeError as error:
-        raise InvalidInput(f"{what}: it is not UTF-8 text ({error}); save it as UTF-8 text") from None
+def read_toml(path: Any, what: str) -> dict[str, Any]:
+    """A small TOML file, a ``what`` in messages, as plain data.
+
+    Raises InvalidInput; where there is nothing at all, its cause is a FileNotFoundError.
+    """
+    return parse_toml(read_text(path, what, TOML_BYTES), f"{what} {path}")
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
@@ -119,26 +118,13 @@ def read_machine_text(file: Any) -> str:
     bundled = bundled_machines()
     path = bundled.get(os.fspath(file), Path(file))
     try:
-        if path.is_dir():
-            raise InvalidInput(f"{path} is a directory; give the machine file in it")
-        if path.stat().st_size > TOML_BYTES:
-            size = f"{path.stat().st_size} bytes, but at most {TOML_BYTES} are allowed"
-            raise InvalidInput(f"{path} has {size}; that is no machine file")
-        return path.read_bytes().decode("utf-8-sig")
-    except InvalidInput:
-        raise
-    except FileNotFoundError:
+        return read_text(path, "machine file", TOML_BYTES)
+    except InvalidInput as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
         close = meant(str(path), bundled)
         hint = f'did you mean "{close}"?' if close else f"bundled machines: {', '.join(bundled)}"
         raise InvalidInput(f'"{path}" is neither a file nor a bundled machine; {hint}') from None
-    except UnicodeDecodeError as error:
-        remedy = "save it as UTF-8 text"
-        raise InvalidInput(
-            f"{path} is not UTF-8 text (byte {error.start} is 0x{error.object[error.start]:02x}); {remedy}"
-        ) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InvalidInput(f"{path} cannot be read: {reason}; check its name and permissions") from error
 
 
 def _lines(table: Mapping[str, Any], path: str) -> Iterator[str]:

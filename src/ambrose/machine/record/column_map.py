@@ -81,11 +81,7 @@ def load_columns(path: str | Path) -> ColumnMap:
     """The column map in a TOML file. Raises InvalidInput naming file, table and key."""
     from ambrose.machine.file.toml import read_toml
 
-    path = Path(path)
-    try:
-        return read_columns(read_toml(path, f"column map {path}"), f"column map {path}")
-    except OSError as error:
-        raise InvalidInput(f"the column map {path} cannot be read: {error.strerror or error}; check its name") from error
+    return read_columns(read_toml(path, "column map"), f"column map {path}")
 
 
 def read_columns(document: Mapping[str, Any], name: str = "column map") -> ColumnMap:

@@ -14,21 +14,22 @@ from typing import Any
 
 from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.machine.atomic_write import draft_of
+from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.record.record import Record
 
 
 def read_record(path: str | Path) -> Record:
-    """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file; what an interrupted run left has the note complete = "false".
+    """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file, or what an unfinished run has left so far (.partial).
 
     Raises InvalidInput with the file's name and what is wrong.
     """
     from ambrose.machine.record.csv_file import read_csv
     from ambrose.machine.record.hdf5_file import read_hdf5
+    from ambrose.machine.record.stream import SUFFIX, read_stream
 
     path = check_path(path, "record")
-    reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv})
-    if not path.is_file():
-        raise InvalidInput(f"{path} is not a file; check the name")
+    reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv, SUFFIX: read_stream})
+    check_source(path, "record")
     try:
         return reader(path)
     except (InvalidInput, OSError) as error:
@@ -47,6 +48,11 @@ def write_record(record: Record, path: str | Path) -> Path:
     with draft_of(path, "record") as draft:
         writer(record, draft)
     return path
+
+
+def check_suffix(path: Path) -> None:
+    """Refuses a name that write_record would refuse. Raises InvalidInput."""
+    _by_suffix(path, dict.fromkeys((".h5", ".hdf5", ".csv"), read_record))
 
 
 def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:

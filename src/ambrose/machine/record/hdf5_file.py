@@ -1,41 +1,49 @@
-"""Records as HDF5: attributes at the root, one dataset of float64 per signal under /signals.
-
-The attribute complete = "false" marks what an interrupted run left (record/writer.py): its signals may differ in length and end
-in chunks that were never written. Such a file is read as far as every signal reaches.
-"""
+"""Records as HDF5: attributes at the root, one dataset of float64 per signal under /signals."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.atomic_write import Steady
 from ambrose.machine.limits import BESIDE, CHECKED_FIRST, CHUNK_BYTES, NOTES, NUMBERS, PACKED, SIGNALS, TEXT, UNPACKED
 from ambrose.machine.messages import quoted
 from ambrose.machine.record.attributes import RecordAttributes, read_attributes, record_of
 from ambrose.machine.record.record import Record, check_samples
-from ambrose.machine.record.recovery import Settled, left_open
 
 LIBVER = ("v110", "v110")  # the format of HDF5 1.10: checksums on the structure as well
-COMPLETE, UNFINISHED = "complete", "false"  # the attribute that an unfinished record carries
+CHUNK = 2048  # samples
 _BLOCK = 1_000_000  # samples read together while they are checked
 _DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 
 
 def write_hdf5(record: Record, path: Path) -> None:
-    """In the format of HDF5 1.10 with checksums on data and structure, and texts of fixed length: damage is always noticed."""
+    """Texts of fixed length and checksums on data and structure: damage is always noticed. Raises OSError."""
+    with created(path, record.attributes, zip(record.signals, record.units, strict=True), record.values.shape[1]) as datasets:
+        for data, values in zip(datasets, record.values, strict=True):
+            data[:] = values
+
+
+@contextmanager
+def created(path: Path, attributes: Mapping[str, Any], signals: Iterable[tuple[str, str]], samples: int) -> Iterator[list[Any]]:
+    """A new file in the format of HDF5 1.10: a dataset for each (name, unit), to be filled in the block. Raises OSError."""
     import h5py
 
-    with h5py.File(path, "w", libver=LIBVER) as file:
-        file.attrs.update({key: fixed(value) for key, value in record.attributes.items()})
-        group = file.create_group("signals", track_order=True)
-        for name, unit, values in zip(record.signals, record.units, record.values, strict=True):
-            group.create_dataset(name, data=values, dtype="f8", chunks=True, fletcher32=True).attrs["unit"] = fixed(unit)
+    cache = {"rdcc_nbytes": 1 << 18}  # HDF5 2 would keep 8 MB per signal
+    with Steady(path) as stream, h5py.File(stream, "w", libver=LIBVER, **cache) as file:
+        file.attrs.update({key: fixed(value) for key, value in attributes.items()})
+        group, datasets = file.create_group("signals", track_order=True), []
+        for name, unit in signals:
+            layout = {"chunks": (min(samples, CHUNK),), "fletcher32": True}
+            datasets.append(group.create_dataset(name, (samples,), "f8", **layout))
+            datasets[-1].attrs["unit"] = fixed(unit)
+        yield datasets
 
 
 def fixed(value: Any) -> Any:
@@ -47,17 +55,17 @@ def fixed(value: Any) -> Any:
 
 
 def read_hdf5(path: Path) -> Record:
-    """The record, also one that is still being written or whose writer was killed. Raises InvalidInput."""
+    """The record. Raises InvalidInput."""
     import h5py
 
     try:
-        with _opened(path) as file:
+        with h5py.File(path, "r") as file:
+            group = own_member(file, "signals", "/signals") if file.get("signals", getlink=True) else None
             if "format" in file.attrs:
-                _check_beside(file.get("signals"), path.stat().st_size, h5py)
+                _check_beside(group, path.stat().st_size, h5py)
             if len(file.attrs) > NOTES:
                 raise invalid("the number of attributes", len(file.attrs), f"at most {NOTES}", "remove some")
             attributes = read_attributes({key: _attribute(file.attrs, key) for key in file.attrs})
-            group = file.get("signals")
             if not isinstance(group, h5py.Group) or not len(group):
                 raise InvalidInput("the group /signals is missing or empty; a record keeps one dataset per signal there")
             if len(group) > SIGNALS:
@@ -76,13 +84,15 @@ def read_hdf5(path: Path) -> Record:
     return record_of(attributes, units, values, attributes.sample_rate_hz, attributes.start_time_s)
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """The file, open for reading, whatever became of its writer."""
+def own_member(group: Any, name: str, place: str) -> Any:
+    """What stands under ``name`` in the file itself: a link could lead into any file of this computer, and so could numbers
+    kept outside (external storage, virtual datasets). Raises InvalidInput."""
     import h5py
 
-    with Settled(path) if left_open(path) else nullcontext(path) as source, h5py.File(source, "r") as file:
-        yield file
+    found = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+    if found is None or (isinstance(found, h5py.Dataset) and (found.is_virtual or found.external)):
+        raise invalid(place, "a link, or kept in another file", "in the file itself", "export it again, in one file")
+    return found
 
 
 def _attribute(attributes: Any, key: str) -> Any:
@@ -94,6 +104,8 @@ def _attribute(attributes: Any, key: str) -> Any:
         what = "an array" if head.shape else "too long"
         raise invalid(f"the attribute {quoted(key)}", what, f"a number or a text of at most {TEXT} bytes", "remove it")
     value = attributes[key]
+    if isinstance(value, str):
+        value = value.encode("utf-8", "surrogateescape")
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
@@ -119,8 +131,8 @@ def check_packing(datasets: Sequence[Any], path: Path) -> None:
 
 
 def _dataset(group: Any, name: str, h5py: Any) -> Any:
-    data = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-    if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.dtype.kind not in "fiu" or data.is_virtual:
+    data = own_member(group, name, f"/signals/{name}")
+    if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.dtype.kind not in "fiu":
         raise invalid(f"/signals/{name}", "something else", "a dataset of real numbers with one axis", "export it again")
     if data.size * len(group) > NUMBERS:
         raise invalid("the number of values", data.size * len(group), f"at most {NUMBERS}", "split the record")
@@ -128,33 +140,20 @@ def _dataset(group: Any, name: str, h5py: Any) -> Any:
 
 
 def _values(datasets: dict[str, Any], attributes: RecordAttributes) -> np.ndarray:
-    """All signals (p, k) in the units of the file; of an unfinished record the samples that all signals have."""
-    complete = (COMPLETE, UNFINISHED) not in attributes.notes
+    """All signals (p, k) in the units of the file."""
     lengths = {name: data.shape[0] for name, data in datasets.items()}
-    if complete and len(set(lengths.values())) > 1:
+    if len(set(lengths.values())) > 1:
         raise invalid("the numbers of samples", lengths, "the same for all signals", "export the record again")
-    k = min(lengths.values())
-    if complete:
-        if k * len(datasets) > CHECKED_FIRST:
-            rate = attributes.sample_rate_hz or math.nan
-            for name, data in datasets.items():
-                for first in range(0, k, _BLOCK):
-                    check_samples(name, data[first : min(first + _BLOCK, k)], first, attributes.start_time_s, rate)
-        return _read(datasets, k)
-    chunk = max((data.chunks or (1,))[0] for data in datasets.values())
-    try:
-        values = _read(datasets, k)
-    except OSError:  # the last chunk of a signal was being written when the writer was killed
-        k = (k - 1) // chunk * chunk
-        values = _read(datasets, k)
-    k = int(np.append(np.isnan(values).any(axis=0), True).argmax())  # NaN fills what was never written
-    if k == 0:
-        raise InvalidInput("the run was interrupted before its first block was written; there is nothing to read, repeat it")
-    return values if k == values.shape[1] else values[:, :k].copy()
+    k, rate = min(lengths.values()), attributes.sample_rate_hz or math.nan
+    if k * len(datasets) > CHECKED_FIRST:
+        for name, data in datasets.items():
+            for first in range(0, k, _BLOCK):
+                check_samples(name, data[first : min(first + _BLOCK, k)], first, attributes.start_time_s, rate)
+    return _read(datasets, k)
 
 
 def _read(datasets: dict[str, Any], k: int) -> np.ndarray:
     values = np.empty((len(datasets), k))
     for row, data in zip(values, datasets.values(), strict=True):
-        row[:] = data[:k]
+        row[:] = data[:]
     return values

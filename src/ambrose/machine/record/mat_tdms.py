@@ -19,6 +19,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.limits import FOREIGN_NUMBERS
 from ambrose.machine.messages import suggestion
+from ambrose.machine.ordinary_file import check_source
+from ambrose.machine.record.hdf5_file import own_member
 
 _PART = re.compile(r"(?P<name>.*?)\s*\(\s*(?:(?P<row>\d+)\s*,\s*:|:\s*,\s*(?P<column>\d+))\s*\)")
 _SHOWN = 20  # names in a message
@@ -55,8 +57,7 @@ def _opened(path: Path) -> Iterator[Callable[[str], Variable]]:
     readers = {".mat": _matlab, ".tdms": _tdms}
     if path.suffix.lower() not in readers:
         raise InvalidInput(f"{path} is not of a kind known here ({', '.join(readers)}); export it as one of them")
-    if not path.is_file():
-        raise InvalidInput(f"{path} is not a file; check the name")
+    check_source(path, "file of another program")
     try:
         with readers[path.suffix.lower()](path) as find:
             yield find
@@ -140,7 +141,7 @@ def _from_tree(tree: Any, name: str, path: Path) -> np.ndarray:
         members = [member for member in node if not member.startswith("#")] if isinstance(node, h5py.Group) else []
         if key not in members:
             raise _unknown(name, [".".join((*name.split(".")[:i], member)) for member in members], "variable")
-        node = node[key]
+        node = own_member(node, key, name)
     if not isinstance(node, h5py.Dataset):
         raise _unknown(name, [f"{name}.{member}" for member in node], "variable")
     if node.attrs.get("MATLAB_class", b"") in {b"char", b"cell"}:
@@ -183,7 +184,7 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
 
     log_manager.console_handler.addFilter(note)
     try:
-        with TdmsFile.open(path) as file:
+        with path.open("rb") as stream, TdmsFile.open(stream) as file:  # not by its name: it would read an index file beside it
             if file.file_status.incomplete_final_segment and not doubts:
                 doubts.append("its last segment was never finished")
             channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}

@@ -4,36 +4,37 @@
         for block in blocks:                     # (p, any number) each
             writer.append(block)
 
-Until the block ends, the samples are in ``run.partial.h5``, which read_record reads at any time: while it grows, after Ctrl-C,
-after kill -9 (which loses the last ``chunk`` samples at most). Only when the block ends without an exception is it renamed to
-``run.h5``. HDF5's single-writer mode orders what goes to disk so that the file is consistent at every moment; it is not closed
-against power failure of the computer.
+Until the block ends, the samples are in ``run.h5.partial``, which read_record reads at any time: while it grows, after Ctrl-C,
+after kill -9 (which loses the last ``chunk`` samples at most). Only when the block ends without an exception does ``run.h5``
+appear, complete, and the other go. What is in the partial file survives a full disk and a failure of the writing itself
+(record/stream.py); a power failure of the computer costs what the system had not yet put on the disk.
 """
 
 from __future__ import annotations
 
-import os
+import io
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.atomic_write import draft_of
+from ambrose.machine.atomic_write import check_file, draft_of
+from ambrose.machine.claim import claimed
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.hdf5_file import COMPLETE, LIBVER, UNFINISHED, fixed
+from ambrose.machine.record.hdf5_file import CHUNK, created
 from ambrose.machine.record.record import Record
-
-_CHUNK = 2048  # samples written at once
+from ambrose.machine.record.stream import SUFFIX, block, blocks, samples
 
 
 def partial_path(path: str | Path) -> Path:
-    """Where a record is while it is being written: run.h5 -> run.partial.h5."""
+    """Where a record is while it is being written: run.h5 -> run.h5.partial."""
     path = Path(path)
-    return path.with_name(f"{path.stem}.partial{path.suffix}")
+    return path.with_name(f"{path.name}{SUFFIX}")
 
 
 class RecordWriter:
@@ -55,13 +56,13 @@ class RecordWriter:
         start_time: float = 0.0,
         notes: tuple[tuple[str, str], ...] = (),
         *,
-        chunk: int = _CHUNK,
+        chunk: int = CHUNK,
     ) -> None:
         self.path = Path(path)
         if self.path.suffix.lower() not in {".h5", ".hdf5"}:
             raise invalid(f"the suffix of {self.path.name}", repr(self.path.suffix), ".h5 or .hdf5", "a stream is HDF5")
         if chunk < 1:
-            raise invalid("chunk", chunk, "at least 1", f"leave it at {_CHUNK} samples")
+            raise invalid("chunk", chunk, "at least 1", f"leave it at {CHUNK} samples")
         self.partial = partial_path(self.path)
         one = np.zeros((len(signals), 1))
         self._header = Record(
@@ -70,9 +71,9 @@ class RecordWriter:
         self._buffer = np.empty((len(signals), chunk))
         self._written = self._filled = 0
         self._late: dict[str, str] = {}
-        self._file: Any = None
-        self._datasets: list[Any] = []
-        self._full = False
+        self._file: io.FileIO | None = None
+        self._end = 0  # of the last whole block
+        self._stack = ExitStack()
 
     @property
     def samples(self) -> int:
@@ -80,22 +81,16 @@ class RecordWriter:
         return self._written + self._filled
 
     def __enter__(self) -> Self:
-        import h5py
-
         if self._file is not None or self.samples:
             raise InvalidInput(f"the record {self.path} was written by this writer already; make a new one")
-        if self.path.is_dir():
-            raise invalid("the path of the record", repr(str(self.path)), "that of a file", "add a file name")
-        with draft_of(self.partial, "record") as draft, h5py.File(draft, "w", libver=LIBVER) as file:
-            attributes = {**self._header.attributes, COMPLETE: UNFINISHED}
-            file.attrs.update({key: fixed(value) for key, value in attributes.items()})
-            group = file.create_group("signals", track_order=True)
-            layout = {"shape": (0,), "maxshape": (None,), "chunks": (self._buffer.shape[1],), "fillvalue": np.nan}
-            for name, unit in zip(self._header.signals, self._header.units, strict=True):
-                group.create_dataset(name, dtype="f8", fletcher32=True, **layout).attrs["unit"] = fixed(unit)
-        self._file = h5py.File(self.partial, "r+", libver=LIBVER, rdcc_nbytes=1 << 18)  # HDF5 2 would keep 8 MB per signal
-        self._file.swmr_mode = True
-        self._datasets = [self._file["signals"][name] for name in self._header.signals]
+        check_file(self.path, "record")
+        header = {name: getattr(self._header, name) for name in ("attributes", "signals", "units")}
+        with ExitStack() as stack:
+            stack.enter_context(claimed(self.partial, "record"))
+            with draft_of(self.partial, "record") as draft:
+                self._end = draft.write_bytes(block(b"H", header))
+            self._file = stack.enter_context(io.FileIO(self.partial, "r+"))
+            self._stack = stack.pop_all()
         return self
 
     def append(self, block: ArrayLike) -> None:
@@ -128,50 +123,60 @@ class RecordWriter:
         self._late[key] = text
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        try:
-            if self._filled and not self._full:
-                self._write_out()
-        finally:
-            self._close()
-        if not self.samples:
-            self.partial.unlink(missing_ok=True)
-            if kind is None:
-                raise InvalidInput(f"the record {self.path} got no samples; append at least one block")
-        elif not self._full:
-            self._finish(complete=kind is None)
+        with self._stack:
+            try:
+                if self._filled:
+                    self._write_out()
+                if self._late:
+                    self._add(block(b"N", self._late))
+            except InvalidInput:
+                if kind is None:  # else something failed before, or this itself was told already
+                    raise
+            finally:
+                self._file = None
+            if not self.samples:
+                self.partial.unlink(missing_ok=True)
+                if kind is None:
+                    raise InvalidInput(f"the record {self.path} got no samples; append at least one block")
+            elif kind is None:
+                self._finish()
 
     def _write_out(self) -> None:
-        """Put the buffer into the file, and the file onto the disk; done twice, after an interruption, it is the same."""
-        first, last = self._written, self._written + self._filled
+        """Put the buffer into the file."""
+        self._add(block(b"S", self._buffer[:, : self._filled].T.astype("<f8").tobytes()))
+        self._written, self._filled = self._written + self._filled, 0
+
+    def _add(self, content: bytes) -> None:
+        """A block behind the last whole one, whatever an attempt before this one has left there."""
+        assert self._file is not None
+        view = memoryview(content)
         try:
-            for data, row in zip(self._datasets, self._buffer, strict=True):
-                data.resize((last,))
-                data[first:last] = row[: self._filled]
-            self._file.flush()
-        except (OSError, RuntimeError) as error:
-            self._full = True
-            reason = str(error).splitlines()[0]
-            raise InvalidInput(
-                f"cannot write {self.partial} ({reason}); free some disk space and repeat the run, what was written is kept"
-            ) from error
-        self._written, self._filled = last, 0
+            self._file.truncate(self._end)
+            self._file.seek(self._end)
+            while view:
+                view = view[self._file.write(view) or 0 :]
+        except OSError as error:
+            remedy = "free some disk space and repeat the run, what was written is kept"
+            raise InvalidInput(f"cannot write {self.partial} ({error.strerror or error}); {remedy}") from error
+        self._end += len(content)
 
-    def _close(self) -> None:
-        file, self._file, self._datasets = self._file, None, []
+    def _finish(self) -> None:
+        """The finished record from the partial one, which then goes."""
+        h = self._header
+        attributes = {**h.attributes, **self._late}
         try:
-            file.close()
-        except (OSError, RuntimeError):
-            if not self._full:  # else reported already
-                raise
-
-    def _finish(self, *, complete: bool) -> None:
-        """Add the late notes; a complete record loses its mark and gets its name."""
-        import h5py
-
-        if self._late or complete:
-            with h5py.File(self.partial, "r+", libver=LIBVER) as file:
-                file.attrs.update({key: fixed(text) for key, text in self._late.items()})
-                if complete:
-                    del file.attrs[COMPLETE]
-        if complete:
-            os.replace(self.partial, self.path)
+            with (
+                draft_of(self.path, "record") as draft,
+                created(draft, attributes, zip(h.signals, h.units, strict=True), self._written) as datasets,
+            ):
+                done = 0
+                for part in (samples(content, len(datasets)) for kind, content in blocks(self.partial) if kind == b"S"):
+                    for data, row in zip(datasets, part, strict=True):
+                        data[done : done + part.shape[1]] = row
+                    done += part.shape[1]
+                if done < self._written:
+                    raise InvalidInput(f"{self.partial} does not give back what was written; check the disk")
+        except InvalidInput as error:
+            raise InvalidInput(f"{error}; the samples are kept in {self.partial}, which `ambrose convert` reads") from error
+        with suppress(OSError):  # the record is whole
+            self.partial.unlink()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import combinations
@@ -22,6 +23,7 @@ from ambrose.machine.validation import parts
 from ambrose.machine.validation import seals as validate_seals
 from ambrose.machine.validation.signs import not_positive
 
+_ONE_LINE = "one line of text without outer spaces or control characters"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
@@ -86,6 +88,8 @@ def _not_finite(thing: object, place: str) -> Iterator[str]:
 def _whole(machine: MachineDescription) -> Iterator[str]:
     if not machine.name.strip():
         yield complaint("[machine]", "name", "empty", "a name", 'write name = "..."')
+    elif not _one_line(machine.name):
+        yield complaint("[machine]", "name", shown(machine.name), _ONE_LINE, "records call the machine by it")
     if not 0 <= machine.modal_damping < 1:
         remedy = "0.005 is usual for a steel shaft"
         yield complaint("[machine]", "modal_damping", f"{machine.modal_damping:g}", "a ratio from 0 to below 1", remedy)
@@ -161,6 +165,10 @@ def _controller(machine: MachineDescription) -> Iterator[str]:
         yield complaint(where, "coordinates", shown(pid.coordinates), '"axes"', remedy)
 
 
+def _one_line(text: str) -> bool:
+    return text == text.strip() and {"Cc", "Zl", "Zp"}.isdisjoint(map(unicodedata.category, text))
+
+
 def _operation(machine: MachineDescription) -> Iterator[str]:
     operation = machine.operation
     low, high = operation.speed_range
@@ -176,6 +184,8 @@ def _operation(machine: MachineDescription) -> Iterator[str]:
         yield from not_positive(where, point, remedy, "speed", "seal_pressure", zero=True)
         yield from not_positive(where, point, "leave it out for the bearings' own", "bias_current")
         yield from not_positive(where, point, "leave it out for the speed", "whirl_frequency", zero=True)
+        if not _one_line(point.label):
+            yield complaint(where, "label", shown(point.label), _ONE_LINE, "records and reports call the point by it")
         if point.label and point.label in labels:
             yield f'{where}: label "{point.label}" is taken by an earlier point; give every point its own label'
         labels.add(point.label)

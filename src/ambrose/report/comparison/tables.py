@@ -50,7 +50,7 @@ def result(candidates: Sequence[Candidate]) -> Verdict:
     if not good:
         return Verdict("", False, "no controller passes every check")
     passes = "passes" if len(good) == 1 else "pass"
-    return Verdict("", True, f"{len(good)} of {len(candidates)} controllers {passes} every check: {', '.join(good)}")
+    return Verdict("", True, f"{len(good)} of {len(candidates)} controllers {passes} every check: {'; '.join(good)}")
 
 
 def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Verdict, ...]:
@@ -127,6 +127,7 @@ def _boxes_cell(boxes: Sequence[Checks]) -> Cell:
 def _box_cell(checks: Checks) -> Cell:
     names = ("robust.stability.margin", "robust.sensitivity.worst", "robust.stability.proved")
     margin, worst, proved = (find(checks, name) for name in names)
+    worst = find(checks, "sampled.sensitivity.box") or worst  # of the loop that runs
     if not checks.stable:
         return Cell("unstable", "fail", detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip())
     if margin is not None and margin.passed is False:

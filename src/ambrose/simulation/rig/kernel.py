@@ -9,6 +9,7 @@ is said in rig/state.py and rig/inputs.py.
 from __future__ import annotations
 
 import inspect
+import shutil
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +23,7 @@ _IN_CONTACT = 8  # integration steps near contact for each of the others
 
 # Sums may be vectorised, but NaN and infinity stay what they are; nothing here allocates an array, so none is counted. Stages
 # that were called instead of inlined would copy the descriptions of some forty arrays every time: ten times slower.
+_ROOM = 16 << 20  # bytes free where compiled code is kept, or it is compiled anew in every run
 _OPTIONS: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz", "arcp"}, "error_model": "numpy", "_nrt": False}
 
 
@@ -378,6 +380,9 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
         _derivative(rig, work, drive, 0, 0.0, z, dz)
 
     try:
-        return njit(cache=True, **_OPTIONS)(advance), njit(cache=True, **_OPTIONS)(slope)
-    except RuntimeError:  # no folder to write to
-        return njit(**_OPTIONS)(advance), njit(**_OPTIONS)(slope)
+        kept = njit(cache=True, **_OPTIONS)(advance), njit(cache=True, **_OPTIONS)(slope)
+        if shutil.disk_usage(kept[0].stats.cache_path).free > _ROOM:
+            return kept
+    except (RuntimeError, OSError):  # no folder to write to
+        pass
+    return njit(**_OPTIONS)(advance), njit(**_OPTIONS)(slope)

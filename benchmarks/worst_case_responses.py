@@ -21,8 +21,8 @@ from ambrose.core.worst_case.search import worst_gain_at
 from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import Law, match_controller
 from ambrose.plant.model import Plant
+from ambrose.plant.unbalance import Unbalance, residual_unbalance
 from ambrose.plant.uncertainty import uncertain
-from ambrose.verification.unbalance import Unbalance, residual_unbalance
 
 _BLOCK = 64  # members integrated at once
 

@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ambrose.core.lft import GeneralizedPlant, RealBlock
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
-from ambrose.machine.description import PidSettings
+from ambrose.machine.description import DesignWeights, PidSettings
+from ambrose.synthesis.problem import design_plant
+from ambrose.synthesis.weights import Weights, machine_weights
 
 
 @cache
 def published_p5_data() -> Mapping[str, Any]:
     """The numbers as printed or restored, SI units: matrices, axes, actuator, PID settings, weights, and notes on each."""
-    text = files("ambrose").joinpath("machines", "published-p5.json").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("published-p5.json").read_text(encoding="utf-8")
     return json.loads(text)
 
 
@@ -60,3 +62,23 @@ def published_p5_pid(gain: float | None = None) -> PidSettings:
         derivative_time=pid["derivative_time"],
         derivative_filter=pid["derivative_filter"],
     )
+
+
+def published_p5_weights() -> Weights:
+    """The weights of the published P5 plant, as printed or inferred: M = 3, A_w = 1e-3, w_B = 1.5 rad/s, W_u = 0.315."""
+    data = published_p5_data()["weights"]
+    return machine_weights(
+        DesignWeights(
+            error_scale=data["displacement_unit"],
+            current_scale=data["current_unit"],
+            bandwidth=data["w_B"],
+            control_level=data["control"],
+            peak=data["M"],
+            low_frequency_error=data["A_w"],
+        )
+    )
+
+
+def published_p5_problem(weights: Weights | None = None, uncertain: bool = True) -> GeneralizedPlant:
+    """The design problem of paper P5 on its published plant: 8 rotor, 8 actuator and 4 weight states."""
+    return design_plant(published_p5(), published_p5_weights() if weights is None else weights, uncertain=uncertain)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import scipy.signal
+from benchmarks.stepped_frf import stepped
 
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.frf.phasors import steps_of
-from ambrose.identification.frf.stepped_sine import stepped
 from ambrose.machine.record.record import Record
 
 HZ = 2 * np.pi
@@ -49,6 +49,7 @@ def test_two_directions_with_a_silent_one_left_out_of_its_record():
     assert np.abs(found.variance).max() < 1e-6
 
 
+@pytest.mark.campaign
 def test_variance_against_monte_carlo():
     """0.2 rms of noise on a sine of 1: over 200 records predicted and true variance agree within 15 %."""
     e, steps = wave(), steps_of([f * HZ for f in FREQUENCIES], DWELL)

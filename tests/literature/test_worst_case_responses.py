@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.worst_case_responses import loop_over_box, pulse_family, unbalance_over_box
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
@@ -13,13 +14,12 @@ from ambrose.core.statespace import poles, select
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import reduce
+from ambrose.plant.unbalance import residual_unbalance
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import linear
 from ambrose.simulation.disturbances import Pulse
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification.unbalance import residual_unbalance
-from ambrose.verification.worst_case_responses import loop_over_box, pulse_family, unbalance_over_box
 
 MACHINE = load_machine("turboexpander")
 PLANT = reduce(assemble(MACHINE, MACHINE.operation.points[4]), 1)

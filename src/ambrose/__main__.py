@@ -1,0 +1,75 @@
+"""The start of the command `ambrose`, also as `python -m ambrose`: from here on SIGINT ends it with status 130 and one line.
+
+An interruption is an exception where Python runs. Libraries can lose it (in a callback, in a destructor), and an import that it
+breaks may fail in other words: the status is 130 all the same, at once or after some seconds.
+"""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+_PATIENCE = 5.0  # s for what is open to be closed
+_WORDS = b"ambrose: interrupted; what was finished before stays on disk\n"
+
+
+def main() -> None:
+    """The command, with the arguments of this process."""
+    asked: list[int] = []
+
+    def interrupt(number: int, frame: Any) -> None:
+        if not asked:  # once: what is being closed is not to be disturbed
+            asked.append(number)
+            _thread.start_new_thread(_end, (_PATIENCE,))
+            raise KeyboardInterrupt
+
+    try:
+        _run(interrupt, asked)
+    except KeyboardInterrupt:  # as _run was left
+        os._exit(130)
+
+
+def _run(interrupt: Callable[[int, Any], None], asked: list[int]) -> None:
+    try:
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, interrupt)
+        sys.unraisablehook = _lost
+        from ambrose.cli import main as command
+
+        command()
+    except BaseException as error:
+        if not asked:
+            raise
+        if not isinstance(error, SystemExit):  # while importing
+            _say()
+        os._exit(130)  # SystemExit would end as a death by SIGINT where the interruption passed through exec() on its way
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _lost(what: Any) -> None:
+    """An exception that Python reports and forgets."""
+    if issubclass(what.exc_type, KeyboardInterrupt):
+        _end()
+    sys.__unraisablehook__(what)
+
+
+def _end(after: float = 0.0) -> None:
+    time.sleep(after)
+    _say()
+    os._exit(130)
+
+
+def _say() -> None:
+    with suppress(OSError):
+        os.write(2, _WORDS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""What tuning aims at: the requirements of the machine file and the standards' defaults, as limits of a loop's responses.
+
+Limits that the file leaves out are those that verification judges by (machine/criteria.py). Three are guards of ours, without
+which a search exploits what nobody looks at: the controller's gain, the damping of modes above the running speed, and a
+sensitivity that falls towards zero frequency, so that an integral action is kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.criteria import CLEARANCE, SENSITIVITY, SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, demand
+from ambrose.machine.machine import Machine
+from ambrose.physics.rotor import finite_element_rotor, free_modes
+from ambrose.plant.model import top_speed
+from ambrose.plant.unbalance import residual_unbalance
+
+_BANDWIDTH, _STIFF = 2.0, 0.01  # assumed: sigma_max(S_o) below 2 rad/s falls to 0.01
+_GAIN = 1.5  # assumed: times the largest gain of the controller that tuning starts from
+_GUARD = 0.3  # assumed: of the rotor's modal damping, for modes above the top speed
+_MARGIN = 1.05  # of the log decrement, which is judged on the full plant
+_BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
+
+
+@dataclass(frozen=True, slots=True)
+class Aims:
+    """Limits; None asks for nothing.
+
+    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|. gain [A/m]: of K S_o.
+    unbalance U [kg m] up to ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none). compliance
+    [m/N]. settling [s] after the current pulse. damping [-] of modes below ``damped_to`` [rad/s], guard [-] of those above.
+    highest [rad/s]: end of the grid.
+    """
+
+    sensitivity: float
+    gain: float
+    currents: tuple[float, ...]
+    forces: tuple[float, ...]
+    damping: float
+    damped_to: float
+    guard: float
+    highest: float
+    unbalance: float = 0.0
+    unbalance_to: float = 0.0
+    orbit: float | None = None
+    compliance: float | None = None
+    settling: float | None = None
+    bandwidth: float = _BANDWIDTH
+    stiff: float = _STIFF
+
+    def sensitivity_limit(self, omega: np.ndarray) -> np.ndarray:
+        """The limit of sigma_max(S_o) at omega (w,) [rad/s]."""
+        s = 1j * omega
+        return np.abs((s + self.bandwidth * self.stiff) / (s / self.sensitivity + self.bandwidth))
+
+
+def aims_of(machine: Machine, start: StateSpace) -> Aims:
+    """The aims of a machine; start: the controller that tuning starts from, for the guard of the gain. Raises InvalidInput."""
+    wanted, residual, top = machine.requirements, residual_unbalance(machine), top_speed(machine)
+    peak = demand("maximum singular value of a sensitivity", wanted).limit or SENSITIVITY.limits[0].value
+    margins = [peak]
+    if wanted.gain_margin is not None and wanted.gain_margin > 1:  # both follow from sigma_max(S_o)
+        margins.append(wanted.gain_margin / (wanted.gain_margin - 1))
+    if wanted.phase_margin is not None and 0 < wanted.phase_margin < np.pi:
+        margins.append(1 / (2 * np.sin(wanted.phase_margin / 2)))
+    gaps = [gap for b in machine.bearings if (gap := b.touchdown_gap or b.gap) is not None]
+    orbits = [
+        value for value in (wanted.unbalance_orbit, *(CLEARANCE.limits[0].value * gap for gap in gaps)) if value is not None
+    ]
+    decrement = demand("log decrement", wanted).limit or 0.0
+    damping = _MARGIN * decrement / np.hypot(2 * np.pi, decrement)
+    bearings = [b for b in machine.bearings for _ in range(2)]
+    allowed = [wanted.max_current or b.max_current for b in bearings]
+    bending = free_modes(finite_element_rotor(machine), 1).frequencies[-1]
+    return Aims(
+        sensitivity=min(margins),
+        gain=_GAIN * float(np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()),
+        currents=tuple(np.nan if value is None else float(value) for value in allowed),
+        forces=tuple(np.nan if b.max_force is None else float(b.max_force) for b in bearings),
+        damping=damping,
+        damped_to=max(1.1 * top, 0.5 * float(bending)),
+        guard=_GUARD * machine.modal_damping,
+        highest=_BEYOND * highest_verified(machine),
+        unbalance=0.0 if residual is None else residual.moment,
+        unbalance_to=wanted.unbalance_to or top or (0.0 if residual is None else residual.speed),
+        orbit=min(orbits, default=None),
+        compliance=wanted.compliance_peak,
+        settling=wanted.settling_time,
+    )
+
+
+def highest_verified(machine: Machine) -> float:
+    """The frequency [rad/s] up to which ISO 14839-3 has the sensitivity judged."""
+    return max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * top_speed(machine))

@@ -1,0 +1,85 @@
+"""The loop that is tuned: a plant at one operating point with the controller as it runs there, sampled and late.
+
+The sampled loop is exact and yet rational in a continuous variable: with w = (2/T) (z - 1)/(z + 1) Tustin's map leaves the
+controller as it is, and the plant, sampled behind its hold and late by whole samples, becomes another continuous plant
+(Franklin, Powell & Workman 1998, sec. 7.3). Frequency responses are taken at true frequencies: the plant's times hold and
+delay, the controller's at (2/T) tan(w T/2); aliasing is left out, as in verification.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.frequency import SchurForm, evaluate, schur_form
+from ambrose.core.realisation.balancing import balance_system
+from ambrose.core.sampling import c2d, delayed, hold
+from ambrose.core.statespace import select
+from ambrose.plant.model import Plant
+from ambrose.plant.timing import Timing
+from ambrose.plant.unbalance import magnet_coefficients
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopModel:
+    """A, B, C, D: currents u to displacements y in the variable w; form: u, f at the bearings -> y, q at the bearings, i.
+
+    magnet: k_i (a,) [N/A] and k_s (a,) [N/m].
+    """
+
+    label: str
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    form: SchurForm
+    magnet: tuple[np.ndarray, np.ndarray]
+    timing: Timing | None
+
+    def response(self, omega: np.ndarray) -> np.ndarray:
+        """u, f -> y, q, i at omega (w,) [rad/s]: (w, 3a, 2a), with hold and delay on u."""
+        P = evaluate(self.form, 1j * omega)
+        if self.timing is not None:
+            late = hold(omega, self.timing.sample_time) * np.exp(
+                -1j * omega * self.timing.sample_time * self.timing.delay_samples
+            )
+            axes = P.shape[1] // 3
+            P[:, :, :axes] *= late[:, None, None]
+        return P
+
+
+def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopModel:
+    """The model of a plant, full or reduced, for a controller that runs with ``timing`` (None: continuous)."""
+    part = select(plant.system, plant.named("u"), plant.named("y"))
+    A, B, C, D = part.A, part.B, part.C, part.D
+    if timing is not None:
+        T = timing.sample_time
+        late = delayed(c2d(part, T), timing.delay_samples)
+        E = np.linalg.inv(late.A + np.eye(late.n_states))
+        A, B = (2 / T) * E @ (late.A - np.eye(late.n_states)), E @ late.B * (2 / np.sqrt(T))
+        C, D = late.C @ E * (2 / np.sqrt(T)), late.D - late.C @ E @ late.B
+    A, B, C, _ = balance_system(A, B, C)
+    outer = select(
+        plant.system,
+        [*plant.named("u"), *plant.bearing_named("f")],
+        [*plant.named("y"), *plant.bearing_named("q"), *plant.named("i")],
+    )
+    form = schur_form(outer.A, outer.B, outer.C, outer.D)
+    return LoopModel(label or plant.point.label, A, B, C, D, form, magnet_coefficients(plant), timing)
+
+
+def warped(omega: np.ndarray, timing: Timing | None) -> np.ndarray:
+    """Where on the w axis a frequency [rad/s] of the sampled loop lies; continuous loops: unchanged."""
+    if timing is None:
+        return omega
+    T = timing.sample_time
+    return np.asarray(2 / T * np.tan(omega * T / 2))
+
+
+def unwarped(omega: np.ndarray, timing: Timing | None) -> np.ndarray:
+    """The inverse of ``warped``."""
+    if timing is None:
+        return omega
+    T = timing.sample_time
+    return np.asarray(2 / T * np.arctan(omega * T / 2))

@@ -1,0 +1,383 @@
+"""What tuning minimises: the p-norm of all ratios of a requirement to its limit, over channels, frequencies, models and poles.
+
+A channel is a closed-loop response T = A - B Q C with Q = K (I + G K)^-1, its rows divided by their limits. From
+dQ = S_i dK S_o follows dT = -B S_i dK S_o C, so that all channels' slopes are added up in one matrix per frequency before the
+controller's own derivative is taken (the p-norm is smooth; Apkarian & Noll 2006 work with the subgradients of its limit). The
+settling of a pulse is a channel in time, y(t) = sum over frequencies of weights (t, w) times G - G Q G. Poles enter by their
+damping ratios, with derivatives from left and right eigenvectors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.criteria import CURRENT_PULSE as PULSE
+from ambrose.synthesis.fixed_order.aims import Aims
+from ambrose.synthesis.fixed_order.loops import LoopModel, warped
+from ambrose.synthesis.fixed_order.structure import Structure
+from ambrose.synthesis.weight_tuning import BAND
+
+_IGNORED = 1e-3  # share of the p-norm below which a frequency is left out
+_RINGING = 0.7  # imaginary part over modulus above which a pole is held to a damping ratio
+_WATCHED = 20.0  # times the damping asked for: better damped poles are left out
+_TIMED_TO = 2e4  # rad/s; what is faster than that does not matter for settling
+_SLOW_TO = 2000.0  # rad/s; below it a step of the quadrature turns the latest time by this phase, above it 4 pulse durations:
+_PHASE = 0.15  # rad
+_SETTLING_POWER = 0.4  # of the settling ratio: an exponential decay enters about as a rate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Channel:
+    """A (m, w, r, c), B (m, w, r, a), C (m, w, a, c), rows divided by their limits; at: which frequencies of the grid."""
+
+    name: str
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    at: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """The largest ratio of a requirement to its limit, where: the model's label, and the frequency [rad/s] (nan: a time)."""
+
+    value: float
+    label: str
+    frequency: float
+
+
+@dataclass(slots=True, eq=False)
+class Objective:
+    """f(x) = ln of the p-norm and its gradient, for models with as many states or not, on one grid omega (w,) [rad/s].
+
+    reference: direct gains (w, a) of a controller to stay near on ``matched`` (w,) [rad/s], their rms deviation in natural
+    logarithms held below ``match``.
+    """
+
+    structure: Structure
+    models: Sequence[LoopModel]
+    omega: np.ndarray
+    aims: Aims
+    reference: StateSpace | None = None
+    match: float = 0.08
+    _channels: list[_Channel] = field(init=False)
+    _G: np.ndarray = field(init=False)
+    _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
+    _settling: _Settling | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        P = np.stack([model.response(self.omega) for model in self.models])
+        a = P.shape[-1] // 2
+        self._G = P[..., :a, :a]
+        self._channels = _channels(P, a, self.omega, self.aims, self.models)
+        self._stacks = _stacks(self.models)
+        self._settling = None
+        if self.aims.settling is not None and len(self.omega) > 20:
+            self._settling = _Settling(self.omega, self.aims.settling)
+
+    def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
+        """ln of the p-norm, and its gradient (k,); inf where a model is unstable."""
+        theta = self.structure.theta(x)
+        poles = [_loop_poles(theta, stack, slopes=True) for _, stack in self._stacks]
+        if max(part.values.real.max() for part in poles) >= -1e-6:
+            return np.inf, np.zeros(len(x))
+        K, X, Y = self._controller(x)
+        S = np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
+        Q = K @ S
+        loops = [channel.A - channel.B @ Q[:, channel.at] @ channel.C for channel in self._channels]
+        sizes = [np.linalg.norm(T, axis=(2, 3)) for T in loops]
+        damping = [_damping(part.values, self.aims) for part in poles]
+        top = max(
+            *(size.max(initial=0.0) / np.sqrt(T.shape[-1]) for size, T in zip(sizes, loops, strict=True)),
+            *(ratio.max() for ratio, _ in damping),
+        )
+        timed = None
+        if self._settling is not None:
+            timed = self._settling.ratios(self._G, Q)
+            top = max(top, float(timed[0].max()) ** _SETTLING_POWER)
+        total, Z = 0.0, np.zeros(Q.shape, complex)
+        for channel, T, size in zip(self._channels, loops, sizes, strict=True):
+            used = size >= top * _IGNORED ** (1 / power)
+            if not used.any():
+                continue
+            U, s, Vh = np.linalg.svd(T[used], full_matrices=False)
+            share = (s / top) ** power
+            total += share.sum()
+            slope = (U * (share / np.maximum(s, 1e-300))[:, None, :]) @ Vh
+            i, j = np.nonzero(used)
+            B, C = (np.broadcast_to(M, (*used.shape, *M.shape[2:]))[used] for M in (channel.B, channel.C))
+            Z[i, channel.at[j]] -= B.conj().swapaxes(1, 2) @ slope @ C.conj().swapaxes(1, 2)
+        if timed is not None and self._settling is not None:
+            total += self._settling.add(Z, self._G, timed, top, power)
+        slope_theta = self._poles_slope(theta, poles, damping, top, power)
+        total += sum(float(((ratio / top) ** power).sum()) for ratio, _ in damping)
+        extra = np.zeros_like(theta)
+        if self.reference is not None:
+            ratio, more = self._mismatch(x)
+            share = (ratio / top) ** power
+            total += share
+            extra = more * (share / max(ratio, 1e-9))
+        gradient = self.structure.gradient(_controller_slope(Z, Q, self._G, S, X, Y) + slope_theta + extra)
+        return float(np.log(top) + np.log(total) / power), gradient / total
+
+    def unstable(self, x: np.ndarray, power: float = 20.0, scale: float = 100.0) -> tuple[float, np.ndarray]:
+        """A soft maximum of the poles' real parts [100 rad/s], with its gradient: for a start that does not hold all models."""
+        theta = self.structure.theta(x)
+        parts = [_loop_poles(theta, stack, slopes=True) for _, stack in self._stacks]
+        top = max(part.values.real.max() for part in parts)
+        total, slope = 0.0, np.zeros_like(theta)
+        for part in parts:
+            share = np.exp((part.values.real - top) * power / scale)
+            total += share.sum()
+            slope += part.slope(share)
+        return float(top / scale + np.log(total) / power), self.structure.gradient(slope) / total / scale
+
+    def abscissa(self, x: np.ndarray) -> float:
+        """The largest real part of any model's closed-loop pole (in w) [rad/s]."""
+        theta = self.structure.theta(x)
+        return max(float(_loop_poles(theta, stack).values.real.max()) for _, stack in self._stacks)
+
+    def poles(self, x: np.ndarray) -> np.ndarray:
+        """All models' closed-loop poles, in w [rad/s]."""
+        theta = self.structure.theta(x)
+        return np.concatenate([_loop_poles(theta, stack).values.ravel() for _, stack in self._stacks])
+
+    def ratios(self, x: np.ndarray) -> dict[str, Ratio]:
+        """By channel: the largest ratio over models and grid, and where it is."""
+        K, _, _ = self._controller(x)
+        Q = K @ np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
+        found: dict[str, Ratio] = {}
+        for channel in self._channels:
+            T = channel.A - channel.B @ Q[:, channel.at] @ channel.C
+            size = np.linalg.norm(T, 2, axis=(2, 3))
+            if size.size:
+                i, j = np.unravel_index(int(size.argmax()), size.shape)
+                found[channel.name] = Ratio(float(size[i, j]), self.models[int(i)].label, float(self.omega[channel.at[j]]))
+        if self._settling is not None:
+            late, _, _ = self._settling.ratios(self._G, Q, anew=True)
+            worst = late.max(axis=(1, 2, 3))
+            found["settling"] = Ratio(
+                float(worst.max()) ** _SETTLING_POWER, self.models[int(worst.argmax())].label, float("nan")
+            )
+        theta = self.structure.theta(x)
+        for members, stack in self._stacks:
+            values = _loop_poles(theta, stack).values
+            ratio, _ = _damping(values, self.aims)
+            i, j = np.unravel_index(int(ratio.argmax()), ratio.shape)
+            here = Ratio(float(ratio[i, j]), self.models[members[i]].label, float(np.abs(values[i, j])))
+            found["damping"] = max(here, found.get("damping", here), key=lambda item: item.value)
+        if self.reference is not None:
+            found["match"] = Ratio(self._mismatch(x)[0], "", float("nan"))
+        return found
+
+    def sensitivity(self, x: np.ndarray) -> np.ndarray:
+        """sigma_max(S_o) over its limit, (models, w)."""
+        K, _, _ = self._controller(x)
+        S = np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
+        return np.asarray(np.linalg.norm(S, 2, axis=(2, 3)) / self.aims.sensitivity_limit(self.omega))
+
+    def _controller(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """K (w, a, a), X = (sI - A)^-1 B (w, n, a), Y = C (sI - A)^-1 (w, a, n)."""
+        A, B, C, D = self.structure.matrices(x)
+        s = 1j * warped(self.omega, self.models[0].timing)
+        inverse = np.linalg.inv(s[:, None, None] * np.eye(len(A)) - A)
+        X = inverse @ B
+        return C @ X + D, X, C @ inverse
+
+    def _poles_slope(
+        self, theta: np.ndarray, poles: list[_LoopPoles], damping: list[tuple[np.ndarray, np.ndarray]], top: float, power: float
+    ) -> np.ndarray:
+        slope = np.zeros_like(theta)
+        for part, (ratio, derivative) in zip(poles, damping, strict=True):
+            share = np.where(ratio > 0, (ratio / top) ** power, 0.0)
+            weight = np.where(share > 1e-9, share / np.maximum(ratio, 1e-300), 0.0)
+            slope += part.slope(weight * derivative)
+        return slope
+
+    def _mismatch(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """rms of ln|k/k_ref| of the direct gains over its limit, and its slope in Theta."""
+        assert self.reference is not None
+        A, B, C, D = self.structure.matrices(x)
+        omega = np.geomspace(max(BAND[0], 2 * np.pi), BAND[1], 30)
+        wanted = np.abs(np.diagonal(frequency_response(self.reference, omega).values, axis1=1, axis2=2))
+        inverse = np.linalg.inv(1j * omega[:, None, None] * np.eye(len(A)) - A)
+        X, Y = inverse @ B, C @ inverse
+        k = np.diagonal(C @ X + D, axis1=1, axis2=2)
+        error = np.log(np.abs(k) / wanted)
+        ratio = float(np.sqrt((error**2).mean())) / self.match
+        psi = np.zeros((len(omega), len(D), len(D)), complex)
+        i = np.arange(len(D))
+        psi[:, i, i] = error / (max(ratio, 1e-9) * self.match**2) / error.size / np.conj(k)
+        return ratio, _theta_slope(psi, X, Y)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LoopPoles:
+    """values (m, n) of closed loops; left (m, n, a+k), right (m, a+k, n): d value = left_i dTheta right_i."""
+
+    values: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+
+    def slope(self, weight: np.ndarray) -> np.ndarray:
+        """sum of Re(weight_i conj(d value_i)) in Theta; weight (m, n): derivative by the real, plus j by the imaginary part."""
+        i, j = np.nonzero(weight)
+        if not len(i):
+            return np.zeros((self.left.shape[2], self.right.shape[1]))
+        w = np.conj(weight[i, j])
+        return np.asarray(((self.left[i, j] * w[:, None]).T @ self.right[i, :, j]).real)
+
+
+def _loop_poles(theta: np.ndarray, stack: list[np.ndarray], slopes: bool = False) -> _LoopPoles:
+    A, B, C, D = stack
+    count, N, a = B.shape
+    n = len(theta) - a
+    outer = np.zeros((count, a + n, a + n))
+    outer[:, :a, :a] = -D
+    inner = np.linalg.inv(np.eye(a + n) - theta @ outer)
+    into, out = np.zeros((count, N + n, a + n)), np.zeros((count, a + n, N + n))
+    into[:, :N, :a], into[:, N:, a:] = B, np.eye(n)
+    out[:, :a, :N], out[:, a:, N:] = -C, np.eye(n)
+    loop = into @ (inner @ theta) @ out
+    loop[:, :N, :N] += A
+    if not slopes:
+        return _LoopPoles(np.linalg.eigvals(loop), np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
+    values, V = np.linalg.eig(loop)
+    W = np.linalg.pinv(V) if np.linalg.cond(V).max() > 1e14 else np.linalg.inv(V)
+    back = np.linalg.inv(np.eye(a + n) - outer @ theta)
+    return _LoopPoles(values, W @ (into @ inner), (back @ out) @ V)
+
+
+def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarray]]]:
+    """The models of every size together: their places, and A, B, C, D (m, ...)."""
+    groups: dict[int, list[int]] = {}
+    for i, model in enumerate(models):
+        groups.setdefault(len(model.A), []).append(i)
+    return [(places, [np.stack([getattr(models[i], k) for i in places]) for k in "ABCD"]) for places in groups.values()]
+
+
+def _damping(values: np.ndarray, aims: Aims) -> tuple[np.ndarray, np.ndarray]:
+    """damping asked for over damping (m, n), 0 where none is asked for, and its derivative by real + j imaginary part."""
+    size = np.maximum(np.abs(values), 1e-9)
+    wanted = np.where(size < aims.damped_to, aims.damping, aims.guard)
+    zeta = np.maximum(-values.real / size, 1e-9)
+    held = (np.abs(values.imag) > _RINGING * size) & (zeta < _WATCHED * wanted)
+    ratio = np.where(held, wanted / zeta, 0.0)
+    by_real, by_imaginary = -1 / size + values.real**2 / size**3, values.real * values.imag / size**3
+    return ratio, -ratio / zeta * (by_real + 1j * by_imaginary)
+
+
+def _channels(P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Sequence[LoopModel]) -> list[_Channel]:
+    """Sensitivity, gain, compliance, and under unbalance orbit, currents and forces, each over its limit."""
+    u, f = slice(0, a), slice(a, 2 * a)
+    G, G_yf = P[:, :, u, u], P[:, :, u, f]
+    q, i = slice(a, 2 * a), slice(2 * a, None)
+    G_qu, G_qf, G_iu, G_if = P[:, :, q, u], P[:, :, q, f], P[:, :, i, u], P[:, :, i, f]
+    every, eye = np.arange(len(omega)), np.eye(a)[None, None]
+    limit = 1 / aims.sensitivity_limit(omega)[None, :, None, None]
+    found = [
+        _Channel("sensitivity", np.broadcast_to(eye * limit, G.shape), G * limit, eye, every),
+        _Channel("gain", np.zeros((1, 1, a, a)), -eye / aims.gain, eye, every),
+    ]
+    if aims.compliance is not None:
+        found.append(_Channel("compliance", G_qf / aims.compliance, G_qu / aims.compliance, G_yf, every))
+    at = np.flatnonzero(omega <= aims.unbalance_to * (1 + 1e-9))
+    if not aims.unbalance or not len(at):
+        return found
+    force = aims.unbalance * omega[at, None, None] ** 2
+
+    def under_unbalance(name: str, A: np.ndarray, B: np.ndarray, limits: np.ndarray) -> None:
+        rows = np.isfinite(limits)
+        if rows.any():
+            by = force / limits[rows][:, None]
+            found.append(_Channel(name, A[:, at][:, :, rows] * by, B[:, at][:, :, rows] * by, G_yf[:, at], at))
+
+    if aims.orbit is not None:
+        under_unbalance("orbit", G_qf, G_qu, np.full(a, aims.orbit))
+    under_unbalance("current", G_if, G_iu, np.array(aims.currents))
+    k_i, k_s = (np.stack(values)[:, None, :, None] for values in zip(*(model.magnet for model in models), strict=True))
+    under_unbalance("force", k_i * G_if + k_s * G_qf, k_i * G_iu + k_s * G_qu, np.array(aims.forces))
+    return found
+
+
+class _Settling:
+    """|y(t)| after the pulse over the band around zero, from frequency responses by quadrature of a cubic spline."""
+
+    __slots__ = ("at", "early", "late", "peak")
+
+    def __init__(self, omega: np.ndarray, settling: float) -> None:
+        self.peak: np.ndarray | None = None
+        self.at = np.flatnonzero(omega < min(_TIMED_TO, omega[-1] * (1 + 1e-9)))
+        w = omega[self.at]
+        last = PULSE.duration + 8 * settling
+        slow = np.linspace(0, _SLOW_TO, int(np.ceil(_SLOW_TO * last / _PHASE)) + 1)
+        fast = np.linspace(_SLOW_TO, max(w[-1], _SLOW_TO + 1), int(np.ceil(w[-1] * 4 * PULSE.duration / _PHASE)) + 2)
+        fine = np.unique(np.concatenate([slow, fast]))
+        fine = fine[fine <= w[-1]]
+        spline = CubicSpline(w, np.eye(len(w)), bc_type="natural")(np.maximum(fine, w[0]))
+        step = np.gradient(fine)
+        step[[0, -1]] /= 2
+        edge = 0.8 * w[-1]
+        taper = np.where(fine > edge, 0.5 + 0.5 * np.cos(np.pi * (fine - edge) / (w[-1] - edge)), 1.0)
+        jw = 1j * np.maximum(fine, 1e-6)
+
+        def weights(time: np.ndarray) -> np.ndarray:
+            rise = np.exp(jw * time[:, None]) - np.exp(jw * (time - np.minimum(PULSE.duration, time))[:, None])
+            return np.asarray((rise / jw * step * taper / np.pi) @ spline)
+
+        after = settling * np.concatenate([np.linspace(1, 2.2, 16), np.geomspace(2.4, 8, 8)])
+        self.late = weights(PULSE.duration + after)
+        self.early = weights(PULSE.duration * np.linspace(0.1, 2.5, 24))
+
+    def ratios(self, G: np.ndarray, Q: np.ndarray, anew: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """|y| over its band (m, t, axis, pulsed axis), y itself, and the band (m, pulsed axis).
+
+        The peaks that the band is taken of are those of the first call, or computed ``anew``.
+        """
+        G = G[:, self.at]
+        H = G - G @ Q[:, self.at] @ G
+        peak = self.peak
+        if peak is None or anew:
+            peak = np.abs(np.einsum("tw,mwab->mtab", self.early, H, optimize=True).real).max(axis=(1, 2))
+        if self.peak is None:
+            self.peak = peak
+        y = np.einsum("tw,mwab->mtab", self.late, H, optimize=True).real
+        band = PULSE.band * peak
+        return np.abs(y) / band[:, None, None, :], y, band
+
+    def add(
+        self, Z: np.ndarray, G: np.ndarray, timed: tuple[np.ndarray, np.ndarray, np.ndarray], top: float, power: float
+    ) -> float:
+        """Adds the slope to Z; returns the part of the p-norm's sum."""
+        ratio, y, band = timed
+        share = (ratio**_SETTLING_POWER / top) ** power
+        weight = share * _SETTLING_POWER / np.maximum(ratio, 1e-300) * np.sign(y) / band[:, None, None, :]
+        slope = np.einsum("tw,mtab->mwab", self.late.conj(), weight, optimize=True)
+        back = G[:, self.at].conj().swapaxes(2, 3)
+        Z[:, self.at] -= back @ slope @ back
+        return float(share.sum())
+
+
+def _controller_slope(Z: np.ndarray, Q: np.ndarray, G: np.ndarray, S: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    """df/dTheta from df/dQ (m, w, a, a): dQ = S_i dK S_o, S_i = I - Q G."""
+    used = np.abs(Z).sum(axis=(2, 3)) > 0
+    psi = np.zeros(X.shape[:1] + Q.shape[-2:], complex)
+    if used.any():
+        S_i = np.eye(Q.shape[-1]) - Q[used] @ G[used]
+        np.add.at(psi, np.nonzero(used)[1], S_i.conj().swapaxes(1, 2) @ Z[used] @ S[used].conj().swapaxes(1, 2))
+    return _theta_slope(psi, X, Y)
+
+
+def _theta_slope(psi: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    """df/dTheta from df/dK (w, a, a), Theta = [[D, C], [B, A]]."""
+    XH, YH = X.conj().swapaxes(1, 2), Y.conj().swapaxes(1, 2)
+    return np.block([
+        [psi.sum(axis=0).real, (psi @ XH).sum(axis=0).real],
+        [(YH @ psi).sum(axis=0).real, (YH @ psi @ XH).sum(axis=0).real],
+    ])  # fmt: skip

@@ -1,0 +1,150 @@
+"""The structure of a controller that is tuned: which entries of its matrices are free, and of what size they are.
+
+All four matrices stand in one, Theta = [[D, C], [B, A]], so that u, x' = Theta (err, x). A is block-diagonal: a complex pair or
+two real poles share a block of 2 x 2, poles that cannot be separated without cancelling digits a larger one
+(core/realisation/modal_form.py). A_ij = sqrt(w_i w_j) a_ij, B_i = sqrt(w_i) b_i, C_j = sqrt(w_j) c_j with the poles' moduli w,
+and inputs and outputs scaled to comparable gains, so that all unknowns are numbers of similar size. Axes may be parted into
+groups that share nothing: two planes, or every axis alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+from scipy.sparse.csgraph import connected_components
+
+from ambrose.core.frequency import frequency_response
+from ambrose.core.realisation.modal_form import modal_form
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.machine import Machine
+
+_SLOWEST = 1.0  # rad/s; an integrator is a state of this rate, else descent could never move it
+_ZERO = 1e-9  # of the largest entry: couples nothing
+Groups = tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """free (m+n, p+n) bool: the entries of Theta that are unknowns; scale (m+n, p+n): their sizes; the signals' names."""
+
+    free: np.ndarray
+    scale: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def theta(self, x: np.ndarray) -> np.ndarray:
+        """Theta (m+n, p+n) of the unknowns x (k,)."""
+        values = np.zeros(self.free.shape)
+        values[self.free] = x * self.scale[self.free]
+        return values
+
+    def matrices(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A, B, C and D of the unknowns."""
+        T, m, p = self.theta(x), len(self.outputs), len(self.inputs)
+        return T[m:, p:], T[m:, :p], T[:m, p:], T[:m, :p]
+
+    def controller(self, x: np.ndarray) -> StateSpace:
+        """The controller of the unknowns."""
+        return StateSpace(*self.matrices(x), self.inputs, self.outputs)
+
+    def gradient(self, slope: np.ndarray) -> np.ndarray:
+        """df/dx (k,) from df/dTheta (m+n, p+n)."""
+        return np.asarray((slope * self.scale)[self.free])
+
+
+def axis_groups(machine: Machine, kind: str) -> Groups:
+    """Which axes share a part of the controller: the planes of bearings at one angle, each axis alone, or all of them."""
+    n = len(machine.axes)
+    if kind == "axis":
+        return tuple((i,) for i in range(n))
+    angles = np.array([bearing.angle for bearing in machine.bearings])
+    if kind == "plane" and np.abs(np.sin(angles - angles[0])).max() < 1e-6:
+        return tuple(range(0, n, 2)), tuple(range(1, n, 2))
+    return (tuple(range(n)),)
+
+
+def structured(controller: StateSpace, groups: Sequence[Sequence[int]] | None = None) -> tuple[Structure, np.ndarray]:
+    """The structure of a continuous controller with as many inputs as outputs, and its unknowns.
+
+    groups: axes that share a part of the controller (None: all of them do). Groups that the controller couples are joined.
+    """
+    parts = _parts(controller, groups or [range(len(controller.inputs))])
+    blocks = [block for own, axes in parts for block in _blocks(controller, own, axes)]
+    return _scaled(controller, blocks, [axes for _, axes in parts])
+
+
+def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, tuple[int, ...]]]:
+    """The states and the axes of every group; axes that the controller couples across groups end up in one."""
+    m, n = len(K.inputs), K.n_states
+
+    def linked(X: np.ndarray) -> np.ndarray:
+        return np.asarray(np.abs(X) > _ZERO * np.abs(X).max(initial=1e-300))
+
+    graph = np.zeros((m + n, m + n), bool)
+    graph[:m, :m], graph[:m, m:], graph[m:, :m], graph[m:, m:] = linked(K.D), linked(K.C), linked(K.B), linked(K.A)
+    for group in groups:
+        graph[np.ix_(list(group), list(group))] = True
+    count, label = connected_components(graph, directed=False)
+    parts = []
+    for k in range(count):
+        members = np.flatnonzero(label == k)
+        axes = tuple(int(i) for i in members if i < m)
+        if axes:  # states that reach no axis do nothing
+            parts.append((members[members >= m] - m, axes))
+    return parts
+
+
+def _blocks(K: StateSpace, own: np.ndarray, axes: tuple[int, ...]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A, B (k, m), C (m, k) of every block of a group's states; parts that are decoupled already are not mixed."""
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    single: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    A, B, C = K.A[np.ix_(own, own)], K.B[own], K.C[:, own]
+    count, label = connected_components(np.abs(A) > 0, directed=False) if len(own) else (0, np.zeros(0, int))
+    for k in range(count):
+        at = np.flatnonzero(label == k)
+        form = modal_form(StateSpace(A[np.ix_(at, at)], B[at], C[:, at], K.D))
+        S = form.system
+        for start, size in zip(form.starts, form.sizes, strict=True):
+            i = slice(start, start + size)
+            (single if size == 1 else found).append((S.A[i, i], S.B[i], S.C[:, i]))
+    single.sort(key=lambda block: abs(float(block[0][0, 0])))
+    for pair in (single[j : j + 2] for j in range(0, len(single), 2)):
+        found.append((sla.block_diag(*[b[0] for b in pair]), np.vstack([b[1] for b in pair]), np.hstack([b[2] for b in pair])))
+    return found
+
+
+def _scaled(
+    K: StateSpace, blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]], groups: list[tuple[int, ...]]
+) -> tuple[Structure, np.ndarray]:
+    m = len(K.inputs)
+    A = sla.block_diag(*[b[0] for b in blocks]) if blocks else np.zeros((0, 0))
+    B = np.vstack([b[1] for b in blocks] or [np.zeros((0, m))])
+    C = np.hstack([b[2] for b in blocks] or [np.zeros((m, 0))])
+    n = len(A)
+    free = np.zeros((m + n, m + n), bool)
+    free[m:, m:] = sla.block_diag(*[np.ones_like(b[0], bool) for b in blocks]) if blocks else False
+    for axes in groups:
+        free[np.ix_(axes, axes)] = True
+    start, rate, even = m, np.ones(n), np.ones(n)
+    omega = np.geomspace(1.0, 1e5, 40)
+    gain = np.sqrt(np.abs(frequency_response(K, omega).values).max(initial=1e-30))
+    for block in blocks:
+        i = slice(start, start + len(block[0]))
+        axes = next(g for g in groups if block[1][:, list(g)].any() or block[2][list(g)].any())
+        free[i, list(axes)] = free[list(axes), i] = True
+        poles = np.abs(np.linalg.eigvals(block[0]) if block[0][~np.eye(len(block[0]), dtype=bool)].any() else np.diag(block[0]))
+        j = slice(start - m, start - m + len(poles))
+        rate[j] = np.maximum(poles, _SLOWEST)
+        into = float(np.linalg.norm(block[1] / np.sqrt(rate[j])[:, None] / gain))
+        out = float(np.linalg.norm(block[2] / gain / np.sqrt(rate[j])))
+        even[j] = np.sqrt(max(into, 1e-30) / max(out, 1e-30)) if min(into, out) > 0 else 1.0
+        start += len(poles)
+    A, B, C = A * even / even[:, None], B / even[:, None], C * even
+    root = np.sqrt(rate)
+    rows, columns = np.concatenate([np.full(m, gain), root]), np.concatenate([np.full(m, gain), root])
+    structure = Structure(free, rows[:, None] * columns, K.inputs, K.outputs)
+    theta = np.block([[K.D, C], [B, A]])
+    return structure, (theta / structure.scale)[free]

@@ -1,0 +1,373 @@
+"""One controller of fixed order for the whole envelope, tuned to the requirements themselves.
+
+From a start that need not hold every point, a smooth maximum of all ratios of a requirement to its limit (objective.py) is
+moved downhill with exact gradients, over the models of all operating points at once, as the loop runs: sampled and late. Rounds
+raise the power of the p-norm; after each the frequency grid takes in the loops' resonances and true peaks, for what the grid
+does not see gets exploited, and the worst member of the tolerances around every point joins the models (Apkarian & Noll 2006;
+Apkarian, Gahinet & Buhr 2014 tune to requirements this way). What a round gives is judged on the full plants, and the best is
+returned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, named_failure
+from ambrose.core.frequency import frequency_response
+from ambrose.core.sampling import hold
+from ambrose.core.statespace import StateSpace, select
+from ambrose.physics.rotor import free_modes
+from ambrose.plant.assemble import bending_modes_of
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import Timing
+from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain
+from ambrose.synthesis.certificate import certify, fastest_pole
+from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
+from ambrose.synthesis.fixed_order.descent import descend
+from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
+from ambrose.synthesis.fixed_order.objective import Objective, Ratio
+from ambrose.synthesis.fixed_order.structure import Groups, axis_groups, structured
+from ambrose.synthesis.result import Certificate, Status, Synthesis
+from ambrose.synthesis.time_limit import TimeLimit
+
+_POWERS = (10.0, 25.0, 60.0, 120.0, 120.0)
+_ITERATIONS = 200  # of L-BFGS, a round
+_HOLDING = 60  # of L-BFGS, towards a controller that holds all models; so many times at most:
+_TRIES = 20
+_DECAY = 5.0  # rad/s; slowest pole asked for before the first round
+_LOWEST = 1.0  # rad/s, start of the grid
+_TUNED, _JUDGED = 22, 80  # points per decade
+_LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
+_WEAK = 1e-3  # of the start's gain: states that are added to reach the order
+_FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
+_CORNERS = 512  # at most, of a box
+_STATES_PER_AXIS = 3
+
+
+@dataclass(slots=True, eq=False)
+class _Job:
+    """What is tuned, and the models it has collected so far."""
+
+    full: tuple[Plant, ...]
+    small: tuple[Plant, ...]
+    timing: Timing | None
+    aims: Aims
+    groups: Groups
+    models: list[LoopModel]
+    clock: TimeLimit
+    say: Callable[[str], None]
+    reference: StateSpace | None
+    extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
+    members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Round:
+    controller: StateSpace
+    ratios: Mapping[str, Ratio]  # on the models, or on the full plants
+
+    @property
+    def worst(self) -> float:
+        return max((ratio.value for ratio in self.ratios.values()), default=np.inf)
+
+
+@named_failure("the tuned controller")
+def tune_controller(
+    plants: Sequence[Plant],
+    start: StateSpace,
+    timing: Timing | None = None,
+    *,
+    order: int | None = None,
+    structure: str = "free",
+    bending_modes: int | None = None,
+    reference: StateSpace | None = None,
+    time_limit: float = 120.0,
+    progress: Callable[[str], None] | None = None,
+) -> Synthesis:
+    """The controller that comes nearest to meeting every requirement at every one of ``plants``, or exceeds them all the most.
+
+    plants: the full plants of one machine at its operating points. start: a continuous controller err -> u, such as the
+    machine's PID; it need not hold them all. order: its states (None: three per axis, or those of the start). structure:
+    "free", "plane" (bearings at one angle: what zeta and eta read is kept apart) or "axis" (every axis alone). bending_modes:
+    per plane in the models that are tuned on (None: all below the frequency up to which sensitivity is judged, and one more).
+    reference: a controller whose direct gains below 200 Hz are kept within 8 % rms (None: free). time_limit [s] of computing.
+
+    The tolerances around each point are those of the machine. ``gamma`` is the largest ratio of a requirement to its limit on
+    the full plants: below 1 all are met there. Raises InvalidInput, NumericalFailure where nothing holds every point.
+    """
+    job = _prepared(plants, start, timing, order, structure, bending_modes, reference, time_limit, progress)
+    controller = _start(job, start, order)
+    reason: str | None = None
+    rounds: list[_Round] = []
+    history: list[dict[str, float]] = []
+    try:
+        controller = _holding(job, controller)
+        for number, power in enumerate(_POWERS, 1):
+            if number > 1:  # fewer unknowns first
+                job.groups = axis_groups(plants[0].machine, structure)
+            controller, used = _descended(job, controller, power)
+            rounds.append(_judged(job, controller, job.models))
+            history.append(_row(job, number, power, used, rounds[-1]))
+            job.say(f"round {number}: {used} steps at p = {power:g}, {len(job.models)} models; {_in_words(rounds[-1])}")
+            if job.clock.left <= 0:
+                reason = job.clock.reached
+                break
+            if number < len(_POWERS):
+                controller = _add_members(job, controller)
+    except KeyboardInterrupt:
+        if not rounds:
+            raise
+        reason = "interrupted"
+    return _result(job, _best(job, rounds), tuple(history), reason)
+
+
+def _prepared(
+    plants: Sequence[Plant], start: StateSpace, timing: Timing | None, order: int | None, structure: str,
+    bending_modes: int | None, reference: StateSpace | None, time_limit: float, progress: Callable[[str], None] | None,
+) -> _Job:  # fmt: skip
+    full = tuple(plants)
+    if not full or any(plant.machine is not full[0].machine for plant in full):
+        raise InvalidInput("tuning needs plants of one machine at its operating points; assemble them from the same machine")
+    if start.dt is not None:
+        raise invalid("the start's dt", start.dt, "None (continuous)", "give the continuous controller and the timing")
+    if order is not None and (isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 1):
+        raise invalid("order", repr(order), "a whole number, at least 1", "leave the default")
+    machine = full[0].machine
+    modes = bending_modes_for(full[0]) if bending_modes is None else bending_modes
+    small = tuple(reduce(plant, modes) if plant.bending_modes is None else plant for plant in full)
+    return _Job(
+        full, small, timing, aims_of(machine, start), axis_groups(machine, "plane" if structure == "free" else structure),
+        [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference,
+    )  # fmt: skip
+
+
+def bending_modes_for(plant: Plant) -> int:
+    """How many bending modes per plane a model needs to be tuned on: all that the sensitivity is judged at, and one more."""
+    available = bending_modes_of(plant.rotor_model)
+    frequencies = free_modes(plant.rotor_model, available).frequencies[4::2]
+    return min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
+
+
+def _start(job: _Job, start: StateSpace, order: int | None) -> StateSpace:
+    """The start with a lag where its sample rate cannot show its poles, and with weak states up to the order."""
+    if job.timing is not None and fastest_pole(start) * job.timing.sample_time > 0.5 * np.pi:
+        m, n = start.D.shape[0], start.n_states
+        A = np.block([[start.A, np.zeros((n, m))], [_LAG * start.C, -_LAG * np.eye(m)]])
+        B, C = np.vstack([start.B, _LAG * start.D]), np.hstack([np.zeros((m, n)), np.eye(m)])
+        start = StateSpace(A, B, C, np.zeros((m, m)), start.inputs, start.outputs)
+    wanted = max(_STATES_PER_AXIS * len(start.inputs), start.n_states) if order is None else order
+    if wanted < start.n_states:
+        raise invalid("order", wanted, f"{start.n_states} or more, as the start has", "simplify the [controller], or give more")
+    return _with_states(start, wanted - start.n_states, job.groups)
+
+
+def _with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
+    """The controller with ``extra`` weakly coupled, well damped states, shared by the groups."""
+    rng = np.random.default_rng(0)
+    m = K.D.shape[0]
+    gain = float(np.abs(frequency_response(K, np.geomspace(1.0, 1e5, 30)).values).max())
+    A, B, C = [K.A], [K.B], [K.C]
+    for k, axes in enumerate(groups):
+        size = extra // len(groups) + (k < extra % len(groups))
+        if not size:
+            continue
+        rates = np.geomspace(100.0, 6000.0, size)
+        block = -np.diag(rates)
+        for j in range(0, size - 1, 2):
+            block[j : j + 2, j : j + 2] = rates[j] * np.array([[-0.5, 0.87], [-0.87, -0.5]])
+        root, into, out = np.sqrt(np.abs(np.diag(block))), np.zeros((size, m)), np.zeros((m, size))
+        into[:, list(axes)] = rng.normal(size=(size, len(axes))) * root[:, None]
+        out[list(axes)] = _WEAK * gain * rng.normal(size=(len(axes), size)) * root
+        A, B, C = [*A, block], [*B, into], [*C, out]
+    return StateSpace(sla.block_diag(*A), np.vstack(B), np.hstack(C), K.D, K.inputs, K.outputs)
+
+
+def _holding(job: _Job, controller: StateSpace) -> StateSpace:
+    """A controller that holds all models, with some decay, by descent on the poles' real parts alone."""
+    for attempt in range(_TRIES + 1):
+        structure, x = structured(controller, job.groups)
+        cost = Objective(structure, job.models, np.array([100.0]), job.aims)
+        abscissa = cost.abscissa(x)
+        if abscissa < (-0.5 if attempt == 0 else -_DECAY):
+            return controller
+        if attempt == _TRIES or job.clock.left <= 0:
+            break
+        if attempt == 0:
+            job.say(f"the start does not hold every model ({abscissa:+.3g} rad/s): looking for one that does")
+        x, _ = descend(cost.unstable, lambda trial: True, x, _HOLDING, 1e-6, lambda: job.clock.left > 0)
+        controller = structure.controller(x)
+    if abscissa < 0:
+        return controller
+    raise NumericalFailure(
+        f"no controller of order {controller.n_states} that holds all {len(job.models)} models was found (a pole stays at "
+        f"{abscissa:+.3g} rad/s); allow a higher order, give another [controller] to start from, or drop a point"
+    )
+
+
+def _grid(job: _Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarray:
+    """A logarithmic grid with the loops' resonances, half a bandwidth to either side of light ones, and known peaks."""
+    top = job.aims.highest if job.timing is None else min(job.aims.highest, 0.97 * np.pi / job.timing.sample_time)
+    grid = np.geomspace(_LOWEST, top, int(per_decade * np.log10(top / _LOWEST)))
+    poles = cost.poles(x)
+    poles = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.5 * np.abs(poles))]
+    at, half = unwarped(poles.imag, job.timing), np.abs(poles.real)
+    light = half < 0.06 * at
+    more = np.concatenate([at, (at + half)[light], (at - half)[light], np.array(job.extra)])
+    grid = np.unique(np.concatenate([grid, more[(more >= _LOWEST) & (more <= top)]]))
+    kept = [grid[0]]
+    for omega in grid[1:]:
+        if omega > 1.002 * kept[-1]:
+            kept.append(omega)
+    if job.timing is None:
+        kept += [3 * top, 10 * top, 100 * top]
+    return np.array(kept)
+
+
+def _descended(job: _Job, controller: StateSpace, power: float) -> tuple[StateSpace, int]:
+    """One descent; true peaks of a denser grid are kept for the next."""
+    structure, x = structured(controller, job.groups)
+    rough = Objective(structure, job.models, np.array([100.0]), job.aims)
+    cost = Objective(structure, job.models, _grid(job, rough, x, _TUNED), job.aims, job.reference)
+    fastest = _FASTEST * max(fastest_pole(controller), job.aims.highest)
+    if job.timing is not None:  # export refuses poles beyond half the rate
+        fastest = min(fastest, max(np.pi / job.timing.sample_time, fastest_pole(controller)))
+
+    def allowed(trial: np.ndarray) -> bool:
+        return float(np.abs(np.linalg.eigvals(structure.matrices(trial)[0])).max(initial=0.0)) <= fastest
+
+    x, used = descend(lambda v: cost(v, power), allowed, x, _ITERATIONS, 1e-4, lambda: job.clock.left > 0)
+    dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
+    job.extra += [float(dense.omega[i]) for i in set(dense.sensitivity(x).argmax(axis=1))]
+    return structure.controller(x), used
+
+
+def _best(job: _Job, rounds: list[_Round]) -> _Round:
+    """The round that does best on the full plants: the best on the models, others only where the full plants say otherwise."""
+    models = [loop_model(plant, job.timing) for plant in job.full]
+    found: list[_Round] = []
+    for item in sorted(rounds, key=lambda item: item.worst):
+        if found and item.worst >= min(full.worst for full in found):
+            break
+        found.append(_judged(job, item.controller, models))
+    best = min(found, key=lambda item: item.worst)
+    if not np.isfinite(best.worst):
+        raise NumericalFailure(
+            f"no controller of order {best.controller.n_states} that holds the full plant at all {len(job.full)} operating "
+            "points was found; allow a higher order, more bending modes or another structure, or drop a point"
+        )
+    return best
+
+
+def _judged(job: _Job, controller: StateSpace, models: Sequence[LoopModel]) -> _Round:
+    """All ratios on models, on a dense grid; none where one of them is unstable."""
+    structure, x = structured(controller, job.groups)
+    rough = Objective(structure, models, np.array([100.0]), job.aims)
+    if rough.abscissa(x) >= 0:
+        return _Round(controller, {})
+    cost = Objective(structure, models, _grid(job, rough, x, _JUDGED), job.aims, job.reference)
+    return _Round(controller, cost.ratios(x))
+
+
+def _add_members(job: _Job, controller: StateSpace) -> StateSpace:
+    """The worst corner of the tolerances around every point joins the models; the controller brought to hold them all."""
+    for plant in job.small:
+        found = worst_member(plant, controller, job.timing, job.aims)
+        key = (plant.point.label, tuple(sorted(found.items())))
+        if found and key not in job.members:
+            job.members.add(key)
+            label = f"{plant.point.label}, {', '.join(f'{name} {value:+.3g}' for name, value in found.items())}"
+            job.models.append(loop_model(perturbed(plant, found, tolerances_around(plant)), job.timing, label))
+    return _holding(job, controller)
+
+
+def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims) -> dict[str, float]:
+    """The corner of the tolerances around a plant with the largest sigma_max(S_o) over its limit; {} without tolerances.
+
+    By closing the parameters' feedback at frequencies where the nominal loop's ratio is above half its largest; all corners, at
+    most 512, drawn at random.
+    """
+    held = tolerances_around(plant)
+    if not held:
+        return {}
+    model = uncertain(plant, held)
+    n, names = model.n_w_blocks, [block.name for block in model.blocks]
+    top = aims.highest if timing is None else min(aims.highest, 0.97 * np.pi / timing.sample_time)
+    omega = np.geomspace(20.0, top, 120)
+    part = select(model.system, [*model.w[:n], *plant.named("u")], [*model.z[:n], *plant.named("y")])
+    P = frequency_response(part, omega).values.copy()
+    if timing is not None:
+        P[:, :, n:] *= (hold(omega, timing.sample_time) * np.exp(-1j * omega * timing.sample_time * timing.delay_samples))[
+            :, None, None
+        ]
+    K = frequency_response(controller, warped(omega, timing)).values
+    S = np.linalg.inv(np.eye(K.shape[-1]) + P[:, n:, n:] @ K)
+    KS = K @ S
+    M = P[:, :n, :n] - P[:, :n, n:] @ KS @ P[:, n:, :n]
+    into, out = -P[:, :n, n:] @ KS, S @ P[:, n:, :n]
+    owner = np.repeat(np.arange(len(names)), [block.n_w for block in model.blocks])
+    limit = aims.sensitivity_limit(omega)
+    ratio = np.linalg.norm(S, 2, axis=(1, 2)) / limit
+    near = ratio >= 0.5 * ratio.max()
+    M, into, out, S, limit = M[near], into[near], out[near], S[near], limit[near]
+    tried = _corners(len(names))
+    gains = np.empty(len(tried))
+    for k, delta in enumerate(tried):
+        spread = delta[owner]
+        closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
+        gains[k] = (np.linalg.norm(closed, 2, axis=(1, 2)) / limit).max()
+    return dict(zip(names, map(float, tried[int(gains.argmax())]), strict=True))
+
+
+def _corners(count: int) -> np.ndarray:
+    """All corners of a box, at most 512 of them at random; of one parameter some points in between as well."""
+    if count == 1:
+        return np.linspace(-1, 1, 9)[:, None]
+    if 2**count <= _CORNERS:
+        return np.array(list(product((-1.0, 1.0), repeat=count)))
+    return np.random.default_rng(0).choice([-1.0, 1.0], (_CORNERS, count))
+
+
+def _in_words(item: _Round) -> str:
+    if not item.ratios:
+        return "unstable"
+    parts = [f"{name} {ratio.value:.3f}" for name, ratio in sorted(item.ratios.items(), key=lambda pair: -pair[1].value)]
+    return f"over their limits: {', '.join(parts)}"
+
+
+def _row(job: _Job, number: int, power: float, used: int, item: _Round) -> dict[str, float]:
+    row = {
+        "iteration": float(number),
+        "power": power,
+        "steps": float(used),
+        "models": float(len(job.models)),
+        "gamma": item.worst,
+    }
+    return {**row, **{name: ratio.value for name, ratio in item.ratios.items()}, "seconds": job.clock.elapsed}
+
+
+def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None) -> Synthesis:
+    """The synthesis, with the continuous loop's and the sampled loop's stability and peaks recomputed on every full plant."""
+    law = best.controller if job.timing is None else job.timing.in_loop(best.controller)
+    found = [certify(plant, law) for plant in job.full]
+    worst = max(range(len(found)), key=lambda k: found[k].closed_loop_norm)
+    machine = job.full[0].machine
+    certificate = Certificate(
+        all(item.stable for item in found), max(item.spectral_abscissa for item in found), found[worst].closed_loop_norm,
+        fastest_pole(best.controller), {f"ratio_{name}": ratio.value for name, ratio in best.ratios.items()},
+        f"{machine.name}, full plant at {len(found)} operating points",
+    )  # fmt: skip
+    binding = max(best.ratios, key=lambda name: best.ratios[name].value)
+    at = best.ratios[binding]
+    where = f" at {at.frequency / (2 * np.pi):.4g} Hz" if np.isfinite(at.frequency) else ""
+    notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
+    missed = [f"{name} ({ratio.value:.3f})" for name, ratio in best.ratios.items() if ratio.value > 1]
+    if missed:
+        notes.append(f"not met: {', '.join(missed)}; allow a higher order, or relax a requirement")
+    status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
+    return Synthesis(best.controller, "tuned", best.worst, status, certificate, history, tuple(notes), stopped_early=reason)

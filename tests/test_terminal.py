@@ -1,0 +1,427 @@
+"""Whatever a terminal, a text, a link or a special file does: one line, the right exit status, nothing lost, no traceback."""
+
+import errno
+import io
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ambrose.cli import main
+from ambrose.cli.terminal import print_table, say
+from ambrose.core.checks import InvalidInput
+from ambrose.deployment.block.names import check_identifier
+from ambrose.identification.result import Provenance, as_comment
+from ambrose.machine.atomic_write import write_files, write_text
+from ambrose.machine.ordinary_file import check_source, file_name
+from ambrose.machine.record.files import read_record, write_record
+from ambrose.machine.record.record import Record
+from ambrose.machine.record.writer import RecordWriter, partial_path
+
+SMALL = (Path(__file__).parent / "machine" / "small.toml").read_text(encoding="utf-8")
+STEERING = "\x1b[31m\x9b\x07\x08\r\x7f\x85\u202e\u2066\u2028\u200b\ufeff"
+NASTY = STEERING + "\nSPOOFED\n[/x] [red]danger[/red] :smile:"
+POSIX = pytest.mark.skipif(os.name != "posix", reason="pipes in the file system, /dev and /proc are POSIX")
+
+
+def call(*arguments, charset="utf-8"):
+    done = CliRunner(charset=charset).invoke(main, [str(argument) for argument in arguments])
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return done.exit_code, done.stdout_bytes.decode(charset), done.stderr_bytes.decode(charset)
+
+
+def described(path, text):
+    """A machine file with that description."""
+    quoted = '"' + "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in text) + '"'
+    changed = SMALL.replace('"Two bearings, a disc, a seal and a coupling"', quoted)
+    path.write_text(changed, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("charset", ["cp1252", "cp437", "cp932", "ascii"])
+def test_every_encoding_takes_every_text(charset, tmp_path):
+    machine = described(tmp_path / "m.toml", "Läufer ≥ 3 μm ✓ 机器")
+    status, out, _ = call("check", machine, charset=charset)
+    assert status == 0
+    assert "kg m" in out
+    assert (">= 3" in out) or ("≥ 3" in out)
+    status, _, err = call("check", "机器✓.toml", charset=charset)
+    assert status == 2
+    assert err.startswith("ambrose: ")
+
+
+def test_what_an_encoding_lacks_is_spelled_and_no_number_changes():
+    stream = io.TextIOWrapper(io.BytesIO(), "ascii", "ambrose.spell")
+    stream.write("3·10⁻⁷ m², 10¹² ≤ ∞, 2 µm, 45° ± 1, 机")
+    stream.flush()
+    assert stream.buffer.getvalue() == rb"3*10^-7 m^2, 10^12 <= inf, 2 um, 45 deg +- 1, \u673a"
+
+
+def test_a_text_is_text_on_one_line_of_its_own(tmp_path):
+    machine = described(tmp_path / "m.toml", NASTY)
+    for arguments, expected in (
+        (["check", machine], 0),
+        (["check", NASTY.replace("/", "-")], 2),
+        (["check", f"--{NASTY}"], 2),
+        ([NASTY], 2),
+        (["synthesize", "seal-rig", "--method", NASTY], 2),
+    ):
+        status, out, err = call(*arguments)
+        assert status == expected
+        assert not set(STEERING.replace("[31m", "")) & set(out + err)
+        assert not [line for line in (out + err).splitlines() if line.strip().startswith("SPOOFED")]
+        if expected == 0:
+            assert all(words in out for words in ("[/x]", "[red]danger[/red]", ":smile:", "\\x1b[31m", "\\nSPOOFED"))
+
+
+def test_a_message_of_many_lines_keeps_its_own(tmp_path):
+    (tmp_path / "two.toml").write_text(SMALL.replace('"timoshenko"', '"x\\ny"').replace("turns = 36", 'turns = "a"'))
+    assert len(call("check", tmp_path / "two.toml")[2].splitlines()) == 3
+
+
+class Reluctant(io.RawIOBase):
+    """A stream that fails, or waits now and then."""
+
+    def __init__(self, number=None):
+        self.number, self.written, self.calls = number, b"", 0
+
+    def writable(self):
+        return True
+
+    def write(self, data):
+        self.calls += 1
+        if self.number is not None:
+            raise OSError(self.number, os.strerror(self.number))
+        if self.calls % 2:
+            return None  # would have to wait
+        self.written += bytes(data)
+        return len(data)
+
+
+@pytest.mark.parametrize(
+    ("out", "err", "arguments", "expected"),
+    [
+        (errno.EPIPE, None, ["machines"], 0),
+        (errno.EPIPE, None, ["machines", "--json"], 0),
+        (errno.EPIPE, None, ["--help"], 0),
+        (errno.EPIPE, None, ["--version"], 0),
+        (errno.EPIPE, errno.EPIPE, ["check", "nope"], 2),
+        (errno.EPIPE, errno.EPIPE, ["check"], 2),
+        (errno.ENOSPC, None, ["machines"], 2),
+        (errno.ENOSPC, None, ["machines", "--json"], 2),
+        (errno.ENOSPC, None, ["--version"], 2),
+        (errno.EIO, errno.ENOSPC, ["check", "nope"], 2),
+        (None, errno.ENOSPC, ["check"], 2),
+        (None, None, ["machines"], 0),
+    ],
+)
+def test_the_exit_status_does_not_depend_on_who_listens(out, err, arguments, expected, monkeypatch):
+    outlets = Reluctant(out), Reluctant(err)
+    for name, raw in zip(("stdout", "stderr"), outlets, strict=True):
+        monkeypatch.setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), "utf-8", write_through=True))
+    before = sys.stdout, sys.stderr
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments, prog_name="ambrose")
+    assert stopped.value.code == expected
+    assert (sys.stdout, sys.stderr) == before
+    if out == errno.ENOSPC:
+        assert b"standard output: No space left" in outlets[1].written
+    if out is err is None:
+        assert b"seal-rig" in outlets[0].written
+
+
+def test_streams_that_do_not_exist(monkeypatch):
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    for arguments, expected in ((["machines"], 0), (["check", "nope"], 2)):
+        with pytest.raises(SystemExit) as stopped:
+            main(arguments, prog_name="ambrose")
+        assert stopped.value.code == expected
+
+
+@POSIX
+def test_closed_descriptors_never_become_a_file_of_results(tmp_path):
+    record = Record("m", 10.0, ("y_A",), ("m",), np.arange(9.0)[None])
+    write_record(record, tmp_path / "r.h5")
+    command = f'exec "{sys.executable}" -m ambrose convert r.h5 -o r.csv <&- >&- 2>&-'
+    assert subprocess.run(["sh", "-c", command], check=False, cwd=tmp_path, timeout=60).returncode == 0
+    assert np.array_equal(read_record(tmp_path / "r.csv").values, record.values)
+
+
+@POSIX
+@pytest.mark.parametrize("moment", ["click", "ambrose.cli.study", "numpy", "scipy.linalg"])
+def test_an_interruption_is_130_and_one_line_from_the_first_import_on(moment):
+    code = f"""
+import signal, sys
+class Finder:
+    def find_spec(self, name, *others):
+        if name == {moment!r}:
+            signal.raise_signal(signal.SIGINT)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Finder())
+from ambrose.__main__ import main
+sys.argv = ["ambrose", "check", "seal-rig"]
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 130, done.stderr
+    assert done.stderr.strip() == "ambrose: interrupted; what was finished before stays on disk"
+
+
+@POSIX
+def test_an_interruption_that_a_library_loses_ends_the_command_all_the_same():
+    code = """
+import signal, sys
+class Lost:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+class Finder:
+    def find_spec(self, name, *others):
+        if name == "click":
+            Lost()
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Finder())
+from ambrose.__main__ import main
+sys.argv = ["ambrose", "machines"]
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr.count("\n"), done.stdout) == (130, 1, "")
+
+
+def test_an_interruption_within_a_command_is_130(monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ambrose.machine.file.toml.load_machine", interrupted)
+    status, _, err = call("check", "seal-rig")
+    assert status == 130
+    assert "interrupted" in err
+
+
+# names that enter paths and files
+
+
+@pytest.mark.parametrize(
+    ("name", "plain"),
+    [
+        ("seal-rig", "seal-rig"), ("x/../../ESCAPED", "x-.-.-ESCAPED"), ("..", "unnamed"), ("a\\b:c*?", "a-b-c"),
+        ("\n\x1b", "unnamed"),
+        (".hidden", "hidden"), ("Läufer 机器", "Läufer-机器"), ("n" * 400, "n" * 60), ("a\u202eb", "a-b"), ("v1.5_b", "v1.5_b"),
+    ],
+)  # fmt: skip
+def test_a_name_becomes_part_of_a_file_name(name, plain):
+    assert file_name(name) == plain
+
+
+def test_a_study_stays_in_its_folder_whatever_the_machine_is_called(tmp_path, monkeypatch):
+    inner = tmp_path / "in" / "ner"
+    inner.mkdir(parents=True)
+    places = []
+    monkeypatch.chdir(inner)
+    monkeypatch.setattr("ambrose.workflow.study", lambda machine, place, progress: places.append(place) or 1 / 0)
+    (tmp_path / "m.toml").write_text(SMALL.replace('"small"', '"x/../../ESCAPED"', 1))
+    assert isinstance(CliRunner().invoke(main, ["study", str(tmp_path / "m.toml")]).exception, ZeroDivisionError)
+    assert [(inner / place).resolve().parent for place in places] == [inner.resolve()]
+
+
+@pytest.mark.parametrize("name", ["con", "AUX", "nul", "Lpt1", "../x", "a/b", "a\n"])
+def test_a_block_is_not_called_like_a_device_or_a_path(name):
+    with pytest.raises(InvalidInput):
+        check_identifier(name, "the name of the block", "choose another")
+
+
+def test_names_of_files_cannot_break_out_of_a_comment():
+    names = Provenance(("a\n[machine]\n\x1b.h5", "b\udcff.h5"), "c\r.json")
+    text = as_comment([f"from {names.of_records}, {names.controller}", "  \x1b\x00"])
+    assert all(line.startswith("#") for line in text.splitlines() if line)
+    assert text.replace("\n", "").isprintable()
+    text.encode()
+
+
+# what is written
+
+
+def occupied(path, kind):
+    if kind == "link":
+        path.with_name("target").write_text("kept")
+        path.symlink_to("target")
+    elif kind == "dangling":
+        path.symlink_to("nowhere")
+    elif kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as bound:
+            here = Path.cwd()
+            os.chdir(path.parent)  # names of sockets are short
+            bound.bind(path.name)
+            os.chdir(here)
+    return path
+
+
+@POSIX
+@pytest.mark.parametrize("kind", ["link", "dangling", "fifo", "socket"])
+def test_nothing_but_a_file_is_replaced(kind, tmp_path):
+    record = Record("m", 10.0, ("y_A",), ("m",), np.arange(9.0)[None])
+    path = occupied(tmp_path / "r.h5", kind)
+    before = path.lstat()
+    writers = (
+        lambda: write_text(path, "x", "report"),
+        lambda: write_record(record, path),
+        lambda: RecordWriter(path, "m", 10.0, ("y_A",), ("m",)).__enter__(),
+        lambda: write_files(tmp_path, {"other": "x", "r.h5": "x"}),
+        lambda: write_files(path, {"a": "x"}),
+    )
+    for write in writers:
+        with pytest.raises(InvalidInput, match=r"r\.h5: it is (a symbolic link|a pipe|a socket|no folder)"):
+            write()
+    assert path.lstat() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == (["r.h5", "target"] if kind == "link" else ["r.h5"])
+    assert kind != "link" or (tmp_path / "target").read_text() == "kept"
+
+
+@POSIX
+def test_nor_is_the_place_of_a_partial_record(tmp_path):
+    occupied(partial_path(tmp_path / "r.h5"), "link")
+    with pytest.raises(InvalidInput, match="symbolic link"):
+        RecordWriter(tmp_path / "r.h5", "m", 10.0, ("y_A",), ("m",)).__enter__()
+    assert (tmp_path / "target").read_text() == "kept"
+
+
+# what is read
+
+
+@POSIX
+@pytest.mark.parametrize("kind", ["fifo", "socket", "/dev/zero", "/dev/null", "/proc/self/pagemap", "/proc/self/mem"])
+def test_what_is_no_file_is_refused_at_once(kind, tmp_path):
+    if kind.startswith("/proc") and not Path(kind).exists():
+        pytest.skip("no /proc here")
+    table = tmp_path / "map.toml"
+    table.write_text(
+        'machine = "m"\nsample_rate_hz = 1\n[point]\nspeed = 0\nseal_pressure = 0\n[[signal]]\nname="y"\nsource="y"\n'
+    )
+    np.savetxt(tmp_path / "y.mat", [1.0])
+    for suffix, arguments in {
+        "toml": ["check", "{}"],
+        "json": ["export", "{}", "--to", "c", "-o", tmp_path / "code"],
+        "h5": ["convert", "{}"],
+        "csv": ["convert", "{}"],
+        "mat": ["convert", "{}", "--columns", table],
+        "tdms": ["convert", "{}", "--columns", table],
+        "map": ["convert", tmp_path / "y.mat", "--columns", "{}"],
+    }.items():
+        path = tmp_path / f"input.{suffix}"
+        if kind.startswith("/"):
+            path.symlink_to(kind)
+        else:
+            occupied(path, kind)
+        status, out, err = call(*[path if part == "{}" else part for part in arguments])
+        assert (status, out) == (2, "")
+        assert f"input.{suffix}" in err
+
+
+def test_a_source_that_is_missing_says_so(tmp_path):
+    with pytest.raises(InvalidInput, match="is not a file; check the name") as refused:
+        check_source(tmp_path / "none", "record")
+    assert isinstance(refused.value.__cause__, FileNotFoundError)
+
+
+@pytest.fixture
+def secret(tmp_path):
+    """Numbers that belong to nobody's record: raw, and in HDF5."""
+    np.full(8, 42.5).tofile(tmp_path / "secret.bin")
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["signals/y_A"] = np.full(8, 42.5)
+        file["signals/y_A"].attrs["unit"] = "m"
+        file["log/v"] = file["v"] = np.full((1, 8), 42.5)
+    return tmp_path
+
+
+def virtual(file, place, source, shape):
+    layout = h5py.VirtualLayout(shape, "f8")
+    layout[:] = h5py.VirtualSource("secret.h5", source, shape)
+    file.create_virtual_dataset(place, layout)
+
+
+OUTSIDE = {
+    "external storage": lambda f: f.create_dataset("signals/y_A", (8,), "f8", external=[("secret.bin", 0, 64)]),
+    "an external link to the group": lambda f: f.__setitem__("signals", h5py.ExternalLink("secret.h5", "/signals")),
+    "a soft link over an external one": lambda f: f.update({
+        "away": h5py.ExternalLink("secret.h5", "/"), "signals": h5py.SoftLink("/away/signals"),
+    }),
+    "an external link to a signal": lambda f: f.__setitem__("signals/y_A", h5py.ExternalLink("secret.h5", "/signals/y_A")),
+    "a virtual dataset": lambda f: virtual(f, "signals/y_A", "signals/y_A", (8,)),
+    "a soft link to nothing": lambda f: f.__setitem__("signals", h5py.SoftLink("/nothing")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", OUTSIDE)
+@pytest.mark.parametrize("unfinished", [False, True])
+def test_a_record_reads_nothing_outside_itself(how, unfinished, secret):
+    path = secret / "r.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs.update({"format": "ambrose-record", "version": 1, "machine": "m", "sample_rate_hz": 1.0})
+        file.attrs.update({"speed_rad_s": 0.0, "seal_pressure_pa": 0.0, **({"complete": "false"} if unfinished else {})})
+        OUTSIDE[how](file)
+        if "link" not in how:
+            file["signals/y_A"].attrs["unit"] = "m"
+    with pytest.raises(InvalidInput, match=r"/signals(/y_A)? is a link, or kept in another file"):
+        read_record(path)
+
+
+OUTSIDE_MAT = {
+    "external storage": ("v", lambda f: f.create_dataset("v", (1, 8), "f8", external=[("secret.bin", 0, 64)])),
+    "an external link": ("v", lambda f: f.__setitem__("v", h5py.ExternalLink("secret.h5", "/v"))),
+    "an external link to a structure": ("log.v", lambda f: f.__setitem__("log", h5py.ExternalLink("secret.h5", "/log"))),
+    "a virtual dataset": ("v", lambda f: virtual(f, "v", "v", (1, 8))),
+}
+
+
+@pytest.mark.parametrize("how", OUTSIDE_MAT)
+def test_nor_does_a_file_of_matlab(how, secret):
+    from ambrose.machine.record.foreign import read_foreign
+
+    source, fill = OUTSIDE_MAT[how]
+    with h5py.File(secret / "r.mat", "w") as file:
+        fill(file)
+    columns = {"machine": "m", "sample_rate_hz": 1.0, "point": {"speed": 0.0, "seal_pressure": 0.0}}
+    columns["signal"] = [{"name": "y_A", "source": source, "unit": "m"}]
+    with pytest.raises(InvalidInput, match=rf"{source} is a link, or kept in another file"):
+        read_foreign(secret / "r.mat", columns)
+
+
+def test_an_attribute_that_is_no_text_is_written_as_one(tmp_path):
+    write_record(Record("m", 1.0, ("y_A",), ("m",), np.zeros((1, 3))), tmp_path / "r.h5")
+    with h5py.File(tmp_path / "r.h5", "a") as file:
+        kind = h5py.h5t.C_S1.copy()
+        kind.set_size(2)
+        kind.set_cset(h5py.h5t.CSET_UTF8)
+        space = h5py.h5s.create(h5py.h5s.SCALAR)
+        h5py.h5a.create(file.id, b"note", kind, space).write(np.array(b"\xff\xfe", "S2"), kind)
+        file.attrs.create("other", b"a\xff", dtype=h5py.string_dtype())
+    assert call("convert", tmp_path / "r.h5", "-o", tmp_path / "r.csv")[0] == 0
+    assert json.loads(call("convert", tmp_path / "r.csv", "-o", tmp_path / "s.h5", "--json")[1])["samples"] == 3
+
+
+def test_say_and_tables_need_no_terminal(capsys):
+    say("a\x1bb")
+    print_table("[/t]", ("[/c]",), [("[/d] :smile:",)])
+    out = capsys.readouterr().out
+    assert "a\\x1bb\n" in out
+    assert all(words in out for words in ("[/t]", "[/c]", "[/d] :smile:"))
+
+
+def test_an_inherited_deafness_to_interruptions_stays():
+    if os.name != "posix":
+        pytest.skip("signals are POSIX")
+    code = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); from ambrose.__main__ import main; import sys\n"
+    code += "sys.argv = ['ambrose', '--version']\ntry:\n    main()\nexcept SystemExit:\n    pass\n"
+    code += "assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=60).returncode == 0
