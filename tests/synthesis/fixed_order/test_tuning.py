@@ -50,7 +50,7 @@ def few_rounds():
 
 def objective(timing, x_noise=1e-3, reference=None):
     models = [loop_model(plant, timing) for plant in SMALL]
-    controller = tuning._with_states(START, 4, GROUPS)
+    controller = tuning.with_states(START, 4, GROUPS)
     structure, x = structured(controller, GROUPS)
     x = x + x_noise * np.random.default_rng(0).normal(size=len(x))
     aims = replace(aims_of(MACHINE, START), compliance=2e-7)
@@ -97,7 +97,7 @@ def test_a_structure_keeps_the_controller():
     lag = StateSpace([[-50.0]], [[50.0]], [[1.0]], [[0.0]], ["u"], ["y"])
     twice = series(lag, rename(lag, ["y"], ["z"]))
     axes = [rename(twice, [f"err_{a}"], [f"u_{a}"]) for a in MACHINE.axes]
-    for controller in (append(*axes), START, tuning._with_states(START, 5, GROUPS)):
+    for controller in (append(*axes), START, tuning.with_states(START, 5, GROUPS)):
         for groups in (GROUPS, None, axis_groups(MACHINE, "axis")):
             structure, x = structured(controller, groups)
             omega = np.geomspace(0.1, 1e4, 7)

@@ -164,10 +164,10 @@ def _start(job: _Job, start: StateSpace, order: int | None) -> StateSpace:
     wanted = max(_STATES_PER_AXIS * len(start.inputs), start.n_states) if order is None else order
     if wanted < start.n_states:
         raise invalid("order", wanted, f"{start.n_states} or more, as the start has", "simplify the [controller], or give more")
-    return _with_states(start, wanted - start.n_states, job.groups)
+    return with_states(start, wanted - start.n_states, job.groups)
 
 
-def _with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
+def with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
     """The controller with ``extra`` weakly coupled, well damped states, shared by the groups."""
     rng = np.random.default_rng(0)
     m = K.D.shape[0]
