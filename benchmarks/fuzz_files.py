@@ -4,8 +4,8 @@
 
 A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as such; the worker goes on behind
 them. Counted as a breach of the contract: a traceback, an exit status other than 0 and 2 (for a verification 1 as well), the
-end of the process by a signal, more than 30 s. What kills the reader of a MATLAB or LabVIEW file in the worker is tried again
-the way the command does it, in a process of its own.
+end of the process by a signal, more than 30 s. What kills the reader of a MATLAB, LabVIEW or HDF5 file in the worker is tried
+again the way the command does it, in a process of its own.
 """
 
 from __future__ import annotations
@@ -222,6 +222,7 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     from click.testing import CliRunner
 
     from ambrose.cli import main
+    from ambrose.machine.record import apart as process
     from ambrose.machine.record import foreign
     from ambrose.machine.record.mat_tdms import read_variables
 
@@ -233,7 +234,8 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     given = ["--columns", str(columns)] if columns.exists() else []
     arguments = commands.get(kind, ["convert", str(path), *given, "-o", str(folder / "out.h5")])
     here = mock.patch.object(foreign, "variables_of", lambda path, names: nullcontext(list(read_variables(path, names))))
-    with nullcontext() if apart else here:
+    untried = mock.patch.object(process, "try_record", lambda path: None)
+    with nullcontext() if apart else here, nullcontext() if apart else untried:
         result = CliRunner().invoke(main, arguments)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         return f"traceback: {result.exception!r:.150}"
@@ -250,10 +252,10 @@ def place(kind: str, folder: Path) -> Path:
 
 def work(kind: str, folder: Path, seed: int, first: int, last: int) -> None:
     """What a worker does: judge one case after the other, and tell each."""
-    from ambrose.machine.record.apart import _limit_memory
+    from ambrose.machine.record.apart import _MEMORY, _limit
 
     if kind in {"mat", "tdms"}:
-        _limit_memory()
+        _limit(_MEMORY, 7200)
     files = [path.read_bytes() for path in sorted(folder.glob(f"{kind}.*.original"))]
     path = place(kind, folder)
     out = sys.stdout
@@ -285,7 +287,7 @@ def campaign(kind: str, folder: Path, seed: int, count: int) -> tuple[Counter[st
         status = worker.wait()
         if number < count:
             verdict = f"the process ended with {status}, or took more than {SECONDS} s"
-            if kind in {"mat", "tdms"}:
+            if kind in {"mat", "tdms", "hdf5"}:
                 verdict = judge(kind, place(kind, folder), folder, apart=True)
             tally["refused apart" if verdict == "refused" else "breach"] += 1
             breaches += [f"{kind} {number}: {verdict}"] if verdict != "refused" else []

@@ -1,10 +1,15 @@
 """What a file holds too much of is refused before anything is built from it: at once, in one sentence, in little memory."""
 
+import os
 import random
 import re
+import signal
 import struct
+import subprocess
+import sys
 import time
 import zlib
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -133,13 +138,16 @@ def test_the_limits_are_documented(page, numbers):
 # records
 
 
-def hdf5(path, signals=("y_A_zeta",), attributes=(), **layout):
-    with h5py.File(path, "w", libver="latest", track_order=True) as file:
+def hdf5(path, signals=("y_A_zeta",), attributes=(), libver="", **layout):
+    """A record; of another program, with texts of variable length, where libver is given."""
+    stored = (lambda value: value) if libver else hdf5_file.fixed
+    with h5py.File(path, "w", libver=libver or hdf5_file.LIBVER, track_order=True) as file:
         known = {"format": "ambrose-record", "version": 1, "machine": "m", "sample_rate_hz": 1e4}
-        file.attrs.update({**known, "speed_rad_s": 0.0, "seal_pressure_pa": 0.0, **dict(attributes)})
+        given = {**known, "speed_rad_s": 0.0, "seal_pressure_pa": 0.0, **dict(attributes)}
+        file.attrs.update({key: stored(value) for key, value in given.items()})
         group = file.create_group("signals")
         for name in signals:
-            group.create_dataset(name, **{"shape": (2,), "dtype": "f8", **layout}).attrs["unit"] = "m"
+            group.create_dataset(name, **{"shape": (2,), "dtype": "f8", **layout}).attrs["unit"] = stored("m")
     return path
 
 
@@ -154,7 +162,7 @@ def hdf5(path, signals=("y_A_zeta",), attributes=(), **layout):
         ({"maxshape": (None,), "chunks": (9_000_000,), "compression": "gzip"}, "a chunk is 72000000 bytes"),
         ({"signals": [f"y_{i}" for i in range(1001)]}, "the number of signals is 1001, but must be at most 1000"),
         ({"attributes": [(f"k{i}", "x") for i in range(1001)]}, "the number of attributes is 1007, but must be at most 1000"),
-        ({"attributes": [("k", "x" * 10_001)]}, "k is 'xx"),
+        ({"attributes": [("k", "x" * 10_001)], "libver": "latest"}, "k is 'xx"),
         ({"attributes": [("k", np.zeros(3))]}, "the attribute 'k' is an array"),
     ],
 )
@@ -180,6 +188,56 @@ def test_a_long_hdf5_record_is_checked_before_memory_is_taken(tmp_path, monkeypa
     monkeypatch.delattr(hdf5_file, "_read")
     with pytest.raises(InvalidInput, match=r"y_A at sample 33 \(t = 0\.33 s\) is nan"):
         read_record(path)
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+def test_an_hdf5_file_whose_texts_are_read_without_end_is_refused(tmp_path, monkeypatch, libver):
+    path = hdf5(tmp_path / "r.h5", libver=libver)
+    assert read_record(path).machine == "m"
+    data = path.read_bytes()
+    heap = data.index(b"GCOL") + 16  # where texts of variable length stand, each behind its length; of 0 here
+    path.write_bytes(data[:heap] + bytes(16) + data[heap + 16 :])
+    monkeypatch.setattr(apart, "_SECONDS", 2.0)
+    with pytest.raises(InvalidInput, match=r"r\.h5: it cannot be read within 2 s"):
+        read_record(path)
+
+
+def test_a_record_of_its_own_needs_no_process_apart(tmp_path, monkeypatch):
+    monkeypatch.setattr(apart, "try_record", None)
+    record = Record("m", 100.0, ("y_A",), ("m",), np.arange(50.0)[None])
+    assert read_record(write_record(record, tmp_path / "r.h5")).machine == "m"
+    for libver in ("earliest", "latest"):
+        with pytest.raises(InvalidInput, match="NoneType"):
+            read_record(hdf5(tmp_path / "other.h5", libver=libver))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX systems")
+@pytest.mark.parametrize("send", ["kill", "killpg"])  # as another program does it, and as a terminal does
+def test_ctrl_c_ends_the_process_apart_as_well(tmp_path, send):
+    path = hdf5(tmp_path / "r.h5", libver="earliest")
+    data = path.read_bytes()
+    heap = data.index(b"GCOL") + 16
+    path.write_bytes(data[:heap] + bytes(16) + data[heap + 16 :])
+    (tmp_path / "tmp").mkdir()
+    command = subprocess.Popen(
+        [sys.executable, "-m", "ambrose", "convert", str(path), "-o", str(tmp_path / "r.csv")],
+        env={**os.environ, "TMPDIR": str(tmp_path / "tmp")}, stderr=subprocess.PIPE, start_new_session=True, text=True,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 30
+        while not list((tmp_path / "tmp").glob("ambrose-*")):
+            assert time.monotonic() < deadline and command.poll() is None
+            time.sleep(0.05)
+        time.sleep(0.5)  # within the child's start, or its endless reading
+        getattr(os, send)(command.pid, signal.SIGINT)
+        told = command.communicate(timeout=15)[1]
+        assert command.returncode == 130 and len(told.strip().splitlines()) == 1
+        with pytest.raises(ProcessLookupError):
+            os.killpg(command.pid, 0)  # nobody is left in its session
+        assert not list((tmp_path / "tmp").iterdir())
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(command.pid, signal.SIGKILL)
 
 
 HEAD = "# format: ambrose-record\n# version: 1\n# machine: m\n# speed_rad_s: 0\n# seal_pressure_pa: 0\n"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from ambrose.machine.record.record import Record, check_samples
 
 LIBVER = ("v110", "v110")  # the format of HDF5 1.10: checksums on the structure as well
 CHUNK = 2048  # samples
+_CHECKED = b"\x89HDF\r\n\x1a\n\3"  # a file begins so that has these checksums
 _BLOCK = 1_000_000  # samples read together while they are checked
 _DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 
@@ -54,24 +56,38 @@ def fixed(value: Any) -> Any:
     return np.array(text, h5py.string_dtype("utf-8", len(text))) if text else value
 
 
-def read_hdf5(path: Path) -> Record:
-    """The record. Raises InvalidInput."""
+def read_hdf5(path: Path, *, apart: bool = False) -> Record:
+    """The record. Raises InvalidInput.
+
+    A structure without checksums, and texts of variable length in any file, may lead the library round in circles for ever:
+    with either, a process apart reads the file first; ``apart``: this is that process.
+    """
     import h5py
 
+    from ambrose.machine.record.apart import try_record
+
+    @lru_cache
+    def first() -> None:
+        if not apart:
+            try_record(path)
+
     try:
+        with path.open("rb") as raw:
+            if raw.read(len(_CHECKED)) != _CHECKED:
+                first()
         with h5py.File(path, "r") as file:
             group = own_member(file, "signals", "/signals") if file.get("signals", getlink=True) else None
             if "format" in file.attrs:
                 _check_beside(group, path.stat().st_size, h5py)
             if len(file.attrs) > NOTES:
                 raise invalid("the number of attributes", len(file.attrs), f"at most {NOTES}", "remove some")
-            attributes = read_attributes({key: _attribute(file.attrs, key) for key in file.attrs})
+            attributes = read_attributes({key: _attribute(file.attrs, key, first) for key in file.attrs})
             if not isinstance(group, h5py.Group) or not len(group):
                 raise InvalidInput("the group /signals is missing or empty; a record keeps one dataset per signal there")
             if len(group) > SIGNALS:
                 raise invalid("the number of signals", len(group), f"at most {SIGNALS}", "split the record")
             datasets = {name: _dataset(group, name, h5py) for name in group}
-            units = [(name, str(_attribute(data.attrs, "unit"))) for name, data in datasets.items()]
+            units = [(name, str(_attribute(data.attrs, "unit", first))) for name, data in datasets.items()]
             check_packing(list(datasets.values()), path)
             record_of(attributes, units, np.zeros((len(units), 1)), 1.0, 0.0)  # refuses names and units, before all is read
             values = _values(datasets, attributes)
@@ -95,14 +111,16 @@ def own_member(group: Any, name: str, place: str) -> Any:
     return found
 
 
-def _attribute(attributes: Any, key: str) -> Any:
-    """An attribute, after its size was looked at; "" where there is none."""
+def _attribute(attributes: Any, key: str, first: Callable[[], None]) -> Any:
+    """An attribute, after its size was looked at; "" where there is none. first: called before one of variable length."""
     if key not in attributes:
         return ""
     head = attributes.get_id(key)
     if head.shape != () or head.get_storage_size() > TEXT or head.dtype.kind in "V":
         what = "an array" if head.shape else "too long"
         raise invalid(f"the attribute {quoted(key)}", what, f"a number or a text of at most {TEXT} bytes", "remove it")
+    if head.dtype.kind == "O":
+        first()
     value = attributes[key]
     if isinstance(value, str):
         value = value.encode("utf-8", "surrogateescape")
