@@ -78,7 +78,7 @@ def _answer(path: Path, answer: Path, seconds: float) -> None:
     try:
         told = []
         if names is None:
-            read_hdf5(path, apart=True)
+            read_hdf5(path)
         with answer.with_suffix(".numbers").open("wb") as file:
             for variable in read_variables(path, names) if names else ():
                 values = np.ascontiguousarray(variable.values)

@@ -23,12 +23,14 @@ def read_record(path: str | Path) -> Record:
 
     Raises InvalidInput with the file's name and what is wrong.
     """
+    from ambrose.machine.record.apart import try_record
     from ambrose.machine.record.csv_file import read_csv
     from ambrose.machine.record.hdf5_file import read_hdf5
     from ambrose.machine.record.stream import SUFFIX, read_stream
 
     path = check_path(path, "record")
-    reader = _by_suffix(path, {".h5": read_hdf5, ".hdf5": read_hdf5, ".csv": read_csv, SUFFIX: read_stream})
+    hdf5 = lambda path: read_hdf5(path, lambda: try_record(path))  # noqa: E731
+    reader = _by_suffix(path, {".h5": hdf5, ".hdf5": hdf5, ".csv": read_csv, SUFFIX: read_stream})
     check_source(path, "record")
     try:
         return reader(path)

@@ -56,21 +56,15 @@ def fixed(value: Any) -> Any:
     return np.array(text, h5py.string_dtype("utf-8", len(text))) if text else value
 
 
-def read_hdf5(path: Path, *, apart: bool = False) -> Record:
+def read_hdf5(path: Path, first: Callable[[], None] = lambda: None) -> Record:
     """The record. Raises InvalidInput.
 
-    A structure without checksums, and texts of variable length in any file, may lead the library round in circles for ever:
-    with either, a process apart reads the file first; ``apart``: this is that process.
+    A structure without checksums, and texts of variable length in any file, may lead the library round in circles for ever;
+    ``first`` is called before either is looked at, to try it in a process apart.
     """
     import h5py
 
-    from ambrose.machine.record.apart import try_record
-
-    @lru_cache
-    def first() -> None:
-        if not apart:
-            try_record(path)
-
+    first = lru_cache(first)
     try:
         with path.open("rb") as raw:
             if raw.read(len(_CHECKED)) != _CHECKED:
