@@ -158,7 +158,7 @@ WRONG = [
     (lambda m, c: amb.export(c, "code", to="c", options={}), "options is of type dict"),
     (lambda m, c: amb.export("a\0b", "code", to="c"), "null"),
     (lambda m, c: amb.simulate(m, c, 3), "scenario"),
-    (lambda m, c: amb.load_scenario(None), "name is None"),
+    (lambda m, c: amb.load_scenario(None), "path of the scenario is NoneType"),
     (lambda m, c: amb.identify(m, "r.csv", c, unknown=3), "unknown is 3"),
     (lambda m, c: amb.verify(m, c, points=[1.5]), "operating point is 1.5"),
     (lambda m, c: amb.verify(m, c, points=POINT, tolerances=False, progress=3), "progress is 3"),

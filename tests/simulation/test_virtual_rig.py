@@ -176,7 +176,7 @@ def test_interrupted_run_leaves_a_readable_record(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         virtual_rig.run(RIG, at, load_scenario("run-up"), path=tmp_path / "run.h5")
     assert not (tmp_path / "run.h5").exists()
-    partial = read_record(tmp_path / "run.partial.h5")
+    partial = read_record(tmp_path / "run.h5.partial")
     whole = virtual_rig.run(RIG, PID, load_scenario("run-up")).record
     assert 2000 < partial.values.shape[1] < 8000
     np.testing.assert_allclose(partial.values, whole.values[:, : partial.values.shape[1]], rtol=0, atol=1e-9)
