@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame, html_table
 from ambrose.core.statespace import index_of
@@ -54,6 +55,7 @@ class Record(Presented):
     start_time: float = 0.0
     notes: tuple[tuple[str, str], ...] = ()
 
+    @names_wrong_types
     def __post_init__(self) -> None:
         check_positive(self.sample_rate_hz, "sample_rate_hz", "give the sampling frequency in Hz")
         check_finite(self.start_time, "start_time")
