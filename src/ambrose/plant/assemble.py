@@ -194,7 +194,15 @@ def force_sums(axes: Sequence[str], names: Sequence[str]) -> dict[str, list[str]
     return {f"F_{name}": [f"f_{name}", f"m_{name}"] if name in axes else [f"f_{name}"] for name in names}
 
 
+def magnet_coefficients(machine: Machine, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:
+    """k_i (a,) [N/A] and k_s (a,) [N/m] of the control axes at an operating point's bias current."""
+    found = [magnet.linearised(bearing, point.bias_current) for bearing in machine.bearings]
+    k_i = np.array([value for item in found for value in item.force_per_current])
+    return k_i, np.array([value for item in found for value in item.negative_stiffness])
+
+
 def magnets(machine: Machine, point: OperatingPoint) -> StateSpace:
     """The current force of every axis, i_<axis> [A] -> m_<axis> [N]; the displacement force is part of the rotor."""
-    k_i = np.concatenate([magnet.linearised(b, point.bias_current).force_per_current for b in machine.bearings])
-    return static_gain(np.diag(k_i), [f"i_{a}" for a in machine.axes], [f"m_{a}" for a in machine.axes])
+    return static_gain(
+        np.diag(magnet_coefficients(machine, point)[0]), [f"i_{a}" for a in machine.axes], [f"m_{a}" for a in machine.axes]
+    )

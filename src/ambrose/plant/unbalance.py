@@ -1,4 +1,4 @@
-"""What balancing leaves: the unbalance of a balance grade, and the force it makes; the magnets' coefficients on the axes.
+"""What balancing leaves: the unbalance of a balance grade, and the force it makes.
 
 A rotor of mass m balanced to grade G [m/s] at W_b keeps the unbalance U = m G / W_b [kg m]; at W it pulls with F = U W^2
 (ISO 21940-11).
@@ -16,9 +16,8 @@ from ambrose.core.checks import check_finite, invalid
 from ambrose.machine.criteria import BALANCE_GRADE
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
-from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
-from ambrose.plant.model import Plant, top_speed
+from ambrose.plant.model import top_speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +64,3 @@ def _shares(machine: Machine, centre: float) -> tuple[float, ...]:
         a = (position[1] - centre) / (position[1] - position[0])
         return (a, 1 - a)
     return tuple(1 / len(position) for _ in position)
-
-
-def magnet_coefficients(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
-    """k_i (a,) [N/A] and k_s (a,) [N/m] of the control axes at the plant's operating point."""
-    found = [magnet.linearised(bearing, plant.point.bias_current) for bearing in plant.machine.bearings]
-    k_i = np.array([value for item in found for value in item.force_per_current])
-    return k_i, np.array([value for item in found for value in item.negative_stiffness])

@@ -14,8 +14,8 @@ from ambrose.core.checks import InvalidInput, check_finite, invalid, named_failu
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
 from ambrose.machine.description import MagneticBearing, PidSettings
 from ambrose.machine.machine import Machine
-from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
+from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.model import Plant
 from ambrose.plant.timing import Timing, machine_timing
 from ambrose.synthesis.as_it_runs import certify_as_it_runs
@@ -64,9 +64,7 @@ def first_settings(machine: Machine) -> PidSettings:
     Per axis K_p = 2 k_s / k_i leaves the stiffness k_s; with the rotor's mass shared by the bearings that gives w_0, and
     T_d = 1 / (2 w_0), T_i = 20 / w_0. Nothing is promised of it; tuning starts from there. Raises InvalidInput.
     """
-    found = [magnet.linearised(bearing, machine.operation.design.bias_current) for bearing in machine.bearings]
-    k_i = np.array([value for item in found for value in item.force_per_current])
-    k_s = np.array([value for item in found for value in item.negative_stiffness])
+    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     if not (k_i > 0).all() or not (k_s > 0).all():
         raise InvalidInput(f"machine {machine.name!r} has magnets without force or stiffness; add a [controller] table")
     rate = float(np.sqrt(k_s.mean() * len(machine.bearings) / mass_properties(finite_element_rotor(machine)).mass))

@@ -21,8 +21,8 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.criteria import CURRENT_PULSE, Pulse, demand
 from ambrose.machine.description import Requirements
+from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.model import Plant
-from ambrose.plant.unbalance import magnet_coefficients
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import information, judge
 from ambrose.verification.peaks import Peak
@@ -86,7 +86,7 @@ def pulse_checks(found: PulseResponse, plant: Plant, requirements: Requirements)
     worst = int(np.argmax(settling))
     words = f"{pulse.amplitude:g} A for {pulse.duration * 1e3:g} ms on one axis after the other, band {pulse.band:.0%}"
     open_end = "" if np.isfinite(settling[worst]) else f"; not settled after {found.time[-1]:.3g} s"
-    k_i, k_s = magnet_coefficients(plant)
+    k_i, k_s = magnet_coefficients(plant.machine, plant.point)
     force = k_i[:, None] * found.current + k_s[:, None] * found.bearing_displacement
     largest = np.abs(found.displacement).max(axis=2)
     at = np.unravel_index(np.argmax(largest), largest.shape)

@@ -31,9 +31,10 @@ from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.machine.criteria import TWO_PI, demand, machine_limit
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
+from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.loop import Law
 from ambrose.plant.model import Plant, top_speed
-from ambrose.plant.unbalance import Unbalance, magnet_coefficients, residual_unbalance
+from ambrose.plant.unbalance import Unbalance, residual_unbalance
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import judge
 from ambrose.verification.loop_response import Evaluator, LoopResponse, loop_at
@@ -67,7 +68,7 @@ def worst_currents(response: LoopResponse, residual: Unbalance) -> np.ndarray:
 
 def worst_forces(response: LoopResponse, residual: Unbalance, plant: Plant) -> np.ndarray:
     """Largest magnetic force k_i i + k_s q of every axis (a, w) [N] over force vectors of Euclidean length F."""
-    k_i, k_s = magnet_coefficients(plant)
+    k_i, k_s = magnet_coefficients(plant.machine, plant.point)
     per_force = k_i[:, None] * response.current_per_force() + k_s[:, None] * response.compliance()
     return (np.linalg.norm(per_force, axis=2) * residual.force(response.omega)[:, None]).T
 

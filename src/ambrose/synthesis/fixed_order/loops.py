@@ -16,9 +16,9 @@ from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.sampling import c2d, delayed, hold
 from ambrose.core.statespace import select
+from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.model import Plant
 from ambrose.plant.timing import Timing
-from ambrose.plant.unbalance import magnet_coefficients
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,11 +41,7 @@ class LoopModel:
         """u, f -> y, q, i at omega (w,) [rad/s]: (w, 3a, 2a), with hold and delay on u."""
         P = evaluate(self.form, 1j * omega)
         if self.timing is not None:
-            late = hold(omega, self.timing.sample_time) * np.exp(
-                -1j * omega * self.timing.sample_time * self.timing.delay_samples
-            )
-            axes = P.shape[1] // 3
-            P[:, :, :axes] *= late[:, None, None]
+            P[:, :, : P.shape[1] // 3] *= lateness(omega, self.timing)[:, None, None]
         return P
 
 
@@ -66,7 +62,13 @@ def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopMode
         [*plant.named("y"), *plant.bearing_named("q"), *plant.named("i")],
     )
     form = schur_form(outer.A, outer.B, outer.C, outer.D)
-    return LoopModel(label or plant.point.label, A, B, C, D, form, magnet_coefficients(plant), timing)
+    return LoopModel(label or plant.point.label, A, B, C, D, form, magnet_coefficients(plant.machine, plant.point), timing)
+
+
+def lateness(omega: np.ndarray, timing: Timing) -> np.ndarray:
+    """Hold and delay of the currents at omega (w,) [rad/s], (w,)."""
+    T = timing.sample_time
+    return np.asarray(hold(omega, T) * np.exp(-1j * omega * T * timing.delay_samples))
 
 
 def warped(omega: np.ndarray, timing: Timing | None) -> np.ndarray:

@@ -29,6 +29,7 @@ _WATCHED = 20.0  # times the damping asked for: better damped poles are left out
 _TIMED_TO = 2e4  # rad/s; what is faster than that does not matter for settling
 _SLOW_TO = 2000.0  # rad/s; below it a step of the quadrature turns the latest time by this phase, above it 4 pulse durations:
 _PHASE = 0.15  # rad
+_MATCHED = np.geomspace(max(BAND[0], 2 * np.pi), BAND[1], 30)  # rad/s
 _SETTLING_POWER = 0.4  # of the settling ratio: an exponential decay enters about as a rate
 
 
@@ -56,8 +57,7 @@ class Ratio:
 class Objective:
     """f(x) = ln of the p-norm and its gradient, for models with as many states or not, on one grid omega (w,) [rad/s].
 
-    reference: direct gains (w, a) of a controller to stay near on ``matched`` (w,) [rad/s], their rms deviation in natural
-    logarithms held below ``match``.
+    reference: a controller to stay near: the rms of ln|k/k_ref| over the direct gains below 200 Hz is held below ``match``.
     """
 
     structure: Structure
@@ -70,6 +70,7 @@ class Objective:
     _G: np.ndarray = field(init=False)
     _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
     _settling: _Settling | None = field(init=False)
+    _wanted: np.ndarray = field(init=False)  # direct gains of the reference (w, a)
 
     def __post_init__(self) -> None:
         P = np.stack([model.response(self.omega) for model in self.models])
@@ -80,6 +81,9 @@ class Objective:
         self._settling = None
         if self.aims.settling is not None and len(self.omega) > 20:
             self._settling = _Settling(self.omega, self.aims.settling)
+        if self.reference is not None:
+            values = frequency_response(self.reference, _MATCHED).values
+            self._wanted = np.abs(np.diagonal(values, axis1=1, axis2=2))
 
     def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
         """ln of the p-norm, and its gradient (k,); inf where a model is unstable."""
@@ -202,16 +206,13 @@ class Objective:
 
     def _mismatch(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """rms of ln|k/k_ref| of the direct gains over its limit, and its slope in Theta."""
-        assert self.reference is not None
         A, B, C, D = self.structure.matrices(x)
-        omega = np.geomspace(max(BAND[0], 2 * np.pi), BAND[1], 30)
-        wanted = np.abs(np.diagonal(frequency_response(self.reference, omega).values, axis1=1, axis2=2))
-        inverse = np.linalg.inv(1j * omega[:, None, None] * np.eye(len(A)) - A)
+        inverse = np.linalg.inv(1j * _MATCHED[:, None, None] * np.eye(len(A)) - A)
         X, Y = inverse @ B, C @ inverse
         k = np.diagonal(C @ X + D, axis1=1, axis2=2)
-        error = np.log(np.abs(k) / wanted)
+        error = np.log(np.abs(k) / self._wanted)
         ratio = float(np.sqrt((error**2).mean())) / self.match
-        psi = np.zeros((len(omega), len(D), len(D)), complex)
+        psi = np.zeros((len(_MATCHED), len(D), len(D)), complex)
         i = np.arange(len(D))
         psi[:, i, i] = error / (max(ratio, 1e-9) * self.match**2) / error.size / np.conj(k)
         return ratio, _theta_slope(psi, X, Y)

@@ -4,8 +4,8 @@ From a start that need not hold every point, a smooth maximum of all ratios of a
 moved downhill with exact gradients, over the models of all operating points at once, as the loop runs: sampled and late. Rounds
 raise the power of the p-norm; after each the frequency grid takes in the loops' resonances and true peaks, for what the grid
 does not see gets exploited, and the worst member of the tolerances around every point joins the models (Apkarian & Noll 2006;
-Apkarian, Gahinet & Buhr 2014 tune to requirements this way). What a round gives is judged on the full plants, and the best is
-returned.
+Apkarian, Gahinet & Buhr 2014 tune to requirements this way). All rounds are judged on the full plants and on all the members
+that were found by the end, and the best is returned.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, named_failure
 from ambrose.core.frequency import frequency_response
-from ambrose.core.sampling import hold
 from ambrose.core.statespace import StateSpace, select
 from ambrose.physics.rotor import free_modes
 from ambrose.plant.assemble import bending_modes_of
@@ -30,7 +29,7 @@ from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
 from ambrose.synthesis.fixed_order.descent import descend
-from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
+from ambrose.synthesis.fixed_order.loops import LoopModel, lateness, loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
 from ambrose.synthesis.fixed_order.structure import Groups, axis_groups, structured
 from ambrose.synthesis.result import Certificate, Status, Synthesis
@@ -99,7 +98,9 @@ def tune_controller(
     reference: a controller whose direct gains below 200 Hz are kept within 8 % rms (None: free). time_limit [s] of computing.
 
     The tolerances around each point are those of the machine. ``gamma`` is the largest ratio of a requirement to its limit on
-    the full plants: below 1 all are met there. Raises InvalidInput, NumericalFailure where nothing holds every point.
+    the full plants, and on the reduced models of the worst corners found: below 1 all are met there. ``stopped_early`` also
+    where a corner was found that nothing of this order holds. Raises InvalidInput, NumericalFailure where nothing holds every
+    point.
     """
     job = _prepared(plants, start, timing, order, structure, bending_modes, reference, time_limit, progress)
     controller = _start(job, start, order)
@@ -124,6 +125,10 @@ def tune_controller(
         if not rounds:
             raise
         reason = "interrupted"
+    except NumericalFailure as error:  # of a member that nothing was found to hold: what the rounds gave is kept
+        if not rounds:
+            raise
+        reason = str(error)
     return _result(job, _best(job, rounds), tuple(history), reason)
 
 
@@ -248,20 +253,30 @@ def _descended(job: _Job, controller: StateSpace, power: float) -> tuple[StateSp
 
 
 def _best(job: _Job, rounds: list[_Round]) -> _Round:
-    """The round that does best on the full plants: the best on the models, others only where the full plants say otherwise."""
-    models = [loop_model(plant, job.timing) for plant in job.full]
-    found: list[_Round] = []
-    for item in sorted(rounds, key=lambda item: item.worst):
-        if found and item.worst >= min(full.worst for full in found):
-            break
-        found.append(_judged(job, item.controller, models))
-    best = min(found, key=lambda item: item.worst)
+    """The round that does best on all models by the end, members included, and on the full plants."""
+    full = [loop_model(plant, job.timing) for plant in job.full]
+    on_models = sorted((_judged(job, item.controller, job.models) for item in rounds), key=lambda item: item.worst)
+    best = _Round(rounds[-1].controller, {})
+    for item in on_models:
+        if item.worst >= best.worst:
+            break  # the full plants can only be worse
+        both = _both(item, _judged(job, item.controller, full))
+        best = min(best, both, key=lambda item: item.worst)
     if not np.isfinite(best.worst):
         raise NumericalFailure(
             f"no controller of order {best.controller.n_states} that holds the full plant at all {len(job.full)} operating "
             "points was found; allow a higher order, more bending modes or another structure, or drop a point"
         )
     return best
+
+
+def _both(one: _Round, other: _Round) -> _Round:
+    """The larger ratio of each requirement; none where one of the two has none, for it is unstable there."""
+    if not one.ratios or not other.ratios:
+        return _Round(one.controller, {})
+    return _Round(one.controller, {
+        name: max(ratio, other.ratios[name], key=lambda item: item.value) for name, ratio in one.ratios.items()
+    })  # fmt: skip
 
 
 def _judged(job: _Job, controller: StateSpace, models: Sequence[LoopModel]) -> _Round:
@@ -302,9 +317,7 @@ def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, ai
     part = select(model.system, [*model.w[:n], *plant.named("u")], [*model.z[:n], *plant.named("y")])
     P = frequency_response(part, omega).values.copy()
     if timing is not None:
-        P[:, :, n:] *= (hold(omega, timing.sample_time) * np.exp(-1j * omega * timing.sample_time * timing.delay_samples))[
-            :, None, None
-        ]
+        P[:, :, n:] *= lateness(omega, timing)[:, None, None]
     K = frequency_response(controller, warped(omega, timing)).values
     S = np.linalg.inv(np.eye(K.shape[-1]) + P[:, n:, n:] @ K)
     KS = K @ S
@@ -352,7 +365,7 @@ def _row(job: _Job, number: int, power: float, used: int, item: _Round) -> dict[
 
 
 def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None) -> Synthesis:
-    """The synthesis, with the continuous loop's and the sampled loop's stability and peaks recomputed on every full plant."""
+    """The synthesis, with stability and the norm of S_o of the loop as it runs recomputed on every full plant."""
     law = best.controller if job.timing is None else job.timing.in_loop(best.controller)
     found = [certify(plant, law) for plant in job.full]
     worst = max(range(len(found)), key=lambda k: found[k].closed_loop_norm)
