@@ -219,8 +219,10 @@ def test_ctrl_c_ends_the_process_apart_as_well(tmp_path, send):
     heap = data.index(b"GCOL") + 16
     path.write_bytes(data[:heap] + bytes(16) + data[heap + 16 :])
     (tmp_path / "tmp").mkdir()
+    start = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "  # it may be ignored by inheritance
+    start += "from ambrose.__main__ import main; main()"
     command = subprocess.Popen(
-        [sys.executable, "-m", "ambrose", "convert", str(path), "-o", str(tmp_path / "r.csv")],
+        [sys.executable, "-c", start, "convert", str(path), "-o", str(tmp_path / "r.csv")],
         env={**os.environ, "TMPDIR": str(tmp_path / "tmp")}, stderr=subprocess.PIPE, start_new_session=True, text=True,
     )  # fmt: skip
     try:
@@ -238,6 +240,7 @@ def test_ctrl_c_ends_the_process_apart_as_well(tmp_path, send):
     finally:
         with suppress(ProcessLookupError):
             os.killpg(command.pid, signal.SIGKILL)
+        command.communicate()
 
 
 HEAD = "# format: ambrose-record\n# version: 1\n# machine: m\n# speed_rad_s: 0\n# seal_pressure_pa: 0\n"
