@@ -284,7 +284,8 @@ def campaign(kind: str, folder: Path, seed: int, count: int) -> tuple[Counter[st
             breaches += [f"{kind} {number}: {verdict}"] if verdict not in {"read", "refused"} else []
             number += 1
         worker.kill()
-        status = worker.wait()
+        worker.communicate()  # waits, and closes the pipe
+        status = worker.returncode
         if number < count:
             verdict = f"the process ended with {status}, or took more than {SECONDS} s"
             if kind in {"mat", "tdms", "hdf5"}:
