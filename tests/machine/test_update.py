@@ -227,3 +227,16 @@ def test_only_a_machine_is_saved(wrong, tmp_path):
 def test_a_text_that_is_no_machine_is_refused():
     with pytest.raises(InvalidInput, match="not valid TOML"):
         update_machine_file("[machine\n", load_machine("seal-rig"))
+
+
+@pytest.mark.parametrize("more", [("speed",), ("frequency", "speed")])
+def test_a_seal_table_that_gains_axes_of_one_entry_is_brought_up_to_date(more, monkeypatch):
+    machine = loads_machine(ODD)
+    (_, pressures), *_ = machine.seals[0].table.axes
+    values = dict(machine.seals[0].table.values)["C"]
+    for _ in more:
+        values = tuple((value,) for value in values)
+    table = SealTable((("pressure", pressures), *((axis, (1.0,)) for axis in more)), (("C", values),))
+    changed = replace(machine, seals=(replace(machine.seals[0], table=table),))
+    monkeypatch.setattr(update, "dumps_machine", lambda machine: pytest.fail("written anew"))
+    assert loads_machine(update_machine_file(ODD, changed)) == changed

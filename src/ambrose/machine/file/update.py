@@ -149,7 +149,8 @@ def _rewritten(old: Any, value: Any, dimension: str) -> Any:
         if len(old) != len(value):
             return [_rewritten(_first(old), x, dimension) if not isinstance(x, list) else x for x in value]
         for i, element in enumerate(value):
-            updated = _rewritten(old[i], element, dimension)
+            deeper = isinstance(element, list) and not isinstance(old[i], Array)  # a table gained an axis
+            updated = _spread(old[i], element, dimension) if deeper else _rewritten(old[i], element, dimension)
             if updated is not old[i]:
                 old[i] = updated
         return old
@@ -160,6 +161,11 @@ def _rewritten(old: Any, value: Any, dimension: str) -> Any:
     if isinstance(old, str):
         return rewrite_quantity(str(old), value, DIMENSIONS[dimension])
     return int(value) if isinstance(old, int) and value.is_integer() else value
+
+
+def _spread(old: Any, value: Any, dimension: str) -> Any:
+    """Nested ``value``, every number in the form and unit of ``old``."""
+    return [_spread(old, x, dimension) for x in value] if isinstance(value, list) else _rewritten(old, value, dimension)
 
 
 def _plain(value: Any) -> Any:
