@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile
 
-.PHONY: help demo test campaigns test-oldest lint bench docs coverage snapshot wheel clean
+.PHONY: help demo test campaigns studies test-oldest lint bench docs coverage snapshot wheel clean
 .DEFAULT_GOAL := demo
 
 $(BIN)/.installed: pyproject.toml $(CONSTRAINTS)
@@ -27,10 +27,13 @@ demo: $(BIN)/.installed  ## the main job, and what `make` does: machine file -> 
 	$(BIN)/ambrose study seal-rig -o $(OUT)/seal-rig || test $$? -eq 1
 
 test: $(BIN)/.installed  ## the tests, below five minutes on two idle processors
-	$(PYTEST) -m 'not campaign'
+	$(PYTEST) -m 'not campaign and not study'
 
-campaigns: $(BIN)/.installed  ## the long tests that `make test` leaves out
-	$(PYTEST) -m campaign
+campaigns: $(BIN)/.installed  ## the long tests that `make test` leaves out, about ten minutes
+	$(PYTEST) -m 'campaign and not study'
+
+studies: $(BIN)/.installed  ## the papers' figures, and hundreds of random cases: half an hour, outside of CI
+	$(PYTEST) -m study
 
 lint: $(BIN)/.installed  ## ruff, mypy, and the layer contract
 	$(BIN)/ruff check .

@@ -25,15 +25,20 @@ def page():
         '<script src="assets/plotly.min.js"></script>\n',
     ]
     for path in sorted(EXAMPLES.glob("[0-9]*.py")):
-        source = path.read_text(encoding="utf-8")
-        run = kept(source, lambda path=path: of_example(path), {"printed": "(a draft: not run)", "picture": ""})
-        title, body = split(source)
+        run = run_of(path)
+        title, body = split(path.read_text(encoding="utf-8"))
         parts.append(f"## {title}\n\n`examples/{path.name}`\n")
         if run["picture"]:
             parts.append(f'<div class="plotly-figure" markdown="0">{run["picture"]}</div>\n')
         parts.append(f"It prints\n\n```text\n{run['printed'].rstrip()}\n```\n")
         parts.append(f'??? example "The program"\n\n{indented(fenced(body))}\n')
     return "\n".join(parts)
+
+
+def run_of(path):
+    """What an example prints and shows, kept until it or the package changes."""
+    source = path.read_text(encoding="utf-8")
+    return kept(source, lambda: of_example(path), {"printed": "(a draft: not run)", "picture": ""})
 
 
 def of_example(path):

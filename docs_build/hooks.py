@@ -2,6 +2,7 @@
 
 docs_build/figures.py      stored results, and the numbers in the text that come from them
 docs_build/blocks.py       code blocks of the pages, run by tests/docs/test_blocks.py
+docs_build/ahead.py        runs examples and notebooks on all processors, before their pages are made
 docs_build/gallery.py      examples/*.py -> gallery.md, with what they print and their pictures
 docs_build/notebooks.py    notebooks/*.ipynb -> a page each, executed
 docs_build/reference.py    the front door and the packages -> pages for mkdocstrings
@@ -16,7 +17,7 @@ from mkdocs.structure.files import File
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from docs_build import DOCS, ROOT, command_line, gallery, notebooks, reference
+from docs_build import DOCS, ROOT, ahead, command_line, gallery, notebooks, reference
 from docs_build.figures import UnknownFigure, render, stored
 
 
@@ -31,6 +32,9 @@ def on_config(config):
 
 def on_files(files, config):
     """Adds the generated pages and the plotting library that their pictures need."""
+    for path, trouble in ahead.run():
+        if trouble:
+            raise PluginError(f"{path.name}: {trouble}")
     pages = {
         "gallery.md": gallery.page(),
         **notebooks.pages(),

@@ -18,15 +18,21 @@ def pages():
 
 
 def page(path):
-    source = path.read_text(encoding="utf-8")
-    cells = kept(source, lambda: executed(path), json.loads(source)["cells"])
+    cells = cells_of(path)
     head = f'<script src="../assets/plotly.min.js"></script>\n\n*This page is `notebooks/{path.name}`, executed.*\n'
     title, *rest = [of_cell(cell, i) for i, cell in enumerate(cells)]
     return "\n".join([title, head, *rest])
 
 
+def cells_of(path):
+    """The cells with their outputs, kept until the notebook or the package changes."""
+    source = path.read_text(encoding="utf-8")
+    return kept(source, lambda: executed(path), json.loads(source)["cells"])
+
+
 def executed(path):
-    """The cells of a notebook with their outputs, run in a folder of their own. Raises nbclient's CellExecutionError."""
+    """The cells of a notebook with their outputs, run in a folder of their own. Raises nbclient's
+    CellExecutionError, and RuntimeError where it warns or shows no picture."""
     import nbformat
     from nbclient import NotebookClient
 
@@ -35,7 +41,13 @@ def executed(path):
     os.environ.update({name: os.environ.get(name, value) for name, value in environment.items()})
     with tempfile.TemporaryDirectory() as folder:
         NotebookClient(notebook, timeout=TIMEOUT, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
-    return json.loads(nbformat.writes(notebook))["cells"]
+    cells = json.loads(nbformat.writes(notebook))["cells"]
+    outputs = [output for cell in cells if cell["cell_type"] == "code" for output in cell["outputs"]]
+    if warned := ["".join(output["text"]) for output in outputs if output.get("name") == "stderr"]:
+        raise RuntimeError(f"{path.name} warns: {warned[0]}")
+    if not any("application/vnd.plotly.v1+json" in output.get("data", {}) for output in outputs):
+        raise RuntimeError(f"{path.name} shows no picture")
+    return cells
 
 
 def of_cell(cell, number):

@@ -65,6 +65,7 @@ def test_robust_methods_are_certified_on_the_full_plant(method, tmp_path):
     assert json.loads((tmp_path / "c.json").read_text())["method"] == method
 
 
+@pytest.mark.campaign
 def test_verify_fails_a_check_with_status_1(controller):
     done = call("verify", RIG, "--controller", controller, "--json")
     assert done.exit_code == 1

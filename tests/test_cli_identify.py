@@ -101,6 +101,7 @@ def test_json_and_repeats(place, tmp_path):
     assert np.array(found["correlation"]).shape == (8, 8)
 
 
+@pytest.mark.campaign
 def test_the_youla_residual_from_the_command_line(place, identified, tmp_path):
     """The same K_i within a percent, compared with the file of the first method, and the page has the residual system."""
     page, out = tmp_path / "y.html", tmp_path / "y.toml"
@@ -185,6 +186,7 @@ def test_a_seal_by_pressure_from_the_command_line(tmp_path, place):
     assert shown.exit_code == done.exit_code and "Seal center by pressure" in shown.stdout
 
 
+@pytest.mark.campaign
 def test_what_did_not_converge_is_doubtful_everywhere(place, tmp_path, monkeypatch):
     from ambrose.identification.output_error import closed_loop
 

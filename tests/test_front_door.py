@@ -82,6 +82,7 @@ def test_a_control_system_goes_in_and_out(machine, pid):
     assert back.to_dict() == ours.to_dict()
 
 
+@pytest.mark.campaign
 def test_order_of_the_signals_does_not_matter(machine, pid):
     K, turned = pid.controller, [2, 0, 3, 1]
     other = amb.StateSpace(

@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from ambrose.core.lft import ComplexBlock, FullBlock, RealBlock
 from ambrose.core.mu.bounds import mu_bounds
 
-pytestmark = pytest.mark.campaign  # minutes
+pytestmark = pytest.mark.study  # minutes
 
 COUNT = int(os.environ.get("AMBROSE_MU_SCANS", "40"))  # problems per structure; the large run uses 1000
 

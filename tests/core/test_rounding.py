@@ -337,7 +337,7 @@ def test_the_last_bit_decides_nothing(name):
         compare(name, seed)
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 @pytest.mark.parametrize("name", CASES)
 def test_the_last_bit_decides_nothing_200_times(name):
     for seed in range(25 if name in SLOW else 200):

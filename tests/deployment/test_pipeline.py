@@ -65,6 +65,7 @@ def test_the_guides_example_compiles(controllers, tmp_path):
     driver.build("gcc", ["-c", str(tmp_path / "code" / "example.c"), "-o", str(tmp_path / "example.o")])
 
 
+@pytest.mark.campaign
 def test_an_unverified_controller_needs_force(controllers, tmp_path):
     done = call(controllers["pid"], "--to", "c", "-o", tmp_path / "code")
     assert done.exit_code == 2
@@ -83,7 +84,7 @@ def test_an_unverified_controller_needs_force(controllers, tmp_path):
         (["--delay-samples", -1], "(delay_samples) is -1"),
         (["--name", "a b"], "the name of the block is 'a b', but must be a C identifier"),
         (["--error-limit", 0, "--force"], "error_limit is 0.0, but must be positive"),
-        (["--arithmetic", "fixed16", "--force"], "with words of 16 bits"),
+        pytest.param(["--arithmetic", "fixed16", "--force"], "with words of 16 bits", marks=pytest.mark.campaign),
         (["--machine", "absent.toml"], "absent.toml"),
     ],
 )

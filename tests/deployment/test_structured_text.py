@@ -63,6 +63,7 @@ def test_track_and_reset(parsed_block):
     assert fb.v["state"] == fresh.v["state"]
 
 
+@pytest.mark.campaign
 def test_a_gain_without_states():
     block = gain_block()
     fb = FunctionBlock(parsed(generate_structured_text(block)["gain.st"]))

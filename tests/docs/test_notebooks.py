@@ -6,7 +6,7 @@ import re
 import pytest
 from docs_build.notebooks import NOTEBOOKS, executed
 
-pytestmark = pytest.mark.campaign  # minutes
+pytestmark = pytest.mark.study  # minutes
 
 PATHS = sorted(NOTEBOOKS.glob("*.ipynb"))
 

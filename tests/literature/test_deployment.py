@@ -30,7 +30,7 @@ from ambrose.synthesis.problem import design_plant, design_tolerances, open_mode
 from ambrose.verification import nominal
 from ambrose.verification.sampled import check_over_box
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign, pytest.mark.skipif(not has_compiler(), reason="no C compiler here")]
+pytestmark = [pytest.mark.literature, pytest.mark.study, pytest.mark.skipif(not has_compiler(), reason="no C compiler here")]
 SAMPLE = 1e-4
 RIG = load_machine("seal-rig-k-only")  # P5 section 4.1: over k +-100 %
 POINTS = {point.label: point for point in RIG.operation.points}

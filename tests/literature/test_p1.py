@@ -25,7 +25,7 @@ from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.pid import pid_controller
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign]
+pytestmark = [pytest.mark.literature, pytest.mark.study]
 B_Y = "bearing.B.negative_stiffness.eta"  # the bearing's y axis: its angle is zero
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 U, Y = [f"u_{a}" for a in AXES], [f"y_{a}" for a in AXES]

@@ -18,7 +18,7 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.physics import magnet
 from ambrose.simulation import virtual_rig
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign]
+pytestmark = [pytest.mark.literature, pytest.mark.study]
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Pulse
 from ambrose.simulation.scenario import Scenario
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign]
+pytestmark = [pytest.mark.literature, pytest.mark.study]
 FILE = Path(__file__).parents[2] / "benchmarks" / "campaign_p3.py"
 
 

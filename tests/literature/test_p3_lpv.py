@@ -21,7 +21,7 @@ from ambrose.synthesis.design import design
 from ambrose.synthesis.lpv.machine import design_over_speed
 from ambrose.verification.loop_response import loop_evaluator
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign]
+pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi
 
 

@@ -13,7 +13,7 @@ import pytest
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign]
+pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ, BAR = 2 * np.pi, 1e5
 
 

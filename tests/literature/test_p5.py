@@ -16,7 +16,7 @@ from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_controller
 from ambrose.verification.loop_response import loop_evaluator
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign]
+pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi
 
 

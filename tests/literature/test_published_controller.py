@@ -153,6 +153,7 @@ def test_on_the_published_plant(which, times_k):
     _compare(table()["published plant", times_k, which], found)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("which", ["printed", "ours"])
 @pytest.mark.parametrize("times_k", TIMES_K)
 def test_on_the_finite_element_and_the_virtual_rig(which, times_k):

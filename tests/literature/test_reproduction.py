@@ -28,7 +28,7 @@ from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 from ambrose.synthesis.weights import machine_weights, scale_control
 from ambrose.verification import nominal, robust
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign]
+pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi
 
 
@@ -115,7 +115,7 @@ def test_P5_10_settling_of_the_PID_at_zero_pressure(rig):
         assert times[0] == pytest.approx(0.03, abs=0.005)
 
 
-@pytest.fixture(scope="module", params=[K_ONLY, pytest.param(CONSISTENT, marks=pytest.mark.campaign)])
+@pytest.fixture(scope="module", params=[K_ONLY, pytest.param(CONSISTENT, marks=pytest.mark.study)])
 def three(request):
     """PID, H-infinity and mu controllers of similar direct gain, each with its checks at the three pressures and over them."""
     return three_controllers(request.param)

@@ -427,7 +427,12 @@ def test_the_campaign_damages_reproducibly():
     assert first == again != sound
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 @pytest.mark.timeout(7200)
 def test_a_thousand_damaged_files_of_each_kind():
     assert fuzz_files.run(1000, 0) == 0
+
+
+@pytest.mark.campaign
+def test_some_damaged_files_of_each_kind():
+    assert fuzz_files.run(25, 1) == 0

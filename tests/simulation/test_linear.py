@@ -162,6 +162,7 @@ def run_up_oracle():
     return np.hstack([*parts, x[:2, None]])
 
 
+@pytest.mark.campaign
 def test_run_up_agrees_with_runge_kutta_and_knows_its_error():
     trace = linear.run(gyroscopic, RUN_UP, dt=1e-4)
     exact = run_up_oracle()
@@ -173,6 +174,7 @@ def test_run_up_agrees_with_runge_kutta_and_knows_its_error():
     assert "error of the run-up" in trace.text
 
 
+@pytest.mark.campaign
 def test_run_up_converges_with_second_order(monkeypatch):
     monkeypatch.setattr(linear, "_CLOSE", np.inf)
     monkeypatch.setattr(linear, "_TOLERATED", np.inf)

@@ -64,6 +64,7 @@ def test_contact_at_the_default_step(point):
     assert np.abs(a).max() == pytest.approx(np.abs(b).max(), rel=1e-4)
 
 
+@pytest.mark.campaign
 def test_energy_without_damping_is_kept():
     """Undamped rotor on stiff springs, turning, magnets at constant bias: the drift falls as the fifth power of the step."""
     springs = tuple(Coupling(f"s{i}", x, (2e7, 3e7)) for i, x in enumerate((0.1, 0.75)))

@@ -16,7 +16,7 @@ from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.problem import open_model
 from ambrose.verification.sampled import check_over_box
 
-pytestmark = pytest.mark.campaign  # minutes
+pytestmark = pytest.mark.study  # minutes
 
 SAMPLE = 1e-4
 

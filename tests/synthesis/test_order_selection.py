@@ -16,7 +16,7 @@ from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensiti
 from ambrose.synthesis.problem import design_plant, open_model
 from ambrose.synthesis.weights import machine_weights
 
-pytestmark = pytest.mark.campaign  # minutes
+pytestmark = pytest.mark.study  # minutes
 
 SAMPLE = 1e-4
 

@@ -83,6 +83,7 @@ def test_margin_is_where_eigenvalues_cross(rigid, robust_controller, over_the_ra
     assert over_the_range["robust.stability.box"].value == 0
 
 
+@pytest.mark.campaign
 def test_requirement_judges_the_worst_case(rigid, robust_controller, over_the_range):
     assert over_the_range["robust.sensitivity.worst"].limit is None
     limit = 0.99 * over_the_range["robust.sensitivity.worst"].value

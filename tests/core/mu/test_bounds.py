@@ -46,6 +46,7 @@ def test_one_real_scalar(m, mu):
     assert float(mu_bounds([[m]], [RealBlock("d")], g_scaling=False).upper) == pytest.approx(abs(m), rel=1e-12)
 
 
+@pytest.mark.campaign
 def test_real_structure_matters_and_the_order_of_bounds_holds():
     """Refining the structure can only lower mu: full >= repeated complex and diagonal complex >= real."""
     M = random_matrix(1, 50, 3, 3)
@@ -108,6 +109,7 @@ def test_zero_matrix():
     assert np.isfinite(result.D_w).all()
 
 
+@pytest.mark.campaign
 def test_scaling_of_units_changes_nothing():
     """Channel units from 1e-9 to 1e9: mu is invariant to a scaling that commutes with Delta, and homogeneous."""
     M = random_matrix(5, 10, 5, 6)
@@ -213,6 +215,7 @@ def fine_peak(system, blocks, low, high):
     return values.max(), omega[values.argmax()]
 
 
+@pytest.mark.campaign
 def test_peak_between_grid_points_is_found():
     """The resonance at 10 rad/s is 0.04 rad/s wide; the grid is 20 times coarser."""
     system = resonant()

@@ -191,6 +191,7 @@ def test_gradient_of_the_gain():
         assert gradient[i] == pytest.approx(numeric, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.campaign
 def test_worst_gain_against_a_scan_and_its_bound():
     rng = np.random.default_rng(7)
     compared = 0

@@ -62,6 +62,7 @@ def test_sampled_sensitivity_against_frequency_response(plants, robust):
     assert worst * (1 - 1e-9) <= value <= 1.01 * worst
 
 
+@pytest.mark.campaign
 def test_refused_where_the_sampled_loop_is_unstable(plants, pid):
     with pytest.raises(UnstableSystem, match=r"the sampled loop is unstable at twice nominal pressure; .* points of the tol"):
         deploy(pid, DT, DT, plants=plants)

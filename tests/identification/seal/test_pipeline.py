@@ -88,6 +88,7 @@ def found(form="table"):
     return identify_seal(machine(), records(), controller(), form)
 
 
+@pytest.mark.campaign
 def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each():
     result = found().result
     assert result.point.seal_pressure == 0 and not any(path.startswith("seal") for path in result.paths)

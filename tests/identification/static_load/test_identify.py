@@ -273,6 +273,7 @@ def test_the_bundled_loads_are_at_one_bearing_only():
     np.testing.assert_allclose(chord, tangents(machine, start, None)[0], rtol=0.02)
 
 
+@pytest.mark.campaign
 def test_the_bundled_loads_at_both_bearings_tell_every_axis():
     machine, record = loaded(load_scenario("static-loads-both"), 6.0)
     found = static_load.identify(machine, record)

@@ -153,6 +153,7 @@ def by_pressure(fit):
     return SealByPressure(fit, "line", 0.0)
 
 
+@pytest.mark.campaign
 def test_seal_coefficients_over_pressure(done):
     _, checked = done
     fit = seal_fit([0.5e5, 1e5, 2e5, 3e5])
@@ -168,6 +169,7 @@ def test_seal_coefficients_over_pressure(done):
     assert not any(trace.fill == "toself" for trace in section.figures[0].picture.data)
 
 
+@pytest.mark.campaign
 def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
     _, checked = done
     fit = replace(
@@ -190,6 +192,7 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
     assert len(next(section for section in two.sections if section.title == "Seal").tables) == 1
 
 
+@pytest.mark.campaign
 def test_another_methods_values_stand_beside(done):
     machine, checked = done
     rows = compare(checked.result, machine)

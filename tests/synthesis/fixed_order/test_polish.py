@@ -22,7 +22,7 @@ from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import with_performance_block
 
-pytestmark = pytest.mark.campaign  # minutes
+pytestmark = pytest.mark.study  # minutes
 
 OMEGA = np.geomspace(1e-3, 1e4, 50)
 

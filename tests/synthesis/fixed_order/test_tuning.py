@@ -182,6 +182,7 @@ def test_the_time_limit_returns_what_holds(monkeypatch):
     assert "time limit" in found.stopped_early and found.certificate.stable
 
 
+@pytest.mark.campaign
 def test_a_machine_that_nothing_holds_is_refused_with_a_remedy(monkeypatch):
     """Magnets whose negative stiffness is ten thousand times too large for their amplifiers."""
     monkeypatch.setattr(tuning, "_TRIES", 2)

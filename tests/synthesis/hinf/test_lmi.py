@@ -53,6 +53,7 @@ def test_controller_of_the_inequalities(kind, seed):
     assert lmi.certificate.margins["gamma_optimal"] == pytest.approx(riccati.certificate.margins["gamma_optimal"], rel=2e-3)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("seed", [2, 3, 6, 9])
 def test_singular_plants(seed):
     """Regularised Riccati equations come within 1 % of the inequalities, which need no assumption; both are verified."""

@@ -98,7 +98,7 @@ def test_the_bound_from_below_is_one_of_the_plant_as_given():
         assert unavoidable(scale_plant(item)) <= margins["gamma_optimal"] * (1 + 1e-9)  # holds for every controller
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 @pytest.mark.parametrize("kind", ["singular", "without direct terms"])
 def test_the_bound_from_below_on_200_regularised_plants(kind):
     for seed in range(100):

@@ -13,7 +13,6 @@ import numpy as np
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame, html_table
-from ambrose.core.statespace import index_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.limits import NAME, NOTES, SIGNALS, TEXT
 from ambrose.machine.messages import quoted
@@ -118,10 +117,14 @@ class Record(Presented):
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The samples (k,) of one signal; raises InvalidInput listing the known ones."""
+        from ambrose.core.statespace import index_of  # only now: linear algebra takes as long to load as a record to read
+
         return self.values[index_of(name, self.signals, "signal")[0]]
 
     def select(self, names: str | Sequence[str]) -> Record:
         """The record with these signals only, in the order given."""
+        from ambrose.core.statespace import index_of
+
         i = index_of(names, self.signals, "signal")
         return replace(
             self, signals=tuple(self.signals[j] for j in i), units=tuple(self.units[j] for j in i), values=self.values[i]
