@@ -7,6 +7,7 @@ commissions: it identifies the machine from a record of the virtual rig and runs
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,16 +27,17 @@ from ambrose.stages.commissioning import NAME, Commissioning, commission
 from ambrose.stages.control import resume_or_design
 from ambrose.stages.plants import schedulable
 from ambrose.synthesis.design import methods_for
+from ambrose.synthesis.result import Status, Synthesis
 from ambrose.verification.checks import Curve, check_columns
 
-TITLES = {"pid": "PID", "hinf": "H-infinity", "mu": "mu", "polish": "mu, polished", "lpv": "LPV"}
+TITLES = {"tuned": "tuned", "pid": "PID", "hinf": "H-infinity", "mu": "mu", "polish": "mu, polished", "lpv": "LPV"}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Study(Presented):
     """All results of one run; plants, checks and traces go by operating point, the nominal one first.
 
-    candidates: the controllers that the machine file allows (PID, H-infinity, mu), each with its checks and traces.
+    candidates: the tuned controller, then those that the machine file allows (PID, H-infinity, mu), with checks and traces.
     speed_curves: the Campbell map with the first of them, for machines that turn. failed: (controller, why) for those that
     could not be designed. commissioned: what commissioning on the rig gave, its controller among the candidates (None: not
     possible, see failed). run_ups: scheduled and robust controllers while the machine runs up. unwritten: why a result
@@ -135,13 +137,12 @@ def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
         set_aside(directory / name)
     candidates, failed = _candidates(plants, directory, progress)
     commissioned = None
-    if {"pid", "polish"} <= {candidate.synthesis.method for candidate in candidates}:
-        try:
-            commissioned = commission(plants, candidates[0].synthesis, directory / "commissioned", progress)
-            candidates.append(commissioned.candidate)
-        except AmbroseError as error:
-            progress(f"not commissioned; {error}")
-            failed.append(("commissioning", str(error)))
+    try:
+        commissioned = commission(plants, _reference(candidates), directory / "commissioned", progress)
+        candidates.append(commissioned.candidate)
+    except AmbroseError as error:
+        progress(f"not commissioned; {error}")
+        failed.append(("commissioning", str(error)))
     speed_curves = campbell_map(plants[0], candidates[0].synthesis.controller, progress)
     rising = run_ups(plants[0], tuple(candidates), progress)
     result = Study(machine, plants, reduced, tuple(candidates), speed_curves, tuple(failed), commissioned, rising)
@@ -181,6 +182,12 @@ def _candidates(
     return candidates, failed
 
 
+def _reference(candidates: Sequence[Candidate]) -> Synthesis:
+    """Under which controller the machine is identified: the PID as on site, or else the first, where it holds no point."""
+    order = sorted(candidates, key=lambda item: (item.synthesis.status is not Status.VERIFIED, item.synthesis.method != "pid"))
+    return order[0].synthesis
+
+
 def _prefixed(name: str, progress: Progress) -> Progress:
     return lambda stage: progress(f"{name}: {stage}")
 
@@ -203,7 +210,8 @@ def write_report(result: Study, path: Path) -> None:
     sections = [run_up_section(result.run_ups, result.machine.requirements.settling_time)] if result.run_ups else []
     if (done := result.commissioned) is not None:
         points = points_of(result.machine, result.candidates)
-        reference, words = result.candidates[0], done.in_words
+        reference = next(candidate for candidate in result.candidates if candidate.synthesis is done.reference)
+        words = done.in_words
         sections.append(
             commissioning_section(done.identification, reference, done.candidate, points, words, from_code=done.from_code)
         )

@@ -7,7 +7,8 @@ import numpy as np
 from ambrose import load_machine
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import static_gain
-from ambrose.evaluation.plants import covers, full_plants, plant_at
+from ambrose.evaluation.plants import full_plants, plant_at
+from ambrose.plant.loop import covers
 from ambrose.stages.plants import schedulable
 
 MACHINE = load_machine("turboexpander")

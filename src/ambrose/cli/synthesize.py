@@ -12,12 +12,14 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
 
 @click.command()
 @MACHINE
-@click.option("--method", type=click.Choice(["pid", "hinf", "mu", "polish", "lpv", "tuned"]), default="pid", show_default=True)
+@click.option(
+    "--method", type=click.Choice(["tuned", "pid", "hinf", "mu", "polish", "lpv"]), default="tuned", show_default=True
+)
 @click.option(
     "--bending-modes",
     type=int,
     default=None,
-    help="Bending modes per plane in the design model; default: none, with --method tuned all that matter.",
+    help="Bending modes per plane in the design model; default: with --method tuned all that matter, else none.",
 )
 @click.option(
     "--match-reference/--own-gain",

@@ -150,7 +150,7 @@ def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress)
         return ()
     runs = []
     for candidate in candidates:
-        if candidate.synthesis.method not in {"lpv", "mu"}:  # the scheduled one, and the fixed one that is robust
+        if candidate.synthesis.method not in {"lpv", "tuned", "mu"}:  # the scheduled one, and the fixed ones that are robust
             continue
         law = candidate.synthesis.law
         progress(f"{candidate.name}: running up, {RUN_UP}")

@@ -10,12 +10,12 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.core.frequency import frequency_response
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import select
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import covers
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import with_offsets_of
 from ambrose.verification import campbell
@@ -47,16 +47,6 @@ def chosen_point(machine: Machine, point: str | OperatingPoint | None) -> Operat
 def plants_along_speed(plant: Plant) -> Callable[[float], Plant]:
     """Speed [rad/s] -> the plant assembled anew at that speed."""
     return lambda speed: with_offsets_of(assemble(plant.machine, replace(plant.point, speed=speed)), plant)
-
-
-def covers(law: Any, plant: Plant) -> bool:
-    """Whether a law is meant for the plant's speed and seal pressure: a schedule has a range, and a pressure it was made at."""
-    if not isinstance(law, ScheduledSystem):
-        return True
-    low, high = law.range
-    design = plant.machine.operation.design
-    slack = 1e-9 * high
-    return low - slack <= plant.point.speed <= high + slack and plant.point.seal_pressure == design.seal_pressure
 
 
 def split_covered(law: Any, plants: Sequence[Plant]) -> tuple[tuple[Plant, ...], tuple[str, ...]]:

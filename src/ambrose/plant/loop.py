@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import c2d
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, connect, is_system, rename, select
 from ambrose.plant.control_program import ControlProgram
 from ambrose.plant.model import Plant
@@ -75,6 +76,16 @@ def axis_order(controller: StateSpace, side: Literal["inputs", "outputs"], axes:
         remedy = f"this controller is for another machine: design one for {machine or 'this'}, or rename() its signals"
         raise invalid(f"the controller's {side}", ", ".join(names), ", ".join(prefix + axis for axis in axes), remedy)
     return [own.index(axis) for axis in axes]
+
+
+def covers(law: Any, plant: Plant) -> bool:
+    """Whether a law is meant for the plant's speed and seal pressure: a schedule has a range, and a pressure it was made at."""
+    if not isinstance(law, ScheduledSystem):
+        return True
+    low, high = law.range
+    design = plant.machine.operation.design
+    slack = 1e-9 * high
+    return low - slack <= plant.point.speed <= high + slack and plant.point.seal_pressure == design.seal_pressure
 
 
 def law_at(controller: Law, speed: float) -> StateSpace:

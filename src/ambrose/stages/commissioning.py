@@ -1,6 +1,6 @@
 """Stage: commissioning as on site, with the nonlinear virtual rig in place of the machine.
 
-Record under the reference controller -> identified machine -> robust controller for it and for the delay of its sampled loop ->
+Record under the reference controller -> identified machine -> controller tuned to its requirements as its loop runs, sampled ->
 C code -> the law read back out of the running code, verified -> the code on the rig at every operating point.
 """
 
@@ -39,19 +39,21 @@ from ambrose.synthesis.problem import design_tolerances
 from ambrose.synthesis.result import Status, Synthesis
 
 NAME = "commissioned"
-METHOD = "polish"
+METHOD = "tuned"
 EXCITATION = "prbs"
 _RECORDED = 2.0  # s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commissioning:
-    """identification: its ``machine`` is the one designed for; candidate: the controller, verified on that machine as it runs
-    (sampled, late, its law read out of the code), its rig traces from the code; deployment: the sampled loop as designed;
-    files: the code; apart: largest difference between the law of the running code and the design's, relative to the largest
-    entry (None: the law in Python ran, for want of a C compiler, or because it is not one sample late)."""
+    """identification: its ``machine`` is the one designed for; reference: the controller that held the machine meanwhile;
+    candidate: the new one, verified on that machine as it runs (sampled, late, its law read out of the code), its rig traces
+    from the code; deployment: the sampled loop as designed; files: the code; apart: largest difference between the law of the
+    running code and the design's, relative to the largest entry (None: the law in Python ran, for want of a C compiler, or
+    because it is not one sample late)."""
 
     identification: LoopIdentification
+    reference: Synthesis
     candidate: Candidate
     deployment: Deployment
     files: tuple[Path, ...]
@@ -125,7 +127,7 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     running = Deployed(law, program, plants, Timing(timing.sample_time, deployment.delay, "its code"))
     tolerances = design_tolerances(known[0].machine)
     candidate = evaluate(NAME, synthesis, known, progress, deployed=running, tolerances=tolerances)
-    return Commissioning(identification, candidate, deployment, files, apart)
+    return Commissioning(identification, reference, candidate, deployment, files, apart)
 
 
 def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,8 +26,9 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import match_controller
+from ambrose.plant.loop import covers, law_at, match_controller
 from ambrose.plant.model import Plant
+from ambrose.plant.timing import Timing
 from ambrose.synthesis.result import Certificate, Status, Synthesis
 
 _SAME = 1e-5  # relative; margins recomputed elsewhere differ by rounding
@@ -48,10 +49,9 @@ def certify(plant: Plant | StateSpace, controller: Any) -> Certificate:
 
     An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises InvalidInput when sizes do not fit.
     """
-    open_plant, controller = _loop_parts(plant, controller)
-    loop = series(controller, open_plant)
+    loop, controller = _open_loop(plant, controller)
     identity = np.eye(len(loop.outputs))
-    abscissa = spectral_abscissa(feedback(loop, static_gain(identity, dt=loop.dt)))
+    abscissa = _abscissa(loop)
     fastest = fastest_pole(controller)
     label = _label(plant)
     if not abscissa < 0:
@@ -61,6 +61,20 @@ def certify(plant: Plant | StateSpace, controller: Any) -> Certificate:
     complementary = float(hinf_norm(feedback(loop, static_gain(identity))).value)
     margins = {"sensitivity_peak": peak, "complementary_peak": complementary, **disk_margins(peak, complementary)}
     return Certificate(True, abscissa, peak, fastest, margins, label)
+
+
+def certify_envelope(plants: Sequence[Plant], result: Synthesis, timing: Timing | None) -> Synthesis:
+    """The synthesis whose certificate tells the spectral abscissa at every one of the full ``plants``, as the loop runs.
+
+    Plants that a schedule is not meant for are left out.
+    """
+    envelope = {}
+    for plant in plants:
+        if covers(result.law, plant):
+            law = law_at(result.law, plant.point.speed)
+            envelope[plant.point.label] = _abscissa(_open_loop(plant, law if timing is None else timing.in_loop(law))[0])
+    certificate = replace(result.certificate, envelope=envelope)
+    return replace(result, certificate=certificate)
 
 
 @named_failure("the certificate")
@@ -127,6 +141,16 @@ def contradiction(plant: Plant, result: Synthesis, sampled: Mapping[str, float])
         if not (value == said_of_it or abs(value - said_of_it) <= _SAME * abs(value)):
             return f"{name} is {value:.6g}, but its certificate says {said_of_it:.6g}"
     return ""
+
+
+def _open_loop(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace]:
+    """Controller, then plant, as one system; and the controller."""
+    open_plant, controller = _loop_parts(plant, controller)
+    return series(controller, open_plant), controller
+
+
+def _abscissa(loop: StateSpace) -> float:
+    return spectral_abscissa(feedback(loop, static_gain(np.eye(len(loop.outputs)), dt=loop.dt)))
 
 
 def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace]:

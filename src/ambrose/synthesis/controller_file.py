@@ -121,6 +121,10 @@ class CertificateTable(_Table):
     fastest_pole: Loose = Field(description="largest modulus of the controller's poles [rad/s]")
     margins: dict[str, Loose] = Field(description="further numbers by name")
     plant: str = Field(description="what it was verified on")
+    envelope: dict[str, Loose] = Field(
+        default_factory=dict,
+        description="spectral abscissa of the loop as it runs [rad/s] at each operating point of the machine",
+    )
 
 
 class WeightsTable(_Table):

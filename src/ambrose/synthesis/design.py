@@ -19,7 +19,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import with_offsets_of
 from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
-from ambrose.synthesis.certificate import certify_on_full_plant, full_plant_margins
+from ambrose.synthesis.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
@@ -34,7 +34,7 @@ from ambrose.synthesis.result import Provenance, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.synthesis.weights import machine_weights
 
-METHODS = ("pid", "hinf", "mu", "polish", "lpv", "tuned")
+METHODS = ("tuned", "pid", "hinf", "mu", "polish", "lpv")
 POLISH_ROUNDS = 6
 SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
 
@@ -42,20 +42,26 @@ Progress = Callable[[str], None]
 
 
 def methods_for(plant: Plant) -> tuple[str, ...]:
-    """What the machine file allows: "pid" with [controller], "hinf" with [weights], mu with [[tolerance]] as well.
+    """What the machine file allows: "tuned" always, "pid" with [controller], "hinf" with [weights], mu with [[tolerance]], too.
 
     "lpv" is asked for by name: it is one controller for all speeds instead of one for the plant's.
     """
     machine = plant.machine
     robust = machine.weights is not None and bool(machine.tolerances)
-    possible = {"pid": machine.controller is not None, "hinf": machine.weights is not None, "mu": robust, "polish": robust}
+    possible = {
+        "tuned": True,
+        "pid": machine.controller is not None,
+        "hinf": machine.weights is not None,
+        "mu": robust,
+        "polish": robust,
+    }
     return tuple(method for method in METHODS if possible.get(method))
 
 
 @names_wrong_types
 def design(
     plant: Plant,
-    method: str,
+    method: str = "tuned",
     options: DesignOptions | None = None,
     *,
     progress: Progress = lambda text: None,
@@ -63,18 +69,19 @@ def design(
 ) -> Synthesis:
     """One controller for a full plant.
 
-    method: "pid" (the machine's reference controller), "hinf" (H-infinity for the nominal plant), "mu" (D-K iteration over the
-    machine's tolerances), "polish" (the mu controller at half its order, refined for the worst case), "lpv" (scheduled over
-    speed), "tuned" (to the requirements themselves, at all operating points of the plant's machine and with the worst corners
-    of the tolerances around each; the others know the plant's point alone). options: all of them, or single ones by name as
+    method: "tuned" (to the requirements themselves, at all operating points of the plant's machine and with the worst corners
+    of the tolerances around each; the others know the plant's point alone), "pid" (the machine's reference controller), "hinf"
+    (H-infinity for the nominal plant), "mu" (D-K iteration over the machine's tolerances), "polish" (the mu controller at half
+    its order, refined for the worst case), "lpv" (scheduled over speed). options: all of them, or single ones by name as
     ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, structure (``DesignOptions``).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
     "lpv", nor of "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
     are residualised. The certificate's margins gain "full_spectral_abscissa" and "full_sensitivity_peak", recomputed on
     ``plant``, with a rate also "sampled_spectral_abscissa" and "sampled_sensitivity_peak" of the loop as it runs; a controller
-    that does not hold one of the two has the status "unstable". Raises InvalidInput for an unknown method or option or a
-    machine file that lacks what the method needs.
+    that does not hold one of the two has the status "unstable". The certificate's ``envelope`` tells the stability at every
+    operating point of the machine, and ``Synthesis.verdict`` where "verified" holds. Raises InvalidInput for an unknown method
+    or option or a machine file that lacks what the method needs.
     """
     options = _chosen(options, choices)
     if not isinstance(plant, Plant):
@@ -102,6 +109,7 @@ def design(
         result = reduce_order(plant, result, options, progress)
     if method != "pid":
         result = certify_as_it_runs(plant, result, options.timing())
+    result = certify_envelope(envelope_of(plant), result, options.timing())
     return replace(result, provenance=provenance(plant, method, options))
 
 
@@ -131,18 +139,22 @@ def _tuned(plant: Plant, options: DesignOptions, progress: Progress) -> Synthesi
     machine, timing = plant.machine, options.timing()
     settings = first_settings(machine) if machine.controller is None else machine.controller
     start = pid_controller(settings, machine)
-    plants = [plant if p == plant.point else with_offsets_of(assemble(machine, p), plant) for p in machine.operation.points]
-    if all(item is not plant for item in plants):
-        plants.append(plant)
     result = tune_controller(
-        plants, start, timing, order=options.order, structure=options.structure, bending_modes=options.bending_modes,
-        reference=start if options.match_reference else None, progress=progress,
+        envelope_of(plant), start, timing, order=options.order, structure=options.structure,
+        bending_modes=options.bending_modes, reference=start if options.match_reference else None, progress=progress,
     )  # fmt: skip
     _, margins, _ = full_plant_margins(plant, result.controller)
     if machine.controller is not None:
         margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, start)[0]
     certificate = replace(result.certificate, margins={**result.certificate.margins, **margins})
     return replace(result, certificate=certificate)
+
+
+def envelope_of(plant: Plant) -> list[Plant]:
+    """The full plants at all operating points of the machine, and the given one if it is at another."""
+    points = plant.machine.operation.points
+    plants = [plant if point == plant.point else with_offsets_of(assemble(plant.machine, point), plant) for point in points]
+    return plants if any(item is plant for item in plants) else [*plants, plant]
 
 
 def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:

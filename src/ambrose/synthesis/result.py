@@ -33,7 +33,8 @@ class Certificate(Presented):
     stable: the closed loop was shown to be; closed_loop_norm [-]: H-infinity norm that the method minimises (for PID: the
     output sensitivity's); spectral_abscissa [rad/s] of the closed loop, negative when stable; fastest_pole [rad/s]: largest
     modulus among the controller's poles; margins: named numbers such as {"sensitivity_peak": ..., "disk_gain_margin": ...};
-    plant: what it was verified on.
+    plant: what it was verified on; envelope: {operating point: spectral abscissa [rad/s]} of the loop on the full plant, as it
+    runs, at every operating point of the machine that the controller is meant for (empty: not asked).
     """
 
     stable: bool = False
@@ -42,9 +43,10 @@ class Certificate(Presented):
     fastest_pole: float = math.nan
     margins: Mapping[str, float] = field(default_factory=dict)
     plant: str = ""
+    envelope: Mapping[str, float] = field(default_factory=dict)
 
     def facts(self) -> Mapping[str, Any]:
-        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "margins"}
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name not in {"margins", "envelope"}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +127,15 @@ class Synthesis(Presented):
 
     @property
     def verdict(self) -> str:
-        """The status in words, with an early end."""
-        return str(self.status) if self.stopped_early is None else f"{self.status}, but stopped early: {self.stopped_early}"
+        """The status in words: at which operating points, and with an early end."""
+        envelope = self.certificate.envelope
+        lost = [label for label, abscissa in envelope.items() if not abscissa < 0]
+        words = str(self.status)
+        if self.status is Status.VERIFIED and lost:
+            words += f" at {len(envelope) - len(lost)} of {len(envelope)} operating points, unstable at {', '.join(lost)}"
+        elif self.status is Status.VERIFIED and len(envelope) > 1:
+            words += f" at all {len(envelope)} operating points"
+        return words if self.stopped_early is None else f"{words}, but stopped early: {self.stopped_early}"
 
     def facts(self) -> Mapping[str, Any]:
         known: dict[str, Any] = {"method": self.method, "status": self.verdict, "states": self.controller.n_states}
