@@ -26,7 +26,7 @@ def call(*arguments):
 @pytest.fixture(scope="module")
 def controller(tmp_path_factory):
     path = tmp_path_factory.mktemp("controller") / "controller.json"
-    done = call("synthesize", RIG, "-o", path, "--json")
+    done = call("synthesize", RIG, "--method", "pid", "-o", path, "--json")
     assert done.exit_code == 0, done.stderr
     assert json.loads(done.stdout)["status"] == "verified"
     return path

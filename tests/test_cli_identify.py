@@ -36,7 +36,7 @@ def place(tmp_path_factory):
     """A folder with the bundled PID and two records of the rig that it levitated."""
     folder = tmp_path_factory.mktemp("identify")
     (folder / "short.toml").write_text(QUICK)
-    assert call("synthesize", RIG, "-o", folder / "pid.json", "--json").exit_code == 0
+    assert call("synthesize", RIG, "--method", "pid", "-o", folder / "pid.json", "--json").exit_code == 0
     done = call(
         "simulate",
         RIG,
@@ -84,7 +84,7 @@ def test_the_chain_from_a_record_to_a_controller(identified, tmp_path):
     text = page.read_text()
     assert "<html" in text and "Correlation of the parameters" in text and "http" not in text.split("<script")[0]
     assert call("check", out).exit_code == 0
-    made = call("synthesize", out, "-o", tmp_path / "again.json", "--json")
+    made = call("synthesize", out, "--method", "pid", "-o", tmp_path / "again.json", "--json")
     assert made.exit_code == 0 and json.loads(made.stdout)["status"] == "verified"
 
 

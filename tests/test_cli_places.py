@@ -100,7 +100,7 @@ def test_a_controller_that_cannot_be_written_in_the_end_is_written_elsewhere(tmp
     monkeypatch.setattr("ambrose.evaluation.plants.plant_at", lambda *arguments: None)
     monkeypatch.setattr("ambrose.synthesis.design.design", lambda *arguments, **options: made)
     monkeypatch.setattr("ambrose.synthesis.controller_file.write_controller", full)
-    done = call("synthesize", "seal-rig", "-o", path, "--json")
+    done = call("synthesize", "seal-rig", "--method", "pid", "-o", path, "--json")
     assert done.exit_code == 2 and json.loads(done.stdout)["method"] == "pid"
     elsewhere = Path(done.stderr.split("it was written to ")[1].split(" instead")[0])
     assert read_controller(elsewhere) == made

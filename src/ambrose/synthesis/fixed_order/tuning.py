@@ -350,7 +350,7 @@ def _in_words(item: _Round) -> str:
     if not item.ratios:
         return "unstable"
     parts = [f"{name} {ratio.value:.3f}" for name, ratio in sorted(item.ratios.items(), key=lambda pair: -pair[1].value)]
-    return f"over their limits: {', '.join(parts)}"
+    return f"of their limits: {', '.join(parts)}"
 
 
 def _row(job: _Job, number: int, power: float, used: int, item: _Round) -> dict[str, float]:
