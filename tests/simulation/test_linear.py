@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+import run_ups
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
@@ -85,7 +86,7 @@ def test_python_control_agrees_on_the_held_loop():
 
 @pytest.mark.parametrize("name", sorted(bundled_scenarios()))
 def test_every_bundled_scenario_runs_or_is_for_the_rig(name):
-    scenario = load_scenario(name)
+    scenario = load_scenario(name).on(load_machine("turboexpander"))
     if scenario.only_for_the_rig:
         with pytest.raises(InvalidInput, match="virtual rig"):
             linear.run(fake_loop(0.3), scenario)
@@ -329,7 +330,7 @@ def test_seal_rig_run_up_is_affine_in_speed():
     def loop_at(speed):
         return closed_loop(free_mode_reduction(assemble(machine, OperatingPoint(speed=speed)), 2), K)
 
-    scenario = load_scenario("run-up")
+    scenario = run_ups.RUN_UP
     ends = [scenario.speed_at(0.0), scenario.speed_at(1.0)]
     fast = ScheduledSystem(ends, [loop_at(speed) for speed in ends])
     for letter in "ABCD":  # gyroscopic forces make the loop affine in the speed

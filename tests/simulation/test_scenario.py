@@ -1,9 +1,12 @@
 """Scenarios: the bundled ones, their files, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.file.toml import load_machine
 from ambrose.simulation.disturbances import Chirp, Prbs, Pulse, Sine, Unbalance
 from ambrose.simulation.scenario import Scenario, bundled_scenarios, load_scenario, read_scenario  # fmt: skip
 from ambrose.simulation.waveforms import waveforms
@@ -22,16 +25,16 @@ def test_every_bundled_scenario_loads_under_its_own_name():
 def test_disturbance_patterns_of_the_papers():
     """P5, Figs. 15 and 16: 0.05 A for 10 ms on two axes at once; P3, Fig. 9: 100 N for 2 ms at A."""
     for name, axes in (("impulse-orthogonal", ["A_zeta", "B_eta"]), ("impulse-parallel", ["A_zeta", "B_zeta"])):
-        pulses = load_scenario(name).pulses
+        pulses = load_scenario(name).on(load_machine("seal-rig")).pulses
         assert [(p.signal, p.amplitude, p.start, p.duration) for p in pulses] == [(f"e_{a}", 0.05, 0.05, 0.01) for a in axes]
-    (pulse,) = load_scenario("force-impulse").pulses
+    (pulse,) = load_scenario("force-impulse").on(load_machine("seal-rig")).pulses
     assert (pulse.signal, pulse.amplitude, pulse.duration) == ("f_A_zeta", 100.0, 0.002)
 
 
 @pytest.mark.literature
 def test_balance_grade_gives_the_printed_force():
     """P5 prints 541 N at 500 Hz for G2.5; the rotor weighs 69 kg."""
-    amounts = [item.mass_times_radius(68.9) for item in load_scenario("unbalance").unbalances]
+    amounts = [item.mass_times_radius(68.9) for item in load_scenario("unbalance").on(load_machine("seal-rig")).unbalances]
     assert sum(amounts) * (2 * np.pi * 500) ** 2 == pytest.approx(541, rel=2e-3)
 
 
@@ -214,3 +217,112 @@ def test_stepped_sine_is_one_sine_after_the_other():
 def test_bad_tables_are_refused(table, message):
     with pytest.raises(InvalidInput, match=message):
         read_scenario({"name": "x", "duration": 0.05, **table})
+
+
+CYCLE = """name = "mine"
+duration = "3 s"
+speed = 0
+[[speed_change]]
+time = "0.5 s"
+speed = "50 % of top speed"
+ramp = "1 s"
+[[speed_change]]
+time = "2 s"
+speed = "10 % of the top speed"
+ramp = "0.5 s"
+[[pressure]]
+time = 0
+pressure = "20 % of top pressure"
+[[pulse]]
+signal = "e_last_eta"
+amplitude = "5 % of max current"
+[[pulse]]
+signal = "r_first_zeta"
+amplitude = "10 % of touchdown gap"
+[[prbs]]
+signal = "e_every_zeta"
+amplitude = "0.1 A"
+bit_time = "1 ms"
+seed = 1
+[[unbalance]]
+port = "every"
+grade = "2.5 mm/s"
+grade_speed = "100 % of balance speed"
+[[failure]]
+time = 1
+axis = "first_eta"
+"""
+
+
+@pytest.fixture
+def cycle(tmp_path):
+    path = tmp_path / "cycle.toml"
+    path.write_text(CYCLE)
+    return load_scenario(path)
+
+
+def three_bearings(*names):
+    machine = load_machine("turboexpander")
+    (a, b), (c, d) = machine.bearings, machine.sensors
+    bearings = zip((a, b, b), names, (10.0, 11.0, 12.0), strict=True)
+    return replace(
+        machine,
+        bearings=tuple(replace(item, name=name, max_current=most) for item, name, most in bearings),
+        sensors=tuple(replace(item, bearing=name) for item, name in zip((c, d, d), names, strict=True)),
+        tolerances=(),
+        assumed=(),
+    )
+
+
+def test_a_scenario_in_terms_of_the_machine(cycle):
+    machine = three_bearings("DE", "middle", "NDE")
+    on = cycle.on(machine)
+    top, pressure = 2 * np.pi * 525, max(point.seal_pressure for point in machine.operation.points)
+    assert [change.speed for change in on.speed_changes] == pytest.approx([0.5 * top, 0.1 * top])
+    assert on.pressures[0].pressure == pytest.approx(0.2 * pressure)
+    assert [pulse.signal for pulse in on.pulses] == ["e_NDE_eta", "r_DE_zeta"]
+    assert on.pulses[0].amplitude == pytest.approx(0.5)
+    assert on.pulses[1].amplitude == pytest.approx(0.1 * min(b.touchdown_gap for b in machine.bearings))
+    assert [(item.signal, item.seed) for item in on.sequences] == [("e_DE_zeta", 1), ("e_middle_zeta", 3), ("e_NDE_zeta", 5)]
+    assert [item.port for item in on.unbalances] == ["DE", "middle", "NDE"]
+    whole = Unbalance("x", grade=2.5e-3, grade_speed=top).mass_times_radius(70.0)
+    assert sum(item.mass_times_radius(70.0) for item in on.unbalances) == pytest.approx(whole, rel=1e-12)
+    assert on.failures[0].axis == "DE_eta"
+    assert on.on(machine) == on
+
+
+def test_a_bearing_of_that_name_is_meant_first(cycle):
+    assert cycle.on(three_bearings("DE", "last", "NDE")).pulses[0].signal == "e_last_eta"
+
+
+def test_speeds_of_a_cycle_and_their_integral(cycle):
+    on = cycle.on(load_machine("turboexpander"))
+    top = 2 * np.pi * 525
+    times = np.array([0.0, 0.5, 1.0, 1.5, 1.8, 2.0, 2.25, 2.5, 3.0])
+    expected = np.array([0, 0, 0.25, 0.5, 0.5, 0.5, 0.3, 0.1, 0.1]) * top
+    assert [on.speed_at(t) for t in times] == pytest.approx(expected)
+    assert on.runs_up and on.fastest == pytest.approx(0.5 * top)
+
+
+def test_what_no_machine_or_not_this_one_tells_is_refused(cycle):
+    machine = load_machine("seal-rig")
+    with pytest.raises(InvalidInput, match="scenario mine asks for 5 % of max current; give the machine"):
+        cycle.at_bearings(["A", "B"])
+    open_rig = replace(machine, bearings=tuple(replace(item, max_current=None) for item in machine.bearings))
+    with pytest.raises(InvalidInput, match="needs the max current of machine 'seal-rig', which states none; add max_current"):
+        cycle.on(open_rig)
+    for text, message in (
+        ("50 % of top pressure", "may be a share of top speed or balance speed only"),
+        ("50 % of bottom speed", "may be a share of top speed"),
+    ):
+        table = {"time": 0, "speed": text, "ramp": 1}
+        with pytest.raises(InvalidInput, match=message):
+            read_scenario({"name": "x", "duration": 2.0, "speed": 0, "speed_change": [table]})
+    for more, message in (
+        ({"to_speed": 3.0}, "to_speed and changes of speed are both given"),
+        ({"speed_change": [{"time": 0, "speed": 1, "ramp": 0}]}, "ramp of the change of speed"),
+        ({"speed_change": [{"time": 3, "speed": 1, "ramp": 1}]}, "the time of a change of speed is 3"),
+    ):
+        whole = {"name": "x", "duration": 2.0, "speed": 0, "speed_change": [{"time": 0, "speed": 1, "ramp": 1}], **more}
+        with pytest.raises(InvalidInput, match=message):
+            read_scenario(whole)

@@ -13,6 +13,7 @@ from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Failure, PressureChange, Pulse
 from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.synthesis.pid import pid_controller
+from run_ups import RUN_UP
 
 RIG = load_machine("seal-rig")
 WEIGHTLESS = replace(RIG, gravity_direction=None)
@@ -149,7 +150,7 @@ def test_scheduled_controller_follows_the_speed():
         asked.append(speed)
         return PID
 
-    scenario = load_scenario("run-up")
+    scenario = RUN_UP
     scheduled, fixed = (virtual_rig.run(RIG, K, scenario).record for K in (at, PID))
     np.testing.assert_allclose(scheduled.values, fixed.values, rtol=0, atol=1e-12 * np.abs(fixed.values).max())
     assert min(asked) == pytest.approx(2 * np.pi * 20) and max(asked) > 2 * np.pi * 299 and len(set(asked)) > 100
@@ -174,10 +175,10 @@ def test_interrupted_run_leaves_a_readable_record(tmp_path):
         return PID
 
     with pytest.raises(KeyboardInterrupt):
-        virtual_rig.run(RIG, at, load_scenario("run-up"), path=tmp_path / "run.h5")
+        virtual_rig.run(RIG, at, RUN_UP, path=tmp_path / "run.h5")
     assert not (tmp_path / "run.h5").exists()
     partial = read_record(tmp_path / "run.h5.partial")
-    whole = virtual_rig.run(RIG, PID, load_scenario("run-up")).record
+    whole = virtual_rig.run(RIG, PID, RUN_UP).record
     assert 2000 < partial.values.shape[1] < 8000
     np.testing.assert_allclose(partial.values, whole.values[:, : partial.values.shape[1]], rtol=0, atol=1e-9)
 
@@ -223,7 +224,7 @@ def test_bad_input_is_refused():
     refused("multiple of dt", scenario=Scenario("x", 0.1, pulses=(Pulse("e_A_zeta", 1.0, 0.01234567),)))
     refused(
         "unbalance is at port 'Q'",
-        scenario=replace(load_scenario("unbalance"), unbalances=(replace(load_scenario("unbalance").unbalances[0], port="Q"),)),
+        scenario=replace(RUN_UP, unbalances=(replace(RUN_UP.unbalances[0], port="Q"),)),
     )
     open_rig = replace(RIG, bearings=tuple(replace(b, touchdown_gap=None) for b in RIG.bearings))
     refused("touchdown_gap.*missing", machine=open_rig, scenario=load_scenario("levitation"))

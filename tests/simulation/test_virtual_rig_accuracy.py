@@ -18,8 +18,9 @@ from ambrose.simulation.rig.controller import sampled_law
 from ambrose.simulation.rig.equilibrium import state_at_rest
 from ambrose.simulation.rig.inputs import plan, stretch
 from ambrose.simulation.rig.state import build, compiled
-from ambrose.simulation.scenario import Scenario, load_scenario
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
+from run_ups import RUN_UP
 
 RIG = load_machine("seal-rig")
 WEIGHTLESS = replace(RIG, gravity_direction=None)
@@ -136,7 +137,7 @@ def test_small_motion_is_that_of_the_linear_simulation(case, drive):
 @pytest.mark.campaign
 def test_run_up_is_that_of_the_linear_simulation():
     """Gyroscopic moments, unbalance and its angular acceleration; the linear run-up is good to its own estimate."""
-    scenario = load_scenario("run-up")
+    scenario = RUN_UP
     point = OperatingPoint(speed=scenario.speed)
 
     def loop_at(speed):

@@ -143,7 +143,7 @@ def evaluate(
 def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress) -> tuple[RunUp, ...]:
     """The scheduled candidates and the robust ones beside them while the machine runs up, on the linear loop and on the virtual
     rig; none where no schedule covers the scenario's speeds."""
-    scenario = load_scenario(RUN_UP)
+    scenario = load_scenario(RUN_UP).on(plant.machine)
     low, high = scenario.speed_at(0.0), scenario.speed_at(scenario.duration)
     schedules = [c.synthesis.scheduled for c in candidates if c.synthesis.scheduled is not None]
     if not any(s.range[0] <= low * (1 + 1e-9) and high <= s.range[1] * (1 + 1e-9) for s in schedules):

@@ -63,7 +63,7 @@ def simulate_scenario(
     plant = machine if isinstance(machine, Plant) else None
     described = machine.machine if isinstance(machine, Plant) else machine
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    where = chosen_point(described, point)
+    events, where = events.on(described), chosen_point(described, point)
     timing = timing_of(described, controller, rate, delay_samples)
     if linear:
         if rig:
@@ -90,6 +90,7 @@ def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, tim
     delay of its sampled loop, a scheduled one runs as it was designed.
     """
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    events = events.on(plant.machine)
     if events.runs_up:
         scheduled = isinstance(controller, ScheduledSystem)
         fixed = controller if scheduled else match_controller(controller, plant)

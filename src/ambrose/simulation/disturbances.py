@@ -161,6 +161,21 @@ class PressureChange:
 
 
 @dataclass(frozen=True, slots=True)
+class SpeedChange:
+    """The rotor's speed goes to ``speed`` [rad/s] from ``time`` [s] on, linearly within ``ramp`` [s]."""
+
+    time: float
+    speed: float
+    ramp: float
+
+    def __post_init__(self) -> None:
+        check_positive(self.time, "time of the change of speed", "correct it", zero_allowed=True)
+        check_positive(self.ramp, "ramp of the change of speed", "give it in seconds; no rotor changes its speed at once")
+        if not math.isfinite(self.speed):
+            raise invalid("the speed of a change of speed", self.speed, "finite", "correct it")
+
+
+@dataclass(frozen=True, slots=True)
 class Failure:
     """From ``time`` [s] on the amplifier of ``axis`` ("A_zeta") has no power; without an axis, none has."""
 

@@ -63,6 +63,8 @@ def run(
             f"scenario {scenario.name} has {what}, which a linear model does not know; run it on the virtual rig"
         )
     loop_at, first, speed = _resolve(loop, scenario, point)
+    axes = [name.removeprefix("e_") for name in first.inputs if name.startswith("e_")]
+    scenario = scenario.at_bearings(list(dict.fromkeys(axis.rpartition("_")[0] for axis in axes)))
     step = _sample_time(first, scenario, dt)
     k = int(min(scenario.duration / step, 1e15) + 1e-6) + 1
     if k * (len(first.inputs) + len(first.outputs)) > NUMBERS:

@@ -99,6 +99,7 @@ def spin_up(plant: Plant, controller: Law, scenario: Scenario, *, bending_modes:
 
     Raises InvalidInput where the speed does not change.
     """
+    scenario = scenario.on(plant.machine)
     if not scenario.runs_up:
         raise invalid("the scenario", repr(scenario.name), "one whose speed changes", 'the bundled "spin-up-steps" is one')
     ends = sorted((scenario.speed_at(0.0), scenario.speed_at(scenario.duration)))

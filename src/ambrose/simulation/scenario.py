@@ -7,17 +7,20 @@ disturbance d_<axis> [m], reference r_<axis> [m], force f_<port>_<direction> [N]
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.machine.file.toml import read_toml
+from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.machine.record.record import signal_dimension
 from ambrose.machine.units import DIMENSIONS, read_quantity
@@ -29,10 +32,12 @@ from ambrose.simulation.disturbances import (
     PressureChange,
     Pulse,
     Sine,
+    SpeedChange,
     SteppedSine,
     Unbalance,
     check_disturbance,
 )  # fmt: skip
+from ambrose.simulation.machine_terms import at_bearings, read_share, relative_values, with_quantities
 
 LEVITATED = "levitated"
 INITIAL_STATES = (LEVITATED, "resting")
@@ -43,9 +48,10 @@ class Scenario(Presented):
     """All disturbances of one simulation, which lasts ``duration`` [s].
 
     speed [rad/s] (None: that of the loop) goes linearly to ``to_speed`` over ``ramp`` [s] (None: the whole duration) and
-    stays there. sample_time [s]: None leaves it to the simulation. For the virtual rig alone: ``initial`` state, "levitated" in
-    equilibrium or "resting" in the touchdown bearings; changes of pressure; failures; switch_at [s], where a second controller
-    takes over. Raises InvalidInput.
+    stays there, or follows the changes of speed. sample_time [s]: None leaves it to the simulation. For the virtual rig alone:
+    ``initial`` state, "levitated" in equilibrium or "resting" in the touchdown bearings; changes of pressure; failures;
+    switch_at [s], where a second controller takes over. Bearings may be called "first", "last" and "every", and quantities be
+    shares of the machine's (machine_terms.py), until a simulation calls ``on(machine)``. Raises InvalidInput.
     """
 
     name: str
@@ -58,6 +64,7 @@ class Scenario(Presented):
     unbalances: tuple[Unbalance, ...] = ()
     pressures: tuple[PressureChange, ...] = ()
     failures: tuple[Failure, ...] = ()
+    speed_changes: tuple[SpeedChange, ...] = ()
     speed: float | None = None
     to_speed: float | None = None
     ramp: float | None = None
@@ -75,6 +82,7 @@ class Scenario(Presented):
             check_disturbance(item, self.duration)
         starts = [("the time of a change of pressure", item.time) for item in self.pressures]
         starts += [("the time of a failure", item.time) for item in self.failures]
+        starts += [("the time of a change of speed", item.time) for item in self.speed_changes]
         if self.switch_at is not None:
             starts.append(("switch_at", self.switch_at))
         for what, start in starts:
@@ -82,12 +90,17 @@ class Scenario(Presented):
                 raise invalid(what, start, f"within 0 to {self.duration:g} s", "move it")
         if self.initial not in INITIAL_STATES:
             raise invalid("initial", repr(self.initial), " or ".join(INITIAL_STATES), "correct it")
-        for earlier, later in pairwise(self.pressures):
-            if later.time < earlier.time + earlier.ramp:
-                requirement = f"after the one before is over, at {earlier.time + earlier.ramp:g} s"
-                raise invalid("the time of a change of pressure", later.time, requirement, "move it")
-        if self.to_speed is not None and self.speed is None:
-            raise InvalidInput("to_speed is given without speed; give the speed at the start")
+        of_pressure: Sequence[PressureChange | SpeedChange] = self.pressures
+        of_speed: Sequence[PressureChange | SpeedChange] = self.speed_changes
+        for what, changes in (("pressure", of_pressure), ("speed", of_speed)):
+            for earlier, later in pairwise(changes):
+                if later.time < earlier.time + earlier.ramp:
+                    requirement = f"after the one before is over, at {earlier.time + earlier.ramp:g} s"
+                    raise invalid(f"the time of a change of {what}", later.time, requirement, "move it")
+        if self.to_speed is not None and self.speed_changes:
+            raise InvalidInput("to_speed and changes of speed are both given; keep one of the two")
+        if (self.to_speed is not None or self.speed_changes) and self.speed is None:
+            raise InvalidInput("a change of speed is given without speed; give the speed at the start")
         if self.ramp is not None and (self.to_speed is None or not 0 < self.ramp <= self.duration):
             raise invalid("ramp", self.ramp, "positive, within the duration, and with a to_speed", "correct the run-up")
         if self.unbalances and self.speed is None:
@@ -110,7 +123,7 @@ class Scenario(Presented):
         found = [sine.frequency for sine in self.all_sines]
         found += [frequency for item in self.chirps for frequency in (item.frequency, item.to_frequency)]
         if self.unbalances:
-            found += [abs(self.speed_at(0.0)), abs(self.speed_at(self.duration))]
+            found += [abs(speed) for speed in self.speed_knots[1]]
         return max(found, default=0.0)
 
     @property
@@ -126,21 +139,47 @@ class Scenario(Presented):
         """What of this scenario a linear model at one operating point cannot follow, in words."""
         found = ["the start from rest"] if self.initial != LEVITATED else []
         found += ["changes of pressure"] if self.pressures else []
+        found += ["several changes of speed"] if self.speed_changes else []
         found += ["failures"] if self.failures else []
         return (*found, *(["the switch of controllers"] if self.switch_at is not None else []))
 
     @property
     def runs_up(self) -> bool:
         """Whether the speed changes."""
-        return self.to_speed is not None and self.to_speed != self.speed
+        return len(set(self.speed_knots[1])) > 1
+
+    @property
+    def speed_knots(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Times [s] and speeds [rad/s] between which the speed is linear, and after which it stays; empty without a speed."""
+        if self.speed is None:
+            return (), ()
+        changes = list(self.speed_changes)
+        if self.to_speed is not None:
+            changes = [SpeedChange(0.0, self.to_speed, self.ramp or self.duration)]
+        times, speeds = [0.0], [self.speed]
+        for change in changes:
+            if change.time > times[-1]:
+                times, speeds = [*times, change.time], [*speeds, speeds[-1]]
+            times, speeds = [*times, change.time + change.ramp], [*speeds, change.speed]
+        return tuple(times), tuple(speeds)
+
+    def on(self, machine: Machine) -> Scenario:
+        """The same with the machine's bearings and numbers. Raises InvalidInput where it lacks one that is asked for."""
+        return self.at_bearings([bearing.name for bearing in machine.bearings], machine)
+
+    def at_bearings(self, bearings: Sequence[str], machine: Machine | None = None) -> Scenario:
+        """The same with these bearings, and with the machine's numbers. Raises InvalidInput where no machine has them."""
+        if machine is None and (share := next(relative_values(self), None)) is not None:
+            raise InvalidInput(f"scenario {self.name} asks for {share!r}; give the machine: scenario.on(machine)")
+        numbers = self if machine is None else with_quantities(self, machine)
+        named = {name: at_bearings(getattr(numbers, name), bearings) for name, _ in _TABLES.values()}
+        return replace(numbers, **named)
 
     def speed_at(self, time: float) -> float:
         """Rotor speed [rad/s] at a time [s]; raises InvalidInput where the scenario has none."""
         if self.speed is None:
             raise InvalidInput(f"scenario {self.name} has no speed; it runs at that of the loop")
-        if self.to_speed is None:
-            return self.speed
-        return self.speed + (self.to_speed - self.speed) * min(time / (self.ramp or self.duration), 1.0)
+        return float(np.interp(time, *self.speed_knots))
 
 
 _TABLES: dict[str, tuple[str, type[Any]]] = {
@@ -152,6 +191,7 @@ _TABLES: dict[str, tuple[str, type[Any]]] = {
     "unbalance": ("unbalances", Unbalance),
     "pressure": ("pressures", PressureChange),
     "failure": ("failures", Failure),
+    "speed_change": ("speed_changes", SpeedChange),
 }
 _KINDS = {
     **dict.fromkeys(("duration", "start", "every", "ramp", "sample_time", "dwell", "bit_time", "time", "switch_at"), "time"),
@@ -238,7 +278,8 @@ def _value(key: str, value: Any, table: Mapping[str, Any]) -> Any:
             if not isinstance(value, list):
                 raise invalid(key, repr(value), "a list of frequencies", "write it in square brackets")
             return tuple(read_quantity(item, dimension) for item in value)
-        return read_quantity(value, dimension)
+        share = read_share(value, dimension)
+        return read_quantity(value, dimension) if share is None else share
     except InvalidInput:
         raise
     except ValueError as error:

@@ -19,6 +19,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.control_program import ControlProgram, ScheduledProgram
 from ambrose.plant.loop import Law, axis_order
 from ambrose.plant.timing import DEFAULT, Timing, machine_timing
+from ambrose.simulation.disturbances import PressureChange, SpeedChange
 from ambrose.simulation.rig.controller import (
     SampledLaw,
     changes_with_speed,
@@ -80,6 +81,7 @@ def run(
     they change. Touchdown is an outcome with time and cause, and the run goes on; "diverged" means that the state overflowed,
     and the record ends before. Raises InvalidInput, and NumericalFailure where there is no levitated state to start from.
     """
+    scenario = scenario.on(machine)
     task = plan(build(machine, point, bending_modes), scenario, sample_time(controller, machine, scenario.sample_time), seed)
     if (second is None) != (scenario.switch_at is None):
         raise InvalidInput("a second controller and the scenario's switch_at belong together; give both or neither")
@@ -143,8 +145,9 @@ def _conditions(task: Plan) -> list[tuple[int, Drive]]:
     quiet = replace(task, scenario=task.scenario.quiet, noise=np.random.default_rng(0))
     last = task.samples - 1
     numbers = {0, last, min(task.switch, last)}
-    for change in task.scenario.pressures:
-        numbers |= {round(change.time / task.dt), min(round((change.time + change.ramp) / task.dt) + 1, last)}
+    changes: list[PressureChange | SpeedChange] = [*task.scenario.pressures, *task.scenario.speed_changes]
+    for change in changes:
+        numbers |= {min(round(change.time / task.dt), last), min(round((change.time + change.ramp) / task.dt) + 1, last)}
     return [(number, stretch(quiet, number, 1)) for number in sorted(numbers)]
 
 

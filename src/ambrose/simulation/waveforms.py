@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -131,12 +132,13 @@ def _turning(
     acceleration of a point that turns with phi'' = a.
     """
     amount = unbalance.mass_times_radius(mass)
-    to_speed = scenario.speed_at(scenario.duration)
-    _check_smooth(max(abs(scenario.speed_at(0.0)), abs(to_speed)), dt, f"the unbalance at {unbalance.port}")
-    turn = round((scenario.ramp or scenario.duration) / dt) if scenario.runs_up else 0
-    a = (scenario.speed_at(turn * dt) - scenario.speed_at(0.0)) / (turn * dt) if turn else 0.0
-    start, angle = scenario.speed_at(0.0), unbalance.phase
-    for begin, end, acceleration in ((0, turn, a), (turn, first + k, 0.0)):
+    times, speeds = scenario.speed_knots
+    _check_smooth(max(map(abs, speeds)), dt, f"the unbalance at {unbalance.port}")
+    turns = [round(time / dt) for time in times]
+    at = [scenario.speed_at(turn * dt) for turn in turns]
+    pieces = [(i, j, (w - v) / ((j - i) * dt)) for (i, j), (v, w) in zip(pairwise(turns), pairwise(at), strict=True) if j > i]
+    start, angle = at[0], unbalance.phase
+    for begin, end, acceleration in (*pieces, (turns[-1], max(first + k, turns[-1]), 0.0)):
         low, high = max(begin, first), min(end, first + k)
         if low < high:
             t = np.arange(low - begin, high - begin + 1) * dt

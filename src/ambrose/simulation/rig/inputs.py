@@ -66,20 +66,19 @@ class Plan:
 
     def speeds(self, time: np.ndarray) -> np.ndarray:
         """Speed [rad/s] at times (n,) [s]."""
-        s = self.scenario
-        if s.speed is None or s.to_speed is None:
-            return np.full_like(time, self.rig.point.speed if s.speed is None else s.speed)
-        return s.speed + (s.to_speed - s.speed) * np.minimum(time / (s.ramp or s.duration), 1.0)
+        return np.interp(time, *self._speed_knots)
 
     def angles(self, time: np.ndarray) -> np.ndarray:
         """Spin angle [rad] at times (n,) [s]."""
-        s = self.scenario
-        start = float(self.speeds(np.zeros(1))[0])
-        if s.to_speed is None:
-            return start * time
-        ramp = s.ramp or s.duration
-        inside = np.minimum(time, ramp)
-        return start * inside + (s.to_speed - start) * inside**2 / (2 * ramp) + s.to_speed * (time - inside)
+        times, speeds = self._speed_knots
+        turned = np.concatenate([[0.0], np.cumsum(np.diff(times) * (speeds[1:] + speeds[:-1]) / 2)])
+        k = np.searchsorted(times, time, side="right") - 1
+        return np.asarray(turned[k] + (time - times[k]) * (speeds[k] + self.speeds(time)) / 2)
+
+    @property
+    def _speed_knots(self) -> tuple[np.ndarray, np.ndarray]:
+        times, speeds = self.scenario.speed_knots
+        return (np.array(times), np.array(speeds)) if times else (np.zeros(1), np.array([self.rig.point.speed]))
 
     def pressures(self, time: np.ndarray) -> np.ndarray:
         """Seal pressure [Pa] at times (n,) [s]; a change without ramp takes one sample."""
