@@ -123,6 +123,7 @@ def test_a_second_run_takes_the_controller_up(commissioned, plants, reference, d
     monkeypatch.setattr(stage, "compile_controller", lambda known, place, progress: (commissioned.deployment, known[0], ()))
     monkeypatch.setattr(stage, "read_running_law", lambda program, deployment: (deployment.controller, None))
     monkeypatch.setattr(stage, "evaluate", lambda name, synthesis, *rest, **options: synthesis)
+    monkeypatch.setattr(stage, "simulate_scenario", lambda *arguments, **options: commissioned.cycle)
     again = commission(plants, reference, directory, lambda text: None)
     assert machine_hash(again.machine) == machine_hash(commissioned.machine)
     np.testing.assert_array_equal(again.candidate.controller.A, commissioned.candidate.synthesis.controller.A)

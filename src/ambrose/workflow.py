@@ -213,7 +213,9 @@ def write_report(result: Study, path: Path) -> None:
         reference = next(candidate for candidate in result.candidates if candidate.synthesis is done.reference)
         words = done.in_words
         sections.append(
-            commissioning_section(done.identification, reference, done.candidate, points, words, from_code=done.from_code)
+            commissioning_section(
+                done.identification, reference, done.candidate, points, words, done.cycle, from_code=done.from_code
+            )
         )
     full, reduced = result.plants[0], result.reduced
     report = comparison_report(

@@ -12,6 +12,7 @@ from ambrose.report import units
 from ambrose.report.identification.figures import change_figure
 from ambrose.report.identification.tables import findings_table, parameters_table
 from ambrose.report.page import Cell, Figure, Row, Section, Table
+from ambrose.report.record.figure import record_figure
 from ambrose.simulation.trace import Trace
 
 _WORDS = (
@@ -24,6 +25,11 @@ _CHANGE = (
     "How far the record moved every parameter from the machine file. A magnet's force per current and negative stiffness "
     "belong to its static load: entries stated for an unloaded magnet differ where it carries weight."
 )
+_CYCLE = (
+    "One run of the deployed controller: from rest in the touchdown bearings it levitates the rotor, which runs up to its top "
+    "speed with G2.5 of unbalance and is pressurised; a knock, then a trip: pressure drops and the rotor coasts down. Speed "
+    "and pressure change faster than any machine's."
+)
 
 
 def commissioning_section(
@@ -32,10 +38,12 @@ def commissioning_section(
     commissioned: Candidate,
     points: Sequence[str],
     deployed: Sequence[tuple[str, str]],
+    cycle: Trace,
     *,
     from_code: bool = True,
 ) -> Section:
-    """points: labels of the operating points in order; deployed: (what, words) about the sampled controller and its code.
+    """points: labels of the operating points in order; deployed: (what, words) about the sampled controller and its code;
+    cycle: from rest through all of its operation back to rest.
 
     from_code: whether the rig ran compiled code (otherwise its law in Python).
     """
@@ -46,7 +54,11 @@ def commissioning_section(
         parameters_table(checked.result),
         *([findings_table(checked.doubts)] if checked.doubts else []),
     )
-    figures = (Figure("What the record changed", change_figure(checked.result), _CHANGE),)
+    shown_of_it = [name for name in cycle.record.signals if name.partition("_")[0] in {"y", "speed", "p"}]
+    figures = (
+        Figure("What the record changed", change_figure(checked.result), _CHANGE),
+        Figure(f"Operating cycle: {cycle.text}", record_figure(cycle.record.select(shown_of_it)), _CYCLE),
+    )
     return Section("Commissioned on the rig", _WORDS, figures, shown, True)
 
 

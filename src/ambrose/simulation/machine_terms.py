@@ -34,10 +34,8 @@ class Share(float):
         return f"{100 * self:g} % of {self.of}"
 
 
-def _top_speed(machine: Machine) -> float | None:
-    """Of its operation; of a machine that stands still there, the speed that it is balanced for."""
-    speeds = [machine.operation.speed_range[1], *(point.speed for point in machine.operation.points)]
-    return max(speeds) or machine.requirements.balance_speed
+def _top_speed(machine: Machine) -> float:
+    return max(machine.operation.speed_range[1], *(point.speed for point in machine.operation.points))
 
 
 def _top_pressure(machine: Machine) -> float | None:
@@ -50,7 +48,11 @@ def _least(name: str) -> Callable[[Machine], float | None]:
 
 _QUANTITIES: dict[str, tuple[str, Callable[[Machine], float | None], str]] = {
     "top speed": ("angular rate", _top_speed, "[operation] speed_range"),
-    "balance speed": ("angular rate", lambda m: m.requirements.balance_speed or _top_speed(m), "balance_speed"),
+    "balance speed": (
+        "angular rate",
+        lambda m: m.requirements.balance_speed or _top_speed(m) or None,
+        "[operation] speed_range",
+    ),
     "top pressure": ("pressure", _top_pressure, "an [[operation.point]] with seal_pressure"),
     "max current": ("current", _least("max_current"), "max_current of a [[bearing]]"),
     "touchdown gap": ("length", _least("touchdown_gap"), "touchdown_gap of a [[bearing]]"),

@@ -23,6 +23,7 @@ from ambrose.deployment.pipeline import machine_limits
 from ambrose.deployment.provenance import provenance_lines
 from ambrose.evaluation.candidate import Candidate, Deployed, evaluate
 from ambrose.evaluation.plants import Progress, full_plants
+from ambrose.evaluation.trial import simulate_scenario
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.machine.atomic_write import make_folder, write_text
@@ -32,6 +33,7 @@ from ambrose.plant.model import Plant
 from ambrose.plant.timing import DEFAULT, Timing, machine_timing
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
+from ambrose.simulation.trace import Trace
 from ambrose.stages.control import resume_or_design
 from ambrose.synthesis.controller_file import read_controller
 from ambrose.synthesis.options import DesignOptions
@@ -41,6 +43,7 @@ from ambrose.synthesis.result import Status, Synthesis
 NAME = "commissioned"
 METHOD = "tuned"
 EXCITATION = "prbs"
+CYCLE = "operating-cycle"
 _RECORDED = 2.0  # s
 
 
@@ -48,13 +51,14 @@ _RECORDED = 2.0  # s
 class Commissioning:
     """identification: its ``machine`` is the one designed for; reference: the controller that held the machine meanwhile;
     candidate: the new one, verified on that machine as it runs (sampled, late, its law read out of the code), its rig traces
-    from the code; deployment: the sampled loop as designed; files: the code; apart: largest difference between the law of the
-    running code and the design's, relative to the largest entry (None: the law in Python ran, for want of a C compiler, or
-    because it is not one sample late)."""
+    from the code; cycle: from rest through run-up, top pressure and trip back to rest, run by the code; deployment: the sampled
+    loop as designed; files: the code; apart: largest difference between the law of the running code and the design's, relative
+    to the largest entry (None: the law in Python ran, for want of a C compiler, or because it is not one sample late)."""
 
     identification: LoopIdentification
     reference: Synthesis
     candidate: Candidate
+    cycle: Trace
     deployment: Deployment
     files: tuple[Path, ...]
     apart: float | None
@@ -89,6 +93,7 @@ class Commissioning:
             rows.insert(1, ("Sampled loop", f"{unstable.value:.0f} unstable of {unstable.detail}"))
             rows.insert(2, ("Worst sampled sensitivity", f"{worst.value:.3g} at {worst.detail}"))
             rows.insert(3, ("Limits that the sampled loop misses", "; ".join(unmet_limits(deployed)) or "none"))
+        rows.append(("From rest through run-up, top pressure and trip back to rest", self.cycle.text))
         return tuple(rows)
 
     def to_dict(self) -> dict[str, Any]:
@@ -99,6 +104,7 @@ class Commissioning:
             "files": [str(path) for path in self.files],
             "compiled": self.from_code,
             "rig": {label: trace.outcome for label, trace in self.candidate.traces if "rig" in trace.scenario},
+            "cycle": {"outcome": self.cycle.outcome, "text": self.cycle.text},
         }
 
 
@@ -119,7 +125,7 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     machine = identification.machine
     known = full_plants(machine)
     progress("controller for the identified machine and its sampled loop")
-    timing = machine_timing(machine) or DEFAULT
+    machine_on_site, timing = plants[0].machine, machine_timing(machine) or DEFAULT
     options = DesignOptions(rate=timing.rate, delay_samples=timing.delay_samples)
     synthesis = resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
     deployment, program, files = compile_controller(known, directory, progress)
@@ -127,7 +133,9 @@ def commission(plants: tuple[Plant, ...], reference: Synthesis, directory: Path,
     running = Deployed(law, program, plants, Timing(timing.sample_time, deployment.delay, "its code"))
     tolerances = design_tolerances(known[0].machine)
     candidate = evaluate(NAME, synthesis, known, progress, deployed=running, tolerances=tolerances)
-    return Commissioning(identification, reference, candidate, deployment, files, apart)
+    progress("the code takes the rig through its operating cycle")
+    cycle = simulate_scenario(machine_on_site, program, CYCLE, rate=timing.rate, delay_samples=deployment.delay)
+    return Commissioning(identification, reference, candidate, cycle, deployment, files, apart)
 
 
 def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> Any:

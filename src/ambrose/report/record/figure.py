@@ -18,6 +18,7 @@ _GROUPS = (  # what is shown, the first of them that the record holds
     ("Excitation", ("e", "r", "d")),
     ("Applied force", ("f",)),
     ("Rotor speed", ("speed",)),
+    ("Seal pressure", ("p",)),
 )
 _SIDES = {"zeta": "eta", "x": "y"}
 _ROW, _ORBIT, _GAP = 130, 230, 62  # [px]
