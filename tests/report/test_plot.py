@@ -137,7 +137,7 @@ def test_phases_begin_within_a_turn() -> None:
 
 def test_verifications_show_the_sensitivity_and_name_what_is_unstable(verifications: list[Checks]) -> None:
     lost = replace(verifications[2], stable=False, curves=verifications[2].curves[-1:])
-    figure = plot(Verification((*verifications[:2], lost), None, ("standstill",)))
+    figure = plot(Verification((*verifications[:2], lost), (), ("standstill",)))
     words = text_of(figure)
     assert "unstable at twice nominal &lt;pressure&gt;" in words.replace("<br>", " ")
     assert "not passed" in words and "left out: standstill" in words.replace("<br>", " ")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from ambrose.core.arguments import check_types
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.description import OperatingPoint, Tolerance
@@ -37,6 +38,9 @@ class Plant(Presented):
     ports: tuple[str, ...]
     bending_modes: int | None = None
     offsets: tuple[tuple[Tolerance, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        check_types(type(self).__post_init__, (self,), {})
 
     @property
     def rotor_model(self) -> Rotor:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.core.arguments import check_types
 from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.response import settling_time
 from ambrose.machine.record.record import Record
@@ -37,6 +38,9 @@ class Trace(Presented):
     touchdown_at: float | None = None
     run_time: float = 0.0
     compile_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_types(type(self).__post_init__, (self,), {})
 
     def facts(self) -> Mapping[str, Any]:
         """How it ended, what was simulated, for how long, and the largest displacement."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ambrose.core.arguments import check_types
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.verification.checks import Check, Checks, check_columns, checks_table
 
@@ -35,6 +36,9 @@ class Verification(Presented):
     left_out: tuple[str, ...] = ()
     timing: str = CONTINUOUS
     not_varied: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_types(type(self).__post_init__, (self,), {})
 
     @property
     def labelled(self) -> tuple[tuple[str, Checks], ...]:
