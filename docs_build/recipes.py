@@ -13,7 +13,15 @@ from pathlib import Path
 import numpy as np
 from click.testing import CliRunner
 
-SHORT = {"PID": "pid", "H-infinity": "hinf", "mu": "mu", "mu, polished": "polish", "LPV": "lpv", "commissioned": "commissioned"}
+SHORT = {
+    "tuned": "tuned",
+    "PID": "pid",
+    "H-infinity": "hinf",
+    "mu": "mu",
+    "mu, polished": "polish",
+    "LPV": "lpv",
+    "commissioned": "commissioned",
+}
 POINT = {"zero pressure": "zero", "nominal pressure": "nominal", "twice nominal pressure": "twice"}
 QUANTITY = {"sensitivity.output.max": "sensitivity", "unbalance.orbit": "orbit", "impulse.settling": "settling"}
 ROBUST = {
