@@ -17,8 +17,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.synthesis.filters import lead, low_pass, notch
-from ambrose.synthesis.pid import channel, pid_controller, pid_synthesis, tilt_translate
+from ambrose.synthesis.filters import chain, lead_lag, low_pass, notch, section_matrix
+from ambrose.synthesis.pid import common_sections, modes, pid_controller, pid_synthesis, theta_system
 from eigenvalue_margins import loop_margins, opened
 
 OMEGA = np.geomspace(1e-2, 1e5, 60)
@@ -135,6 +135,14 @@ def test_frequency_response_is_the_formula(name):
     assert response.outputs == ("u_A_zeta", "u_A_eta", "u_B_zeta", "u_B_eta")
 
 
+def system(*parts) -> StateSpace:
+    return theta_system(chain(1.0, parts), ("A",))
+
+
+def channel(settings: PidSettings) -> StateSpace:
+    return system(*map(section_matrix, common_sections(settings)))
+
+
 def test_frequency_response_is_relatively_exact_too():
     values = frequency_response(channel(KINDS["all"]), OMEGA).values[:, 0, 0]
     np.testing.assert_allclose(values, formula(KINDS["all"], 1j * OMEGA), rtol=1e-9)
@@ -149,18 +157,18 @@ def test_order_has_no_superfluous_states():
 
 def test_notch_depth_width_and_far_gain():
     w, p, z = 3455.0, 0.5, 0.02
-    response = frequency_response(notch(w, p, z), [w, w * 1e-4, w * 1e4]).values[:, 0, 0]
+    response = frequency_response(system(notch(w, z, w, p)), [w, w * 1e-4, w * 1e4]).values[:, 0, 0]
     np.testing.assert_allclose(response[0], z / p, rtol=1e-12)
     np.testing.assert_allclose(np.abs(response[1:]), 1.0, rtol=1e-6)
-    assert abs(frequency_response(notch(w, p, 0.0), [w]).values[0, 0, 0]) < 1e-14
+    assert abs(frequency_response(system(notch(w, 0.0, w, p)), [w]).values[0, 0, 0]) < 1e-14
 
 
 def test_low_pass_and_lead_at_their_corners():
-    low = frequency_response(low_pass(500.0, 0.6), [0.0, 500.0, 5e6]).values[:, 0, 0]
+    low = frequency_response(system(low_pass(500.0, 0.6)), [0.0, 500.0, 5e6]).values[:, 0, 0]
     np.testing.assert_allclose(low[:2], [1.0, 1 / (2 * 0.6j)], rtol=1e-9)
     np.testing.assert_allclose(low[2], -1e-8, rtol=1e-3)  # second order: -(w/w0)^-2
     middle = np.sqrt(400.0 * 4000.0)
-    value = frequency_response(lead(400.0, 4000.0), [middle]).values[0, 0, 0]
+    value = frequency_response(system(lead_lag(400.0, 4000.0)), [middle]).values[0, 0, 0]
     np.testing.assert_allclose(np.angle(value), np.arcsin(9 / 11), rtol=1e-12)  # the largest lead of a ratio of ten
     np.testing.assert_allclose(np.abs(value), np.sqrt(10.0), rtol=1e-12)
 
@@ -181,7 +189,8 @@ def test_positive_gain_pulls_the_rotor_back():
 @pytest.mark.parametrize("tilted", [None, 0.3], ids=["same angle", "other angle at B"])
 def test_tilt_translate_is_decentralised_control_for_collocated_sensors(tilted):
     item = machine(sensors=(0.2, 0.66), tilted=tilted)
-    np.testing.assert_allclose(tilt_translate(item, 1.0), np.eye(4), atol=1e-14)
+    into, out = modes(item)
+    np.testing.assert_allclose(out @ into, np.eye(4), atol=1e-14)
     settings = PidSettings(gain=(1e4, 2e4, 3e4, 4e4), derivative_time=2e-3, coordinates="tilt-translate")
     both = [frequency_response(pid_controller(s, item), OMEGA).values for s in (settings, PidSettings(
         gain=settings.gain, derivative_time=2e-3))]  # fmt: skip
@@ -297,15 +306,15 @@ class TestSynthesize:
 
 
 BAD = {
-    "number of gains": (PidSettings(gain=(1e4, 2e4)), "number of gains is 2"),
+    "number of gains": (PidSettings(gain=(1e4, 2e4)), "gain is a list of 2"),
     "NaN gain": (PidSettings(gain=(float("nan"),)), "gain"),
     "integral time": (PidSettings(gain=(1e4,), integral_time=0.0), "integral_time is 0"),
     "derivative time": (PidSettings(gain=(1e4,), derivative_time=-1e-3), "derivative_time is -0.001"),
     "derivative filter": (PidSettings(gain=(1e4,), derivative_time=1e-3, derivative_filter=0.0), "pure derivative"),
-    "notch frequency": (PidSettings(gain=(1e4,), notches=(Notch(-1.0, 0.5, 0.1),)), "notch's frequency"),
+    "notch frequency": (PidSettings(gain=(1e4,), notches=(Notch(-1.0, 0.5, 0.1),)), "zero_frequency is -1"),
     "notch damping": (PidSettings(gain=(1e4,), notches=(Notch(1e3, 0.0, 0.1),)), "pole_damping"),
-    "lead": (PidSettings(gain=(1e4,), lead=(0.0, 1e3)), "lead's zero"),
-    "low pass": (PidSettings(gain=(1e4,), low_pass=-2.0), "low pass' frequency"),
+    "lead": (PidSettings(gain=(1e4,), lead=(0.0, 1e3)), "zero_frequency is 0"),
+    "low pass": (PidSettings(gain=(1e4,), low_pass=-2.0), "low-pass.*frequency is -2"),
     "coordinates": (PidSettings(gain=(1e4,), coordinates="modal"), "tilt-translate"),
     "tilt gain": (PidSettings(gain=(1e4,), coordinates="tilt-translate", tilt_gain=float("inf")), "tilt_gain"),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -34,10 +35,10 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
 )
 @click.option(
     "--structure",
-    type=click.Choice(["free", "plane", "axis"]),
+    type=click.Choice(["free", "plane", "axis", "pid", "filters"]),
     default="free",
     show_default=True,
-    help="With --method tuned: which axes share a part of the controller.",
+    help="With --method tuned: which axes share a part of the controller, or a filter bank per channel.",
 )
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: the design point.")
 @RATE
@@ -56,6 +57,12 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
     help="With --method lpv: lowest and highest speed; default: those of the operating points at the same seal pressure.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("controller.json"), show_default=True)
+@click.option(
+    "--machine-file",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="With --structure pid or filters: write the machine with the filters found as its [controller].",
+)
 @AS_JSON
 def synthesize(
     machine: str,
@@ -70,14 +77,18 @@ def synthesize(
     loss: float | None,
     speeds_hz: tuple[float, float] | None,
     output: Path,
+    machine_file: Path | None,
     as_json: bool,
 ) -> None:
     """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
     from ambrose.core.checks import check_positive, invalid
     from ambrose.evaluation.plants import plant_at
+    from ambrose.machine.file.update import save_machine
     from ambrose.plant.timing import machine_timing
     from ambrose.synthesis.controller_file import write_controller
     from ambrose.synthesis.design import design
+    from ambrose.synthesis.filters import filter_rows
+    from ambrose.synthesis.fixed_order.bank import BANKS
     from ambrose.synthesis.options import DesignOptions
     from ambrose.synthesis.result import Status
 
@@ -101,19 +112,25 @@ def synthesize(
         match_reference=match_reference,
         speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
     )
-    claim(controller_file=output)
+    if machine_file is not None and (method != "tuned" or structure not in BANKS):
+        raise invalid("--machine-file", str(machine_file), "given with a filter bank", "add --method tuned --structure pid")
+    claim(controller_file=output, machine_file=machine_file)
     with progress_shown(as_json) as progress:
         progress("assembling the plant")
         plant = plant_at(description, point)
         progress(f"designing ({method})")
         result = design(plant, method, options=options, progress=progress)
     failure = kept(lambda path: write_controller(path, result), output)
+    if machine_file is not None and result.filters is not None:
+        found = replace(description, controller=result.filters)
+        failure = kept(lambda path: save_machine(found, path), machine_file) or failure
     certificate = result.certificate.to_dict()
     factor = None if result.weights is None else result.weights.control_factor
     if as_json:
         summary = {
             "controller": str(output), "method": method, "status": result.status, "stopped_early": result.stopped_early,
             "control_weight_factor": factor, "notes": result.notes, "certificate": certificate,
+            "filters": None if result.filters is None else result.filters.to_dict(),
         }  # fmt: skip
         say_json(summary)
     else:
@@ -124,6 +141,8 @@ def synthesize(
         rows += [("note", note) for note in result.notes]
         early = "STOPPED EARLY: " if result.stopped_early else ""
         print_table(f"{method} controller, {early}{result.verdict}: {output}", ("certificate", "value"), rows)
+        if result.filters is not None:
+            print_table("filters, each channel in series", ("channel", "filter", "parameters"), filter_rows(result.filters))
     if failure is not None:
         raise failure
     sys.exit(0 if result.status is Status.VERIFIED else 1)

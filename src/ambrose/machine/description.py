@@ -12,6 +12,11 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from ambrose.core.checks import invalid
+from ambrose.machine.controller import CONTROLLER_COORDINATES as CONTROLLER_COORDINATES  # noqa: PLC0414
+from ambrose.machine.controller import Channel as Channel  # noqa: PLC0414
+from ambrose.machine.controller import Notch as Notch  # noqa: PLC0414
+from ambrose.machine.controller import PidSettings as PidSettings  # noqa: PLC0414
+from ambrose.machine.controller import Section as Section  # noqa: PLC0414
 from ambrose.machine.kinds import (
     Angle,
     Choice,
@@ -21,7 +26,6 @@ from ambrose.machine.kinds import (
     ForcePerCurrentPair,
     Inertia,
     Length,
-    ListOf,
     Mass,
     Name,
     PairOf,
@@ -47,7 +51,6 @@ Pair = tuple[float, float]  # (zeta, eta)
 
 SCHEMA_VERSION = 1  # of the machine file
 BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
-CONTROLLER_COORDINATES = ("axes", "tilt-translate")
 AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "none": (),
     "first": ("bandwidth",),
@@ -232,39 +235,6 @@ class Coupling(Part):
     stiffness: Annotated[StiffnessPair, "stiffness"]
     damping: Annotated[Pair, PairOf("damping"), "damping"] = (0.0, 0.0)
     angle: Annotated[Angle, "angle of the axis zeta from the global x"] = 0.0
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Notch(Part):
-    """A notch filter (s^2 + 2 zero_damping w s + w^2)/(s^2 + 2 pole_damping w s + w^2)."""
-
-    frequency: Annotated[Rate, "centre frequency w"]
-    pole_damping: Annotated[Ratio, "damping ratio of the poles"]
-    zero_damping: Annotated[Ratio, "damping ratio of the zeros"]
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class PidSettings(Part):
-    """The reference controller K_p (1 + 1/(T_i s) + T_d s/(eps T_d s + 1)) per axis.
-
-    gain in the order of the machine's axes; coordinates "axes" (decentralised) or "tilt-translate"; sample_time and delay
-    are those of every controller that runs on the machine (``plant.timing``).
-    """
-
-    gain: Annotated[tuple[float, ...], ListOf("current per displacement", scalar=True), "K_p, one for all axes or one per axis"]
-    integral_time: Annotated[Time | None, "T_i; default: no integral part"] = None
-    derivative_time: Annotated[Time | None, "T_d; default: no derivative part"] = None
-    derivative_filter: Annotated[Ratio, "eps"] = 0.1
-    notches: Annotated[tuple[Notch, ...], "notch filters in series"] = field(default=(), metadata={"key": "notch"})
-    lead: Annotated[Pair | None, PairOf("angular rate", "zero, pole", scalar=False), "lead filter [zero, pole]"] = None
-    low_pass: Annotated[Rate | None, "corner frequency of a second-order low pass"] = None
-    low_pass_damping: Annotated[Ratio, "damping ratio of the low pass"] = 0.7071067811865476
-    coordinates: Annotated[str, Choice(CONTROLLER_COORDINATES), "controlled coordinates"] = "axes"
-    tilt_gain: Annotated[Ratio, "gain of the tilting part relative to the translating part"] = 1.0
-    sample_time: Annotated[Time | None, "sample time of the deployed controller; default: continuous"] = None
-    delay: Annotated[
-        Time | None, "from the displacements read to the currents set, rounded up to whole samples; default: one sample"
-    ] = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -30,6 +30,8 @@ TABLES: Mapping[str, int] = {
     "tolerance": 60,
     "operation.point": 50,
     "controller.notch": 20,
+    "controller.channel": 16,
+    "controller.channel.section": 20,
     "bearing.measured": 20,
     "sensor.runout": 20,
     "signal": 1000,

@@ -27,6 +27,9 @@ from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
 from ambrose.machine.atomic_write import write_text
+from ambrose.machine.controller import PidSettings
+from ambrose.machine.file.parse import read_table
+from ambrose.machine.file.tables import table_of
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.limits import (
     CONTROLLER_BYTES,
@@ -173,6 +176,9 @@ class ControllerTable(_Table):
     history: Annotated[list[dict[str, Loose]], FailFast()] = Field(description="a row for each iteration")
     notes: Annotated[list[str], FailFast()]
     provenance: ProvenanceTable
+    filters: dict[str, Any] | None = Field(
+        default=None, description="the [controller] table of a machine file that gives the same"
+    )
 
 
 def controller_schema() -> dict[str, Any]:
@@ -351,9 +357,10 @@ def _synthesis(table: ControllerTable) -> Synthesis:
     if table.certificate is None and table.status is not Status.UNCERTIFIED:
         raise InvalidInput(f"status is '{table.status}', but there is no certificate; design the controller again")
     made = table.provenance.model_dump(exclude={"package"})
+    filters = None if table.filters is None else read_table(table_of(PidSettings), table.filters, "filters").build()
     return Synthesis(
         system(table), table.method, table.gamma, table.status, certificate, tuple(table.history), tuple(table.notes),
-        scheduled, table.stopped_early, None if table.weights is None else _weights(table.weights), Provenance(**made),
+        scheduled, table.stopped_early, None if table.weights is None else _weights(table.weights), Provenance(**made), filters,
     )  # fmt: skip
 
 

@@ -140,7 +140,7 @@ def _tuned(plant: Plant, options: DesignOptions, progress: Progress) -> Synthesi
     settings = first_settings(machine) if machine.controller is None else machine.controller
     start = pid_controller(settings, machine)
     result = tune_controller(
-        envelope_of(plant), start, timing, order=options.order, structure=options.structure,
+        envelope_of(plant), settings, timing, order=options.order, structure=options.structure,
         bending_modes=options.bending_modes, reference=start if options.match_reference else None, progress=progress,
     )  # fmt: skip
     _, margins, _ = full_plant_margins(plant, result.controller)

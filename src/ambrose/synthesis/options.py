@@ -11,7 +11,7 @@ from ambrose.core.checks import check_positive, check_shape, invalid
 from ambrose.machine.machine import Machine
 from ambrose.plant.timing import Timing, machine_timing, timing_of
 
-STRUCTURES = ("free", "plane", "axis")
+STRUCTURES = ("free", "plane", "axis", "pid", "filters")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,11 +22,11 @@ class DesignOptions:
     loss [-]: with a rate, the order is reduced until the worst sampled sensitivity has risen by this share (0.05: 5 %). order:
     states of the polished or the tuned controller (None: half of what mu needs; three per axis). bending_modes: how many the
     design model keeps per plane (None: none; tuning takes all that the sensitivity is judged at, and one more). structure of
-    the tuned controller: "plane" (zeta and eta kept apart where the bearings stand at one angle), "axis" (each alone) or
-    "free". match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so
-    that controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight.
-    speeds: lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal
-    pressure). Raises InvalidInput.
+    the tuned controller: "plane" (zeta and eta kept apart where the bearings stand at one angle), "axis" (each alone),
+    "free", or a filter bank: "pid" (per channel a PID and a low pass), "filters" (and notches). match_reference: scale the
+    control weight until the direct gains below 200 Hz match the reference controller's, so that controllers are comparable
+    (P5); None: where the machine has a reference controller and a constant control weight. speeds: lowest and highest [rad/s]
+    of a scheduled controller (None: those of the operating points with the plant's seal pressure). Raises InvalidInput.
     """
 
     rate: float | None = None

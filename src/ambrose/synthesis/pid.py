@@ -1,4 +1,4 @@
-"""The reference controller: decentralised PID with the usual industrial additions, certified on the plant it is meant for.
+"""The reference controller: decentralised PID or filter bank, as vendors ship them, certified on the plant it is meant for.
 
 With e_y = r - y and u = K e_y (loop diagram in core/lft.py) and the bearing's force f = k_i i + k_s x, a positive gain
 pulls the rotor back: it must exceed k_s / k_i before the loop has any stiffness at all.
@@ -11,19 +11,19 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid, named_failure
-from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
-from ambrose.machine.description import MagneticBearing, PidSettings
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.controller import CONTROLLER_COORDINATES, MODES, PidSettings, Section
+from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
+from ambrose.machine.validation.controller import channel_problems
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.model import Plant
 from ambrose.plant.timing import Timing, machine_timing
 from ambrose.synthesis.as_it_runs import certify_as_it_runs
 from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.filters import lead, low_pass, notch, pid_term
+from ambrose.synthesis.filters import bank, chain, check_sections, section_matrix
 from ambrose.synthesis.result import Status, Synthesis
-
-COORDINATES = ("axes", "tilt-translate")
 
 
 @named_failure("the PID controller")
@@ -50,12 +50,18 @@ def pid_controller(settings: PidSettings, machine: Machine) -> StateSpace:
     """The continuous controller: inputs err_<axis> [m], outputs u_<axis> [A], axes in the machine's order.
 
     Coordinates "axes" treat every axis alone; "tilt-translate" splits the displacements into those of the parallel and of the
-    conical mode first and scales the conical part by tilt_gain (``tilt_translate``). Raises InvalidInput.
+    conical mode first and scales the conical part by tilt_gain (``modes``). Channels with a chain of their own run that
+    instead. Raises InvalidInput.
     """
-    if settings.coordinates not in COORDINATES:
-        raise invalid("coordinates", repr(settings.coordinates), " or ".join(COORDINATES), "choose one of them")
-    mixing = None if settings.coordinates == "axes" else tilt_translate(machine, settings.tilt_gain)
-    return axes_controller(settings, machine.axes, mixing)
+    if settings.coordinates not in CONTROLLER_COORDINATES:
+        raise invalid("coordinates", repr(settings.coordinates), " or ".join(CONTROLLER_COORDINATES), "choose one of them")
+    return axes_controller(settings, machine.axes, mixings(settings, machine))
+
+
+def mixings(settings: PidSettings, machine: Machine) -> tuple[np.ndarray, np.ndarray]:
+    """From displacements to channels, and from channels to currents, (4, 4) [-] (``modes``); axes: the identity twice."""
+    one = np.eye(len(machine.axes))
+    return (one, one) if settings.coordinates == "axes" else modes(machine)
 
 
 def first_settings(machine: Machine) -> PidSettings:
@@ -71,44 +77,71 @@ def first_settings(machine: Machine) -> PidSettings:
     return PidSettings(tuple(2 * k_s / k_i), integral_time=20 / rate, derivative_time=0.5 / rate)
 
 
-def axes_controller(settings: PidSettings, axes: tuple[str, ...], mixing: np.ndarray | None = None) -> StateSpace:
-    """diag(gain) times ``mixing`` (axes, axes) [-] (None: identity) times the same dynamics on every axis; no machine needed.
+def axes_controller(
+    settings: PidSettings, axes: tuple[str, ...], mixing: tuple[np.ndarray, np.ndarray] | None = None
+) -> StateSpace:
+    """The channels' chains between two mixings (``mixings``; None: every axis is a channel); no machine needed.
 
     Raises InvalidInput.
     """
-    gain = check_finite(settings.gain, "the controller's gain").ravel()
-    if gain.size not in {1, len(axes)}:
-        raise invalid("the number of gains", gain.size, f"1 or {len(axes)}", f"give one per axis: {', '.join(axes)}")
-    gain = np.broadcast_to(gain, len(axes))
-    matrix = np.diag(gain) if mixing is None else gain[:, None] * mixing
-    dynamics = channel(settings)
-    if dynamics.n_states == 0:
-        return static_gain(matrix * dynamics.D[0, 0], [f"err_{a}" for a in axes], [f"u_{a}" for a in axes])
-    channels = append(*[rename(dynamics, [f"err_{a}"], [f"c_{a}"]) for a in axes])
-    return series(channels, static_gain(matrix, outputs=[f"u_{a}" for a in axes]))
+    into, out = (np.eye(len(axes)),) * 2 if mixing is None else mixing
+    chains = [chain(gain, [section_matrix(item) for item in sections]) for gain, sections in channel_chains(settings, axes)]
+    gains = check_finite(settings.gain, "the controller's gain").ravel()
+    if gains.size == len(axes) and settings.coordinates != "axes":  # of the axes, not of the modes
+        out = gains[:, None] * out
+    return theta_system(bank(chains, into, out), axes)
 
 
-def channel(settings: PidSettings) -> StateSpace:
-    """The dynamics of one axis for gain 1: PID, then notches, lead and low pass as far as they are set. Raises InvalidInput."""
-    result = pid_term(settings.integral_time, settings.derivative_time, settings.derivative_filter)
+def theta_system(theta: np.ndarray, axes: tuple[str, ...]) -> StateSpace:
+    """The controller of Theta = [[D, C], [B, A]] (synthesis/filters.py)."""
+    m = len(axes)
+    parts = theta[m:, m:], theta[m:, :m], theta[:m, m:], theta[:m, :m]
+    return StateSpace(*parts, [f"err_{a}" for a in axes], [f"u_{a}" for a in axes])
+
+
+def channel_chains(settings: PidSettings, axes: tuple[str, ...]) -> list[tuple[float, tuple[Section, ...]]]:
+    """Gain and sections of every channel, in their order, all checked. Raises InvalidInput."""
+    check_finite([settings.tilt_gain, *settings.gain, *(item.gain for item in settings.channels)], "gain and tilt_gain")
+    for problem in channel_problems(settings, axes):
+        raise InvalidInput(problem)
+    common, modal = common_sections(settings), settings.coordinates == "tilt-translate"
+    for sections in (common, *(item.sections for item in settings.channels)):
+        check_sections(sections)
+    own = {name: (item.gain, item.sections) for item in settings.channels for name in item.names}
+    if modal:
+        gain = settings.gain[0] if len(settings.gain) == 1 else 1.0
+        gains = [gain, gain, settings.tilt_gain * gain, settings.tilt_gain * gain]
+    else:
+        gains = list(settings.gain) * (1 if len(settings.gain) == len(axes) else len(axes))
+    names = MODES if modal else axes
+    return [own[name] if name in own else (gains[i], common) for i, name in enumerate(names)]
+
+
+def common_sections(settings: PidSettings) -> tuple[Section, ...]:
+    """What [controller] says for all channels as a chain: PID, then notches, lead and low pass as far as they are set."""
+    found = []
+    if settings.integral_time is not None or settings.derivative_time is not None:
+        found.append(Section("pid", settings.integral_time, settings.derivative_time, settings.derivative_filter))
     for item in settings.notches:
-        result = series(result, notch(item.frequency, item.pole_damping, item.zero_damping))
+        w = item.frequency
+        found.append(
+            Section("notch", zero_frequency=w, zero_damping=item.zero_damping, pole_frequency=w, pole_damping=item.pole_damping)
+        )
     if settings.lead is not None:
-        result = series(result, lead(*settings.lead))
+        found.append(Section("lead-lag", zero_frequency=settings.lead[0], pole_frequency=settings.lead[1]))
     if settings.low_pass is not None:
-        result = series(result, low_pass(settings.low_pass, settings.low_pass_damping))
-    return result
+        found.append(Section("low-pass", frequency=settings.low_pass, damping=settings.low_pass_damping))
+    return tuple(found)
 
 
-def tilt_translate(machine: Machine, tilt_gain: float) -> np.ndarray:
-    """V diag(1, 1, tilt_gain, tilt_gain) S^-1, (4, 4) [-]: from sensor displacements to currents, by rigid-body coordinates.
+def modes(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
+    """S^-1 and V, (4, 4) [-]: from sensor displacements to rigid-body coordinates (``MODES``), and from these to currents.
 
     The rigid rotor's coordinates are the translation of the point midway between the bearings, (t_x, t_y) [m], and the
     displacement at the bearings that its tilting causes, (p_x, p_y) [m]. S maps them to the sensors' readings, from the
-    sensors' positions; V gives both bearings equal currents for t and opposite ones for p. With sensors at the bearings and
-    tilt_gain 1 the product is the identity. Raises InvalidInput unless the machine has two bearings and two sensor planes.
+    sensors' positions; V gives both bearings equal currents for t and opposite ones for p. With sensors at the bearings
+    V S^-1 is the identity. Raises InvalidInput unless the machine has two bearings and two sensor planes.
     """
-    gain = float(check_finite(tilt_gain, "tilt_gain"))
     if len(machine.bearings) != 2:
         raise invalid("the number of bearings", len(machine.bearings), "2 for tilt-translate coordinates", "use 'axes'")
     places = np.array([bearing.position for bearing in machine.bearings])
@@ -120,7 +153,7 @@ def tilt_translate(machine: Machine, tilt_gain: float) -> np.ndarray:
     directions = [_directions(bearing) for bearing in machine.bearings]
     S = np.vstack([np.hstack([d, d * (z - middle) / half]) for d, z in zip(directions, readings, strict=True)])
     V = np.vstack([np.hstack([d, d * (z - middle) / half]) for d, z in zip(directions, places, strict=True)])
-    return np.linalg.solve(S.T, (V * [1, 1, gain, gain]).T).T
+    return np.linalg.inv(S), V
 
 
 def _directions(bearing: MagneticBearing) -> np.ndarray:

@@ -14,6 +14,7 @@ from ambrose.core.checks import invalid
 from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.machine.controller import PidSettings
 from ambrose.synthesis.weights import Weights
 from ambrose.version import __version__
 
@@ -80,7 +81,8 @@ class Synthesis(Presented):
     know of how it was reached (a regularisation, a wider back-off), a sentence each. scheduled: the controller over a range of
     speeds, of which ``controller`` is the one at the nominal speed (method "lpv"; None for the others). stopped_early: why the
     iteration ended before its end, with the best verified controller so far (None: it did not). weights: of the design problem
-    (None where there is none). By default, a controller from elsewhere that nothing was shown of.
+    (None where there is none). filters: the [controller] that gives the same controller by method "pid" (None: none
+    does). By default, a controller from elsewhere that nothing was shown of.
 
     Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for an unknown status.
     """
@@ -96,6 +98,7 @@ class Synthesis(Presented):
     stopped_early: str | None = None
     weights: Weights | None = None
     provenance: Provenance = Provenance()
+    filters: PidSettings | None = None
 
     def __post_init__(self) -> None:
         if self.status not in list(Status):
@@ -164,6 +167,7 @@ class Synthesis(Presented):
             "history": to_plain(self.history),
             "notes": list(self.notes),
             "provenance": self.provenance.to_dict(),
+            **({} if self.filters is None else {"filters": self.filters.to_dict()}),
         }
 
     def to_frame(self) -> Any:

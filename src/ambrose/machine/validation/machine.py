@@ -15,12 +15,13 @@ from itertools import combinations
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import BEAM_THEORIES, CONTROLLER_COORDINATES, MachineDescription
-from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME, SEAL_POLES, excess
+from ambrose.machine.description import BEAM_THEORIES, MachineDescription
+from ambrose.machine.limits import SEAL_POLES, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.validation import parts
 from ambrose.machine.validation import seals as validate_seals
+from ambrose.machine.validation.controller import controller
 from ambrose.machine.validation.signs import not_positive
 
 _ONE_LINE = "one line of text without outer spaces or control characters"
@@ -49,7 +50,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
     """Everything that is wrong with a machine, one line each; numbers that are not finite hide all else."""
     checks = (
         *(_whole, parts.shaft, _names, _places, parts.discs, parts.bearings, parts.sensors, parts.amplifier, parts.couplings),
-        *(validate_seals.seals, _controller, _operation, _tolerances, _requirements, _weights),
+        *(validate_seals.seals, controller, _operation, _tolerances, _requirements, _weights),
     )
     found = tuple(_sizes(machine)) or tuple(_not_finite(machine, ""))
     return found or tuple(line for check in checks for line in check(machine))
@@ -59,9 +60,12 @@ def _sizes(machine: MachineDescription) -> Iterator[str]:
     """More than is allowed hides all else, and is looked at first (machine/limits.py)."""
     plural = {"disc", "bearing", "sensor", "seal", "coupling"}
     several = {key: getattr(machine, f"{key}s") for key in plural}
-    notches = {} if machine.controller is None else {"notch": machine.controller.notches}
+    pid = machine.controller
+    chains = {} if pid is None else {"notch": pid.notches, "channel": pid.channels}
     yield from excess({"shaft": machine.shaft, "tolerance": machine.tolerances, **several})
-    yield from excess({"operation": {"point": machine.operation.points}, "controller": notches})
+    yield from excess({"operation": {"point": machine.operation.points}, "controller": chains})
+    for channel in () if pid is None else pid.channels:
+        yield from excess({"controller": {"channel": {"section": channel.sections, "name": channel.names}}})
     for bearing in machine.bearings:
         yield from excess({"bearing": {"measured": bearing.measured}})
     for sensor in machine.sensors:
@@ -133,36 +137,6 @@ def _places(machine: MachineDescription) -> Iterator[str]:
             yield complaint(
                 f"[[{table}]] {name}", "position", number(position, "m"), on_shaft, "positions count from the rotor's left end"
             )
-
-
-def _controller(machine: MachineDescription) -> Iterator[str]:
-    pid = machine.controller
-    if pid is None:
-        return
-    where, n = "[controller]", len(machine.axes)
-    if len(pid.gain) not in {1, n}:
-        wanted = f"one value or {n}, one per axis ({', '.join(machine.axes)})"
-        yield complaint(where, "gain", f"a list of {len(pid.gain)}", wanted, "K_p in A/m")
-    yield from not_positive(where, pid, "give K_p in A/m", "gain")
-    times, filters = ("integral_time", "derivative_time", "derivative_filter"), ("low_pass", "low_pass_damping", "lead")
-    yield from not_positive(where, pid, "leave it out where there is none", *times, *filters, "tilt_gain", "sample_time")
-    yield from not_positive(where, pid, "a controller cannot see ahead", "delay", zero=True)
-    sample = pid.sample_time
-    if sample is not None and 0 < sample < SAMPLE_TIME:
-        yield complaint(where, "sample_time", f"{sample:g} s", f"at least {SAMPLE_TIME:g} s", "1e-4 s is usual")
-    elif sample is not None and pid.delay is not None and pid.delay > DELAY_SAMPLES * sample > 0:
-        most = f"at most {DELAY_SAMPLES} sample times, {DELAY_SAMPLES * sample:g} s"
-        yield complaint(where, "delay", f"{pid.delay:g} s", most, "one sample time is usual")
-    for i, notch in enumerate(pid.notches):
-        inside = f"[[controller.notch]] {i + 1}"
-        yield from not_positive(inside, notch, "leave the notch out where there is none", "frequency", "pole_damping")
-        yield from not_positive(inside, notch, "zero is the deepest notch", "zero_damping", zero=True)
-    if pid.coordinates not in CONTROLLER_COORDINATES:
-        known = f"one of {', '.join(CONTROLLER_COORDINATES)}"
-        yield complaint(where, "coordinates", shown(pid.coordinates), known, "choose one of them")
-    elif pid.coordinates == "tilt-translate" and len(machine.bearings) != 2:
-        remedy = f"tilting needs two bearings, there are {len(machine.bearings)}"
-        yield complaint(where, "coordinates", shown(pid.coordinates), '"axes"', remedy)
 
 
 def _one_line(text: str) -> bool:

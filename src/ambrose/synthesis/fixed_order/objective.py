@@ -19,6 +19,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.criteria import CURRENT_PULSE as PULSE
 from ambrose.synthesis.fixed_order.aims import Aims
+from ambrose.synthesis.fixed_order.bank import FilterBank
 from ambrose.synthesis.fixed_order.loops import LoopModel, warped
 from ambrose.synthesis.fixed_order.structure import Structure
 from ambrose.synthesis.weight_tuning import BAND
@@ -60,7 +61,7 @@ class Objective:
     reference: a controller to stay near: the rms of ln|k/k_ref| over the direct gains below 200 Hz is held below ``match``.
     """
 
-    structure: Structure
+    structure: Structure | FilterBank
     models: Sequence[LoopModel]
     omega: np.ndarray
     aims: Aims
@@ -127,7 +128,7 @@ class Objective:
             share = (ratio / top) ** power
             total += share
             extra = more * (share / max(ratio, 1e-9))
-        gradient = self.structure.gradient(_controller_slope(Z, Q, self._G, S, X, Y) + slope_theta + extra)
+        gradient = self.structure.gradient(x, _controller_slope(Z, Q, self._G, S, X, Y) + slope_theta + extra)
         return float(np.log(top) + np.log(total) / power), gradient / total
 
     def unstable(self, x: np.ndarray, power: float = 20.0, scale: float = 100.0) -> tuple[float, np.ndarray]:
@@ -140,7 +141,7 @@ class Objective:
             share = np.exp((part.values.real - top) * power / scale)
             total += share.sum()
             slope += part.slope(share)
-        return float(top / scale + np.log(total) / power), self.structure.gradient(slope) / total / scale
+        return float(top / scale + np.log(total) / power), self.structure.gradient(x, slope) / total / scale
 
     def abscissa(self, x: np.ndarray) -> float:
         """The largest real part of any model's closed-loop pole (in w) [rad/s]."""

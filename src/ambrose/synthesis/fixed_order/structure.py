@@ -50,7 +50,7 @@ class Structure:
         """The controller of the unknowns."""
         return StateSpace(*self.matrices(x), self.inputs, self.outputs)
 
-    def gradient(self, slope: np.ndarray) -> np.ndarray:
+    def gradient(self, x: np.ndarray, slope: np.ndarray) -> np.ndarray:  # Theta is linear in x
         """df/dx (k,) from df/dTheta (m+n, p+n)."""
         return np.asarray((slope * self.scale)[self.free])
 

@@ -20,6 +20,8 @@ import scipy.linalg as sla
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, named_failure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
+from ambrose.machine.controller import PidSettings
+from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import free_modes
 from ambrose.plant.assemble import bending_modes_of
 from ambrose.plant.model import Plant
@@ -28,10 +30,12 @@ from ambrose.plant.timing import Timing
 from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
+from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, filter_bank, first_bank
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.loops import LoopModel, lateness, loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
-from ambrose.synthesis.fixed_order.structure import Groups, axis_groups, structured
+from ambrose.synthesis.fixed_order.structure import Groups, Structure, axis_groups, structured
+from ambrose.synthesis.pid import pid_controller
 from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
@@ -47,6 +51,8 @@ _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
 _FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
 _CORNERS = 512  # at most, of a box
 _STATES_PER_AXIS = 3
+_BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
+Law = StateSpace | PidSettings  # what is tuned: matrices, or the chains of a filter bank
 
 
 @dataclass(slots=True, eq=False)
@@ -62,13 +68,14 @@ class _Job:
     clock: TimeLimit
     say: Callable[[str], None]
     reference: StateSpace | None
+    fastest: float  # pole of a filter bank [rad/s]
     extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
     members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    controller: StateSpace
+    law: Law
     ratios: Mapping[str, Ratio]  # on the models, or on the full plants
 
     @property
@@ -79,7 +86,7 @@ class _Round:
 @named_failure("the tuned controller")
 def tune_controller(
     plants: Sequence[Plant],
-    start: StateSpace,
+    start: Law,
     timing: Timing | None = None,
     *,
     order: int | None = None,
@@ -91,10 +98,11 @@ def tune_controller(
 ) -> Synthesis:
     """The controller that comes nearest to meeting every requirement at every one of ``plants``, or exceeds them all the most.
 
-    plants: the full plants of one machine at its operating points. start: a continuous controller err -> u, such as the
-    machine's PID; it need not hold them all. order: its states (None: three per axis, or those of the start). structure:
-    "free", "plane" (bearings at one angle: what zeta and eta read is kept apart) or "axis" (every axis alone). bending_modes:
-    per plane in the models that are tuned on (None: all below the frequency up to which sensitivity is judged, and one more).
+    plants: the full plants of one machine at its operating points. start: a continuous controller err -> u, or the settings
+    of one ([controller]); it need not hold them all. order: its states (None: three per axis, or those of the
+    start). structure: "free", "plane" (bearings at one angle: what zeta and eta read is kept apart), "axis" (every axis alone),
+    or a filter bank: "pid" (every channel its own PID and low pass) or "filters" (and notches). bending_modes: per plane in the
+    models that are tuned on (None: all below the frequency up to which sensitivity is judged, and one more).
     reference: a controller whose direct gains below 200 Hz are kept within 8 % rms (None: free). time_limit [s] of computing.
 
     The tolerances around each point are those of the machine. ``gamma`` is the largest ratio of a requirement to its limit on
@@ -103,24 +111,24 @@ def tune_controller(
     point.
     """
     job = _prepared(plants, start, timing, order, structure, bending_modes, reference, time_limit, progress)
-    controller = _start(job, start, order)
+    law = _start(job, start, order, structure)
     reason: str | None = None
     rounds: list[_Round] = []
     history: list[dict[str, float]] = []
     try:
-        controller = _holding(job, controller)
+        law = _holding(job, law)
         for number, power in enumerate(_POWERS, 1):
             if number > 1:  # fewer unknowns first
                 job.groups = axis_groups(plants[0].machine, structure)
-            controller, used = _descended(job, controller, power)
-            rounds.append(_judged(job, controller, job.models))
+            law, used = _descended(job, law, power)
+            rounds.append(_judged(job, law, job.models))
             history.append(_row(job, number, power, used, rounds[-1]))
             job.say(f"round {number}: {used} steps at p = {power:g}, {len(job.models)} models; {_in_words(rounds[-1])}")
             if job.clock.left <= 0:
                 reason = job.clock.reached
                 break
             if number < len(_POWERS):
-                controller = _add_members(job, controller)
+                law = _add_members(job, law)
     except KeyboardInterrupt:
         if not rounds:
             raise
@@ -133,23 +141,43 @@ def tune_controller(
 
 
 def _prepared(
-    plants: Sequence[Plant], start: StateSpace, timing: Timing | None, order: int | None, structure: str,
+    plants: Sequence[Plant], start: Law, timing: Timing | None, order: int | None, structure: str,
     bending_modes: int | None, reference: StateSpace | None, time_limit: float, progress: Callable[[str], None] | None,
 ) -> _Job:  # fmt: skip
     full = tuple(plants)
     if not full or any(plant.machine is not full[0].machine for plant in full):
         raise InvalidInput("tuning needs plants of one machine at its operating points; assemble them from the same machine")
+    if structure in BANKS and not isinstance(start, PidSettings):
+        raise invalid("start", type(start).__name__, f"PidSettings with structure {structure!r}", "give the [controller] table")
+    machine = full[0].machine
+    start = _system(start, machine)
     if start.dt is not None:
         raise invalid("the start's dt", start.dt, "None (continuous)", "give the continuous controller and the timing")
     if order is not None and (isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 1):
         raise invalid("order", repr(order), "a whole number, at least 1", "leave the default")
-    machine = full[0].machine
     modes = bending_modes_for(full[0]) if bending_modes is None else bending_modes
     small = tuple(reduce(plant, modes) if plant.bending_modes is None else plant for plant in full)
+    aims = aims_of(machine, start)
+    fastest = _FASTEST * max(fastest_pole(start), aims.highest) if timing is None else _BELOW * np.pi / timing.sample_time
     return _Job(
-        full, small, timing, aims_of(machine, start), axis_groups(machine, "plane" if structure == "free" else structure),
-        [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference,
+        full, small, timing, aims, axis_groups(machine, "plane" if structure == "free" else structure),
+        [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference, fastest,
     )  # fmt: skip
+
+
+def _system(law: Law, machine: Machine) -> StateSpace:
+    return pid_controller(law, machine) if isinstance(law, PidSettings) else law
+
+
+def _unknowns(job: _Job, law: Law) -> tuple[Structure | FilterBank, np.ndarray]:
+    """The structure of what is tuned, and its unknowns."""
+    if isinstance(law, PidSettings):
+        return filter_bank(law, job.full[0].machine, job.fastest)
+    return structured(law, job.groups)
+
+
+def _law(structure: Structure | FilterBank, x: np.ndarray) -> Law:
+    return structure.settings(x) if isinstance(structure, FilterBank) else structure.controller(x)
 
 
 def bending_modes_for(plant: Plant) -> int:
@@ -159,8 +187,11 @@ def bending_modes_for(plant: Plant) -> int:
     return min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
 
 
-def _start(job: _Job, start: StateSpace, order: int | None) -> StateSpace:
-    """The start with a lag where its sample rate cannot show its poles, and with weak states up to the order."""
+def _start(job: _Job, start: Law, order: int | None, structure: str) -> Law:
+    """The start with a lag where its sample rate cannot show its poles, and with weak states, or filters, up to the order."""
+    if structure in BANKS and isinstance(start, PidSettings):
+        return first_bank(start, job.full[0].machine, structure, order, job.fastest)
+    start = _system(start, job.full[0].machine)
     if job.timing is not None and fastest_pole(start) * job.timing.sample_time > 0.5 * np.pi:
         m, n = start.D.shape[0], start.n_states
         A = np.block([[start.A, np.zeros((n, m))], [_LAG * start.C, -_LAG * np.eye(m)]])
@@ -193,25 +224,25 @@ def with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
     return StateSpace(sla.block_diag(*A), np.vstack(B), np.hstack(C), K.D, K.inputs, K.outputs)
 
 
-def _holding(job: _Job, controller: StateSpace) -> StateSpace:
+def _holding(job: _Job, law: Law) -> Law:
     """A controller that holds all models, with some decay, by descent on the poles' real parts alone."""
     for attempt in range(_TRIES + 1):
-        structure, x = structured(controller, job.groups)
+        structure, x = _unknowns(job, law)
         cost = Objective(structure, job.models, np.array([100.0]), job.aims)
         abscissa = cost.abscissa(x)
         if abscissa < (-0.5 if attempt == 0 else -_DECAY):
-            return controller
+            return law
         if attempt == _TRIES or job.clock.left <= 0:
             break
         if attempt == 0:
             job.say(f"the start does not hold every model ({abscissa:+.3g} rad/s): looking for one that does")
         x, _ = descend(cost.unstable, lambda trial: True, x, _HOLDING, 1e-6, lambda: job.clock.left > 0)
-        controller = structure.controller(x)
+        law = _law(structure, x)
     if abscissa < 0:
-        return controller
+        return law
     raise NumericalFailure(
-        f"no controller of order {controller.n_states} that holds all {len(job.models)} models was found (a pole stays at "
-        f"{abscissa:+.3g} rad/s); allow a higher order, give another [controller] to start from, or drop a point"
+        f"no controller of order {structure.controller(x).n_states} that holds all {len(job.models)} models was found (a pole "
+        f"stays at {abscissa:+.3g} rad/s); allow a higher order, give another [controller] to start from, or drop a point"
     )
 
 
@@ -234,9 +265,10 @@ def _grid(job: _Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndar
     return np.array(kept)
 
 
-def _descended(job: _Job, controller: StateSpace, power: float) -> tuple[StateSpace, int]:
+def _descended(job: _Job, law: Law, power: float) -> tuple[Law, int]:
     """One descent; true peaks of a denser grid are kept for the next."""
-    structure, x = structured(controller, job.groups)
+    structure, x = _unknowns(job, law)
+    controller = structure.controller(x)
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
     cost = Objective(structure, job.models, _grid(job, rough, x, _TUNED), job.aims, job.reference)
     fastest = _FASTEST * max(fastest_pole(controller), job.aims.highest)
@@ -249,23 +281,24 @@ def _descended(job: _Job, controller: StateSpace, power: float) -> tuple[StateSp
     x, used = descend(lambda v: cost(v, power), allowed, x, _ITERATIONS, 1e-4, lambda: job.clock.left > 0)
     dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
     job.extra += [float(dense.omega[i]) for i in set(dense.sensitivity(x).argmax(axis=1))]
-    return structure.controller(x), used
+    return _law(structure, x), used
 
 
 def _best(job: _Job, rounds: list[_Round]) -> _Round:
     """The round that does best on all models by the end, members included, and on the full plants."""
     full = [loop_model(plant, job.timing) for plant in job.full]
-    on_models = sorted((_judged(job, item.controller, job.models) for item in rounds), key=lambda item: item.worst)
-    best = _Round(rounds[-1].controller, {})
+    on_models = sorted((_judged(job, item.law, job.models) for item in rounds), key=lambda item: item.worst)
+    best = _Round(rounds[-1].law, {})
     for item in on_models:
         if item.worst >= best.worst:
             break  # the full plants can only be worse
-        both = _both(item, _judged(job, item.controller, full))
+        both = _both(item, _judged(job, item.law, full))
         best = min(best, both, key=lambda item: item.worst)
     if not np.isfinite(best.worst):
         raise NumericalFailure(
-            f"no controller of order {best.controller.n_states} that holds the full plant at all {len(job.full)} operating "
-            "points was found; allow a higher order, more bending modes or another structure, or drop a point"
+            f"no controller of order {_system(best.law, job.full[0].machine).n_states} that holds the full plant at all "
+            f"{len(job.full)} operating points was found; allow a higher order, more bending modes or another structure, or "
+            "drop a point"
         )
     return best
 
@@ -273,24 +306,25 @@ def _best(job: _Job, rounds: list[_Round]) -> _Round:
 def _both(one: _Round, other: _Round) -> _Round:
     """The larger ratio of each requirement; none where one of the two has none, for it is unstable there."""
     if not one.ratios or not other.ratios:
-        return _Round(one.controller, {})
-    return _Round(one.controller, {
+        return _Round(one.law, {})
+    return _Round(one.law, {
         name: max(ratio, other.ratios[name], key=lambda item: item.value) for name, ratio in one.ratios.items()
     })  # fmt: skip
 
 
-def _judged(job: _Job, controller: StateSpace, models: Sequence[LoopModel]) -> _Round:
+def _judged(job: _Job, law: Law, models: Sequence[LoopModel]) -> _Round:
     """All ratios on models, on a dense grid; none where one of them is unstable."""
-    structure, x = structured(controller, job.groups)
+    structure, x = _unknowns(job, law)
     rough = Objective(structure, models, np.array([100.0]), job.aims)
     if rough.abscissa(x) >= 0:
-        return _Round(controller, {})
+        return _Round(law, {})
     cost = Objective(structure, models, _grid(job, rough, x, _JUDGED), job.aims, job.reference)
-    return _Round(controller, cost.ratios(x))
+    return _Round(law, cost.ratios(x))
 
 
-def _add_members(job: _Job, controller: StateSpace) -> StateSpace:
+def _add_members(job: _Job, law: Law) -> Law:
     """The worst corner of the tolerances around every point joins the models; the controller brought to hold them all."""
+    controller = _system(law, job.full[0].machine)
     for plant in job.small:
         found = worst_member(plant, controller, job.timing, job.aims)
         key = (plant.point.label, tuple(sorted(found.items())))
@@ -298,7 +332,7 @@ def _add_members(job: _Job, controller: StateSpace) -> StateSpace:
             job.members.add(key)
             label = f"{plant.point.label}, {', '.join(f'{name} {value:+.3g}' for name, value in found.items())}"
             job.models.append(loop_model(perturbed(plant, found, tolerances_around(plant)), job.timing, label))
-    return _holding(job, controller)
+    return _holding(job, law)
 
 
 def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims) -> dict[str, float]:
@@ -366,13 +400,14 @@ def _row(job: _Job, number: int, power: float, used: int, item: _Round) -> dict[
 
 def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None) -> Synthesis:
     """The synthesis, with stability and the norm of S_o of the loop as it runs recomputed on every full plant."""
-    law = best.controller if job.timing is None else job.timing.in_loop(best.controller)
-    found = [certify(plant, law) for plant in job.full]
+    controller = _system(best.law, job.full[0].machine)
+    runs = controller if job.timing is None else job.timing.in_loop(controller)
+    found = [certify(plant, runs) for plant in job.full]
     worst = max(range(len(found)), key=lambda k: found[k].closed_loop_norm)
     machine = job.full[0].machine
     certificate = Certificate(
         all(item.stable for item in found), max(item.spectral_abscissa for item in found), found[worst].closed_loop_norm,
-        fastest_pole(best.controller), {f"ratio_{name}": ratio.value for name, ratio in best.ratios.items()},
+        fastest_pole(controller), {f"ratio_{name}": ratio.value for name, ratio in best.ratios.items()},
         f"{machine.name}, full plant at {len(found)} operating points",
     )  # fmt: skip
     binding = max(best.ratios, key=lambda name: best.ratios[name].value)
@@ -383,4 +418,7 @@ def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reas
     if missed:
         notes.append(f"not met: {', '.join(missed)}; allow a higher order, or relax a requirement")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
-    return Synthesis(best.controller, "tuned", best.worst, status, certificate, history, tuple(notes), stopped_early=reason)
+    return Synthesis(
+        controller, "tuned", best.worst, status, certificate, history, tuple(notes), stopped_early=reason,
+        filters=best.law if isinstance(best.law, PidSettings) else None,
+    )  # fmt: skip

@@ -1,0 +1,195 @@
+"""A filter bank that is tuned: its unknowns are the logarithms of the gains, times, frequencies and dampings of every chain.
+
+Theta of the whole bank (synthesis/filters.py) is a product of small matrices, analytic in the parameters. The slope goes back
+through the products, and each section's own derivative is a complex step, exact to rounding (Squire & Trapp 1998). Poles
+that would run to infinity, and dampings, end softly at a limit: value = 1/(1/limit + exp(-x)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import invalid
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.controller import MODES, SECTIONS, Channel, PidSettings, Section
+from ambrose.machine.machine import Machine
+from ambrose.physics.rotor import finite_element_rotor, free_modes
+from ambrose.synthesis.filters import bank, chain, embedded, section_matrix
+from ambrose.synthesis.pid import channel_chains, first_settings, mixings, theta_system
+
+_STEP = 1e-30  # of a complex derivative
+_INSIDE = 0.9  # of a limit: where a start beyond it begins
+_DAMPED = {"low-pass": 1.0, "notch": 2.0, "phase-bump": 2.0}  # largest damping of poles
+_DAMPING = 0.5  # of a notch that does nothing yet
+_LEAST = 1e-3  # damping of the zeros of a notch that starts with none
+_EXTRA = 2  # sections per channel with structure "filters"
+BANKS = ("pid", "filters")
+
+
+@dataclass(frozen=True, slots=True)
+class _Unknown:
+    """One unknown: a section's key (None: the gain), up to a limit; a phase is 2 atan(x), the corner of a PID 1/(eps T_d)."""
+
+    channel: int
+    section: int
+    key: str
+    limit: float = np.inf
+
+    def start(self, section: Section, gain: float) -> float:
+        if self.key == "gain":
+            return float(np.log(gain))
+        if self.key == "phase":
+            return float(np.tan(section.phase / 2))  # type: ignore[operator]  # a phase bump has one
+        value = getattr(section, self.key) or _LEAST
+        if self.key == "derivative_filter":
+            value = 1 / (value * (section.derivative_time or 0.0))
+        return float(-np.log(1 / min(value, _INSIDE * self.limit) - 1 / self.limit))
+
+    def value(self, x: Any) -> Any:
+        return 2 * np.arctan(x) if self.key == "phase" else 1 / (1 / self.limit + np.exp(-x))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterBank:
+    """base: settings with a chain for every channel, whose numbers the unknowns replace; as ``Structure`` for the descent."""
+
+    base: PidSettings
+    axes: tuple[str, ...]
+    mixing: tuple[np.ndarray, np.ndarray]
+    unknowns: tuple[_Unknown, ...]
+
+    def theta(self, x: np.ndarray) -> np.ndarray:
+        """Theta (m+n, p+n) of the unknowns x (k,)."""
+        chains = [
+            chain(item.gain, [section_matrix(section) for section in item.sections]) for item in self.settings(x).channels
+        ]
+        return bank(chains, *self.mixing)
+
+    def matrices(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A, B, C and D of the unknowns."""
+        T, m = self.theta(x), len(self.axes)
+        return T[m:, m:], T[m:, :m], T[:m, m:], T[:m, :m]
+
+    def controller(self, x: np.ndarray) -> StateSpace:
+        """The controller of the unknowns."""
+        return theta_system(self.theta(x), self.axes)
+
+    def settings(self, x: np.ndarray) -> PidSettings:
+        """The [controller] of the unknowns."""
+        found: list[dict[Any, dict[str, float]]] = [{} for _ in self.base.channels]
+        for item, value in zip(self.unknowns, x, strict=True):
+            found[item.channel].setdefault(item.section, {})[item.key] = float(item.value(value))
+        return replace(self.base, channels=tuple(
+            replace(
+                channel, gain=numbers[-1]["gain"],
+                sections=tuple(replace(part, **_own(numbers.get(i, {}))) for i, part in enumerate(channel.sections)),
+            )
+            for channel, numbers in zip(self.base.channels, found, strict=True)
+        ))  # fmt: skip
+
+    def gradient(self, x: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """df/dx (k,) from df/dTheta (m+n, p+n)."""
+        settings, m, result, start = self.settings(x), len(self.axes), np.zeros(len(x)), 0
+        into, out = self.mixing
+        mine = [[k for k, item in enumerate(self.unknowns) if item.channel == c] for c in range(len(settings.channels))]
+        for c, channel in enumerate(settings.channels):
+            parts = embedded([section_matrix(section) for section in channel.sections])
+            size = len(parts[0]) if parts else 1
+            states = slice(m + start, m + start + size - 1)
+            back = np.empty((size, size))
+            back[0, 0] = out[:, c] @ slope[:m, :m] @ into[c]
+            back[0, 1:], back[1:, 0] = out[:, c] @ slope[:m, states], slope[states, :m] @ into[c]
+            back[1:, 1:] = slope[states, states]
+            start += size - 1
+            before = [np.eye(size)]
+            for part in parts:
+                before.append(part @ before[-1])
+            for k in mine[c]:
+                if self.unknowns[k].key == "gain":
+                    result[k] = channel.gain * (back[0] @ before[-1][0])
+            back[0] *= channel.gain
+            end = size
+            for i in range(len(parts) - 1, -1, -1):
+                share = back @ before[i].T
+                order = len(section_matrix(channel.sections[i])) - 1
+                at = [0, *range(end - order, end)]
+                end -= order
+                for k in (k for k in mine[c] if self.unknowns[k].section == i):
+                    result[k] = float((share[np.ix_(at, at)] * self._derivative(x, k, mine[c], channel.sections[i])).sum())
+                back = parts[i].T @ back
+        return result
+
+    def _derivative(self, x: np.ndarray, k: int, mine: Sequence[int], section: Section) -> np.ndarray:
+        """dTheta of one section by the unknown k."""
+        numbers = {
+            self.unknowns[j].key: self.unknowns[j].value(x[j] + 1j * _STEP * (j == k))
+            for j in mine if self.unknowns[j].section == self.unknowns[k].section
+        }  # fmt: skip
+        return np.asarray(section_matrix(section, _own(numbers)).imag / _STEP)
+
+
+def _own(numbers: dict[str, Any]) -> dict[str, Any]:
+    """A section's own keys: eps from the corner of the derivative's filter."""
+    if "derivative_filter" in numbers:
+        return {**numbers, "derivative_filter": 1 / (numbers["derivative_filter"] * numbers["derivative_time"])}
+    return numbers
+
+
+def filter_bank(settings: PidSettings, machine: Machine, fastest: float) -> tuple[FilterBank, np.ndarray]:
+    """The structure of settings with a chain for every channel, and its unknowns; fastest [rad/s]: limit of its poles."""
+    unknowns, x = [], []
+    for c, channel in enumerate(settings.channels):
+        found = [_Unknown(c, -1, "gain")]
+        for i, section in enumerate(channel.sections):
+            for key in SECTIONS[section.kind]:
+                if section.kind == "sos" or getattr(section, key) is None:
+                    continue
+                fast = key in {"derivative_filter", "pole_frequency"} or section.kind == "low-pass"
+                limit = fastest if fast else np.inf
+                limit = _DAMPED[section.kind] if key in {"damping", "pole_damping"} else limit
+                found.append(_Unknown(c, i, key, limit))
+        unknowns += found
+        x += [item.start(channel.sections[item.section] if item.section >= 0 else Section(""), channel.gain) for item in found]
+    return FilterBank(settings, machine.axes, mixings(settings, machine), tuple(unknowns)), np.array(x)
+
+
+def first_bank(settings: PidSettings, machine: Machine, structure: str, order: int | None, fastest: float) -> PidSettings:
+    """The chains that tuning starts from: for every channel the PID of ``settings`` completed, and a low pass.
+
+    structure "filters" adds notches that do nothing yet, at the bending modes, until the order is reached (None: two per
+    channel). Sections that the settings have besides stay. Raises InvalidInput for an order that the structure does not have.
+    """
+    first, names = first_settings(machine), MODES if settings.coordinates == "tilt-translate" else machine.axes
+    whole = [_completed(sections, first, fastest) for _, sections in channel_chains(settings, machine.axes)]
+    gains = [gain for gain, _ in channel_chains(settings, machine.axes)]
+    if len(settings.gain) > 1 and settings.coordinates != "axes":  # of the axes: no bank has them
+        gains = [float(np.mean(settings.gain)) * gain for gain in gains]
+    states = sum(len(chain(1.0, [section_matrix(item) for item in sections])) - 1 for sections in whole)
+    extra = 0 if structure == "pid" else _EXTRA
+    if order is not None:
+        extra, rest = divmod(order - states, 2 * len(names))
+        if extra < 0 or rest or (structure == "pid" and extra):
+            wanted = f"{states}" if structure == "pid" else f"{states}, or {2 * len(names)}, {4 * len(names)} ... more"
+            raise invalid("order", order, f"{wanted} with structure {structure!r}", "leave it out")
+    bending = free_modes(finite_element_rotor(machine), max(extra, 1)).frequencies[4::2]
+    places = [min(float(bending[min(i, len(bending) - 1)]), 0.5 * fastest) for i in range(extra)]
+    notches = tuple(
+        Section("notch", zero_frequency=w, zero_damping=_DAMPING, pole_frequency=w, pole_damping=_DAMPING) for w in places
+    )
+    channels = (Channel((name,), gain, (*sections, *notches)) for name, gain, sections in zip(names, gains, whole, strict=True))
+    kept = {key: getattr(settings, key) for key in ("coordinates", "sample_time", "delay")}
+    return PidSettings(channels=tuple(channels), **kept)
+
+
+def _completed(sections: tuple[Section, ...], first: PidSettings, fastest: float) -> tuple[Section, ...]:
+    """The chain with all three terms of a PID and a low pass."""
+    pid = next((item for item in sections if item.kind == "pid"), Section("pid"))
+    times = {key: getattr(pid, key) or getattr(first, key) for key in SECTIONS["pid"]}
+    rest = tuple(item for item in sections if item is not pid)
+    if not any(item.kind == "low-pass" for item in rest):
+        rest += (Section("low-pass", frequency=0.5 * fastest, damping=float(np.sqrt(0.5))),)
+    return (replace(pid, **times), *rest)
