@@ -2,7 +2,7 @@
 
 Theta of the whole bank (synthesis/filters.py) is a product of small matrices, analytic in the parameters. The slope goes back
 through the products, and each section's own derivative is a complex step, exact to rounding (Squire & Trapp 1998). Poles
-that would run to infinity, and dampings, end softly at a limit: value = 1/(1/limit + exp(-x)).
+that would run to infinity, and dampings, end softly at limits: value = least + 1/(1/(limit - least) + exp(-x)).
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from ambrose.synthesis.filters import bank, chain, embedded, section_matrix
 from ambrose.synthesis.pid import channel_chains, first_settings, mixings, theta_system
 
 _STEP = 1e-30  # of a complex derivative
-_INSIDE = 0.9  # of a limit: where a start beyond it begins
-_DAMPED = {"low-pass": 1.0, "notch": 2.0, "phase-bump": 2.0}  # largest damping of poles
+_EDGE = 1e-9  # of a limit: values are that far within; those of a start that is beyond it:
+_INSIDE = 0.9
+_DAMPED = {"low-pass": (0.5, 1.0), "notch": (0.02, 2.0), "phase-bump": (0.02, 2.0)}  # damping of poles: an undamped low pass
+# has no lag, and a resonance that nobody asked for
 _DAMPING = 0.5  # of a notch that does nothing yet
 _LEAST = 1e-3  # damping of the zeros of a notch that starts with none
 _EXTRA = 2  # sections per channel with structure "filters"
@@ -32,12 +34,13 @@ BANKS = ("pid", "filters")
 
 @dataclass(frozen=True, slots=True)
 class _Unknown:
-    """One unknown: a section's key (None: the gain), up to a limit; a phase is 2 atan(x), the corner of a PID 1/(eps T_d)."""
+    """One unknown: a section's key or "gain", between limits; a phase is 2 atan(x), a PID's filter its corner 1/(eps T_d)."""
 
     channel: int
     section: int
     key: str
     limit: float = np.inf
+    least: float = 0.0
 
     def start(self, section: Section, gain: float) -> float:
         if self.key == "gain":
@@ -47,10 +50,15 @@ class _Unknown:
         value = getattr(section, self.key) or _LEAST
         if self.key == "derivative_filter":
             value = 1 / (value * (section.derivative_time or 0.0))
-        return float(-np.log(1 / min(value, _INSIDE * self.limit) - 1 / self.limit))
+        return self.unknown(value)
+
+    def unknown(self, value: float) -> float:
+        """x of a value; at a limit, and beyond, just within."""
+        room = self.limit - self.least
+        return float(-np.log(1 / np.clip(value - self.least, _EDGE, (1 - _EDGE) * room) - 1 / room))
 
     def value(self, x: Any) -> Any:
-        return 2 * np.arctan(x) if self.key == "phase" else 1 / (1 / self.limit + np.exp(-x))
+        return 2 * np.arctan(x) if self.key == "phase" else self.least + 1 / (1 / (self.limit - self.least) + np.exp(-x))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,9 +157,8 @@ def filter_bank(settings: PidSettings, machine: Machine, fastest: float) -> tupl
                 if section.kind == "sos" or getattr(section, key) is None:
                     continue
                 fast = key in {"derivative_filter", "pole_frequency"} or section.kind == "low-pass"
-                limit = fastest if fast else np.inf
-                limit = _DAMPED[section.kind] if key in {"damping", "pole_damping"} else limit
-                found.append(_Unknown(c, i, key, limit))
+                limits = _DAMPED[section.kind] if key in {"damping", "pole_damping"} else (0.0, fastest if fast else np.inf)
+                found.append(_Unknown(c, i, key, limits[1], limits[0]))
         unknowns += found
         x += [item.start(channel.sections[item.section] if item.section >= 0 else Section(""), channel.gain) for item in found]
     return FilterBank(settings, machine.axes, mixings(settings, machine), tuple(unknowns)), np.array(x)
@@ -182,7 +189,9 @@ def first_bank(settings: PidSettings, machine: Machine, structure: str, order: i
     )
     channels = (Channel((name,), gain, (*sections, *notches)) for name, gain, sections in zip(names, gains, whole, strict=True))
     kept = {key: getattr(settings, key) for key in ("coordinates", "sample_time", "delay")}
-    return PidSettings(channels=tuple(channels), **kept)
+    found, x = filter_bank(PidSettings(channels=tuple(channels), **kept), machine, fastest)
+    most = [item.unknown(_INSIDE * item.limit) if np.isfinite(item.limit) else np.inf for item in found.unknowns]
+    return found.settings(np.minimum(x, most))
 
 
 def _completed(sections: tuple[Section, ...], first: PidSettings, fastest: float) -> tuple[Section, ...]:
