@@ -24,7 +24,7 @@ SLIPS = {
     "missing table": ('[amplifier]\norder = "twice-first"\nbandwidth = "1.5 kHz"\neddy_bandwidth = "3 kHz"\n', "", "[amplifier] is missing", "order"),
     "unknown key": ("outer_diameter = ", "outer_diamter = ", "[[shaft]] 1", '"outer_diamter"', 'did you mean "outer_diameter"?'),
     "unknown key in a nested entry": ("pole_damping = ", "damping = ", "[[controller.notch]] 1", '"damping"', "did you mean"),
-    "unknown key without likeness": ("integral_time = ", "zzz = ", "[controller]", 'unknown key "zzz"', "known: coordinates, delay"),
+    "unknown key without likeness": ("integral_time = ", "zzz = ", "[controller]", 'unknown key "zzz"', "known: channel, coordinates, delay"),
     "key in other case": ("speed_range", "Speed_Range", "[operation]", '"Speed_Range"', 'did you mean "speed_range"?'),
     "unknown table": ("[requirements]", "[requirments]", "[requirments]", "unknown table", 'did you mean "requirements"?'),
     "newer schema": ("schema = 1", "schema = 2", "[machine]", "schema is 2", "must be 1", "update ambrose"),

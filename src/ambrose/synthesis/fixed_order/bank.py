@@ -22,9 +22,10 @@ from ambrose.synthesis.filters import bank, chain, embedded, section_matrix
 from ambrose.synthesis.pid import channel_chains, first_settings, mixings, theta_system
 
 _STEP = 1e-30  # of a complex derivative
+_FAR = 40.0  # of a logarithm: farther steps of a search stay finite
 _EDGE = 1e-9  # of a limit: values are that far within; those of a start that is beyond it:
 _INSIDE = 0.9
-_DAMPED = {"low-pass": (0.5, 1.0), "notch": (0.02, 2.0), "phase-bump": (0.02, 2.0)}  # damping of poles: an undamped low pass
+_DAMPED = {"low-pass": (0.5, 1.0), "notch": (0.1, 2.0), "phase-bump": (0.1, 2.0)}  # damping of poles: an undamped low pass
 # has no lag, and a resonance that nobody asked for
 _DAMPING = 0.5  # of a notch that does nothing yet
 _LEAST = 1e-3  # damping of the zeros of a notch that starts with none
@@ -90,7 +91,7 @@ class FilterBank:
         """The [controller] of the unknowns."""
         found: list[dict[Any, dict[str, float]]] = [{} for _ in self.base.channels]
         for item, value in zip(self.unknowns, x, strict=True):
-            found[item.channel].setdefault(item.section, {})[item.key] = float(item.value(value))
+            found[item.channel].setdefault(item.section, {})[item.key] = float(item.value(np.clip(value, -_FAR, _FAR)))
         return replace(self.base, channels=tuple(
             replace(
                 channel, gain=numbers[-1]["gain"],
@@ -134,7 +135,7 @@ class FilterBank:
     def _derivative(self, x: np.ndarray, k: int, mine: Sequence[int], section: Section) -> np.ndarray:
         """dTheta of one section by the unknown k."""
         numbers = {
-            self.unknowns[j].key: self.unknowns[j].value(x[j] + 1j * _STEP * (j == k))
+            self.unknowns[j].key: self.unknowns[j].value(np.clip(x[j], -_FAR, _FAR) + 1j * _STEP * (j == k))
             for j in mine if self.unknowns[j].section == self.unknowns[k].section
         }  # fmt: skip
         return np.asarray(section_matrix(section, _own(numbers)).imag / _STEP)

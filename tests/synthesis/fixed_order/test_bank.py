@@ -1,0 +1,173 @@
+"""Filter banks tuned: exact gradients, chains that machine files and controller files give back, all told on the command line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.controller import Section
+from ambrose.plant.assemble import assemble
+from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import Timing
+from ambrose.synthesis import design
+from ambrose.synthesis.fixed_order import tuning
+from ambrose.synthesis.fixed_order.aims import aims_of
+from ambrose.synthesis.fixed_order.bank import filter_bank, first_bank
+from ambrose.synthesis.fixed_order.loops import loop_model
+from ambrose.synthesis.fixed_order.objective import Objective
+from ambrose.synthesis.fixed_order.tuning import tune_controller
+from ambrose.synthesis.pid import first_settings, pid_controller
+
+FILE = Path(__file__).parent / "flexible_compressor.toml"
+MACHINE = amb.load_machine(FILE)
+RUNS = Timing(5e-5, 1)
+FIRST = first_settings(MACHINE)
+FASTEST = 0.95 * np.pi / RUNS.sample_time
+EVERY = (
+    Section("phase-bump", frequency=2e3, phase=0.4, damping=0.3),
+    Section("lead-lag", zero_frequency=300.0, pole_frequency=900.0),
+    Section("sos", numerator=(1.0, 200.0), denominator=(1.0, 300.0)),
+)
+
+
+def every_kind(coordinates):
+    """The chains of structure "filters" and a section of every other kind, off any symmetry; the unknowns."""
+    settings = first_bank(replace(FIRST, coordinates=coordinates), MACHINE, "filters", None, FASTEST)
+    channels = tuple(replace(item, sections=(*item.sections, *EVERY)) for item in settings.channels)
+    bank, x = filter_bank(replace(settings, channels=channels), MACHINE, FASTEST)
+    return bank, x + 0.1 * np.random.default_rng(0).normal(size=len(x))
+
+
+def differences(function, x, direction, step=1e-5):
+    """Central differences of fourth order."""
+    return np.array([function(x + k * step * direction) for k in (-2, -1, 1, 2)]) @ [1, -8, 8, -1] / (12 * step)
+
+
+@pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
+def test_the_slope_goes_back_through_every_kind_of_section(coordinates):
+    bank, x = every_kind(coordinates)
+    theta = bank.theta(x)
+    slope = np.random.default_rng(1).normal(size=theta.shape) / (np.abs(theta) + 1)
+    exact = bank.gradient(x, slope)
+    assert len(exact) == 4 * (1 + 3 + 2 + 2 * 4 + 3 + 2) and np.abs(exact).min() > 0
+    first = [k for k, item in enumerate(bank.unknowns) if item.channel in {0, 3}]
+    found = [differences(lambda v: (slope * bank.theta(v)).sum(), x, np.eye(len(x))[k]) for k in first]
+    assert found == pytest.approx(exact[first], abs=1e-8 * np.abs(exact).max())
+
+
+def test_the_gradient_of_the_objective_is_that_of_finite_differences():
+    bank, x = filter_bank(first_bank(FIRST, MACHINE, "filters", None, FASTEST), MACHINE, FASTEST)
+    x = x + 1e-2 * np.random.default_rng(0).normal(size=len(x))
+    models = [loop_model(reduce(assemble(MACHINE, point), 1), RUNS) for point in MACHINE.operation.points[::2]]
+    cost = Objective(bank, models, np.geomspace(1, 2e4, 30), aims_of(MACHINE, pid_controller(FIRST, MACHINE)))
+    direction = np.random.default_rng(1).normal(size=len(x))
+    for function in (lambda v: cost(v, 12.0), cost.unstable):
+        gradient = function(x)[1]
+        found = differences(lambda v, f=function: f(v)[0], x, direction)
+        scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
+        assert found == pytest.approx(gradient @ direction, abs=1e-6 * scale)
+
+
+def test_values_keep_within_their_limits():
+    bank, x = filter_bank(first_bank(FIRST, MACHINE, "filters", None, FASTEST), MACHINE, FASTEST)
+    for far in (-400.0, 400.0):
+        for channel in bank.settings(np.full(len(x), far)).channels:
+            assert 0.5 <= channel.sections[1].damping <= 1 and channel.sections[1].frequency <= FASTEST
+            assert all(item.pole_damping <= 2 and item.pole_frequency <= FASTEST for item in channel.sections[2:])
+    for values in (x, x + 30.0):  # a round begins where the last one ended, at a limit too
+        settings = bank.settings(values)
+        again, there = filter_bank(settings, MACHINE, FASTEST)
+        np.testing.assert_allclose(again.theta(there), bank.theta(values), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("structure", "order", "states"),
+    [("pid", None, 16), ("pid", 16, 16), ("filters", None, 32), ("filters", 16, 16), ("filters", 24, 24)],
+)
+def test_the_order_says_how_many_notches(structure, order, states):
+    settings = first_bank(FIRST, MACHINE, structure, order, FASTEST)
+    assert pid_controller(settings, MACHINE).n_states == states
+
+
+@pytest.mark.parametrize(("structure", "order"), [("pid", 12), ("pid", 24), ("filters", 20), ("filters", 8)])
+def test_an_order_that_no_chain_has(structure, order):
+    with pytest.raises(InvalidInput, match=rf"order is {order}, but must be 16.* with structure '{structure}'; leave it out"):
+        first_bank(FIRST, MACHINE, structure, order, FASTEST)
+
+
+def test_what_stands_in_the_file_is_kept_and_tuned():
+    """Notches, modes and chains of a [controller]; a start faster than the sample rate shows begins within it."""
+    settings = replace(FIRST, coordinates="tilt-translate", tilt_gain=1.5, derivative_filter=1e-4, lead=(400.0, 2e3))
+    found = first_bank(settings, MACHINE, "pid", None, FASTEST)
+    assert [item.names for item in found.channels] == [("translate_x",), ("translate_y",), ("tilt_x",), ("tilt_y",)]
+    assert [item.kind for item in found.channels[0].sections] == ["pid", "lead-lag", "low-pass"]
+    assert found.channels[2].gain == pytest.approx(1.5 * found.channels[0].gain)
+    assert np.abs(np.linalg.eigvals(pid_controller(found, MACHINE).A)).max() < FASTEST
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Three steps, at standstill."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning, "_POWERS", (10.0,))
+        patch.setattr(tuning, "_ITERATIONS", 3)
+        patch.setattr(tuning, "_JUDGED", 12)
+        patch.setattr(tuning, "_TUNED", 12)
+        return tune_controller([assemble(MACHINE, MACHINE.operation.points[-1])], FIRST, RUNS, structure="pid", bending_modes=1)
+
+
+def test_the_filters_found_are_a_controller_table(found, tmp_path):
+    machine = replace(MACHINE, controller=found.filters)
+    again = amb.load_machine(amb.save_machine(machine, tmp_path / "tuned.toml"))
+    assert again == machine
+    K, same = found.controller, pid_controller(again.controller, again)
+    for letter in "ABCD":
+        np.testing.assert_allclose(getattr(same, letter), getattr(K, letter), rtol=1e-12, atol=0)
+    assert found.status == "verified" and found.certificate.fastest_pole < np.pi / RUNS.sample_time
+    assert amb.read_controller(amb.write_controller(tmp_path / "tuned.json", found)) == found
+    content = json.loads((tmp_path / "tuned.json").read_text())
+    content["filters"]["channel"][0]["gain"] = "loud"
+    (tmp_path / "wrong.json").write_text(json.dumps(content))
+    with pytest.raises(InvalidInput, match=r"channel.*gain is \"loud\""):
+        amb.read_controller(tmp_path / "wrong.json")
+
+
+def test_the_command_line_tells_the_chains_and_writes_the_machine(found, monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(design, "design", lambda plant, method, options, progress: asked.append(options) or found)
+    words = ["synthesize", FILE, "--method", "tuned", "--structure", "pid", "--rate-hz", 20000]
+    words += ["-o", tmp_path / "k.json", "--machine-file", tmp_path / "with.toml"]
+    done = CliRunner().invoke(main, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    assert "NDE_eta" in done.output and "low-pass" in done.output and "integral time" in done.output
+    assert asked[0].structure == "pid"
+    machine = amb.load_machine(tmp_path / "with.toml")
+    np.testing.assert_allclose(pid_controller(machine.controller, machine).A, found.controller.A, rtol=1e-12)
+
+
+def test_only_a_filter_bank_is_written_into_a_machine_file(tmp_path):
+    words = ["synthesize", FILE, "--method", "tuned", "--machine-file", tmp_path / "m.toml", "-o", tmp_path / "k.json"]
+    done = CliRunner().invoke(main, [str(word) for word in words])
+    assert done.exit_code == 2 and "must be given with a filter bank; add --method tuned --structure pid" in done.output
+
+
+def test_a_bank_starts_from_settings():
+    with pytest.raises(InvalidInput, match="must be PidSettings with structure 'pid'; give the .controller. table"):
+        tune_controller([assemble(MACHINE)], pid_controller(FIRST, MACHINE), RUNS, structure="pid")
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(("structure", "peak"), [("pid", 2.8), ("filters", 2.2)])
+def test_a_bank_meets_every_requirement(structure, peak):
+    result = amb.design(MACHINE, "tuned", rate=RUNS.rate, structure=structure)
+    verdict = amb.verify(MACHINE, result)
+    assert verdict.passed and len(verdict.boxes) == 3
+    assert max(point["sensitivity.output.max"].value for point in verdict.points) < peak
