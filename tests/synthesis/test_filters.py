@@ -1,4 +1,4 @@
-"""Filter banks in the machine file: every kind of section is its formula, channels are axes or modes, and what is wrong is said."""
+"""Filter banks in the machine file: every kind of section is its formula, channels are axes or modes, errors are said."""
 
 from __future__ import annotations
 
@@ -142,17 +142,17 @@ WRONG = {
     "named twice": ('"DE_eta", ', '"NDE_zeta", ', '"NDE_zeta" has its chain in entry 1 already'),
     "no channel": ('names = ["DE_eta", "NDE_zeta"]', "names = []", "names is empty, but must be one channel at least"),
     "unknown kind": ('"notch"', '"nodge"', r'kind is "nodge", but must be one of "pid", "notch"'),
-    "key of another kind": ("zero_damping = 0.05", "zero_damping = 0.05\nphase = 1", r"phase is no key of this kind; leave it out"),
+    "key of another kind": ("zero_damping = 0.05", "zero_damping = 0.05\nphase = 1", "phase is no key of this kind"),
     "key missing": ("pole_damping = 0.4", "", "pole_damping missing; it takes zero_frequency, zero_damping"),
     "undamped poles": ("pole_damping = 0.4", "pole_damping = 0", "pole_damping is 0, but must be positive"),
     "negative frequency": ('"170 Hz"', '"-170 Hz"', r"pole_frequency is -1068.14 rad/s, but must be positive"),
     "pure derivative": ('"2 ms"', '"2 ms"\nderivative_filter = 0', "derivative_filter is 0.*cannot be realised"),
     "empty pid": ('integral_time = "0.2 s"\nderivative_time = "2 ms"\n', "", "neither integral_time nor derivative_time"),
-    "no gain for the rest": ('gain = "18 A/mm"\n', "", r"gain .* is missing; give one value or one per axis, or a chain for DE_zeta"),
+    "no gain for the rest": ('gain = "18 A/mm"\n', "", r"gain .* is missing; .*, or a chain for DE_zeta"),
     "gain of a chain": ('gain = "22 A/mm"\n', "", r"\[\[controller.channel\]\].*gain is missing"),
     "negative gain": ('"22 A/mm"', "-22", "gain is -22 A/m, but must be positive"),
-    "serves none": ('["DE_eta", "NDE_zeta"]', '["DE_zeta", "DE_eta", "NDE_zeta", "NDE_eta"]', "gain, derivative_time serves none"),
-    "modes by axes": ("[controller]", '[controller]\ncoordinates = "tilt-translate"', r"no channel of tilt-translate; known: tilt_x"),
+    "serves none": ('["DE_eta", "NDE_zeta"]', '["DE_zeta", "DE_eta", "NDE_zeta", "NDE_eta"]', "derivative_time serves none"),
+    "modes by axes": ("[controller]", '[controller]\ncoordinates = "tilt-translate"', "no channel of tilt-translate; known"),
 }  # fmt: skip
 
 

@@ -15,10 +15,21 @@ from ambrose.cli.terminal import AS_JSON, claim, say, say_json
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
 @AS_JSON
 def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> None:
-    """Write a record (*.h5, *.csv), or a file of MATLAB (*.mat) or LabVIEW (*.tdms), as a record (*.h5 or *.csv)."""
+    """Write a record (*.h5, *.csv), or a file of MATLAB (*.mat) or LabVIEW (*.tdms), as a record (*.h5 or *.csv); a table of
+    filters (*.csv, *.json) as a controller file (*.json)."""
     from ambrose.machine.record.files import check_suffix, read_record, write_record
     from ambrose.machine.record.foreign import read_foreign
+    from ambrose.synthesis.controller_file import read_controller, write_controller
 
+    if output.suffix == ".json":
+        claim(controller_file=output)
+        law = read_controller(record)
+        write_controller(output, law)
+        kind = "continuous" if law.controller.dt is None else f"sampled at {1 / law.controller.dt:.6g} Hz"
+        told = {"controller": str(output), "inputs": law.controller.inputs, "states": law.controller.n_states, "kind": kind}
+        text = f"{output}: {law.controller.n_states} states, {kind}, from {', '.join(law.controller.inputs)}"
+        say_json(told) if as_json else say(text)
+        return
     check_suffix(output)
     claim(record=output)
     result = read_record(record) if columns is None else read_foreign(record, columns)

@@ -44,6 +44,7 @@ from ambrose.machine.limits import (
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import quoted
 from ambrose.machine.ordinary_file import read_text
+from ambrose.synthesis.filter_table import controller_of_csv, controller_of_json
 from ambrose.synthesis.hinf.scaling import Matrices
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
 from ambrose.synthesis.weights import Weights
@@ -241,11 +242,17 @@ def _layout(content: Mapping[str, Any]) -> str:
 def read_controller(path: str | os.PathLike[str]) -> Synthesis:
     """The controller file at ``path``, every part of it checked; nothing in it is ever executed.
 
+    A table of filters (synthesis/filter_table.py), *.csv or JSON with "channels", is a controller that nothing is known of.
     Raises InvalidInput that names the file, the key, its value and the remedy.
     """
     text = read_text(path, "controller file", CONTROLLER_BYTES)
     try:
-        return _synthesis(_parse(_content(text)))
+        if Path(path).suffix.lower() == ".csv":
+            return Synthesis(controller_of_csv(text))
+        content = _content(text)
+        if isinstance(content, dict) and "channels" in content:
+            return Synthesis(controller_of_json(content))
+        return _synthesis(_parse(content))
     except InvalidInput as error:
         raise InvalidInput(f"controller file {path}: {error}") from error
 

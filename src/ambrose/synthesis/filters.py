@@ -115,11 +115,14 @@ def check_sections(sections: Sequence[Section]) -> None:
 
 def chain(gain: Any, parts: Sequence[np.ndarray]) -> np.ndarray:
     """Theta of sections in series, the first one next to the input, times a gain."""
-    whole = embedded(parts)
-    result = np.eye(len(whole[0])) if whole else np.eye(1)
-    for part in whole:
-        result = part @ result
-    return np.concatenate([gain * result[:1], result[1:]])
+    result = np.eye(1 + sum(len(part) - 1 for part in parts))
+    start = 1
+    for part in parts:
+        at = [0, *range(start, start + len(part) - 1)]
+        result[at] = part @ result[at]
+        start += len(part) - 1
+    result[0] *= gain
+    return result
 
 
 def embedded(parts: Sequence[np.ndarray]) -> list[np.ndarray]:

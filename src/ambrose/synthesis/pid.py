@@ -92,11 +92,11 @@ def axes_controller(
     return theta_system(bank(chains, into, out), axes)
 
 
-def theta_system(theta: np.ndarray, axes: tuple[str, ...]) -> StateSpace:
-    """The controller of Theta = [[D, C], [B, A]] (synthesis/filters.py)."""
+def theta_system(theta: np.ndarray, axes: tuple[str, ...], dt: float | None = None) -> StateSpace:
+    """The controller of Theta = [[D, C], [B, A]] (synthesis/filters.py); dt [s]: it is sampled."""
     m = len(axes)
     parts = theta[m:, m:], theta[m:, :m], theta[:m, m:], theta[:m, :m]
-    return StateSpace(*parts, [f"err_{a}" for a in axes], [f"u_{a}" for a in axes])
+    return StateSpace(*parts, [f"err_{a}" for a in axes], [f"u_{a}" for a in axes], dt)
 
 
 def channel_chains(settings: PidSettings, axes: tuple[str, ...]) -> list[tuple[float, tuple[Section, ...]]]:

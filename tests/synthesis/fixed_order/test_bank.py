@@ -1,4 +1,4 @@
-"""Filter banks tuned: exact gradients, chains that machine files and controller files give back, all told on the command line."""
+"""Filter banks tuned: exact gradients, chains that machine files and controller files give back, told on the command line."""
 
 from __future__ import annotations
 
@@ -80,8 +80,12 @@ def test_values_keep_within_their_limits():
     bank, x = filter_bank(first_bank(FIRST, MACHINE, "filters", None, FASTEST), MACHINE, FASTEST)
     for far in (-400.0, 400.0):
         for channel in bank.settings(np.full(len(x), far)).channels:
-            assert 0.5 <= channel.sections[1].damping <= 1 and channel.sections[1].frequency <= FASTEST
-            assert all(item.pole_damping <= 2 and item.pole_frequency <= FASTEST for item in channel.sections[2:])
+            assert (
+                channel.sections[0].integral_time <= 1
+                and 0.5 <= channel.sections[1].damping <= 1
+                and channel.sections[1].frequency <= FASTEST
+            )
+            assert all(0.1 <= item.pole_damping <= 1 and item.pole_frequency <= FASTEST for item in channel.sections[2:])
     for values in (x, x + 30.0):  # a round begins where the last one ended, at a limit too
         settings = bank.settings(values)
         again, there = filter_bank(settings, MACHINE, FASTEST)
@@ -160,7 +164,7 @@ def test_only_a_filter_bank_is_written_into_a_machine_file(tmp_path):
 
 
 def test_a_bank_starts_from_settings():
-    with pytest.raises(InvalidInput, match="must be PidSettings with structure 'pid'; give the .controller. table"):
+    with pytest.raises(InvalidInput, match=r"must be PidSettings with structure 'pid'; give the \[controller\] table"):
         tune_controller([assemble(MACHINE)], pid_controller(FIRST, MACHINE), RUNS, structure="pid")
 
 

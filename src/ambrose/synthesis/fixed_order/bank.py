@@ -25,8 +25,9 @@ _STEP = 1e-30  # of a complex derivative
 _FAR = 40.0  # of a logarithm: farther steps of a search stay finite
 _EDGE = 1e-9  # of a limit: values are that far within; those of a start that is beyond it:
 _INSIDE = 0.9
-_DAMPED = {"low-pass": (0.5, 1.0), "notch": (0.1, 2.0), "phase-bump": (0.1, 2.0)}  # damping of poles: an undamped low pass
-# has no lag, and a resonance that nobody asked for
+_DAMPED = {"low-pass": (0.5, 1.0), "notch": (0.1, 1.0), "phase-bump": (0.1, 1.0)}  # damping of poles: below, a resonance that
+# nobody asked for; above 1 one of them is faster than its frequency says
+_SLOWEST = 1.0  # s; longest integral time, without which the integrals are tuned away
 _DAMPING = 0.5  # of a notch that does nothing yet
 _LEAST = 1e-3  # damping of the zeros of a notch that starts with none
 _EXTRA = 2  # sections per channel with structure "filters"
@@ -159,6 +160,8 @@ def filter_bank(settings: PidSettings, machine: Machine, fastest: float) -> tupl
                     continue
                 fast = key in {"derivative_filter", "pole_frequency"} or section.kind == "low-pass"
                 limits = _DAMPED[section.kind] if key in {"damping", "pole_damping"} else (0.0, fastest if fast else np.inf)
+                if key == "integral_time":
+                    limits = 0.0, max(_SLOWEST, getattr(section, key))
                 found.append(_Unknown(c, i, key, limits[1], limits[0]))
         unknowns += found
         x += [item.start(channel.sections[item.section] if item.section >= 0 else Section(""), channel.gain) for item in found]

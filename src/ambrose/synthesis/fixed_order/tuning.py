@@ -272,6 +272,8 @@ def _descended(job: _Job, law: Law, power: float) -> tuple[Law, int]:
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
     cost = Objective(structure, job.models, _grid(job, rough, x, _TUNED), job.aims, job.reference)
     fastest = _FASTEST * max(fastest_pole(controller), job.aims.highest)
+    if isinstance(structure, FilterBank):  # whose poles end at their limit softly
+        fastest = max(fastest, job.fastest)
     if job.timing is not None:  # export refuses poles beyond half the rate
         fastest = min(fastest, max(np.pi / job.timing.sample_time, fastest_pole(controller)))
 
