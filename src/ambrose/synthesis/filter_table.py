@@ -29,7 +29,10 @@ _HEADER = f'"channel", then {", ".join(SOS)} or {", ".join(ZPK)}, and "rate_hz" 
 
 def controller_of_csv(text: str) -> StateSpace:
     """A row for each section: channel (an axis), coefficients or zeros, poles and gain, rate_hz. Raises InvalidInput."""
-    rows = list(csv.DictReader(io.StringIO(text), skipinitialspace=True, restkey="", restval=""))
+    try:
+        rows = list(csv.DictReader(io.StringIO(text), skipinitialspace=True, restkey="", restval=""))
+    except csv.Error as error:
+        raise InvalidInput(f"it is no table in CSV ({error}); its first line must name the columns {_HEADER}") from None
     columns = {str(name).strip() for name in (rows[0] if rows else {})}
     if "channel" not in columns or not (columns >= {*SOS} or columns >= {*ZPK}):
         raise InvalidInput(f"it is no table of filters; its first line must name the columns {_HEADER}")
@@ -115,7 +118,7 @@ def _number(where: str, value: Any) -> complex:
     try:
         pair = isinstance(value, list) and len(value) == 2
         number = complex(*map(float, value)) if pair else complex(value.replace("i", "j") if isinstance(value, str) else value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = complex(np.nan)
     if isinstance(value, bool) or not np.isfinite(number):
         raise InvalidInput(f'{where}: {quoted(value)} is no finite number; write it as 3.5, or a complex one as "-20+5j"')

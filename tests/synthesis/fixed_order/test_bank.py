@@ -76,6 +76,20 @@ def test_the_gradient_of_the_objective_is_that_of_finite_differences():
         assert found == pytest.approx(gradient @ direction, abs=1e-6 * scale)
 
 
+def test_what_is_found_is_always_a_machine():
+    bank, x = every_kind("axes")
+    for far in (-400.0, -1.0, 1.0, 400.0):
+        found = replace(MACHINE, controller=bank.settings(np.full(len(x), far)))
+        assert np.isfinite(pid_controller(found.controller, found).A).all()
+
+
+def test_magnets_without_stiffness_need_a_whole_controller():
+    soft = replace(MACHINE, bearings=tuple(replace(item, negative_stiffness=(0.0, 0.0)) for item in MACHINE.bearings))
+    assert first_bank(FIRST, soft, "pid", None, FASTEST).channels[0].gain == pytest.approx(FIRST.gain[0])
+    with pytest.raises(InvalidInput, match="magnets without force or stiffness"):
+        first_bank(replace(FIRST, integral_time=None), soft, "pid", None, FASTEST)
+
+
 def test_values_keep_within_their_limits():
     bank, x = filter_bank(first_bank(FIRST, MACHINE, "filters", None, FASTEST), MACHINE, FASTEST)
     for far in (-400.0, 400.0):

@@ -27,6 +27,7 @@ _EDGE = 1e-9  # of a limit: values are that far within; those of a start that is
 _INSIDE = 0.9
 _DAMPED = {"low-pass": (0.5, 1.0), "notch": (0.1, 1.0), "phase-bump": (0.1, 1.0)}  # damping of poles: below, a resonance that
 # nobody asked for; above 1 one of them is faster than its frequency says
+_PHASE = 3.0  # rad; more than a phase bump can turn
 _SLOWEST = 1.0  # s; longest integral time, without which the integrals are tuned away
 _DAMPING = 0.5  # of a notch that does nothing yet
 _LEAST = 1e-3  # damping of the zeros of a notch that starts with none
@@ -36,7 +37,7 @@ BANKS = ("pid", "filters")
 
 @dataclass(frozen=True, slots=True)
 class _Unknown:
-    """One unknown: a section's key or "gain", between limits; a phase is 2 atan(x), a PID's filter its corner 1/(eps T_d)."""
+    """One unknown: a section's key or "gain", between limits; a phase is 3 tanh(x), a PID's filter its corner 1/(eps T_d)."""
 
     channel: int
     section: int
@@ -48,7 +49,7 @@ class _Unknown:
         if self.key == "gain":
             return float(np.log(gain))
         if self.key == "phase":
-            return float(np.tan(section.phase / 2))  # type: ignore[operator]  # a phase bump has one
+            return float(np.arctanh(np.clip((section.phase or 0.0) / _PHASE, _EDGE - 1, 1 - _EDGE)))
         value = getattr(section, self.key) or _LEAST
         if self.key == "derivative_filter":
             value = 1 / (value * (section.derivative_time or 0.0))
@@ -60,7 +61,7 @@ class _Unknown:
         return float(-np.log(1 / np.clip(value - self.least, _EDGE, (1 - _EDGE) * room) - 1 / room))
 
     def value(self, x: Any) -> Any:
-        return 2 * np.arctan(x) if self.key == "phase" else self.least + 1 / (1 / (self.limit - self.least) + np.exp(-x))
+        return _PHASE * np.tanh(x) if self.key == "phase" else self.least + 1 / (1 / (self.limit - self.least) + np.exp(-x))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,8 +175,8 @@ def first_bank(settings: PidSettings, machine: Machine, structure: str, order: i
     structure "filters" adds notches that do nothing yet, at the bending modes, until the order is reached (None: two per
     channel). Sections that the settings have besides stay. Raises InvalidInput for an order that the structure does not have.
     """
-    first, names = first_settings(machine), MODES if settings.coordinates == "tilt-translate" else machine.axes
-    whole = [_completed(sections, first, fastest) for _, sections in channel_chains(settings, machine.axes)]
+    names = MODES if settings.coordinates == "tilt-translate" else machine.axes
+    whole = [_completed(sections, machine, fastest) for _, sections in channel_chains(settings, machine.axes)]
     gains = [gain for gain, _ in channel_chains(settings, machine.axes)]
     if len(settings.gain) > 1 and settings.coordinates != "axes":  # of the axes: no bank has them
         gains = [float(np.mean(settings.gain)) * gain for gain in gains]
@@ -198,10 +199,13 @@ def first_bank(settings: PidSettings, machine: Machine, structure: str, order: i
     return found.settings(np.minimum(x, most))
 
 
-def _completed(sections: tuple[Section, ...], first: PidSettings, fastest: float) -> tuple[Section, ...]:
-    """The chain with all three terms of a PID and a low pass."""
+def _completed(sections: tuple[Section, ...], machine: Machine, fastest: float) -> tuple[Section, ...]:
+    """The chain with all three terms of a PID, those that lack as in ``first_settings``, and a low pass."""
     pid = next((item for item in sections if item.kind == "pid"), Section("pid"))
-    times = {key: getattr(pid, key) or getattr(first, key) for key in SECTIONS["pid"]}
+    times = {key: getattr(pid, key) for key in SECTIONS["pid"]}
+    if None in times.values():
+        first = first_settings(machine)
+        times = {key: value or getattr(first, key) for key, value in times.items()}
     rest = tuple(item for item in sections if item is not pid)
     if not any(item.kind == "low-pass" for item in rest):
         rest += (Section("low-pass", frequency=0.5 * fastest, damping=float(np.sqrt(0.5))),)
