@@ -93,7 +93,7 @@ class FilterBank:
         """The [controller] of the unknowns."""
         found: list[dict[Any, dict[str, float]]] = [{} for _ in self.base.channels]
         for item, value in zip(self.unknowns, x, strict=True):
-            found[item.channel].setdefault(item.section, {})[item.key] = float(item.value(np.clip(value, -_FAR, _FAR)))
+            found[item.channel].setdefault(item.section, {})[item.key] = float(item.value(max(-_FAR, min(value, _FAR))))
         return replace(self.base, channels=tuple(
             replace(
                 channel, gain=numbers[-1]["gain"],
@@ -137,7 +137,7 @@ class FilterBank:
     def _derivative(self, x: np.ndarray, k: int, mine: Sequence[int], section: Section) -> np.ndarray:
         """dTheta of one section by the unknown k."""
         numbers = {
-            self.unknowns[j].key: self.unknowns[j].value(np.clip(x[j], -_FAR, _FAR) + 1j * _STEP * (j == k))
+            self.unknowns[j].key: self.unknowns[j].value(max(-_FAR, min(x[j], _FAR)) + 1j * _STEP * (j == k))
             for j in mine if self.unknowns[j].section == self.unknowns[k].section
         }  # fmt: skip
         return np.asarray(section_matrix(section, _own(numbers)).imag / _STEP)
