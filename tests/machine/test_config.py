@@ -87,7 +87,14 @@ def test_every_value_of_the_small_machine():
         couplings=(d.Coupling("coupling", 0.0, (0.40e6, 0.42e6), (10.0, 10.0), 45 * deg),),
         controller=d.PidSettings(
             (18e3,), 0.2, 3.5e-3, 0.1, (d.Notch(550 * hz, 0.5, 0.05),), (100 * hz, 500 * hz), 2e3 * hz, 0.7,
-            "tilt-translate", 1.2, 1e-4, 1e-4,
+            "tilt-translate", 1.2, 1e-4, 1e-4, (d.Channel(("tilt_x", "tilt_y"), 22e3, (
+                d.Section("pid", 0.2, 3e-3, 0.1),
+                d.Section(
+                    "notch", zero_frequency=550 * hz, zero_damping=0.05, pole_frequency=580 * hz, pole_damping=0.4
+                ),
+                d.Section("phase-bump", frequency=210 * hz, phase=20 * deg, damping=0.3),
+                d.Section("sos", numerator=(1.0, 4e3), denominator=(1.0, 8e3)),
+            )),),
         ),
         operation=d.Operation(
             (d.OperatingPoint(6000 * rpm, 2e5, 4.0, 40 * hz, "nominal"), d.OperatingPoint(label="standstill")),
@@ -290,6 +297,15 @@ def bearings(draw, name, place):
 
 
 @st.composite
+def sections(draw):
+    kind = draw(st.sampled_from(list(d.SECTIONS)))
+    if kind == "sos":
+        return d.Section(kind, numerator=draw(pair), denominator=(draw(positive), *draw(pair)))
+    values = {key: draw(positive) for key in d.SECTIONS[kind]}
+    return d.Section(kind, **{key: min(value, 3.0) if key == "phase" else value for key, value in values.items()})
+
+
+@st.composite
 def gas_seals(draw):
     diameter, share = draw(positive), physical(0, 1)
     clearance = st.floats(0.001, 0.04).map(lambda part: part * diameter)
@@ -347,11 +363,15 @@ def machines(draw):
     ]
     sample_time = draw(maybe(positive))
     samples = None if sample_time is None else draw(maybe(st.integers(0, 5)))
+    coordinates = draw(st.sampled_from(d.CONTROLLER_COORDINATES))
+    names = d.MODES if coordinates == "tilt-translate" else ("A_zeta", "A_eta", "B-2__zeta", "B-2__eta")
+    chains = draw(st.lists(st.sampled_from(names[1:]), max_size=3, unique=True))
+    channels = tuple(d.Channel((name,), draw(positive), draw(st.lists(sections(), max_size=3).map(tuple))) for name in chains)
+    gains = st.sampled_from([(1,)] if channels else [(1,), (4,)])
     controller = d.PidSettings(
-        tuple(draw(st.sampled_from([(1,), (4,)]).flatmap(lambda n: st.tuples(*[positive] * n[0])))),
+        tuple(draw(gains.flatmap(lambda n: st.tuples(*[positive] * n[0])))),
         draw(maybe(positive)), draw(maybe(positive)), draw(positive), notches, draw(maybe(pair)), draw(maybe(positive)),
-        draw(positive), draw(st.sampled_from(d.CONTROLLER_COORDINATES)), draw(positive), sample_time,
-        None if samples is None else samples * sample_time,
+        draw(positive), coordinates, draw(positive), sample_time, None if samples is None else samples * sample_time, channels,
     )  # fmt: skip
     demands = {field.name: draw(maybe(st.floats(1, 3))) for field in fields(d.Requirements)}
     crossover = draw(maybe(positive))
@@ -511,7 +531,7 @@ class TestSchema:
 
 def test_every_field_of_every_noun_has_a_key():
     """A field added to description.py and forgotten here would be dropped silently by writing and reading."""
-    renamed = {"notches": "notch", "points": "point"}
+    renamed = {"notches": "notch", "points": "point", "channels": "channel", "sections": "section"}
     for table in Table.__subclasses__():
         if table.noun not in (None, d.SealTable, d.MachineDescription):
             keys = {field.alias or name for name, field in table.model_fields.items()}

@@ -86,7 +86,7 @@ WRONG = {
     "improper": ("k.csv", "channel,b0,b1,b2,a0,a1,a2\nA,1,0,0,0,1,0\n", "degree is above the denominator's"),
     "two rates": ("k.csv", "channel,zeros,poles,gain,rate_hz\nA,,0.5,1,10\nA,,0.5,1,20\n", "give all sections one rate"),
     "no text": ("k.csv", 'channel,zeros,poles,gain\n"' + "A" * 200_000 + '",,-5,1\n', "is no table in CSV"),
-    "integer of 400 digits": ("k.json", '{"channels": {"A": {"sos": [[1' + "0" * 400 + ', 0, 0, 1, 0, 0]]}}}', "no finite number"),
+    "400 digits": ("k.json", '{"channels": {"A": {"sos": [[1' + "0" * 400 + ', 0, 0, 1, 0, 0]]}}}', "no finite number"),
     "overflow": ("k.csv", "channel,zeros,poles,gain\nA,,1e300 1e300,1e300\n", "finite"),
     "no name": ("k.csv", "channel,zeros,poles,gain\n,,-5,1\n", "a channel has no name"),
     "conjugate": ("k.csv", "channel,zeros,poles,gain\nA,,-5+3j,1\n", "lacks its conjugate"),

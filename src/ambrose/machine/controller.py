@@ -94,10 +94,10 @@ class PidSettings(Part):
     low_pass_damping: Annotated[Ratio, "damping ratio of the low pass"] = 0.7071067811865476
     coordinates: Annotated[str, Choice(CONTROLLER_COORDINATES), "controlled coordinates"] = "axes"
     tilt_gain: Annotated[Ratio, "gain of the tilting part relative to the translating part"] = 1.0
-    channels: Annotated[tuple[Channel, ...], "chains of filters of single channels"] = field(
-        default=(), metadata={"key": "channel"}
-    )
     sample_time: Annotated[Time | None, "sample time of the deployed controller; default: continuous"] = None
     delay: Annotated[
         Time | None, "from the displacements read to the currents set, rounded up to whole samples; default: one sample"
     ] = None
+    channels: Annotated[tuple[Channel, ...], "chains of filters of single channels"] = field(
+        default=(), metadata={"key": "channel"}
+    )

@@ -13,6 +13,8 @@ from typing import Annotated
 
 from ambrose.core.checks import invalid
 from ambrose.machine.controller import CONTROLLER_COORDINATES as CONTROLLER_COORDINATES  # noqa: PLC0414
+from ambrose.machine.controller import MODES as MODES  # noqa: PLC0414
+from ambrose.machine.controller import SECTIONS as SECTIONS  # noqa: PLC0414
 from ambrose.machine.controller import Channel as Channel  # noqa: PLC0414
 from ambrose.machine.controller import Notch as Notch  # noqa: PLC0414
 from ambrose.machine.controller import PidSettings as PidSettings  # noqa: PLC0414
