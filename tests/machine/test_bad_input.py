@@ -121,7 +121,7 @@ SLIPS = {
     "constant and table": ('K = "0.4 N/um"', 'K = "0.4 N/um"\nk = 5', "[[seal]] center, [seal.table]", "k is 5 in [[seal]] center", "keep the constant or the table"),
     "scaled twice": ('scales_with_pressure = ["C"]', 'scales_with_pressure = ["C", "k"]', "[seal.table]", "k is given over pressure", "keep one"),
     # controller, operation, tolerances, requirements
-    "gains for three axes": ('gain = "18 A/mm"', "gain = [1, 2, 3]", "[controller]", "gain is a list of 3", "4, one per axis (A_zeta, A_eta"),
+    "gains for three axes": ('gain = "18 A/mm"', "gain = [1, 2, 3]", "[controller]", "gain is a list of 3", "one value beside [[controller.channel]]"),
     "negative gain": ('gain = "18 A/mm"', "gain = -18e3", "[controller]", "gain (element 1) is -18000 A/m", "positive"),
     "no filter": ("derivative_filter = 0.1", "derivative_filter = 0", "[controller]", "derivative_filter is 0", "positive"),
     "notch without poles": ("pole_damping = 0.5", "pole_damping = 0", "[[controller.notch]] 1", "pole_damping is 0", "positive"),
