@@ -149,7 +149,7 @@ WRONG = {
     "pure derivative": ('"2 ms"', '"2 ms"\nderivative_filter = 0', "derivative_filter is 0.*cannot be realised"),
     "empty pid": ('integral_time = "0.2 s"\nderivative_time = "2 ms"\n', "", "neither integral_time nor derivative_time"),
     "no gain for the rest": ('gain = "18 A/mm"\n', "", r"gain .* is missing; .*, or a chain for DE_zeta"),
-    "gains for three axes": ('gain = "18 A/mm"', "gain = [1, 2, 3]", r"a list of 3, but must be one value or 4, one per axis \(DE_zeta"),
+    "gains for three axes": ('gain = "18 A/mm"', "gain = [1, 2, 3]", r"one value or 4, one per axis \(DE_zeta"),
     "gain of a chain": ('gain = "22 A/mm"\n', "", r"\[\[controller.channel\]\].*gain is missing"),
     "negative gain": ('"22 A/mm"', "-22", "gain is -22 A/m, but must be positive"),
     "serves none": ('["DE_eta", "NDE_zeta"]', '["DE_zeta", "DE_eta", "NDE_zeta", "NDE_eta"]', "derivative_time serves none"),

@@ -17,7 +17,7 @@ from ambrose.core.checks import InvalidInput, check_finite
 from ambrose.machine.controller import SECTIONS, PidSettings, Section
 from ambrose.machine.validation.controller import section_problems
 
-_DERIVATIVE_FILTER = 0.1
+DERIVATIVE_FILTER = 0.1
 _UNITS = {"time": (1e3, "ms"), "frequency": (0.5 / np.pi, "Hz"), "phase": (180 / np.pi, "deg")}
 
 
@@ -27,7 +27,7 @@ def pid(integral_time: Any = None, derivative_time: Any = None, derivative_filte
     if integral_time is not None:
         A, B, C = [0.0], [1 / integral_time], [1.0]
     if derivative_time is not None:
-        eps = _DERIVATIVE_FILTER if derivative_filter is None else derivative_filter
+        eps = DERIVATIVE_FILTER if derivative_filter is None else derivative_filter
         corner = 1 / (eps * derivative_time)  # T_d s/(eps T_d s + 1) = (1 - corner/(s + corner))/eps
         A, B, C, D = [*A, -corner], [*B, corner], [*C, -1 / eps], D + 1 / eps
     return np.block([[np.array([[D]]), np.array([C])], [np.array([B]).T, np.diag(A)]]) if A else np.array([[D]])

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.controller import Section
+from ambrose.machine.controller import Channel, PidSettings, Section
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
@@ -86,6 +86,10 @@ def test_what_is_found_is_always_a_machine():
 def test_magnets_without_stiffness_need_a_whole_controller():
     soft = replace(MACHINE, bearings=tuple(replace(item, negative_stiffness=(0.0, 0.0)) for item in MACHINE.bearings))
     assert first_bank(FIRST, soft, "pid", None, FASTEST).channels[0].gain == pytest.approx(FIRST.gain[0])
+    pair = Section("pid", 0.1, None, 0.1), Section("pid", None, 1e-3)  # as others write a PID
+    chains = (Channel(MACHINE.axes, 2e4, pair),)
+    bank, x = filter_bank(first_bank(PidSettings(channels=chains), MACHINE, "pid", None, FASTEST), MACHINE, FASTEST)
+    assert np.isfinite(bank.gradient(x, bank.theta(x))).all() and len(bank.settings(x).channels[0].sections) == 3
     with pytest.raises(InvalidInput, match="magnets without force or stiffness"):
         first_bank(replace(FIRST, integral_time=None), soft, "pid", None, FASTEST)
 

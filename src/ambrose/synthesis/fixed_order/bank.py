@@ -18,7 +18,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import MODES, SECTIONS, Channel, PidSettings, Section
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.synthesis.filters import bank, chain, embedded, section_matrix
+from ambrose.synthesis.filters import DERIVATIVE_FILTER, bank, chain, embedded, section_matrix
 from ambrose.synthesis.pid import channel_chains, first_settings, mixings, theta_system
 
 _STEP = 1e-30  # of a complex derivative
@@ -159,6 +159,8 @@ def filter_bank(settings: PidSettings, machine: Machine, fastest: float) -> tupl
             for key in SECTIONS[section.kind]:
                 if section.kind == "sos" or getattr(section, key) is None:
                     continue
+                if key == "derivative_filter" and section.derivative_time is None:
+                    continue  # of a term that is not there
                 fast = key in {"derivative_filter", "pole_frequency"} or section.kind == "low-pass"
                 limits = _DAMPED[section.kind] if key in {"damping", "pole_damping"} else (0.0, fastest if fast else np.inf)
                 if key == "integral_time":
@@ -201,12 +203,16 @@ def first_bank(settings: PidSettings, machine: Machine, structure: str, order: i
 
 def _completed(sections: tuple[Section, ...], machine: Machine, fastest: float) -> tuple[Section, ...]:
     """The chain with all three terms of a PID, those that lack as in ``first_settings``, and a low pass."""
-    pid = next((item for item in sections if item.kind == "pid"), Section("pid"))
-    times = {key: getattr(pid, key) for key in SECTIONS["pid"]}
-    if None in times.values():
+    given = next((item for item in sections if item.kind == "pid"), Section("pid"))
+    pid = replace(given, derivative_filter=given.derivative_filter or DERIVATIVE_FILTER)
+    rest = tuple(item for item in sections if item is not given)
+    if pid.integral_time is None or pid.derivative_time is None:
         first = first_settings(machine)
-        times = {key: value or getattr(first, key) for key, value in times.items()}
-    rest = tuple(item for item in sections if item is not pid)
+        pid = replace(
+            pid,
+            integral_time=pid.integral_time or first.integral_time,
+            derivative_time=pid.derivative_time or first.derivative_time,
+        )
     if not any(item.kind == "low-pass" for item in rest):
         rest += (Section("low-pass", frequency=0.5 * fastest, damping=float(np.sqrt(0.5))),)
-    return (replace(pid, **times), *rest)
+    return (pid, *rest)
