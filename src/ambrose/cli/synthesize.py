@@ -31,7 +31,7 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
     "--order",
     type=int,
     default=None,
-    help="States of the polished (default: half of what mu needs) or the tuned controller (three per axis).",
+    help="States of the polished (default: half of what mu needs) or the tuned controller (three per axis; filters: six).",
 )
 @click.option(
     "--structure",

@@ -20,13 +20,14 @@ class DesignOptions:
     states no rate either, the controller is designed without delay.
 
     loss [-]: with a rate, the order is reduced until the worst sampled sensitivity has risen by this share (0.05: 5 %). order:
-    states of the polished or the tuned controller (None: half of what mu needs; three per axis). bending_modes: how many the
-    design model keeps per plane (None: none; tuning takes all that the sensitivity is judged at, and one more). structure of
-    the tuned controller: "plane" (zeta and eta kept apart where the bearings stand at one angle), "axis" (each alone),
-    "free", or a filter bank: "pid" (per channel a PID and a low pass), "filters" (and notches). match_reference: scale the
-    control weight until the direct gains below 200 Hz match the reference controller's, so that controllers are comparable
-    (P5); None: where the machine has a reference controller and a constant control weight. speeds: lowest and highest [rad/s]
-    of a scheduled controller (None: those of the operating points with the plant's seal pressure). Raises InvalidInput.
+    states of the polished or the tuned controller (None: half of what mu needs; three per axis, six of "filters").
+    bending_modes: how many the design model keeps per plane (None: none; tuning takes all that the sensitivity is judged at,
+    and one more). structure of the tuned controller: "plane" (zeta and eta kept apart where the bearings stand at one angle),
+    "axis" (each alone), "free", or a filter bank: "pid" (per channel a PID and a low pass), "filters" (and notches).
+    match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so that
+    controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds:
+    lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal pressure).
+    Raises InvalidInput.
     """
 
     rate: float | None = None

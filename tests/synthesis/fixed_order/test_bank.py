@@ -57,7 +57,7 @@ def test_the_slope_goes_back_through_every_kind_of_section(coordinates):
     theta = bank.theta(x)
     slope = np.random.default_rng(1).normal(size=theta.shape) / (np.abs(theta) + 1)
     exact = bank.gradient(x, slope)
-    assert len(exact) == 4 * (1 + 3 + 2 + 2 * 4 + 3 + 2) and np.abs(exact).min() > 0
+    assert len(exact) == 4 * (1 + 3 + 2 + 4 + 3 + 2) and np.abs(exact).min() > 0
     first = [k for k, item in enumerate(bank.unknowns) if item.channel in {0, 3}]
     found = [differences(lambda v: (slope * bank.theta(v)).sum(), x, np.eye(len(x))[k]) for k in first]
     assert found == pytest.approx(exact[first], abs=1e-8 * np.abs(exact).max())
@@ -112,7 +112,7 @@ def test_values_keep_within_their_limits():
 
 @pytest.mark.parametrize(
     ("structure", "order", "states"),
-    [("pid", None, 16), ("pid", 16, 16), ("filters", None, 32), ("filters", 16, 16), ("filters", 24, 24)],
+    [("pid", None, 16), ("pid", 16, 16), ("filters", None, 24), ("filters", 16, 16), ("filters", 32, 32)],
 )
 def test_the_order_says_how_many_notches(structure, order, states):
     settings = first_bank(FIRST, MACHINE, structure, order, FASTEST)
@@ -187,7 +187,7 @@ def test_a_bank_starts_from_settings():
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize(("structure", "peak"), [("pid", 2.8), ("filters", 2.2)])
+@pytest.mark.parametrize(("structure", "peak"), [("pid", 2.8), ("filters", 2.4)])
 def test_a_bank_meets_every_requirement(structure, peak):
     result = amb.design(MACHINE, "tuned", rate=RUNS.rate, structure=structure)
     verdict = amb.verify(MACHINE, result)

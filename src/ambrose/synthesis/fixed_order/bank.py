@@ -31,7 +31,7 @@ _PHASE = 3.0  # rad; more than a phase bump can turn
 _SLOWEST = 1.0  # s; longest integral time, without which the integrals are tuned away
 _DAMPING = 0.5  # of a notch that does nothing yet
 _LEAST = 1e-3  # damping of the zeros of a notch that starts with none
-_EXTRA = 2  # sections per channel with structure "filters"
+_EXTRA = 1  # notch per channel with structure "filters"
 BANKS = ("pid", "filters")
 
 
@@ -174,7 +174,7 @@ def filter_bank(settings: PidSettings, machine: Machine, fastest: float) -> tupl
 def first_bank(settings: PidSettings, machine: Machine, structure: str, order: int | None, fastest: float) -> PidSettings:
     """The chains that tuning starts from: for every channel the PID of ``settings`` completed, and a low pass.
 
-    structure "filters" adds notches that do nothing yet, at the bending modes, until the order is reached (None: two per
+    structure "filters" adds notches that do nothing yet, at the bending modes, until the order is reached (None: one per
     channel). Sections that the settings have besides stay. Raises InvalidInput for an order that the structure does not have.
     """
     names = MODES if settings.coordinates == "tilt-translate" else machine.axes
