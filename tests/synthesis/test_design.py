@@ -25,7 +25,7 @@ def plant():
 
 
 REFUSED = {
-    "an unknown method": ("magic", {}, r"method is 'magic', but must be one of pid, hinf"),
+    "an unknown method": ("magic", {}, r"method is 'magic', but must be one of tuned, pid, hinf"),
     "a method that is no text": (None, {}, "method is None"),
     "an unknown option": ("mu", {"rates": 1e4}, r"no option 'rates'; did you mean \"rate\""),
     "a rate below zero": ("mu", {"rate": -1.0}, "rate is -1.0, but must be positive; 10000 Hz is usual"),
