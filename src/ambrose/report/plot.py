@@ -32,7 +32,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.model import Plant
 from ambrose.report import theme, units
-from ambrose.report.comparison import tables as comparison_tables
+from ambrose.report.comparison.envelope import decision
 from ambrose.report.comparison.figures import loop_figures
 from ambrose.report.figures.bode import Line, bode_figure, entries, grid_of, unit_of
 from ambrose.report.figures.curves import figure
@@ -286,5 +286,5 @@ def _study(study: Any) -> Any:
             "no controller of the study holds the machine anywhere, so there is no curve to compare; see its checks"
         )
     return _titled(
-        figures[0].picture, f"{study.machine.name}: {figures[0].title.lower()}; {comparison_tables.result(candidates).text}"
+        figures[0].picture, f"{study.machine.name}: {figures[0].title.lower()}; {decision(candidates).text}"
     )

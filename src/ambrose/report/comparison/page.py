@@ -17,6 +17,7 @@ from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.comparison import figures
 from ambrose.report.comparison import tables as comparison_tables
+from ambrose.report.comparison.envelope import decision, envelope_section
 from ambrose.report.page import Cell, Report, Row, Section, Table, numbers
 from ambrose.report.record.curves import trace_curves
 from ambrose.report.verification import (
@@ -85,8 +86,8 @@ def comparison_report(
     sections += models_section(comparison)
     sections.append(_details(candidates, points))
     verdicts = comparison_tables.verdicts_of(candidates, points)
-    outcome = comparison_tables.result(candidates)
-    return Report(title, machine, tuple(sections), verdicts, tuple(facts), date, result=outcome)
+    opening, outcome = envelope_section(machine, candidates, points), decision(candidates)
+    return Report(title, machine, tuple(sections), verdicts, tuple(facts), date, (), outcome, opening)
 
 
 def _with_box(report: Report, machine: Machine, candidate: Candidate) -> Report:

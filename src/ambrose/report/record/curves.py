@@ -60,10 +60,10 @@ def zoomed_curves(record: Record, machine: Machine, part: slice) -> list[tuple[s
     return pairs
 
 
-def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def thinned(time: np.ndarray, values: np.ndarray, bins: int = _BINS) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) and values (p, n): the lowest and the highest value of every bin, in the order in which they occur."""
     k = len(time)
-    size = -(-k // _BINS)
+    size = -(-k // bins)
     if size <= 2:
         return time, values
     starts = np.arange(0, k, size)
