@@ -40,6 +40,7 @@ _SHORT = {
     "impulse.current": "pulse current",
     "impulse.force": "pulse force",
     "stability.margin": "stability margin",
+    "stability.speeds": "at other speeds",
     "stability": "stability",
 }
 
@@ -166,7 +167,7 @@ def _panel(candidate: Candidate, places: Sequence[OperatingPoint]) -> Table:
         labels = [at.get((speed, pressure)) for speed in speeds]
         rows.append((units.quantity(pressure, "Pa"), *(_cell(candidate, label) for label in labels)))
         if candidate.boxes:
-            rows.append((Cell("±", "muted"), *(_box_cell(candidate, label) for label in labels)))
+            rows.append((Cell("± tolerances", "muted"), *(_box_cell(candidate, label) for label in labels)))
     columns = ("", *(_rpm(speed) for speed in speeds))
     return Table(candidate.name, columns, tuple(rows), by_cell=True)
 
@@ -180,8 +181,9 @@ def _table(known: dict[str, OperatingPoint], candidates: Sequence[Candidate], po
         rows.append((Cell(label, detail=where), *(_cell(candidate, label) for candidate in candidates)))
         boxes = [_box_cell(candidate, label) for candidate in candidates]
         if any(any(box.label == box_label(label) for box in candidate.boxes) for candidate in candidates):
-            rows.append((Cell("±", "muted"), *boxes))
-    return Table("", ("Operating point", *(candidate.name for candidate in candidates)), tuple(rows), by_cell=True)
+            rows.append((Cell("± tolerances", "muted"), *boxes))
+    widths = (16, *[84 // len(candidates)] * len(candidates))
+    return Table("", ("Operating point", *(candidate.name for candidate in candidates)), tuple(rows), "", widths, (), True)
 
 
 def _cell(candidate: Candidate, label: str | None) -> Cell:
@@ -225,7 +227,8 @@ def _legend() -> Table:
     cells = [Cell(text, shade=f"meets-{i}") for i, text in enumerate(meets, 1)]
     cells += [Cell(text, shade=f"fails-{i}") for i, text in enumerate(fails, 1)]
     cells += [Cell("unstable", shade="unstable"), Cell(NOT_EVALUATED, shade="absent")]
-    return Table("", ("",) * (1 + len(cells)), (("Share of the limit", *cells),), by_cell=True)
+    widths = (16, *[84 // len(cells)] * len(cells))
+    return Table("", ("",) * (1 + len(cells)), (("Share of the limit", *cells),), "", widths, (), True)
 
 
 def _speed(place: OperatingPoint) -> float:

@@ -29,7 +29,7 @@ _LOOPS = (  # (curve, the check that holds its refined peak)
     ("unbalance", "unbalance.orbit"),
 )
 _COLUMNS = 4  # panels beside each other
-_INSIDE, _OUTSIDE, _OUTLINE = 300, 60, 200  # bins of a response in time inside and outside the view; points of an outline
+_INSIDE, _OUTSIDE, _OUTLINE = 200, 40, 150  # bins of a response in time inside and outside the view; points of an outline
 _LOWEST, _HIGHEST, _POINTS = 0.1 * units.TWO_PI, 2e3 * units.TWO_PI, 500  # rad/s, of the controller gains
 _NONE = 1e-9  # a gain this small beside the largest is one that the controller does not have
 _DELTA = re.compile(r"^(.*\S) ([+-]\d+(?:\.\d+)?)$")
@@ -185,7 +185,7 @@ def _time_figure(
     first = responses[0][3]
     axes = tuple(dict.fromkeys(label for *_, curve in responses for label in curve.labels))
     labels = [*points, *(point for _, point, _, _ in responses)]
-    calm = tuple((point, curve) for _, point, trace, curve in responses if trace.outcome == "completed")
+    calm = tuple((point, curve) for _, point, trace, curve in responses if _is_calm(trace))
     span = _lively(calm)
     rows = []
     for block in wrapped(candidates):
@@ -194,7 +194,7 @@ def _time_figure(
             for candidate in block:
                 mine = sorted((item for item in responses if item[0] is candidate), key=lambda item: labels.index(item[1]))
                 lines = tuple((point, _drawable(curve, axis, trace, span)) for _, point, trace, curve in mine)
-                notes = [(point, _ending(trace)) for _, point, trace, _ in mine if trace.outcome != "completed"]
+                notes = [(point, _ending(trace)) for _, point, trace, _ in mine if not _is_calm(trace)]
                 notes += [(point, f"{point}: {NOT_EVALUATED}") for point in points if candidate.at(point) is None]
                 row.append(Panel(candidate.name if i == 0 else "", lines, tuple(notes) if i == 0 else (), units.axis_name(axis)))
             rows.append(row)
@@ -202,7 +202,7 @@ def _time_figure(
     whole = max(float(curve.x[-1]) for *_, curve in responses)
     words = caption(first)
     if len(calm) < len(responses):
-        words += " Of a run that ends early the largest excursions so far are drawn."
+        words += " Of a run that is unstable or driven too far the outline of its growth is drawn."
     if span is not None and span[1] - span[0] < 0.99 * whole:
         shown = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"
         words += f" Shown from {shown} of the {units.quantity(whole, 's')} computed; a double-click shows all."
@@ -210,12 +210,12 @@ def _time_figure(
 
 
 def _drawable(curve: Curve, axis: str, trace: Trace, span: tuple[float, float] | None) -> Curve:
-    """One line as it is drawn: the lowest and the highest value of every bin, small ones inside the view; of a run that ends
-    early, whose oscillation would fill its panel, the largest excursions so far to either side."""
+    """One line as it is drawn: the lowest and the highest value of every bin, small ones inside the view; of a run that is
+    not calm, whose oscillation would fill its panel, the outline of its growth to either side."""
     i = curve.labels.index(axis)
     row = curve.y[i : i + 1]
-    if trace.outcome != "completed":
-        both = np.vstack([np.maximum.accumulate(row[0]), np.minimum.accumulate(row[0])])
+    if not _is_calm(trace):
+        both = np.vstack([_growth(curve.x, row[0]), -_growth(curve.x, -row[0])])
         keep = np.unique(np.linspace(0, row.shape[1] - 1, _OUTLINE).astype(int))
         return replace(curve, x=curve.x[keep], y=both[:, keep], labels=(axis, axis))
     low, high = (0, row.shape[1]) if span is None else np.searchsorted(curve.x, span)
@@ -224,6 +224,19 @@ def _drawable(curve: Curve, axis: str, trace: Trace, span: tuple[float, float] |
     return replace(
         curve, x=np.concatenate([x for x, _ in parts]), y=np.concatenate([y for _, y in parts], axis=1), labels=(axis,)
     )
+
+
+def _growth(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Straight lines through the peaks that are higher than all before, over x (n,)."""
+    highest = np.maximum.accumulate(y)
+    rises = np.append(np.diff(highest) > 0, False)
+    tops = np.flatnonzero(~rises & np.append(True, rises[:-1]))
+    at = np.unique(np.r_[0, tops, len(x) - 1])
+    return np.interp(x, x[at], highest[at])
+
+
+def _is_calm(trace: Trace) -> bool:
+    return trace.stable and trace.outcome == "completed"
 
 
 def _ending(trace: Trace) -> str:

@@ -18,6 +18,7 @@ from ambrose.report import tables, units
 from ambrose.report.comparison import figures
 from ambrose.report.comparison import tables as comparison_tables
 from ambrose.report.comparison.envelope import decision, envelope_section
+from ambrose.report.comparison.signature import signature_section
 from ambrose.report.page import Cell, Report, Row, Section, Table, numbers
 from ambrose.report.record.curves import trace_curves
 from ambrose.report.verification import (
@@ -72,7 +73,7 @@ def comparison_report(
     sections = [_glance(machine, candidates, points), _loops(candidates, points)]
     families = figures.family_figures(machine, candidates)
     if families:
-        words = "The uncertain parameters go through their tolerances; the darker the line, the larger the parameter."
+        words = "The uncertain parameters go through their tolerances; the stronger the line, the larger the parameter."
         sections.append(Section("Over the tolerances", words, families))
     sections.append(_controllers(machine, candidates))
     responses = figures.time_figures(machine, candidates, points)
@@ -84,7 +85,7 @@ def comparison_report(
     sections += [*_over_speed(over_speed), *extra]
     sections.append(machine_section(machine, models))
     sections += models_section(comparison)
-    sections.append(_details(candidates, points))
+    sections += [_details(candidates, points), signature_section(machine, candidates, date)]
     verdicts = comparison_tables.verdicts_of(candidates, points)
     opening, outcome = envelope_section(machine, candidates, points), decision(candidates)
     return Report(title, machine, tuple(sections), verdicts, tuple(facts), date, (), outcome, opening)

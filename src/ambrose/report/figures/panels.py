@@ -72,7 +72,7 @@ def panel_figure(
             place = {"row": i + 1, "col": j + 1}
             _draw(figure, panel, place, axes, style, shown, mark_peaks=mark_peaks)
             draw_limits(figure, place, levels, axes, size=(width, height), named=i == j == 0)
-            _words(figure, panel, place, style, width)
+            _words(figure, panel, place, style, width, above[i])
     theme.dress(figure, total, legend=len(shown) > 1, lines=max(0, above[0] - 1))
     _scale(figure, rows, axes)
     return figure, beyond(everything, axes)
@@ -138,17 +138,20 @@ def _lines_above(panel: Panel, width: int) -> int:
     return bool(panel.title) + len(_wrapped(panel, width))
 
 
-def _words(figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str, theme.Style], width: int) -> None:
-    """Title and notes above the panel."""
-    lines = [f"<b>{theme.plain(panel.title)}</b>"] if panel.title else []
+def _words(
+    figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str, theme.Style], width: int, above: int
+) -> None:
+    """Title and notes above the panel; above: lines that the panels of its row have there."""
+    lines: list[str] = []
     for line in _wrapped(panel, width):
         parts = [
             f'<span style="color: {style[label].colour if label in style else theme.MUTED}">{theme.plain(text)}</span>'
             for label, text in line
         ]
         lines.append(" · ".join(parts))
-    for i, text in enumerate(reversed(lines)):
-        theme.heading(figure, place, text, yshift=1 + _LINE * i)
+    lines = [f"<b>{theme.plain(panel.title)}</b>", *lines] if panel.title else lines
+    for i, text in enumerate(lines):
+        theme.heading(figure, place, text, yshift=1 + _LINE * (above - 1 - i))
 
 
 def _scale(figure: Any, rows: Sequence[Sequence[Panel]], axes: Axes) -> None:
