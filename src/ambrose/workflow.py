@@ -207,7 +207,8 @@ def write_report(result: Study, path: Path) -> None:
     from ambrose.report.page import write
     from ambrose.report.run_up import run_up_section
 
-    sections = [run_up_section(result.run_ups, result.machine.requirements.settling_time)] if result.run_ups else []
+    names, limit = [candidate.name for candidate in result.candidates], result.machine.requirements.settling_time
+    sections = [run_up_section(result.run_ups, limit, names)] if result.run_ups else []
     if (done := result.commissioned) is not None:
         points = points_of(result.machine, result.candidates)
         reference = next(candidate for candidate in result.candidates if candidate.synthesis is done.reference)

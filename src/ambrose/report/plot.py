@@ -285,6 +285,5 @@ def _study(study: Any) -> Any:
         raise InvalidInput(
             "no controller of the study holds the machine anywhere, so there is no curve to compare; see its checks"
         )
-    return _titled(
-        figures[0].picture, f"{study.machine.name}: {figures[0].title.lower()}; {decision(candidates).text}"
-    )
+    words = decision(candidates).text.partition(";")[0].rstrip(".")
+    return _titled(figures[0].picture, f"{study.machine.name}: {figures[0].title.lower()}; {words[:1].lower()}{words[1:]}")

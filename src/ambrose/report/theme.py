@@ -86,8 +86,14 @@ def dress(figure: Any, height: int, *, legend: bool, lines: int = 0) -> Any:
     """
     room = 24 + 16 * lines
     top = room + (28 if legend else 2)
+    axis = {
+        "showline": True, "linecolor": INK, "linewidth": 1, "ticks": "outside", "ticklen": 4, "tickcolor": INK,
+        "gridcolor": FAINT, "gridwidth": 1, "zeroline": False, "automargin": True,
+        "exponentformat": "none", "separatethousands": True,
+        "title": {"font": {"size": 13, "color": INK}, "standoff": 6},
+    }  # fmt: skip
     figure.update_layout(
-        template="none",
+        template={"layout": {"xaxis": axis, "yaxis": axis}},  # once for all axes: many times faster than one by one
         height=height + top + 48,
         margin={"l": 62, "r": 18, "t": top, "b": 48},
         meta={"room": room},
@@ -104,14 +110,6 @@ def dress(figure: Any, height: int, *, legend: bool, lines: int = 0) -> Any:
         },
         dragmode="zoom",
     )  # fmt: skip
-    axis = {
-        "showline": True, "linecolor": INK, "linewidth": 1, "ticks": "outside", "ticklen": 4, "tickcolor": INK,
-        "gridcolor": FAINT, "gridwidth": 1, "zeroline": False, "automargin": True,
-        "exponentformat": "none", "separatethousands": True,
-        "title": {"font": {"size": 13, "color": INK}, "standoff": 6},
-    }  # fmt: skip
-    figure.update_xaxes(**axis)
-    figure.update_yaxes(**axis)
     return figure
 
 
@@ -145,11 +143,9 @@ def scatter(
     figure: Any, place: Mapping[str, int], x: Any, y: Any, label: str | None = None, *, shown: bool = False, **trace: Any
 ) -> None:
     """Add a trace: a line unless ``mode`` says otherwise. label: its group in the legend and, without ``name``, its entry."""
-    import plotly.graph_objects as go
-
     text = None if label is None else plain(label)
     known: dict[str, Any] = {"mode": "lines", "name": text, "legendgroup": text, "showlegend": shown}
-    figure.add_trace(go.Scatter(x=x, y=y, **{**known, **trace}), **place)
+    figure.add_trace({"type": "scatter", "x": x, "y": y, **known, **trace}, **place)
 
 
 def guide(figure: Any, place: Mapping[str, int], x: Any, y: Any, **line: Any) -> None:

@@ -94,31 +94,39 @@ def ratio_text(ratio: float) -> str:
 
 def decision(candidates: Sequence[Candidate]) -> Verdict:
     """One sentence: which controller meets everything, or which comes nearest, and what binds it."""
-    best = min(candidates, key=_distance)
-    others = [candidate.name for candidate in candidates if candidate.passed and candidate is not best]
+    labels = tuple(dict.fromkeys(checks.label for candidate in candidates for checks in candidate.checks))
+    best = min(candidates, key=lambda candidate: _distance(candidate, labels))
+    good = [candidate for candidate in candidates if candidate.passed and not _absent(candidate, labels)]
     where, worst = _worst(best)
-    if best.passed:
-        box = " and over the tolerances around them" if best.boxes else ""
+    if best in good:
+        box = ", and over the tolerances around them," if best.boxes else ""
         count = f"all {len(best.checks)} operating points" if len(best.checks) > 1 else "the operating point"
         nearest = f"; nearest to its limit: {_amount(worst)} {where}" if worst.check is not None else "; no limits were given"
-        also = f"; also met by {listed(others).replace(' and ', ' and by ')}" if others else ""
-        return Verdict("", True, f"{best.name} meets every requirement at {count}{box}{nearest}{also}.")
+        others = [candidate.name for candidate in good if candidate is not best]
+        also = f"; also by {listed(others).replace(' and ', ' and by ')}" if others else ""
+        return Verdict("", True, f"Every requirement is met at {count}{box} by {best.name}{nearest}{also}.")
     lost = [checks.label for checks in best.checks if not checks.stable]
     if lost:
         why = f"it is unstable at {listed(lost)}"
-    elif best.left_out:
-        why = f"it is {NOT_EVALUATED} at {listed(best.left_out)}, which its schedule does not cover"
+    elif absent := _absent(best, labels):
+        why = f"it is {NOT_EVALUATED} at {listed(absent)}"
+        why += ", which its schedule does not cover" if set(absent) <= set(best.left_out) else ""
     elif not worst.stable:
         why = f"it becomes unstable {where}"
     else:
         why = f"{_amount(worst)} {where}"
-    return Verdict("", False, f"No controller meets every requirement; {best.name} comes nearest: {why}.")
+    return Verdict("", False, f"No controller meets every requirement; nearest comes {best.name}: {why}.")
 
 
-def _distance(candidate: Candidate) -> tuple[int, int, float]:
+def _absent(candidate: Candidate, labels: Sequence[str]) -> list[str]:
+    """The operating points at which it was not evaluated."""
+    return [label for label in dict.fromkeys((*labels, *candidate.left_out)) if candidate.at(label) is None]
+
+
+def _distance(candidate: Candidate, labels: Sequence[str]) -> tuple[int, int, float]:
     """How far a controller is from meeting everything: points not held, boxes not held, the worst ratio."""
     points, boxes = ([share(checks) for checks in part] for part in (candidate.checks, candidate.boxes))
-    missing = len(candidate.left_out) + sum(not own.stable for own in points)
+    missing = len(_absent(candidate, labels)) + sum(not own.stable for own in points)
     return missing, sum(not own.stable for own in boxes), _worst(candidate)[1].ratio
 
 

@@ -196,7 +196,9 @@ def _time_figure(
                 lines = tuple((point, _drawable(curve, axis, trace, span)) for _, point, trace, curve in mine)
                 notes = [(point, _ending(trace)) for _, point, trace, _ in mine if not _is_calm(trace)]
                 notes += [(point, f"{point}: {NOT_EVALUATED}") for point in points if candidate.at(point) is None]
-                row.append(Panel(candidate.name if i == 0 else "", lines, tuple(notes) if i == 0 else (), units.axis_name(axis)))
+                row.append(
+                    Panel(candidate.name if i == 0 else "", lines, tuple(notes) if i == 0 else (), units.axis_name(axis))
+                )
             rows.append(row)
     picture, hidden = panel_figure(rows, theme.styles(labels), height=96, view=calm, span=span)
     whole = max(float(curve.x[-1]) for *_, curve in responses)
@@ -231,7 +233,7 @@ def _growth(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     highest = np.maximum.accumulate(y)
     rises = np.append(np.diff(highest) > 0, False)
     tops = np.flatnonzero(~rises & np.append(True, rises[:-1]))
-    at = np.unique(np.r_[0, tops, len(x) - 1])
+    at = np.unique(np.r_[0, int(rises.argmax()), tops, len(x) - 1])  # flat before the first
     return np.interp(x, x[at], highest[at])
 
 

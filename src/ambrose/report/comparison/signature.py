@@ -50,9 +50,7 @@ def _hash(digest: str) -> Cell:
 
 def _critical(points: Sequence[Checks]) -> Cell:
     """Critical speeds at the operating point that has the largest amplification factor."""
-    curves = [
-        (checks.label, next((c for name in _CURVES for c in checks.curves if c.name == name), None)) for checks in points
-    ]
+    curves = [(checks.label, next((c for name in _CURVES for c in checks.curves if c.name == name), None)) for checks in points]
     known = [(label, critical_speeds(curve)) for label, curve in curves if curve is not None]
     if not known:
         return Cell("not evaluated", "muted")

@@ -266,9 +266,7 @@ def _stability_row(candidates: Sequence[Candidate], points: Sequence[str]) -> Ro
     for candidate in candidates:
         bad = [point for point in points if (checks := candidate.at(point)) is not None and not checks.stable]
         everywhere = "" if len(candidate.checks) == 1 else "everywhere"
-        cells.append(
-            Cell("unstable", "fail", detail=f"at {listed(bad)}") if bad else Cell("stable", "pass", detail=everywhere)
-        )
+        cells.append(Cell("unstable", "fail", detail=f"at {listed(bad)}") if bad else Cell("stable", "pass", detail=everywhere))
     return ("Stability", "", *cells)
 
 

@@ -117,7 +117,7 @@ def _set_heights(figure: Any, rows: Sequence[Sequence[Panel]], height: float, ga
     top = 1.0
     for i, row in enumerate(rows):
         for j in range(len(row)):
-            figure.update_yaxes(domain=[max(top - height, 0.0), top], row=i + 1, col=j + 1)
+            figure.get_subplot(i + 1, j + 1).yaxis.domain = (max(top - height, 0.0), top)
         top -= height + (gaps[i] if i < len(gaps) else 0.0)
 
 
@@ -138,9 +138,7 @@ def _lines_above(panel: Panel, width: int) -> int:
     return bool(panel.title) + len(_wrapped(panel, width))
 
 
-def _words(
-    figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str, theme.Style], width: int, above: int
-) -> None:
+def _words(figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str, theme.Style], width: int, above: int) -> None:
     """Title and notes above the panel; above: lines that the panels of its row have there."""
     lines: list[str] = []
     for line in _wrapped(panel, width):
@@ -156,15 +154,16 @@ def _words(
 
 def _scale(figure: Any, rows: Sequence[Sequence[Panel]], axes: Axes) -> None:
     set_ranges(figure, axes)
+    unit = f"[{axes.y_unit}]" if axes.y_unit else ""
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):
-            place = {"row": i + 1, "col": j + 1}
-            bottom = i == len(rows) - 1 or j >= len(rows[i + 1])
-            figure.update_xaxes(
-                matches="x" if i or j else None, showticklabels=bottom, title_text=axes.x_text if bottom else None, **place
-            )
-            unit = f"[{axes.y_unit}]" if axes.y_unit else ""
+            x, y = figure.get_subplot(i + 1, j + 1)
+            x.showticklabels = bottom = i == len(rows) - 1 or j >= len(rows[i + 1])
+            y.showticklabels = j == 0
             side = theme.plain(" ".join(part for part in (panel.side, unit) if part))
-            figure.update_yaxes(
-                matches="y" if i or j else None, showticklabels=j == 0, title_text=side if j == 0 and side else None, **place
-            )
+            if bottom:
+                x.title.text = axes.x_text
+            if j == 0 and side:
+                y.title.text = side
+            if i or j:
+                x.matches, y.matches = "x", "y"
