@@ -204,6 +204,7 @@ def write_report(result: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
     from ambrose.report.commissioning import commissioning_section
     from ambrose.report.comparison.page import comparison_report
+    from ambrose.report.comparison.tables import grouped
     from ambrose.report.page import write
     from ambrose.report.run_up import run_up_section
 
@@ -234,11 +235,7 @@ def write_report(result: Study, path: Path) -> None:
         extra=sections,
         facts=(
             ("Verified on", f"the full model at {len(result.plants)} operating points, and over all tolerances around them"),
-            *(
-                ("Not varied around", "; ".join(still))
-                for still in [[w for p in result.plants for w in not_varied(p)]]
-                if still
-            ),
+            *(("Not varied around", grouped(still)) for still in [[w for p in result.plants for w in not_varied(p)]] if still),
             ("Loop judged", _loops_judged(result.candidates)),
             *((f"{NAME} verified on", "the identified machine, as it runs: sampled, late") for _ in [done] if done),
             *((f"No {name}", why) for name, why in result.failed),

@@ -22,7 +22,7 @@ _WORDS = (
 
 
 def run_up_section(runs: Sequence[RunUp], limit: float | None, order: Sequence[str] = ()) -> Section:
-    """runs: one per controller, in order; limit [s]: the settling time asked for (None: no verdict); order: as for the figure."""
+    """runs: one per controller, in order; limit [s]: the settling time asked for (None: no verdict)."""
     return Section("Run-up", _WORDS, (run_up_figure(runs, order),), (_table(runs, limit),))
 
 

@@ -80,7 +80,7 @@ def plain(text: str) -> str:
 
 
 def dress(figure: Any, height: int, *, legend: bool, lines: int = 0) -> Any:
-    """Give a figure the common look; ``height`` [px] of what lies inside the axes, ``lines`` of words above it beside the first.
+    """Give a figure the common look; ``height`` [px] of what lies inside the axes, ``lines`` of words above it but the first.
 
     Returns the same figure. Its meta tells the page the room [px] between legend and axes.
     """

@@ -1,4 +1,4 @@
-"""Seven synthetic controllers at six operating points: the decision, the map behind it and the page, each in well under a second."""
+"""Seven synthetic controllers at six operating points: the decision, the map behind it and the page."""
 
 from __future__ import annotations
 
@@ -210,14 +210,28 @@ def test_no_row_of_the_tables_is_without_its_label(candidates: list[Candidate], 
     assert "not evaluated" in words
 
 
-# Okabe & Ito's own colours differ by 7.6 for deuteranopes. Matrices: Machado et al., 2009, severity 1; lightness: Ottosson, 2020.
+def test_sentences_about_points_are_grouped() -> None:
+    told = [f"{point} (P1): {name} (zero here)" for point in ("rest", "top") for name in ("K", "C")] + ["top (P1): c (given)"]
+    assert comparison_tables.grouped(told) == "rest (P1) and top (P1): K, C (zero here); top (P1): c (given)"
+    assert comparison_tables.grouped([]) == ""
+
+
+# Okabe & Ito's own differ by 7.6 for deuteranopes. Matrices: Machado et al., 2009, severity 1; colour space: Ottosson, 2020.
 _SEEN = {
     "normal": np.eye(3),
     "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
     "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
 }
-_LMS = [[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566], [0.0883024619, 0.2817188376, 0.6299787005]]  # fmt: skip
-_LAB = [[0.2104542553, 0.7936177850, -0.0040720468], [1.9779984951, -2.4285922050, 0.4505937099], [0.0259040371, 0.7827717662, -0.8086757660]]  # fmt: skip
+_LMS = [
+    [0.4122214708, 0.5363325363, 0.0514459929],
+    [0.2119034982, 0.6806995451, 0.1073969566],
+    [0.0883024619, 0.2817188376, 0.6299787005],
+]
+_LAB = [
+    [0.2104542553, 0.7936177850, -0.0040720468],
+    [1.9779984951, -2.4285922050, 0.4505937099],
+    [0.0259040371, 0.7827717662, -0.8086757660],
+]
 
 
 def seen(colour: str, eye: str) -> np.ndarray:

@@ -20,6 +20,7 @@ Better = Callable[..., Any]  # min or max
 
 _WIDEST = 9  # columns of values side by side in one table
 _MOST_REASONS = 3  # in one cell
+_LONGEST = 80  # characters of where something occurs, in one cell
 # The quantities that decide, and whether less or more of each is better.
 _AT_A_POINT: dict[str, Better] = {
     "sensitivity.output.max": min,
@@ -64,6 +65,19 @@ def _line(candidate: Candidate, points: Sequence[str]) -> str:
         failed = [around(box) for box in candidate.boxes if not box.passed]
         words.append(f"fails over the tolerances {listed(failed)}" if failed else "passes over the tolerances")
     return "; ".join(words)
+
+
+def grouped(sentences: Sequence[str]) -> str:
+    """ "a: x (why)", "a: y (why)", "b: x (why)", "b: y (why)" as "a and b: x, y (why)"."""
+    what: dict[tuple[str, str], list[str]] = {}
+    for sentence in sentences:
+        label, _, rest = sentence.rpartition(": ")
+        name, _, why = rest.partition(" (")
+        what.setdefault((label, why), []).append(name)
+    where: dict[str, list[str]] = {}
+    for (label, why), names in what.items():
+        where.setdefault(f"{', '.join(names)} ({why}" if why else ", ".join(names), []).append(label)
+    return "; ".join(f"{listed(labels)}: {words}" for words, labels in where.items())
 
 
 def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
@@ -113,12 +127,17 @@ def _box_cell(checks: Checks) -> Cell:
     if not checks.stable:
         return Cell("unstable", "fail", detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip())
     if margin is not None and margin.passed is False:
-        return Cell(f"unstable from {units.number(margin.value)} of the tolerances on", "fail", detail=place(margin))
+        return Cell(f"unstable from {units.number(margin.value)} of the tolerances on", "fail", detail=_brief(place(margin)))
     failed = [check for check in checks.checks if check.passed is False]
     if failed:
         return Cell("; ".join(reason(check) for check in failed[:_MOST_REASONS]), "fail", detail=_proof(proved))
     size = "" if worst is None else f"worst output sensitivity {units.number(worst.value)}"
     return Cell("passes", "pass", detail="; ".join(part for part in (size, _proof(proved)) if part))
+
+
+def _brief(words: str) -> str:
+    """Words that fit a cell; what is longer stands in the detailed tables only."""
+    return words if len(words) <= _LONGEST else ""
 
 
 def _proof(check: Check | None) -> str:
@@ -191,7 +210,7 @@ def _entry(checks: Checks | None, name: str, *, detailed: bool = False) -> _Entr
     if check is None:
         return _Entry(None, "not evaluated")
     words = [f"zone\u00a0{check.zone}"] if check.zone and math.isfinite(check.value) else []
-    return _Entry(check, ", ".join(words + ([place(check)] if detailed else [])))
+    return _Entry(check, ", ".join(words + ([_brief(place(check))] if detailed and _brief(place(check)) else [])))
 
 
 def _worst(candidate: Candidate, points: Sequence[str], name: str, better: Better) -> _Entry:

@@ -26,8 +26,8 @@ _LINE, _CHARACTER = 16, 7.0  # [px] height of a line of notes; width of a charac
 class Panel:
     """One plot area: (label, Curve) pairs, every line drawn in its label's style.
 
-    title stands above its left corner, beneath it the notes, (label, text) pairs, each in its label's colour. side: what its row
-    shows, beside the axis of the first panel of the row.
+    title stands above its left corner, beneath it the notes, (label, text) pairs, each in its label's colour. side: what its
+    row shows, beside the axis of the first panel of the row.
     """
 
     title: str
