@@ -27,7 +27,7 @@ SHADES = {
     "fails-4": ("#de6d48", "#b03a1c"), "unstable": ("#4a1626", "#4a1626"), "absent": ("#e4e8eb", "#333c43"),
     "free": ("#f6f8f9", "#1d2328"),
 }  # fmt: skip
-_ONE_PANEL, _PANEL = 330, 170  # [px], the least width of a figure with one panel, and of every further one beside it
+_ONE_PANEL, _PANEL, _WIDEST = 330, 265, 900  # [px], the least width of a figure with one panel, of every further one, of any
 MARKS = {"": "", "sign": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": "", "heading": ""}
 
 
@@ -205,7 +205,7 @@ def _least_width(picture: Any) -> int:
     """What a figure needs to be read [px]; a narrower page scrolls it."""
     layout = picture.layout.to_plotly_json()
     starts = {round((layout[name].get("domain") or (0,))[0], 3) for name in layout if name.startswith("xaxis")}
-    return _ONE_PANEL + _PANEL * max(0, len(starts) - 1)
+    return min(_ONE_PANEL + _PANEL * max(0, len(starts) - 1), _WIDEST)
 
 
 def get_library() -> str:

@@ -306,3 +306,12 @@ def test_the_page_of_seven_controllers_begins_with_the_decision_and_ends_with_th
     assert [row[1].mark for row in table.cells][-3:] == ["sign"] * 3
     assert "2031-02-03" in [row[1].text for row in table.cells]
     assert body.rindex("<h2>") == body.index("<h2>To be signed")
+
+
+def test_the_page_of_one_controller_begins_and_ends_alike(machine: Machine, candidates: list[Candidate]) -> None:
+    report = comparison_report(machine, [replace(candidates[0], traces=(), checks=candidates[0].checks[:1], boxes=())])
+    assert report.result is not None and report.result.text.startswith(
+        "Every requirement is met at the operating point by tuned"
+    )
+    assert report.opening is not None
+    assert (report.sections[-1].title, report.signatures) == ("To be signed", ())

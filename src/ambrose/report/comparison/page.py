@@ -62,6 +62,7 @@ def comparison_report(
     or names that do not tell them apart.
     """
     points = points_of(machine, candidates)
+    opening, outcome = envelope_section(machine, candidates, points), decision(candidates)
     if len(candidates) == 1:
         only = candidates[0]
         report = verification_report(
@@ -69,7 +70,9 @@ def comparison_report(
             models=models, responses=[(point, curve) for point, trace in only.traces for curve in trace_curves(trace, machine)],
             comparison=comparison, over_speed=over_speed, facts=facts, title=title, date=date,
         )  # fmt: skip
-        return _with_box(report, machine, only)
+        whole = _with_box(report, machine, only)
+        sections = [*whole.sections, signature_section(machine, candidates, date)]
+        return replace(whole, sections=tuple(sections), signatures=(), result=outcome, opening=opening)
     sections = [_glance(machine, candidates, points), _loops(candidates, points)]
     families = figures.family_figures(machine, candidates)
     if families:
@@ -87,7 +90,6 @@ def comparison_report(
     sections += models_section(comparison)
     sections += [_details(candidates, points), signature_section(machine, candidates, date)]
     verdicts = comparison_tables.verdicts_of(candidates, points)
-    opening, outcome = envelope_section(machine, candidates, points), decision(candidates)
     return Report(title, machine, tuple(sections), verdicts, tuple(facts), date, (), outcome, opening)
 
 

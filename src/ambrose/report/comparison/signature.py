@@ -15,7 +15,7 @@ from ambrose.verification.critical_speeds import LEAST_AMPLIFICATION, critical_s
 from ambrose.version import __version__
 
 _CURVES = ("unbalance.assembled", "unbalance")  # the rotor assembled at every speed where that was done, else frozen at one
-_NOTE = (
+_WORDS = (
     "Hashes are SHA-256: of all that is computed with in the machine file, of all that a controller file says but its date. "
     f"Critical speeds: peaks of the unbalance response with an amplification factor of {LEAST_AMPLIFICATION:g} or more (peak "
     "speed over half-power band, as in API 617), at the operating point where the largest factor was found."
@@ -32,15 +32,15 @@ def signature_section(
     rows += [("Program", f"ambrose {__version__}", "", ""), ("Date", date or calendar.today().isoformat(), "", "")]
     rows += [(name, Cell("", "sign"), Cell("", "sign"), "name, date, signature") for name in names]
     columns = ("", "What", "Hash", "Critical speeds (amplification factor)")
-    return Section("To be signed", "", (), (Table("", columns, tuple(rows), _NOTE, (16, 26, 28, 30)),))
+    return Section("To be signed", _WORDS, (), (Table("", columns, tuple(rows), "", (16, 26, 28, 30)),))
 
 
 def _controller(candidate: Candidate, own: str) -> tuple[Cell, Cell, Cell]:
     made = candidate.synthesis
-    rate = "continuous" if made.controller.dt is None else f"sampled at {units.quantity(1 / made.controller.dt, 'Hz')}"
+    loop = candidate.timing.partition(":")[0]
     origin = made.provenance.machine_hash
     other = f"designed for another machine file: {origin}" if origin not in {None, own} else ""
-    what = Cell(f"method {made.method}, {made.controller.n_states} states, {rate}", detail=other)
+    what = Cell(f"method {made.method}, {made.controller.n_states} states, {loop}", detail=other)
     return what, _hash(made.digest), _critical(candidate.checks)
 
 
