@@ -53,7 +53,7 @@ def styles(labels: Sequence[str]) -> dict[str, Style]:
 
 def candidate_styles(labels: Sequence[str]) -> dict[str, Style]:
     """One style per controller where several are overlaid: other colours than those of the operating points, eight of them."""
-    looks = itertools.cycle(zip(_CANDIDATES, itertools.cycle(_DASHES[:4]), itertools.cycle(_SYMBOLS), strict=False))
+    looks = itertools.cycle(zip(_CANDIDATES, itertools.cycle(_DASHES[:3]), itertools.cycle(_SYMBOLS), strict=False))
     return {label: Style(*look, 1.9) for label, look in zip(dict.fromkeys(labels), looks, strict=False)}
 
 

@@ -202,6 +202,21 @@ def test_points_that_are_no_grid_become_rows_with_speed_and_pressure(machine: Ma
     assert not any("±" in row[0].text for row in table.cells)  # no tolerances, no second rows
 
 
+def test_a_point_that_every_schedule_leaves_out_is_in_the_map(machine: Machine, candidates: list[Candidate]) -> None:
+    lpv = candidates[5]
+    (panel, _) = envelope_section(machine, [lpv], points_of(machine, [lpv])).tables
+    assert [row[1].text for row in panel.cells] == ["not evaluated"] * 4
+    elsewhere = replace(lpv, left_out=("somewhere",))
+    (table, _) = envelope_section(machine, [elsewhere], points_of(machine, [elsewhere])).tables
+    assert table.cells[-1][0].text == "somewhere"
+
+
+def test_what_has_no_finite_ratio_is_said_all_the_same(candidates: list[Candidate]) -> None:
+    never = replace(candidates[0], checks=(Checks("p", True, (settling(np.inf),)),), boxes=())
+    assert "settling ∞ (limit 20\u00a0ms, share ∞) at p" in decision([never]).text.replace("∞\u00a0ms", "∞")
+    assert shade_of(share(never.checks[0])) == "fails-4"
+
+
 def test_no_row_of_the_tables_is_without_its_label(candidates: list[Candidate], labels: list[str]) -> None:
     unstable = [replace(c, checks=tuple(Checks(x.label, x.label != labels[0], x.checks) for x in c.checks)) for c in candidates]
     for table in comparison_tables.point_tables(unstable, labels):

@@ -149,6 +149,8 @@ def _amount(own: Share) -> str:
 def envelope_section(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
     """The map: a panel of speed over pressure per controller where the operating points form a grid, else one table."""
     known = {point.label: point for point in machine.operation.points}
+    left_out = [label for candidate in candidates for label in candidate.left_out]
+    points = sorted(dict.fromkeys((*points, *left_out)), key=lambda label: _order(known.get(label)))
     places = [known[label] for label in points if label in known]
     grid = len(places) == len(points) and _is_grid(places)
     shown = [_panel(candidate, places) for candidate in candidates] if grid else [_table(known, candidates, points)]
@@ -237,6 +239,10 @@ def _legend() -> Table:
     cells += [Cell("unstable", shade="unstable"), Cell(NOT_EVALUATED, shade="absent")]
     widths = (16, *[84 // len(cells)] * len(cells))
     return Table("", ("",) * (1 + len(cells)), (("Share of the limit", *cells),), "", widths, (), True)
+
+
+def _order(place: OperatingPoint | None) -> tuple[float, float]:
+    return (math.inf, 0.0) if place is None else (place.speed, place.seal_pressure)
 
 
 def _speed(place: OperatingPoint) -> float:
