@@ -118,7 +118,8 @@ class Figure:
 class Section:
     """A heading, some paragraphs, then figures and tables (tables first if ``tables_first``).
 
-    folded: the tables stand closed, each under its title, until the reader opens them; paper shows those that are open.
+    folded: the tables stand closed, each under its title, until the reader opens them; paper shows those that are open. hint:
+    how to use the section on a screen, left out on paper.
     """
 
     title: str
@@ -127,6 +128,7 @@ class Section:
     tables: tuple[Table, ...] = ()
     tables_first: bool = False
     folded: bool = False
+    hint: str = ""
 
     @property
     def paragraphs(self) -> tuple[str, ...]:

@@ -311,6 +311,7 @@ def test_the_page_of_seven_controllers_begins_with_the_decision_and_ends_with_th
     ]
     assert order == sorted(order)
     assert "prefers-color-scheme: dark" in text
+    assert body.count('<p class="screen">') == 2 and ".screen { display: none; }" in text[text.index("@media print") :]
     signed = report.sections[-1]
     assert signed.title == "To be signed"
     (table,) = signed.tables

@@ -150,8 +150,10 @@ def envelope_section(machine: Machine, candidates: Sequence[Candidate], points: 
     """The map: a panel of speed over pressure per controller where the operating points form a grid, else one table."""
     known = {point.label: point for point in machine.operation.points}
     left_out = [label for candidate in candidates for label in candidate.left_out]
-    points = sorted(dict.fromkeys((*points, *left_out)), key=lambda label: _order(known.get(label)))
-    places = [known[label] for label in points if label in known]
+    places = sorted(
+        (known[label] for label in {*points, *left_out} if label in known), key=lambda p: (p.speed, p.seal_pressure)
+    )
+    points = [place.label for place in places] + [label for label in dict.fromkeys((*points, *left_out)) if label not in known]
     grid = len(places) == len(points) and _is_grid(places)
     shown = [_panel(candidate, places) for candidate in candidates] if grid else [_table(known, candidates, points)]
     words = "For every operating point the requirement that comes nearest to its limit, and its share of the limit: up to 1 it "
@@ -170,7 +172,7 @@ def _is_grid(places: Sequence[OperatingPoint]) -> bool:
 
 def _panel(candidate: Candidate, places: Sequence[OperatingPoint]) -> Table:
     """One controller: speeds from left to right, pressures from the bottom up."""
-    speeds, pressures = (sorted({pick(place) for place in places}) for pick in (_speed, _pressure))
+    speeds, pressures = (sorted(set(values)) for values in zip(*((p.speed, p.seal_pressure) for p in places), strict=True))
     at = {(place.speed, place.seal_pressure): place.label for place in places}
     rows: list[Row] = []
     for pressure in reversed(pressures):
@@ -243,14 +245,6 @@ def _legend() -> Table:
 
 def _order(place: OperatingPoint | None) -> tuple[float, float]:
     return (math.inf, 0.0) if place is None else (place.speed, place.seal_pressure)
-
-
-def _speed(place: OperatingPoint) -> float:
-    return place.speed
-
-
-def _pressure(place: OperatingPoint) -> float:
-    return place.seal_pressure
 
 
 def _rpm(speed: float) -> str:

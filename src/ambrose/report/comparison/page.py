@@ -115,11 +115,11 @@ def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[
 
 
 def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
-    words = (
-        "One panel per controller, all with the same axes. Every operating point keeps its colour and dash in all figures. "
+    words = "One panel per controller, all with the same axes. Every operating point keeps its colour and dash in all figures."
+    hint = (
         "Drag to zoom (all panels follow), double-click to see everything, click on a legend entry to hide or show its lines."
     )
-    return Section("Closed loop, side by side", words, figures.loop_figures(candidates, points))
+    return Section("Closed loop, side by side", words, figures.loop_figures(candidates, points), hint=hint)
 
 
 def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
@@ -166,5 +166,5 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
             if checks in candidate.boxes:  # "stable" would be said of the nominal loop only
                 words = words.removeprefix("stable, ")
             shown.append(replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}"))
-    words = "Click on a line to unfold its table; paper shows those that are open."
-    return Section("All checks in detail", words, (), tuple(shown), folded=True)
+    hint = "Click on a line to unfold its table; paper shows those that are open."
+    return Section("All checks in detail", "", (), tuple(shown), folded=True, hint=hint)
