@@ -311,6 +311,10 @@ def test_the_page_of_seven_controllers_begins_with_the_decision_and_ends_with_th
     ]
     assert order == sorted(order)
     assert "prefers-color-scheme: dark" in text
+    for tag in ("div", "table", "section", "details", "figure"):
+        assert len(re.findall(f"<{tag}[ >]", body)) == body.count(f"</{tag}>") > 0
+    maps = body[body.index('<div class="maps">') : body.index("Share of the limit")]
+    assert [maps.count(f"<div><h3>{name}</h3>") for name in NAMES] == [1] * 7  # each panel is one part of the grid
     assert body.count('<p class="screen">') == 2 and ".screen { display: none; }" in text[text.index("@media print") :]
     signed = report.sections[-1]
     assert signed.title == "To be signed"

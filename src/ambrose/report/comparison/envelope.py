@@ -181,7 +181,8 @@ def _panel(candidate: Candidate, places: Sequence[OperatingPoint]) -> Table:
         if candidate.boxes:
             rows.append((Cell("± tolerances", "muted"), *(_box_cell(candidate, label) for label in labels)))
     columns = ("", *(_rpm(speed) for speed in speeds))
-    return Table(candidate.name, columns, tuple(rows), by_cell=True)
+    widths = (22, *[78 // len(speeds)] * len(speeds))
+    return Table(candidate.name, columns, tuple(rows), "", widths, (), True)
 
 
 def _table(known: dict[str, OperatingPoint], candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
