@@ -16,7 +16,7 @@ from ambrose.version import __version__
 
 _CURVES = ("unbalance.assembled", "unbalance")  # the rotor assembled at every speed where that was done, else frozen at one
 _WORDS = (
-    "Hashes are SHA-256: of all that is computed with in the machine file, of all that a controller file says but its date (its `digest`). "
+    "Hashes are SHA-256: of all that is computed with in the machine file, and the digest in each controller's file. "
     f"Critical speeds: peaks of the unbalance response with an amplification factor of {LEAST_AMPLIFICATION:g} or more (peak "
     "speed over half-power band, as in API 617), at the operating point where the largest factor was found."
 )
