@@ -204,10 +204,12 @@ def write_report(result: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
     from ambrose.report.commissioning import commissioning_section
     from ambrose.report.comparison.page import comparison_report
+    from ambrose.report.comparison.tables import grouped
     from ambrose.report.page import write
     from ambrose.report.run_up import run_up_section
 
-    sections = [run_up_section(result.run_ups, result.machine.requirements.settling_time)] if result.run_ups else []
+    names, limit = [candidate.name for candidate in result.candidates], result.machine.requirements.settling_time
+    sections = [run_up_section(result.run_ups, limit, names)] if result.run_ups else []
     if (done := result.commissioned) is not None:
         points = points_of(result.machine, result.candidates)
         reference = next(candidate for candidate in result.candidates if candidate.synthesis is done.reference)
@@ -233,11 +235,7 @@ def write_report(result: Study, path: Path) -> None:
         extra=sections,
         facts=(
             ("Verified on", f"the full model at {len(result.plants)} operating points, and over all tolerances around them"),
-            *(
-                ("Not varied around", "; ".join(still))
-                for still in [[w for p in result.plants for w in not_varied(p)]]
-                if still
-            ),
+            *(("Not varied around", grouped(still)) for still in [[w for p in result.plants for w in not_varied(p)]] if still),
             ("Loop judged", _loops_judged(result.candidates)),
             *((f"{NAME} verified on", "the identified machine, as it runs: sampled, late") for _ in [done] if done),
             *((f"No {name}", why) for name, why in result.failed),

@@ -196,7 +196,7 @@ def test_candidates_are_compared(verifications: list[Checks], machine: Machine) 
     candidates = (Candidate("PID", made(system), tuple(verifications)), Candidate("mu", made(system), (verifications[0],)))
     figure = plot(SimpleNamespace(candidates=candidates, machine=machine))
     assert "<b>PID</b>" in text_of(figure) and "<b>mu</b>" in text_of(figure)
-    assert "no controller passes" in figure.layout.title.text.replace("<br>", " ")
+    assert "no controller meets every requirement" in figure.layout.title.text.replace("<br>", " ")
     assert plot(candidates[1]).layout.title.text.startswith("Output sensitivity: not passed")
 
 

@@ -20,25 +20,37 @@ from ambrose.machine.atomic_write import write_text
 from ambrose.machine.machine import Machine
 from ambrose.version import __version__
 
-MARKS = {"": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": "", "heading": ""}
+# Grounds of the cells of a map, on white and on dark paper; blue-green against orange is told apart by colour-blind readers.
+SHADES = {
+    "meets-1": ("#74c4b1", "#1f7a66"), "meets-2": ("#a9dccf", "#1b5f51"), "meets-3": ("#d5efe8", "#17463d"),
+    "fails-1": ("#fbe0ba", "#5e4a1c"), "fails-2": ("#f7bd80", "#7d4d1a"), "fails-3": ("#ee9566", "#96421c"),
+    "fails-4": ("#de6d48", "#b03a1c"), "unstable": ("#4a1626", "#4a1626"), "absent": ("#e4e8eb", "#333c43"),
+    "free": ("#f6f8f9", "#1d2328"),
+}  # fmt: skip
+_ONE_PANEL, _PANEL, _WIDEST = 330, 265, 900  # [px], the least width of a figure with one panel, of every further one, of any
+MARKS = {"": "", "sign": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": "", "heading": ""}
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One entry of a table; mark: "pass", "fail", "none" (information only), "number" (right-aligned), "muted" or "".
+    """One entry of a table; mark: "pass", "fail", "none" (information only), "number" (right-aligned), "muted", "sign" (room
+    for a signature) or "".
 
     A first cell marked "heading" makes its row a heading across the table. best: the best of its kind, set off quietly;
-    detail: more words, small, on a line of their own.
+    detail: more words, small, on a line of their own; shade: the colour of its ground in a map, one of SHADES.
     """
 
     text: str
     mark: str = ""
     best: bool = False
     detail: str = ""
+    shade: str = ""
 
     def __post_init__(self) -> None:
         if self.mark not in MARKS:
             raise InvalidInput(f"the mark of cell {self.text!r} is {self.mark!r}, but must be one of {', '.join(MARKS)}")
+        if self.shade and self.shade not in SHADES:
+            raise InvalidInput(f"the shade of cell {self.text!r} is {self.shade!r}, but must be one of {', '.join(SHADES)}")
 
     @property
     def symbol(self) -> str:
@@ -106,7 +118,8 @@ class Figure:
 class Section:
     """A heading, some paragraphs, then figures and tables (tables first if ``tables_first``).
 
-    folded: the tables stand closed, each under its title, until the reader opens them; paper shows those that are open.
+    folded: the tables stand closed, each under its title, until the reader opens them; paper shows those that are open. hint:
+    how to use the section on a screen, left out on paper.
     """
 
     title: str
@@ -115,6 +128,7 @@ class Section:
     tables: tuple[Table, ...] = ()
     tables_first: bool = False
     folded: bool = False
+    hint: str = ""
 
     @property
     def paragraphs(self) -> tuple[str, ...]:
@@ -146,7 +160,8 @@ class Report:
     """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the end. Facts without a text
     are left out.
 
-    result: how it all turned out (None: whether every verdict is good, in words of the page).
+    result: how it all turned out (None: whether every verdict is good, in words of the page); it begins the page. opening: what
+    stands before the verdicts.
     """
 
     title: str
@@ -157,6 +172,7 @@ class Report:
     date: str = ""
     signatures: tuple[str, ...] = ("Prepared", "Checked", "Released")
     result: Verdict | None = None
+    opening: Section | None = None
 
     @property
     def passed(self) -> bool | None:
@@ -180,9 +196,18 @@ def render(report: Report) -> str:
         version=__version__,
         offsets=[sum(len(before.figures) for before in report.sections[:i]) for i in range(len(report.sections))],
         heights=[int(figure.picture.layout.height or 400) for figure in pictures],
+        widths=[_least_width(figure.picture) for figure in pictures],
+        shades=SHADES,
         data=data,
         library=Markup(get_library()) if pictures else "",
     )
+
+
+def _least_width(picture: Any) -> int:
+    """What a figure needs to be read [px]; a narrower page scrolls it."""
+    layout = picture.layout.to_plotly_json()
+    starts = {round((layout[name].get("domain") or (0,))[0], 3) for name in layout if name.startswith("xaxis")}
+    return min(_ONE_PANEL + _PANEL * max(0, len(starts) - 1), _WIDEST)
 
 
 def get_library() -> str:

@@ -32,7 +32,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.model import Plant
 from ambrose.report import theme, units
-from ambrose.report.comparison import tables as comparison_tables
+from ambrose.report.comparison.envelope import decision
 from ambrose.report.comparison.figures import loop_figures
 from ambrose.report.figures.bode import Line, bode_figure, entries, grid_of, unit_of
 from ambrose.report.figures.curves import figure
@@ -285,6 +285,5 @@ def _study(study: Any) -> Any:
         raise InvalidInput(
             "no controller of the study holds the machine anywhere, so there is no curve to compare; see its checks"
         )
-    return _titled(
-        figures[0].picture, f"{study.machine.name}: {figures[0].title.lower()}; {comparison_tables.result(candidates).text}"
-    )
+    words = decision(candidates).text.partition(";")[0].rstrip(".")
+    return _titled(figures[0].picture, f"{study.machine.name}: {figures[0].title.lower()}; {words[:1].lower()}{words[1:]}")

@@ -21,9 +21,9 @@ _WORDS = (
 )
 
 
-def run_up_section(runs: Sequence[RunUp], limit: float | None) -> Section:
+def run_up_section(runs: Sequence[RunUp], limit: float | None, order: Sequence[str] = ()) -> Section:
     """runs: one per controller, in order; limit [s]: the settling time asked for (None: no verdict)."""
-    return Section("Run-up", _WORDS, (run_up_figure(runs),), (_table(runs, limit),))
+    return Section("Run-up", _WORDS, (run_up_figure(runs, order),), (_table(runs, limit),))
 
 
 def _table(runs: Sequence[RunUp], limit: float | None) -> Table:
@@ -43,8 +43,11 @@ def _settling(step: Step, limit: float | None) -> Cell:
     return Cell(units.quantity(step.settling, "s"), "fail" if limit is not None and step.settling > limit else "number")
 
 
-def run_up_figure(runs: Sequence[RunUp]) -> Figure:
-    """The first and the last 100 ms on the linear loop and on the rig, the controllers overlaid."""
+def run_up_figure(runs: Sequence[RunUp], order: Sequence[str] = ()) -> Figure:
+    """The first and the last 100 ms on the linear loop and on the rig, the controllers overlaid.
+
+    order: the names of all controllers of the page, which fixes their colours.
+    """
     names = [run.name for run in runs]
     last = min(run.linear.record.time[-1] for run in runs)
     rows = []
@@ -54,7 +57,7 @@ def run_up_figure(runs: Sequence[RunUp]) -> Figure:
             curves = tuple((run.name, _piece(getattr(run, where), start)) for run in runs)
             panels.append(Panel(f"{'Virtual rig' if where == 'rig' else 'Linear loop'}, {words}", curves))
         rows.append(panels)
-    picture, hidden = panel_figure(rows, theme.styles(names))
+    picture, hidden = panel_figure(rows, theme.candidate_styles([*order, *names]))
     words = (
         "Displacement at the first sensor, from the start of the shown piece: low speed on the left, high speed on the right."
     )

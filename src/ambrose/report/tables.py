@@ -10,6 +10,7 @@ from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Table, Verdict, numbers
 from ambrose.verification.checks import Check, Checks
+from ambrose.verification.verification import OVER_TOLERANCES
 
 _WIDEST = 6  # operating points side by side in one table
 RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
@@ -47,6 +48,16 @@ def reason(check: Check) -> str:
 def place(check: Check) -> str:
     """Where a check has its value: the first clause of its detail."""
     return units.prose(check.detail.split(";")[0].strip().rstrip("."))
+
+
+def around(box: Checks) -> str:
+    """Which box it is: "around nominal pressure"."""
+    return box.label.removeprefix(OVER_TOLERANCES).strip()
+
+
+def listed(words: Sequence[str]) -> str:
+    """ "a, b and c"."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _unit(check: Check) -> str:

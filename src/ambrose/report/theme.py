@@ -22,7 +22,8 @@ LIMIT = "#a3341f"
 FONT = "Helvetica Neue, Helvetica, Arial, Liberation Sans, sans-serif"
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#000000", "#cc79a7", "#56b4e9", "#e69f00")
-_CANDIDATES = (("#4a545d", "solid"), ("#b07d00", "8px,3px"), ("#b0307a", "10px,3px,2px,3px"), ("#4b2a8c", "2px,2px"))
+# Found by search: of any two, normal, protanopic and deuteranopic readers see more than twice what they told apart at least.
+_CANDIDATES = ("#183078", "#606078", "#a8a800", "#601818", "#7878f0", "#906000", "#c090a8", "#4848c0")
 _FAMILY = ("#cdbbdf", "#a98cc8", "#8259ae", "#5a2d8a", "#300a52")
 _FAMILY_DASHES = ("2px,2px", "6px,3px", "solid", "10px,3px,2px,3px", "12px,3px")
 _DASHES = ("solid", "7px,3px", "2px,2px", "10px,3px,2px,3px", "solid", "7px,3px", "2px,2px")
@@ -51,9 +52,9 @@ def styles(labels: Sequence[str]) -> dict[str, Style]:
 
 
 def candidate_styles(labels: Sequence[str]) -> dict[str, Style]:
-    """One style per controller where several are overlaid: other colours than those of the operating points."""
-    looks = itertools.cycle(zip(_CANDIDATES, _SYMBOLS, strict=False))
-    return {label: Style(*look, symbol, 1.9) for label, (look, symbol) in zip(dict.fromkeys(labels), looks, strict=False)}
+    """One style per controller where several are overlaid: other colours than those of the operating points, eight of them."""
+    looks = itertools.cycle(zip(_CANDIDATES, itertools.cycle(_DASHES[:3]), itertools.cycle(_SYMBOLS), strict=False))
+    return {label: Style(*look, 1.9) for label, look in zip(dict.fromkeys(labels), looks, strict=False)}
 
 
 def family_styles(labels: Sequence[str]) -> dict[str, Style]:
@@ -78,12 +79,24 @@ def plain(text: str) -> str:
     return html.escape(text, quote=False)
 
 
-def dress(figure: Any, height: int, *, legend: bool) -> Any:
-    """Give a figure the common look; ``height`` [px] of what lies inside the axes. Returns the same figure."""
+def dress(figure: Any, height: int, *, legend: bool, lines: int = 0) -> Any:
+    """Give a figure the common look; ``height`` [px] of what lies inside the axes, ``lines`` of words above it but the first.
+
+    Returns the same figure. Its meta tells the page the room [px] between legend and axes.
+    """
+    room = 24 + 16 * lines
+    top = room + (28 if legend else 2)
+    axis = {
+        "showline": True, "linecolor": INK, "linewidth": 1, "ticks": "outside", "ticklen": 4, "tickcolor": INK,
+        "gridcolor": FAINT, "gridwidth": 1, "zeroline": False, "automargin": True,
+        "exponentformat": "none", "separatethousands": True,
+        "title": {"font": {"size": 13, "color": INK}, "standoff": 6},
+    }  # fmt: skip
     figure.update_layout(
-        template="none",
-        height=height + (52 if legend else 26) + 48,
-        margin={"l": 62, "r": 18, "t": 52 if legend else 26, "b": 48},
+        template={"layout": {"xaxis": axis, "yaxis": axis}},  # once for all axes: many times faster than one by one
+        height=height + top + 48,
+        margin={"l": 62, "r": 18, "t": top, "b": 48},
+        meta={"room": room},
         separators=".\u202f",
         font={"family": FONT, "size": 13, "color": INK},
         paper_bgcolor="white",
@@ -97,14 +110,6 @@ def dress(figure: Any, height: int, *, legend: bool) -> Any:
         },
         dragmode="zoom",
     )  # fmt: skip
-    axis = {
-        "showline": True, "linecolor": INK, "linewidth": 1, "ticks": "outside", "ticklen": 4, "tickcolor": INK,
-        "gridcolor": FAINT, "gridwidth": 1, "zeroline": False, "automargin": True,
-        "exponentformat": "none", "separatethousands": True,
-        "title": {"font": {"size": 13, "color": INK}, "standoff": 6},
-    }  # fmt: skip
-    figure.update_xaxes(**axis)
-    figure.update_yaxes(**axis)
     return figure
 
 
@@ -138,11 +143,9 @@ def scatter(
     figure: Any, place: Mapping[str, int], x: Any, y: Any, label: str | None = None, *, shown: bool = False, **trace: Any
 ) -> None:
     """Add a trace: a line unless ``mode`` says otherwise. label: its group in the legend and, without ``name``, its entry."""
-    import plotly.graph_objects as go
-
     text = None if label is None else plain(label)
     known: dict[str, Any] = {"mode": "lines", "name": text, "legendgroup": text, "showlegend": shown}
-    figure.add_trace(go.Scatter(x=x, y=y, **{**known, **trace}), **place)
+    figure.add_trace({"type": "scatter", "x": x, "y": y, **known, **trace}, **place)
 
 
 def guide(figure: Any, place: Mapping[str, int], x: Any, y: Any, **line: Any) -> None:

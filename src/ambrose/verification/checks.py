@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,6 +40,20 @@ class Check(Presented):
         zone = {} if self.zone is None else {"zone": self.zone}
         where = {} if not self.detail else {"detail": self.detail}
         return {"name": self.name, "value": f"{self.value:.4g} {self.unit}", **limit, **zone, **where}
+
+    @property
+    def ratio(self) -> float | None:
+        """The value over its limit, or the limit over the value where large is good: 1 at the limit, more beyond it.
+
+        None without a limit; a limit of zero (a count, the real part of a pole) has no ratio: 0 where it is met, else infinite.
+        """
+        if self.limit is None:
+            return None
+        if self.limit <= 0 or math.isnan(self.value):
+            return 0.0 if self.passed else math.inf
+        if self.relation.startswith(">"):
+            return self.limit / self.value if self.value > 0 else math.inf
+        return self.value / self.limit
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

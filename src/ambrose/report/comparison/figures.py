@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,11 +14,14 @@ from ambrose.evaluation.candidate import Candidate, find
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.captions import caption
+from ambrose.report.comparison.envelope import NOT_EVALUATED
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Figure
-from ambrose.report.record.curves import trace_curves
+from ambrose.report.record.curves import thinned, trace_curves
 from ambrose.simulation.trace import Trace
 from ambrose.verification.checks import Checks, Curve
+
+T = TypeVar("T")
 
 _LOOPS = (  # (curve, the check that holds its refined peak)
     ("sensitivity.output", "sensitivity.output.max"),
@@ -25,6 +29,7 @@ _LOOPS = (  # (curve, the check that holds its refined peak)
     ("unbalance", "unbalance.orbit"),
 )
 _COLUMNS = 4  # panels beside each other
+_INSIDE, _OUTSIDE, _OUTLINE = 200, 40, 150  # bins of a response in time inside and outside the view; points of an outline
 _LOWEST, _HIGHEST, _POINTS = 0.1 * units.TWO_PI, 2e3 * units.TWO_PI, 500  # rad/s, of the controller gains
 _NONE = 1e-9  # a gain this small beside the largest is one that the controller does not have
 _DELTA = re.compile(r"^(.*\S) ([+-]\d+(?:\.\d+)?)$")
@@ -40,8 +45,8 @@ def loop_figures(candidates: Sequence[Candidate], points: Sequence[str]) -> tupl
         panels = [_loop_panel(candidate, points, name, check) for candidate in candidates]
         curves = [curve for panel in panels for _, curve in panel.curves]
         if curves:
-            picture, hidden = panel_figure(_wrapped(panels), style, mark_peaks=True)
-            words = f"{caption(curves[0])} Above each panel: its peaks, as in the tables."
+            picture, hidden = panel_figure(wrapped(panels), style, mark_peaks=True)
+            words = f"{caption(curves[0])} Above each panel: its peaks, as in the tables, point by point."
             figures.append(Figure(units.prose(curves[0].title), picture, _with(words, hidden)))
     return tuple(figures)
 
@@ -51,7 +56,9 @@ def _loop_panel(candidate: Candidate, points: Sequence[str], name: str, check: s
     for point in points:
         checks = candidate.at(point)
         curve = _curve(checks, name)
-        if checks is not None and not checks.stable:
+        if checks is None:
+            notes.append((point, NOT_EVALUATED))
+        elif not checks.stable:
             notes.append((point, "unstable"))
         elif curve is not None:
             curves.append((point, _line(curve, curve.labels[0])))
@@ -96,7 +103,7 @@ def _family_figure(machine: Machine, boxes: Sequence[tuple[Candidate, Checks]], 
         panels.append(Panel(candidate.name, lines, (("", _family_note(checks, name, longest, curve.labels)),)))
     others = theme.family_styles([name for panel in panels for name, _ in panel.curves])
     style = {**others, **theme.family_styles([shown[label] for label in longest])}
-    picture, hidden = panel_figure(_wrapped(panels), style, mark_peaks=True)
+    picture, hidden = panel_figure(wrapped(panels), style, mark_peaks=True)
     words = f"{caption(first)} Lines that are missing belong to unstable loops. Model: {families[0][1].label}."
     return Figure(units.prose(first.title), picture, _with(words, hidden))
 
@@ -138,7 +145,7 @@ def gain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Fig
     direct = [_gain_panel(machine, gains, i, i) for i in range(n)]
     cross = [_gain_panel(machine, gains, 0, j) for j in range(1, n)]
     picture, hidden = panel_figure(
-        [*_wrapped(direct), *_wrapped(cross)], theme.candidate_styles([name for name, _ in systems]), height=190
+        [*wrapped(direct), *wrapped(cross)], theme.candidate_styles([name for name, _ in systems]), height=190
     )
     words = (
         "Current per displacement. First row: every axis from its own sensor. Second row: the first axis from the sensors of "
@@ -178,24 +185,60 @@ def _time_figure(
     first = responses[0][3]
     axes = tuple(dict.fromkeys(label for *_, curve in responses for label in curve.labels))
     labels = [*points, *(point for _, point, _, _ in responses)]
-    rows = []
-    for i, axis in enumerate(axes):
-        row = []
-        for candidate in candidates:
-            mine = sorted((item for item in responses if item[0] is candidate), key=lambda item: labels.index(item[1]))
-            lines = tuple((point, _line(curve, axis)) for _, point, _, curve in mine if axis in curve.labels)
-            notes = tuple((point, _ending(trace)) for _, point, trace, _ in mine if trace.outcome != "completed")
-            row.append(Panel(candidate.name if i == 0 else "", lines, notes if i == 0 else (), units.axis_name(axis)))
-        rows.append(row)
-    calm = tuple((point, curve) for _, point, trace, curve in responses if trace.outcome == "completed")
+    calm = tuple((point, curve) for _, point, trace, curve in responses if _is_calm(trace))
     span = _lively(calm)
+    rows = []
+    for block in wrapped(candidates):
+        for i, axis in enumerate(axes):
+            row = []
+            for candidate in block:
+                mine = sorted((item for item in responses if item[0] is candidate), key=lambda item: labels.index(item[1]))
+                lines = tuple((point, _drawable(curve, axis, trace, span)) for _, point, trace, curve in mine)
+                notes = [(point, _ending(trace)) for _, point, trace, _ in mine if not _is_calm(trace)]
+                notes += [(point, f"{point}: {NOT_EVALUATED}") for point in points if candidate.at(point) is None]
+                row.append(
+                    Panel(candidate.name if i == 0 else "", lines, tuple(notes) if i == 0 else (), units.axis_name(axis))
+                )
+            rows.append(row)
     picture, hidden = panel_figure(rows, theme.styles(labels), height=96, view=calm, span=span)
     whole = max(float(curve.x[-1]) for *_, curve in responses)
     words = caption(first)
+    if len(calm) < len(responses):
+        words += " Of a run that is unstable or driven too far the outline of its growth is drawn."
     if span is not None and span[1] - span[0] < 0.99 * whole:
         shown = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"
         words += f" Shown from {shown} of the {units.quantity(whole, 's')} computed; a double-click shows all."
     return Figure(units.prose(first.title), picture, _with(words, hidden))
+
+
+def _drawable(curve: Curve, axis: str, trace: Trace, span: tuple[float, float] | None) -> Curve:
+    """One line as it is drawn: the lowest and the highest value of every bin, small ones inside the view; of a run that is
+    not calm, whose oscillation would fill its panel, the outline of its growth to either side."""
+    i = curve.labels.index(axis)
+    row = curve.y[i : i + 1]
+    if not _is_calm(trace):
+        both = np.vstack([_growth(curve.x, row[0]), -_growth(curve.x, -row[0])])
+        keep = np.unique(np.linspace(0, row.shape[1] - 1, _OUTLINE).astype(int))
+        return replace(curve, x=curve.x[keep], y=both[:, keep], labels=(axis, axis))
+    low, high = (0, row.shape[1]) if span is None else np.searchsorted(curve.x, span)
+    pieces = [(slice(0, low), _OUTSIDE), (slice(low, high), _INSIDE), (slice(high, None), _OUTSIDE)]
+    parts = [thinned(curve.x[part], row[:, part], bins) for part, bins in pieces if curve.x[part].size]
+    return replace(
+        curve, x=np.concatenate([x for x, _ in parts]), y=np.concatenate([y for _, y in parts], axis=1), labels=(axis,)
+    )
+
+
+def _growth(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Straight lines through the peaks that are higher than all before, over x (n,)."""
+    highest = np.maximum.accumulate(y)
+    rises = np.append(np.diff(highest) > 0, False)
+    tops = np.flatnonzero(~rises & np.append(True, rises[:-1]))
+    at = np.unique(np.r_[0, int(rises.argmax()), tops, len(x) - 1])  # flat before the first
+    return np.interp(x, x[at], highest[at])
+
+
+def _is_calm(trace: Trace) -> bool:
+    return trace.stable and trace.outcome == "completed"
 
 
 def _ending(trace: Trace) -> str:
@@ -219,8 +262,11 @@ def _lively(curves: Sequence[tuple[str, Curve]]) -> tuple[float, float] | None:
     return max(0.0, min(starts) - _BEFORE * length), min(last, max(ends) + _AFTER * length)
 
 
-def _wrapped(panels: Sequence[Panel]) -> list[Sequence[Panel]]:
-    return [panels[i : i + _COLUMNS] for i in range(0, len(panels), _COLUMNS)]
+def wrapped(items: Sequence[T]) -> list[Sequence[T]]:
+    """In rows of equal length, or one shorter: five are three and two."""
+    count = -(-len(items) // _COLUMNS)
+    width = -(-len(items) // count)
+    return [items[i : i + width] for i in range(0, len(items), width)]
 
 
 def _curve(checks: Checks | None, name: str) -> Curve | None:

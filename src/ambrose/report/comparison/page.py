@@ -17,6 +17,8 @@ from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.comparison import figures
 from ambrose.report.comparison import tables as comparison_tables
+from ambrose.report.comparison.envelope import decision, envelope_section
+from ambrose.report.comparison.signature import signature_section
 from ambrose.report.page import Cell, Report, Row, Section, Table, numbers
 from ambrose.report.record.curves import trace_curves
 from ambrose.report.verification import (
@@ -60,6 +62,7 @@ def comparison_report(
     or names that do not tell them apart.
     """
     points = points_of(machine, candidates)
+    opening, outcome = envelope_section(machine, candidates, points), decision(candidates)
     if len(candidates) == 1:
         only = candidates[0]
         report = verification_report(
@@ -67,11 +70,13 @@ def comparison_report(
             models=models, responses=[(point, curve) for point, trace in only.traces for curve in trace_curves(trace, machine)],
             comparison=comparison, over_speed=over_speed, facts=facts, title=title, date=date,
         )  # fmt: skip
-        return _with_box(report, machine, only)
+        whole = _with_box(report, machine, only)
+        sections = [*whole.sections, signature_section(machine, candidates, date)]
+        return replace(whole, sections=tuple(sections), signatures=(), result=outcome, opening=opening)
     sections = [_glance(machine, candidates, points), _loops(candidates, points)]
     families = figures.family_figures(machine, candidates)
     if families:
-        words = "The uncertain parameters go through their tolerances; the darker the line, the larger the parameter."
+        words = "The uncertain parameters go through their tolerances; the stronger the line, the larger the parameter."
         sections.append(Section("Over the tolerances", words, families))
     sections.append(_controllers(machine, candidates))
     responses = figures.time_figures(machine, candidates, points)
@@ -83,10 +88,9 @@ def comparison_report(
     sections += [*_over_speed(over_speed), *extra]
     sections.append(machine_section(machine, models))
     sections += models_section(comparison)
-    sections.append(_details(candidates, points))
+    sections += [_details(candidates, points), signature_section(machine, candidates, date)]
     verdicts = comparison_tables.verdicts_of(candidates, points)
-    outcome = comparison_tables.result(candidates)
-    return Report(title, machine, tuple(sections), verdicts, tuple(facts), date, result=outcome)
+    return Report(title, machine, tuple(sections), verdicts, tuple(facts), date, (), outcome, opening)
 
 
 def _with_box(report: Report, machine: Machine, candidate: Candidate) -> Report:
@@ -111,11 +115,11 @@ def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[
 
 
 def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
-    words = (
-        "One panel per controller, all with the same axes. Every operating point keeps its colour and dash in all figures. "
+    words = "One panel per controller, all with the same axes. Every operating point keeps its colour and dash in all figures."
+    hint = (
         "Drag to zoom (all panels follow), double-click to see everything, click on a legend entry to hide or show its lines."
     )
-    return Section("Closed loop, side by side", words, figures.loop_figures(candidates, points))
+    return Section("Closed loop, side by side", words, figures.loop_figures(candidates, points), hint=hint)
 
 
 def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
@@ -162,5 +166,5 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
             if checks in candidate.boxes:  # "stable" would be said of the nominal loop only
                 words = words.removeprefix("stable, ")
             shown.append(replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}"))
-    words = "Click on a line to unfold its table; paper shows those that are open."
-    return Section("All checks in detail", words, (), tuple(shown), folded=True)
+    hint = "Click on a line to unfold its table; paper shows those that are open."
+    return Section("All checks in detail", "", (), tuple(shown), folded=True, hint=hint)

@@ -12,14 +12,15 @@ from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Table, Verdict
-from ambrose.report.tables import RELATION, place, reason, verdict
+from ambrose.report.tables import RELATION, around, listed, place, reason, verdict
 from ambrose.verification.checks import Check, Checks
-from ambrose.verification.verification import OVER_TOLERANCES, WITH_MEAN_DELAY
+from ambrose.verification.verification import WITH_MEAN_DELAY
 
 Better = Callable[..., Any]  # min or max
 
 _WIDEST = 9  # columns of values side by side in one table
 _MOST_REASONS = 3  # in one cell
+_LONGEST = 80  # characters of where something occurs, in one cell
 # The quantities that decide, and whether less or more of each is better.
 _AT_A_POINT: dict[str, Better] = {
     "sensitivity.output.max": min,
@@ -44,15 +45,6 @@ _IMPLIED = {
 }  # told by rows of their own
 
 
-def result(candidates: Sequence[Candidate]) -> Verdict:
-    """How it all turned out: "1 of 3 controllers passes every check: mu"."""
-    good = [candidate.name for candidate in candidates if candidate.passed]
-    if not good:
-        return Verdict("", False, "no controller passes every check")
-    passes = "passes" if len(good) == 1 else "pass"
-    return Verdict("", True, f"{len(good)} of {len(candidates)} controllers {passes} every check: {'; '.join(good)}")
-
-
 def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Verdict, ...]:
     """One line per candidate: where it passes and where not."""
     return tuple(Verdict(candidate.name, candidate.passed, _line(candidate, points)) for candidate in candidates)
@@ -64,19 +56,28 @@ def _line(candidate: Candidate, points: Sequence[str]) -> str:
         checks = candidate.at(point)
         if checks is not None:
             groups["unstable at" if not checks.stable else "passes at" if checks.passed else "fails at"].append(point)
-    words = [f"{what} {_listed(labels)}" for what, labels in groups.items() if labels]
+    words = [f"{what} {listed(labels)}" for what, labels in groups.items() if labels]
     if not groups["unstable at"] and not groups["fails at"]:
-        words = [f"passes every check at {_listed(groups['passes at'])}"]
+        words = [f"passes every check at {listed(groups['passes at'])}"]
     if candidate.left_out:
-        words.append(f"not covered by its schedule: {_listed(candidate.left_out)}")
+        words.append(f"not covered by its schedule: {listed(candidate.left_out)}")
     if candidate.boxes:
         failed = [around(box) for box in candidate.boxes if not box.passed]
-        words.append(f"fails over the tolerances {_listed(failed)}" if failed else "passes over the tolerances")
+        words.append(f"fails over the tolerances {listed(failed)}" if failed else "passes over the tolerances")
     return "; ".join(words)
 
 
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+def grouped(sentences: Sequence[str]) -> str:
+    """ "a: x (why)", "a: y (why)", "b: x (why)", "b: y (why)" as "a and b: x, y (why)"."""
+    what: dict[tuple[str, str], list[str]] = {}
+    for sentence in sentences:
+        label, _, rest = sentence.rpartition(": ")
+        name, _, why = rest.partition(" (")
+        what.setdefault((label, why), []).append(name)
+    where: dict[str, list[str]] = {}
+    for (label, why), names in what.items():
+        where.setdefault(f"{', '.join(names)} ({why}" if why else ", ".join(names), []).append(label)
+    return "; ".join(f"{listed(labels)}: {words}" for words, labels in where.items())
 
 
 def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
@@ -94,7 +95,7 @@ def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Tab
 
 def _verdict_cell(checks: Checks | None) -> Cell:
     if checks is None:
-        return Cell("not verified", "muted")
+        return Cell("not evaluated", "muted")
     judged = [check for check in checks.checks if check.passed is not None]
     failed = [check for check in judged if not check.passed]
     if not checks.stable:
@@ -104,11 +105,6 @@ def _verdict_cell(checks: Checks | None) -> Cell:
     reasons = "; ".join(reason(check) for check in failed[:_MOST_REASONS])
     rest = f"; and {len(failed) - _MOST_REASONS} more" if len(failed) > _MOST_REASONS else ""
     return Cell(reasons + rest, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass")
-
-
-def around(box: Checks) -> str:
-    """Which box it is: "around nominal pressure"."""
-    return box.label.removeprefix(OVER_TOLERANCES).strip()
 
 
 def _boxes_cell(boxes: Sequence[Checks]) -> Cell:
@@ -131,12 +127,17 @@ def _box_cell(checks: Checks) -> Cell:
     if not checks.stable:
         return Cell("unstable", "fail", detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip())
     if margin is not None and margin.passed is False:
-        return Cell(f"unstable from {units.number(margin.value)} of the tolerances on", "fail", detail=place(margin))
+        return Cell(f"unstable from {units.number(margin.value)} of the tolerances on", "fail", detail=_brief(place(margin)))
     failed = [check for check in checks.checks if check.passed is False]
     if failed:
         return Cell("; ".join(reason(check) for check in failed[:_MOST_REASONS]), "fail", detail=_proof(proved))
     size = "" if worst is None else f"worst output sensitivity {units.number(worst.value)}"
     return Cell("passes", "pass", detail="; ".join(part for part in (size, _proof(proved)) if part))
+
+
+def _brief(words: str) -> str:
+    """Words that fit a cell; what is longer stands in the detailed tables only."""
+    return words if len(words) <= _LONGEST else ""
 
 
 def _proof(check: Check | None) -> str:
@@ -150,14 +151,14 @@ def _proof(check: Check | None) -> str:
 def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
     """The quantities that decide, one column per candidate: worst of all operating points, whole box, the controller."""
     rows: list[Row] = [_heading("Worst of all operating points", candidates), _stability_row(candidates, points)]
-    for name, better in _names([checks for candidate in candidates for checks in candidate.checks], _AT_A_POINT):
-        rows.append(_row([_worst(candidate, points, name, better) for candidate in candidates], better))
+    for known, better in _names([checks for candidate in candidates for checks in candidate.checks], _AT_A_POINT):
+        rows.append(_row(known, [_worst(candidate, points, known.name, better) for candidate in candidates], better))
     boxes = [candidate.robust for candidate in candidates]
-    known = [checks for checks in boxes if checks is not None]
-    if known:
-        rows.append(_heading(f"Tolerances ({_box(machine)}) {around(known[0])}", candidates))
-        for name, better in _names(known, _IN_THE_BOX):
-            rows.append(_row([_entry(checks, name, detailed=True) for checks in boxes], better))
+    made = [checks for checks in boxes if checks is not None]
+    if made:
+        rows.append(_heading(f"Tolerances ({_box(machine)}) {around(made[0])}", candidates))
+        for known, better in _names(made, _IN_THE_BOX):
+            rows.append(_row(known, [_entry(checks, known.name, detailed=True) for checks in boxes], better))
     rows += _mu_row(candidates)
     rows += [_heading("Controller", candidates), *_controller_rows(candidates)]
     note = (
@@ -178,12 +179,12 @@ def point_tables(candidates: Sequence[Candidate], points: Sequence[str]) -> tupl
     return tuple(_point_table(candidates, points[i : i + size], names) for i in range(0, len(points), size))
 
 
-def _point_table(candidates: Sequence[Candidate], points: Sequence[str], names: Sequence[tuple[str, Better]]) -> Table:
+def _point_table(candidates: Sequence[Candidate], points: Sequence[str], names: Sequence[tuple[Check, Better]]) -> Table:
     grouped = [[candidate.at(point) for candidate in candidates] for point in points]
     rows: list[Row] = [("Stability", "", *(_stability_cell(checks) for group in grouped for checks in group))]
-    for name, better in names:
-        groups = [[_entry(checks, name) for checks in group] for group in grouped]
-        rows.append(_row([entry for group in groups for entry in group], better, group=len(candidates)))
+    for known, better in names:
+        groups = [[_entry(checks, known.name) for checks in group] for group in grouped]
+        rows.append(_row(known, [entry for group in groups for entry in group], better, group=len(candidates)))
     title = "At every operating point" if len(points) > 1 else f"At {points[0]}"
     rest = 72 // max(len(points) * len(candidates), 6)
     widths = (100 - 6 - rest * len(points) * len(candidates), 6, *[rest] * (len(points) * len(candidates)))
@@ -202,14 +203,14 @@ class _Entry:
 
 def _entry(checks: Checks | None, name: str, *, detailed: bool = False) -> _Entry:
     if checks is None:
-        return _Entry(None, "not verified")
+        return _Entry(None, "not evaluated")
     if not checks.stable:
         return _Entry(None, "unstable")
     check = find(checks, name)
     if check is None:
         return _Entry(None, "not evaluated")
     words = [f"zone\u00a0{check.zone}"] if check.zone and math.isfinite(check.value) else []
-    return _Entry(check, ", ".join(words + ([place(check)] if detailed else [])))
+    return _Entry(check, ", ".join(words + ([_brief(place(check))] if detailed and _brief(place(check)) else [])))
 
 
 def _worst(candidate: Candidate, points: Sequence[str], name: str, better: Better) -> _Entry:
@@ -223,15 +224,14 @@ def _worst(candidate: Candidate, points: Sequence[str], name: str, better: Bette
     return _Entry(check, ", ".join(([f"zone\u00a0{check.zone}"] if check.zone else []) + ([point] if len(points) > 1 else [])))
 
 
-def _row(entries: Sequence[_Entry], better: Better, *, group: int = 0) -> Row:
-    """Title, limit and cells; among every ``group`` of them (0: all) the best is marked."""
+def _row(sample: Check, entries: Sequence[_Entry], better: Better, *, group: int = 0) -> Row:
+    """Title, limit and cells; among every ``group`` of them (0: all) the best is marked. sample: what the row is about, as it
+    was evaluated anywhere."""
     checks = [entry.check for entry in entries if entry.check is not None]
-    if not checks:
-        return ("", "", *(Cell(entry.words, "muted") for entry in entries))
-    first = checks[0]
+    first = checks[0] if checks else sample
     known = [abs(x) for check in checks for x in (check.value, check.limit or 0.0) if math.isfinite(x)]
     factor, unit = units.scale(first.unit, max(known, default=0.0))
-    limits = {_limit(check, factor) for check in checks}
+    limits = {_limit(check, factor) for check in checks or [sample]}
     size = group or len(entries)
     cells = []
     for start in range(0, len(entries), size):
@@ -265,14 +265,14 @@ def _best(known: Sequence[tuple[float, str]], better: Better) -> str | None:
     return str(better(known)[1]) if len({text for _, text in known}) > 1 else None
 
 
-def _names(every: Sequence[Checks], chosen: Mapping[str, Better]) -> list[tuple[str, Better]]:
-    """The chosen quantities that were evaluated, then every other one that fails somewhere."""
+def _names(every: Sequence[Checks], chosen: Mapping[str, Better]) -> list[tuple[Check, Better]]:
+    """The chosen quantities that were evaluated, as found somewhere, then every other one that fails somewhere."""
     evaluated = {check.name: check for checks in every for check in checks.checks}
     failed = {check.name: check for checks in every for check in checks.checks if check.passed is False}
-    result: list[tuple[str, Better]] = [(name, better) for name, better in chosen.items() if name in evaluated]
+    result: list[tuple[Check, Better]] = [(evaluated[name], better) for name, better in chosen.items() if name in evaluated]
     for name, check in failed.items():
         if name not in chosen and name not in _IMPLIED:
-            result.append((name, max if check.relation in {">", ">="} else min))
+            result.append((check, max if check.relation in {">", ">="} else min))
     return result
 
 
@@ -285,15 +285,13 @@ def _stability_row(candidates: Sequence[Candidate], points: Sequence[str]) -> Ro
     for candidate in candidates:
         bad = [point for point in points if (checks := candidate.at(point)) is not None and not checks.stable]
         everywhere = "" if len(candidate.checks) == 1 else "everywhere"
-        cells.append(
-            Cell("unstable", "fail", detail=f"at {_listed(bad)}") if bad else Cell("stable", "pass", detail=everywhere)
-        )
+        cells.append(Cell("unstable", "fail", detail=f"at {listed(bad)}") if bad else Cell("stable", "pass", detail=everywhere))
     return ("Stability", "", *cells)
 
 
 def _stability_cell(checks: Checks | None) -> Cell:
     if checks is None:
-        return Cell("not verified", "muted")
+        return Cell("not evaluated", "muted")
     return Cell("stable", "pass") if checks.stable else Cell("unstable", "fail")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,14 +19,15 @@ Labelled = tuple[tuple[str, Curve], ...]
 
 _WIDTH = 900  # [px], of all panels of a row together, about
 _LEAST_GAP, _TITLE_GAP = 16, 40  # [px] between rows, without and with titles between them
+_LINE, _CHARACTER = 16, 7.0  # [px] height of a line of notes; width of a character
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
     """One plot area: (label, Curve) pairs, every line drawn in its label's style.
 
-    title stands above its left corner; notes, (label, text) pairs, above its right one, each in its label's colour. side: what
-    its row shows, beside the axis of the first panel of the row.
+    title stands above its left corner, beneath it the notes, (label, text) pairs, each in its label's colour. side: what its
+    row shows, beside the axis of the first panel of the row.
     """
 
     title: str
@@ -54,21 +56,24 @@ def panel_figure(
     if span is not None:
         axes = replace(axes, x_range=(span[0] * axes.x_factor, span[1] * axes.x_factor))
     columns = max(len(row) for row in rows)
-    gap = _TITLE_GAP if any(panel.title or panel.notes for row in rows[1:] for panel in row) else _LEAST_GAP
-    total = height * len(rows) + gap * (len(rows) - 1)
+    width = _WIDTH // columns
+    above = [max(_lines_above(panel, width) for panel in row) for row in rows]
+    gaps = [_LEAST_GAP if lines == 0 else _TITLE_GAP + _LINE * (lines - 1) for lines in above[1:]]
+    total = height * len(rows) + sum(gaps)
     figure = theme.subplots(
-        rows=len(rows), cols=columns, horizontal_spacing=0.028, vertical_spacing=gap / total,
+        rows=len(rows), cols=columns, horizontal_spacing=0.028,
         specs=[[{} if j < len(row) else None for j in range(columns)] for row in rows],
     )  # fmt: skip
+    _set_heights(figure, rows, height / total, [gap / total for gap in gaps])
     levels = limit_levels(everything, axes)
     shown: set[str] = set()
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):
             place = {"row": i + 1, "col": j + 1}
             _draw(figure, panel, place, axes, style, shown, mark_peaks=mark_peaks)
-            draw_limits(figure, place, levels, axes, size=(_WIDTH // columns, height), named=i == j == 0)
-            _words(figure, panel, place, style)
-    theme.dress(figure, total, legend=len(shown) > 1)
+            draw_limits(figure, place, levels, axes, size=(width, height), named=i == j == 0)
+            _words(figure, panel, place, style, width, above[i])
+    theme.dress(figure, total, legend=len(shown) > 1, lines=max(0, above[0] - 1))
     _scale(figure, rows, axes)
     return figure, beyond(everything, axes)
 
@@ -107,31 +112,58 @@ def _abscissae(x: np.ndarray) -> dict[str, Any]:
     return {"x": drawn(x)}
 
 
-def _words(figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str, theme.Style]) -> None:
-    """Title and notes above the panel."""
-    common = {"xref": "x domain", "yref": "y domain", "y": 1, "yanchor": "bottom", "yshift": 1, "showarrow": False, **place}
-    if panel.title:
-        words = f"<b>{theme.plain(panel.title)}</b>"
-        figure.add_annotation(x=0, xanchor="left", text=words, font={"size": 13, "color": theme.INK}, **common)
-    if panel.notes:
+def _set_heights(figure: Any, rows: Sequence[Sequence[Panel]], height: float, gaps: Sequence[float]) -> None:
+    """Rows of one height, each gap its own (fractions of the whole)."""
+    top = 1.0
+    for i, row in enumerate(rows):
+        for j in range(len(row)):
+            figure.get_subplot(i + 1, j + 1).yaxis.domain = (max(top - height, 0.0), top)
+        top -= height + (gaps[i] if i < len(gaps) else 0.0)
+
+
+def _wrapped(panel: Panel, width: int) -> list[list[tuple[str, str]]]:
+    """The notes of a panel of that width [px] in lines."""
+    lines: list[list[tuple[str, str]]] = []
+    used = math.inf
+    for label, text in panel.notes:
+        if used + len(text) + 3 > width / _CHARACTER:
+            lines.append([])
+            used = 0
+        lines[-1].append((label, text))
+        used += len(text) + 3
+    return lines
+
+
+def _lines_above(panel: Panel, width: int) -> int:
+    return bool(panel.title) + len(_wrapped(panel, width))
+
+
+def _words(figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str, theme.Style], width: int, above: int) -> None:
+    """Title and notes above the panel; above: lines that the panels of its row have there."""
+    lines: list[str] = []
+    for line in _wrapped(panel, width):
         parts = [
             f'<span style="color: {style[label].colour if label in style else theme.MUTED}">{theme.plain(text)}</span>'
-            for label, text in panel.notes
+            for label, text in line
         ]
-        figure.add_annotation(x=1, xanchor="right", text=" · ".join(parts), font={"size": 12.5, "color": theme.MUTED}, **common)
+        lines.append(" · ".join(parts))
+    lines = [f"<b>{theme.plain(panel.title)}</b>", *lines] if panel.title else lines
+    for i, text in enumerate(lines):
+        theme.heading(figure, place, text, yshift=1 + _LINE * (above - 1 - i))
 
 
 def _scale(figure: Any, rows: Sequence[Sequence[Panel]], axes: Axes) -> None:
     set_ranges(figure, axes)
+    unit = f"[{axes.y_unit}]" if axes.y_unit else ""
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):
-            place = {"row": i + 1, "col": j + 1}
-            bottom = i == len(rows) - 1 or j >= len(rows[i + 1])
-            figure.update_xaxes(
-                matches="x" if i or j else None, showticklabels=bottom, title_text=axes.x_text if bottom else None, **place
-            )
-            unit = f"[{axes.y_unit}]" if axes.y_unit else ""
+            x, y = figure.get_subplot(i + 1, j + 1)
+            x.showticklabels = bottom = i == len(rows) - 1 or j >= len(rows[i + 1])
+            y.showticklabels = j == 0
             side = theme.plain(" ".join(part for part in (panel.side, unit) if part))
-            figure.update_yaxes(
-                matches="y" if i or j else None, showticklabels=j == 0, title_text=side if j == 0 and side else None, **place
-            )
+            if bottom:
+                x.title.text = axes.x_text
+            if j == 0 and side:
+                y.title.text = side
+            if i or j:
+                x.matches, y.matches = "x", "y"

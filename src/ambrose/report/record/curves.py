@@ -60,15 +60,15 @@ def zoomed_curves(record: Record, machine: Machine, part: slice) -> list[tuple[s
     return pairs
 
 
-def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def thinned(time: np.ndarray, values: np.ndarray, bins: int = _BINS) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) and values (p, n): the lowest and the highest value of every bin, in the order in which they occur."""
     k = len(time)
-    size = -(-k // _BINS)
+    size = -(-k // bins)
     if size <= 2:
         return time, values
     starts = np.arange(0, k, size)
-    low, high = np.minimum.reduceat(values, starts, axis=1), np.maximum.reduceat(values, starts, axis=1)
-    rising = np.array([[part.argmin() < part.argmax() for part in np.split(row, starts[1:])] for row in values])
+    parts = np.pad(values, ((0, 0), (0, -k % size)), mode="edge").reshape(len(values), len(starts), size)
+    low, high, rising = parts.min(axis=2), parts.max(axis=2), parts.argmin(axis=2) < parts.argmax(axis=2)
     result = np.empty((len(values), 2 * len(starts)))
     result[:, 0::2], result[:, 1::2] = np.where(rising, low, high), np.where(rising, high, low)
     step = time[1] - time[0]

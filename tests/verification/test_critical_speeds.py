@@ -1,0 +1,55 @@
+"""Critical speeds and amplification factors against the closed form of one mass on a spring."""
+
+import numpy as np
+import pytest
+
+from ambrose.verification.checks import Curve
+from ambrose.verification.critical_speeds import critical_speeds
+
+
+def response(speeds, *modes):
+    """Orbits under unbalance of masses with (natural speed, damping ratio) each."""
+    return np.array([w2 / np.hypot(n**2 - w2, 2 * z * n * speeds) for n, z in modes for w2 in [speeds**2]])
+
+
+def curve(speeds, rows, labels):
+    return Curve("unbalance", "Unbalance response", "speed", speeds, rows, labels, "rad/s", "m")
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.05, 0.1])
+def test_the_factor_of_one_mass_is_that_of_the_closed_form(damping):
+    speeds = np.linspace(10, 3000, 8000)
+    rows = response(speeds, (600.0, damping))
+    ((speed, factor),) = critical_speeds(curve(speeds, rows, ("A, in phase",)))
+    peak = 600 / np.sqrt(1 - 2 * damping**2)
+    # half power: r^4 / ((1 - r^2)^2 + (2 z r)^2) = max / 2, a quadratic in r^2
+    half = 0.5 / (4 * damping**2 * (1 - damping**2))
+    roots = np.sqrt(np.roots([1 - 1 / half, 4 * damping**2 - 2, 1]).real)
+    assert speed == pytest.approx(peak, rel=1e-3)
+    assert factor == pytest.approx(peak / (600 * abs(roots[0] - roots[1])), rel=0.01)
+
+
+def test_a_critically_damped_peak_and_the_envelope_are_no_critical_speeds():
+    speeds = np.linspace(10, 3000, 4000)
+    assert critical_speeds(curve(speeds, response(speeds, (600.0, 0.35)), ("A, in phase",))) == ()
+    rows = np.vstack([response(speeds, (900.0, 0.02)), response(speeds, (600.0, 0.05))])
+    found = critical_speeds(curve(speeds, rows, ("worst case", "A, in phase")))
+    assert [round(speed, -1) for speed, _ in found] == [600.0]
+
+
+def test_lines_that_peak_together_are_one_and_others_go_by_speed():
+    speeds = np.linspace(10, 3000, 8000)
+    rows = response(speeds, (1500.0, 0.03), (600.0, 0.05), (605.0, 0.04))
+    found = critical_speeds(curve(speeds, rows, ("A, in antiphase", "A, in phase", "B, in phase")))
+    assert [round(speed, -1) for speed, _ in found] == [610.0, 1500.0]
+    assert found[0][1] > critical_speeds(curve(speeds, rows[1:2], ("A, in phase",)))[0][1]
+
+
+def test_a_curve_that_ends_at_its_peak_has_none_and_one_flank_is_taken_twice():
+    speeds = np.linspace(10, 3000, 8000)
+    row = response(speeds, (600.0, 0.05))
+    rising = speeds <= 600
+    assert critical_speeds(curve(speeds[rising], row[:, rising], ("A, in phase",))) == ()
+    short = speeds <= 610
+    ((_, factor),) = critical_speeds(curve(speeds[short], row[:, short], ("A, in phase",)))
+    assert factor == pytest.approx(10, rel=0.1)
