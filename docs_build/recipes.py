@@ -105,7 +105,7 @@ def study(machine):
         for loop, windows in loops.items():
             settling = [window["settling_s"] for window in windows]
             figures |= {f"run_up.{name}.{loop}.{end}": settling[at] for end, at in (("first", 0), ("last", -1))}
-            figures[f"run_up.{name}.{loop}.longest"] = max(settling)
+            figures[f"run_up.{name}.{loop}.longest"] = max(settling, key=lambda value: np.inf if value == "inf" else value)
     return figures
 
 
