@@ -28,6 +28,7 @@ README = [  # the README is read where no site builder fills figures in
     "a reduced plant ({{ check.reduced_rotor_states }} rotor states)",
     "mu ({{ study.mu.states }} states) holds everywhere with a largest sensitivity of {{ study.mu.worst:.1f }}",
     "the mu controller polished to {{ study.polish.states }} states passes every check with {{ study.polish.worst:.2f }}",
+    "at once, with {{ study.tuned.states }} states and {{ study.tuned.worst:.2f }}",
     "needs {{ study_turboexpander.run_up.mu.rig.first*1e3:.0f }} ms at 20 Hz",
     "`seal-rig` ({{ check.mass:.0f }} kg rotor",
 ]
