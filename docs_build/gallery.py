@@ -52,7 +52,9 @@ def of_example(path):
 
 def html_of(figure):
     """A plotly figure as a piece of a page that has the library already."""
-    return figure.to_html(full_html=False, include_plotlyjs=False, default_width="100%", config={"responsive": True})
+    return figure.to_html(
+        full_html=False, include_plotlyjs=False, default_width="100%", config={"responsive": True, "displayModeBar": False}
+    )
 
 
 def plotly_library():

@@ -63,7 +63,8 @@ def of_output(output, name):
     data = output.get("data", {})
     if "application/vnd.plotly.v1+json" in data:
         figure = data["application/vnd.plotly.v1+json"]
-        arguments = f'"{name}", {json.dumps(figure["data"])}, {json.dumps(figure["layout"])}, {{responsive: true}}'
+        config = "{responsive: true, displayModeBar: false}"
+        arguments = f'"{name}", {json.dumps(figure["data"])}, {json.dumps(figure["layout"])}, {config}'
         script = f'<div id="{name}"></div><script>Plotly.newPlot({arguments})</script>'
         return f'<div class="plotly-figure" markdown="0">{script}</div>\n'
     if "text/html" in data:

@@ -56,13 +56,15 @@ class Study(Presented):
 
     @property
     def best(self) -> Candidate:
-        """The candidate that meets most checks, robust ones included; unstable points count against it."""
-        return min(self.candidates, key=_failures)
+        """The candidate that meets every requirement with most to spare, or comes nearest to it."""
+        from ambrose.report.comparison.envelope import nearest
+
+        return nearest(self.candidates)
 
     @property
     def passed(self) -> bool:
         """Whether one controller meets every check at every operating point and over the tolerances."""
-        return _failures(self.best) == 0
+        return any(candidate.passed for candidate in self.candidates)
 
     def facts(self) -> dict[str, Any]:
         """Machine, controllers, the best of them and whether it meets every check."""
@@ -109,12 +111,6 @@ class Study(Presented):
         rows = [(c.name, checks.label, check) for c in self.candidates for checks in c.verifications for check in checks.checks]
         names = {"controller": [name for name, _, _ in rows], "point": [label for _, label, _ in rows]}
         return data_frame({**names, **check_columns([check for *_, check in rows])})
-
-
-def _failures(candidate: Candidate) -> int:
-    """Checks that are not met; an unstable point, and one that a schedule leaves out, count for a hundred."""
-    missed = (sum(check.passed is False for check in v.checks) if v.stable else 100 for v in candidate.verifications)
-    return 100 * len(candidate.left_out) + sum(missed)
 
 
 def study(machine: Machine, directory: str | Path, progress: Progress = lambda stage: None) -> Study:

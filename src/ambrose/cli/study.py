@@ -19,6 +19,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     """The whole chain: every controller the machine file allows, verified, simulated and compared in report.html."""
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.ordinary_file import file_name
+    from ambrose.report.comparison.envelope import decision
     from ambrose.report.tables import verdict
     from ambrose.workflow import study
 
@@ -42,7 +43,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
                 rows.append((candidate.name, label, "left out: its schedule does not cover this point"))
                 marks.append("red")
         print_table(f"{description.name}: {len(result.candidates)} controllers", ("controller", "at", "verdict"), rows, marks)
-        say(f"Most checks are met by {result.best.name}." + (f" Report: {report}" if report else ""))
+        say(decision(result.candidates).text + (f" Report: {report}" if report else ""))
     if result.unwritten:
         raise InvalidInput("; ".join(result.unwritten))
     sys.exit(0 if result.passed else 1)

@@ -92,19 +92,28 @@ def ratio_text(ratio: float) -> str:
     return units.pair(ratio, 1.0, "")[0] if text == "1.00" and ratio != 1.0 else text
 
 
+def nearest(candidates: Sequence[Candidate]) -> Candidate:
+    """The controller that meets everything with most to spare, or comes nearest to it."""
+    labels = _labels(candidates)
+    return min(candidates, key=lambda candidate: _distance(candidate, labels))
+
+
+def _labels(candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(checks.label for candidate in candidates for checks in candidate.checks))
+
+
 def decision(candidates: Sequence[Candidate]) -> Verdict:
     """One sentence: which controller meets everything, or which comes nearest, and what binds it."""
-    labels = tuple(dict.fromkeys(checks.label for candidate in candidates for checks in candidate.checks))
-    best = min(candidates, key=lambda candidate: _distance(candidate, labels))
+    labels, best = _labels(candidates), nearest(candidates)
     good = [candidate for candidate in candidates if candidate.passed and not _absent(candidate, labels)]
     where, worst = _worst(best)
     if best in good:
         box = ", and over the tolerances around them," if best.boxes else ""
         count = f"all {len(best.checks)} operating points" if len(best.checks) > 1 else "the operating point"
-        nearest = f"; nearest to its limit: {_amount(worst)} {where}" if worst.check is not None else "; no limits were given"
+        margin = f"; nearest to its limit: {_amount(worst)} {where}" if worst.check is not None else "; no limits were given"
         others = [candidate.name for candidate in good if candidate is not best]
         also = f"; also by {listed(others).replace(' and ', ' and by ')}" if others else ""
-        return Verdict("", True, f"Every requirement is met at {count}{box} by {best.name}{nearest}{also}.")
+        return Verdict("", True, f"Every requirement is met at {count}{box} by {best.name}{margin}{also}.")
     lost = [checks.label for checks in best.checks if not checks.stable]
     if lost:
         why = f"it is unstable at {listed(lost)}"
