@@ -104,6 +104,16 @@ def test_the_compiled_code_holds_the_rig_at_every_point(commissioned, machine):
     assert ("Runs on the rig as", "the compiled C code") in commissioned.in_words
 
 
+def test_the_code_takes_the_rig_from_rest_to_pressure_and_back(commissioned):
+    cycle = commissioned.cycle
+    assert (cycle.scenario, cycle.outcome) == ("operating-cycle", "completed") and "levitated since" in cycle.text
+    record = cycle.record
+    assert record["p_seal"].max() == pytest.approx(2.04e5) and record["p_seal"][-1] == 0  # of its points, the nominal one
+    late = record.select([name for name in record.signals if name.startswith("q_")]).between(4.5, 5.0).values
+    assert np.ptp(late, axis=1).max() < 1e-6
+    assert ("From rest through run-up, top pressure and trip back to rest", cycle.text) in commissioned.in_words
+
+
 def test_it_is_judged_as_it_runs(commissioned):
     """The checks are of the sampled loop with its delay, not of the continuous design, whose sensitivity is lower."""
     continuous = verify_points(full_plants(commissioned.machine), commissioned.candidate.synthesis.controller)
@@ -170,6 +180,7 @@ def section(commissioned, plants, reference):
         commissioned.candidate,
         LABELS,
         commissioned.in_words,
+        commissioned.cycle,
         from_code=commissioned.from_code,
     )
 

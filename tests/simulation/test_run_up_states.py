@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import to_statespace
+from ambrose.core.statespace import static_gain
 from ambrose.evaluation.trial import simulate_linear
 from ambrose.machine.description import ShaftSection
 from ambrose.machine.machine import Machine
@@ -42,6 +43,7 @@ LOW, HIGH, KNOT = 60.0, 2800.0, 1500.0  # rad/s; of the table
 RUN_UP = Scenario("run-up", 0.1, unbalances=(Unbalance("piston", 1e-4),), speed=LOW, to_speed=HIGH)
 OUTPUTS = ["q_A_zeta", "q_B_eta", "q_piston_x"]
 DT = 1e-4
+NOTHING = static_gain(np.zeros((1, 1)))  # only machine and point of the plant are looked at
 
 
 @cache
@@ -68,7 +70,7 @@ def controller(kind: str):
 def at(kind: str, speed: float) -> Plant:
     """Machine and operating point, which is all that a reduction takes of a plant."""
     point = replace(operating_point(machine(kind), "140 Hz"), speed=speed)
-    return Plant(machine(kind), point, None, None, ())
+    return Plant(machine(kind), point, NOTHING, NOTHING, ())
 
 
 @cache
