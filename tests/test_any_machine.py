@@ -107,6 +107,7 @@ def mirrored(machine):
     return replace(machine, shaft=tuple(sorted(shaft, key=lambda section: section.start)), **moved)
 
 
+@pytest.mark.campaign
 def test_the_other_end_gives_the_same_at_standstill_without_pressure():
     """Mirrored, a rotor that turns, or a seal that pushes it sideways, would go the other way round."""
     machine = amb.load_machine("seal-rig")

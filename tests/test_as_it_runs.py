@@ -96,6 +96,7 @@ def test_a_loop_that_is_unstable_as_it_runs_is_never_verified(stating, tmp_path)
     assert call("export", controller, "--to", "c", "-o", tmp_path / "code", "--machine", slow).exit_code == 2
 
 
+@pytest.mark.campaign
 def test_the_box_goes_around_every_operating_point():
     """One tolerance holds everywhere, one of the seal vanishes without pressure, one is for a single point."""
     machine = amb.load_machine("seal-rig")

@@ -74,6 +74,7 @@ def test_chain(machine, plant, pid, verdict, run):
     assert amb.reduce(plant, 0).bending_modes == 0
 
 
+@pytest.mark.campaign
 def test_a_control_system_goes_in_and_out(machine, pid):
     theirs = pid.controller.to_control()
     assert isinstance(theirs, control.StateSpace)

@@ -299,7 +299,13 @@ def test_nor_is_the_place_of_a_partial_record(tmp_path):
 
 
 @POSIX
-@pytest.mark.parametrize("kind", ["fifo", "socket", "/dev/zero", "/dev/null", "/proc/self/pagemap", "/proc/self/mem"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("fifo", "socket", "/dev/zero"),
+        *(pytest.param(place, marks=pytest.mark.campaign) for place in ("/dev/null", "/proc/self/pagemap", "/proc/self/mem")),
+    ],
+)
 def test_what_is_no_file_is_refused_at_once(kind, tmp_path):
     if kind.startswith("/proc") and not Path(kind).exists():
         pytest.skip("no /proc here")

@@ -40,6 +40,7 @@ def call(*arguments):
     return CliRunner().invoke(main, ["export", *(str(argument) for argument in arguments)])
 
 
+@pytest.mark.campaign
 def test_a_verified_controller_is_written(controllers, tmp_path):
     done = call(controllers["hinf"], "--to", "c", "-o", tmp_path / "code", "--name", "seal_rig", "--json")
     assert done.exit_code == 1, done.stderr  # written and verified, but the loop as it runs misses limits

@@ -39,6 +39,7 @@ def play(fb, block, e, valid):
     return currents, status
 
 
+@pytest.mark.campaign
 def test_agrees_with_the_block_in_python(parsed_block):
     block = direct_block()
     e, valid = driver.adversarial(block, 10_000)

@@ -83,6 +83,7 @@ def test_failures_end_in_the_touchdown_bearings(name):
     assert np.abs(fall).max() < 1e-5
 
 
+@pytest.mark.campaign
 def test_power_loss_rotor_comes_to_rest_at_the_bottom():
     scenario = Scenario("off", 2.0, failures=(Failure(0.05),))
     trace = virtual_rig.run(RIG, PID, scenario, point=POINTS["zero pressure"])  # under pressure the seal keeps it whirling

@@ -141,6 +141,7 @@ def test_titles_say_how_each_number_was_come_by(over_the_range):
     assert "on a frequency grid" in over_the_range["robust.performance"].title
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("failure", [NumericalFailure("it overflows"), np.linalg.LinAlgError("singular pencil")])
 def test_a_proof_that_fails_takes_no_result_with_it(rigid, robust_controller, monkeypatch, failure):
     """What the searches found stays; the proof says why there is none, and the bound falls back on a grid and says so."""

@@ -186,6 +186,7 @@ def test_empty_block_is_refused():
         mu_bounds(np.eye(2), [ComplexBlock("c", 2)], max_iterations=0)
 
 
+@pytest.mark.campaign
 def test_an_early_stop_still_gives_bounds():
     M = random_matrix(9, 10, 5, 6)
     rough, fine = mu_bounds(M, MIXED, max_iterations=2), mu_bounds(M, MIXED)
@@ -287,6 +288,7 @@ def test_refusals_over_frequency():
         mu_peak(resonant(), [FullBlock("f", 2, 2)], [1.0, 2.0, 3.0])
 
 
+@pytest.mark.campaign
 def test_never_a_hang():
     """The hardest kinds in one call each, within seconds: many real blocks alone, and a large repeated block."""
     start = time.perf_counter()

@@ -280,6 +280,7 @@ def test_the_bundled_loads_at_both_bearings_tell_every_axis():
     np.testing.assert_allclose(found.values, tangents(machine, record.between(7.5, 7.9), 6.0), rtol=5e-3)
 
 
+@pytest.mark.campaign
 def test_loads_in_the_middle_at_six_ampere():
     """The cubic's slope at rest is the rig's tangent at its working point within 0.3 %, the chord a little lower."""
     pulses, time = [], 0.8

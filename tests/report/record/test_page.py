@@ -232,6 +232,7 @@ def test_the_page_of_an_interrupted_measurement():
     assert [cell.text for cell in rows[1]][:2] == ["y A ζ", "µm"]
 
 
+@pytest.mark.campaign
 def test_a_record_too_short_or_still_has_a_page():
     for record in (whirling(20), replace(whirling(), values=np.zeros_like(whirling().values))):
         assert "Orbits" in render(record_report(record, MACHINE))
