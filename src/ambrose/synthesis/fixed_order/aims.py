@@ -19,7 +19,7 @@ from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.model import top_speed
 from ambrose.plant.unbalance import residual_unbalance
 
-_BANDWIDTH, _STIFF = 2.0, 0.01  # assumed: sigma_max(S_o) below 2 rad/s falls to 0.01
+_BANDWIDTH, _STIFF = 2.0, 0.01  # assumed: sigma_max(S_o) below 2 rad/s falls to 0.01; with a settling time t_s below 1/t_s
 _GAIN = 1.5  # assumed: times the largest gain of the controller that tuning starts from
 _GUARD = 0.3  # assumed: of the rotor's modal damping, for modes above the top speed
 _MARGIN = 1.05  # of the log decrement, which is judged on the full plant
@@ -90,6 +90,7 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         orbit=min(orbits, default=None),
         compliance=wanted.compliance_peak,
         settling=wanted.settling_time,
+        bandwidth=_BANDWIDTH if wanted.settling_time is None else max(_BANDWIDTH, 1 / wanted.settling_time),
     )
 
 
