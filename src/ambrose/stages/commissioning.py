@@ -101,7 +101,7 @@ class Commissioning:
         return {
             "identification": self.identification.to_dict(),
             "sampled": [checks.to_dict() for checks in (*self.deployment.checks, *self.deployment.box)],
-            "files": [str(path) for path in self.files],
+            "files": [f"code/{path.name}" for path in self.files],
             "compiled": self.from_code,
             "rig": {label: trace.outcome for label, trace in self.candidate.traces if "rig" in trace.scenario},
             "cycle": {"outcome": self.cycle.outcome, "text": self.cycle.text},

@@ -131,7 +131,7 @@ def test_what_is_said_of_it_is_what_verification_finds(tuned):
     assert all(item.stable for item in found)
     peaks = [item["sensitivity.output.max"].value for item in found]
     assert tuned.certificate.closed_loop_norm == pytest.approx(max(peaks), rel=2e-3)
-    assert max(peaks) / 3 <= said["ratio_sensitivity"] * 1.01  # on 80 points a decade; the limit is 3, less at low frequencies
+    assert max(peaks) / 3 <= said["ratio_sensitivity"] * (1 + 1e-6)  # the limit is 3, less at low frequencies
     for check, limit, ratio in (("unbalance.orbit", 40e-6, "orbit"), ("unbalance.current", 6.0, "current")):
         largest = max(item[check].value for item in found)
         assert largest <= 1.005 * limit * said[f"ratio_{ratio}"]

@@ -46,6 +46,7 @@ _TRIES = 20
 _DECAY = 5.0  # rad/s; slowest pole asked for before the first round
 _LOWEST = 1.0  # rad/s, start of the grid
 _TUNED, _JUDGED = 22, 80  # points per decade
+_AROUND = 15  # points around a peak that is judged
 _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
 _FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
@@ -315,12 +316,15 @@ def _both(one: _Round, other: _Round) -> _Round:
 
 
 def _judged(job: _Job, law: Law, models: Sequence[LoopModel]) -> _Round:
-    """All ratios on models, on a dense grid; none where one of them is unstable."""
+    """All ratios on models, on a dense grid that is denser still around every model's peak; none where one is unstable."""
     structure, x = _unknowns(job, law)
     rough = Objective(structure, models, np.array([100.0]), job.aims)
     if rough.abscissa(x) >= 0:
         return _Round(law, {})
-    cost = Objective(structure, models, _grid(job, rough, x, _JUDGED), job.aims, job.reference)
+    grid = _grid(job, rough, x, _JUDGED)
+    peaks = np.unique(Objective(structure, models, grid, job.aims).sensitivity(x).argmax(axis=1))
+    near = [np.geomspace(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)], _AROUND) for i in peaks]
+    cost = Objective(structure, models, np.unique(np.concatenate([grid, *near])), job.aims, job.reference)
     return _Round(law, cost.ratios(x))
 
 
@@ -401,26 +405,31 @@ def _row(job: _Job, number: int, power: float, used: int, item: _Round) -> dict[
 
 
 def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None) -> Synthesis:
-    """The synthesis, with stability and the norm of S_o of the loop as it runs recomputed on every full plant."""
+    """The synthesis, with stability and the norm of S_o of the loop as it runs recomputed on every full plant.
+
+    Tuning leaves the sampled plant's aliases out of its frequency responses: where the norm says more, it is the ratio.
+    """
     controller = _system(best.law, job.full[0].machine)
     runs = controller if job.timing is None else job.timing.in_loop(controller)
     found = [certify(plant, runs) for plant in job.full]
     worst = max(range(len(found)), key=lambda k: found[k].closed_loop_norm)
-    machine = job.full[0].machine
+    machine, ratios = job.full[0].machine, dict(best.ratios)
+    exact = Ratio(found[worst].closed_loop_norm / job.aims.sensitivity, job.full[worst].point.label, np.nan)
+    ratios["sensitivity"] = max(ratios["sensitivity"], exact, key=lambda ratio: ratio.value)
     certificate = Certificate(
         all(item.stable for item in found), max(item.spectral_abscissa for item in found), found[worst].closed_loop_norm,
-        fastest_pole(controller), {f"ratio_{name}": ratio.value for name, ratio in best.ratios.items()},
+        fastest_pole(controller), {f"ratio_{name}": ratio.value for name, ratio in ratios.items()},
         f"{machine.name}, full plant at {len(found)} operating points",
     )  # fmt: skip
-    binding = max(best.ratios, key=lambda name: best.ratios[name].value)
-    at = best.ratios[binding]
+    binding = max(ratios, key=lambda name: ratios[name].value)
+    at = ratios[binding]
     where = f" at {at.frequency / (2 * np.pi):.4g} Hz" if np.isfinite(at.frequency) else ""
     notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
-    missed = [f"{name} ({ratio.value:.3f})" for name, ratio in best.ratios.items() if ratio.value > 1]
+    missed = [f"{name} ({ratio.value:.3f})" for name, ratio in ratios.items() if ratio.value > 1]
     if missed:
         notes.append(f"not met: {', '.join(missed)}; allow a higher order, or relax a requirement")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
     return Synthesis(
-        controller, "tuned", best.worst, status, certificate, history, tuple(notes), stopped_early=reason,
+        controller, "tuned", at.value, status, certificate, history, tuple(notes), stopped_early=reason,
         filters=best.law if isinstance(best.law, PidSettings) else None,
     )  # fmt: skip
