@@ -135,6 +135,9 @@ def _update_value(table: Any, key: str, dimension: str, value: Any, wanted: bool
         if wanted:
             table[key] = value
         return
+    if value == [] and not isinstance(table[key], Array):  # one number stood for all, and there are none any more
+        table.remove(key)
+        return
     updated = _rewritten(table[key], value, dimension)
     if updated is not table[key]:
         table[key] = updated
