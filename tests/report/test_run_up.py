@@ -45,6 +45,12 @@ def test_every_step_has_its_row_and_late_ones_are_marked(section):
     assert "20" in table.note
 
 
+def test_a_run_that_ended_before_has_its_cells():
+    (table,) = run_up_section([run("LPV", (0.01, 0.012)), run("mu", (0.031,))], None).tables
+    assert [cell.text for cell in table.rows[1][4:]] == ["ended before", "ended before"]
+    assert [cell.mark for cell in table.rows[1][4:]] == ["fail", "fail"]
+
+
 def test_the_figure_shows_first_and_last_steps_linear_and_on_the_rig(section):
     (figure,) = section.figures
     lines = [trace for trace in figure.picture.data if trace.mode == "lines" and len(trace.y) > 100]

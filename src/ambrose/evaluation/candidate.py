@@ -20,7 +20,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.simulation import virtual_rig
-from ambrose.simulation.run_up import spin_up, steps
+from ambrose.simulation.run_up import steps
 from ambrose.simulation.scenario import load_scenario
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.result import Synthesis
@@ -154,7 +154,7 @@ def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress)
             continue
         law = candidate.synthesis.law
         progress(f"{candidate.name}: running up, {RUN_UP}")
-        linear = spin_up(plant, law, scenario)
+        linear = simulate_linear(plant, law, scenario, timing_of(plant.machine, candidate.synthesis))
         rig = virtual_rig.run(plant.machine, law, scenario, point=plant.point)
         y = plant.named("y")
         runs.append(RunUp(candidate.name, linear, rig, steps(linear, scenario, y), steps(rig, scenario, y)))

@@ -28,8 +28,10 @@ def run_up_section(runs: Sequence[RunUp], limit: float | None, order: Sequence[s
 
 def _table(runs: Sequence[RunUp], limit: float | None) -> Table:
     rows: list[Row] = []
-    for k, step in enumerate(runs[0].linear_steps):
-        cells = [_settling(steps[k], limit) for run in runs for steps in (run.linear_steps, run.rig_steps) if k < len(steps)]
+    every = [steps for run in runs for steps in (run.linear_steps, run.rig_steps)]
+    longest = max(every, key=lambda steps: len(steps))
+    for k, step in enumerate(longest):
+        cells = [_settling(steps[k], limit) if k < len(steps) else Cell("ended before", "fail") for steps in every]
         rows.append((*numbers(units.quantity(step.start, "s"), units.quantity(step.speed, "rad/s")), *cells))
     columns = ("Step at", "Speed", *("Linear", "Rig") * len(runs))
     groups = (("", 2), *((f"{run.name}, settles in", 2) for run in runs))
