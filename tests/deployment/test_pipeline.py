@@ -176,7 +176,9 @@ def test_limits_must_be_known(tmp_path):
     K = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], ["err_A"], ["u_A"])
     file = read_controller(write_controller(tmp_path / "c.json", K))
     assert bundled_machine(file) is None
-    with pytest.raises(InvalidInput, match="the error limit is unknown, but must be given in m; state it, or name the machine"):
+    with pytest.raises(
+        InvalidInput, match="the error limit is unknown, but must be given in m; name the machine file, --machine"
+    ):
         export(file, tmp_path / "code", to="c")
     options = ExportOptions(error_limit=1e-3, current_limit=2.0, force=True)
     done = export(file, tmp_path / "code", to="c", options=options)

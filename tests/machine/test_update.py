@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.controller import Channel, Section
 from ambrose.machine.description import BiasPoint, Material, SealTable, Tolerance
 from ambrose.machine.file import update
 from ambrose.machine.file.toml import dumps_machine, load_machine, loads_machine, read_machine_text
@@ -240,3 +241,14 @@ def test_a_seal_table_that_gains_axes_of_one_entry_is_brought_up_to_date(more, m
     changed = replace(machine, seals=(replace(machine.seals[0], table=table),))
     monkeypatch.setattr(update, "dumps_machine", lambda machine: pytest.fail("written anew"))
     assert loads_machine(update_machine_file(ODD, changed)) == changed
+
+
+def test_channels_take_the_place_of_one_gain_for_all_axes(monkeypatch):
+    text = ODD.replace("[operation]", '[controller]\ngain = "16 A/mm" # all\nderivative_time = "3 ms"\n\n[operation]')
+    machine = loads_machine(text)
+    section = Section("pid", derivative_time=2e-3)
+    channels = tuple(Channel((axis,), 2e4, (section,)) for axis in machine.axes)
+    changed = replace(machine, controller=replace(machine.controller, gain=(), derivative_time=None, channels=channels))
+    monkeypatch.setattr(update, "dumps_machine", lambda machine: pytest.fail("written anew"))
+    updated = update_machine_file(text, changed)
+    assert loads_machine(updated) == changed and "16 A/mm" not in updated and "# the left one" in updated

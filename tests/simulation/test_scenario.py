@@ -326,3 +326,8 @@ def test_what_no_machine_or_not_this_one_tells_is_refused(cycle):
         whole = {"name": "x", "duration": 2.0, "speed": 0, "speed_change": [{"time": 0, "speed": 1, "ramp": 1}], **more}
         with pytest.raises(InvalidInput, match=message):
             read_scenario(whole)
+
+
+def test_a_misspelt_table_is_told_its_name():
+    with pytest.raises(InvalidInput, match="unknown key 'unbalanse'; did you mean \"unbalance\""):
+        read_scenario({"name": "x", "duration": 1.0, "unbalanse": [{"port": "A", "amount": 1e-6}]})

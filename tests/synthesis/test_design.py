@@ -28,6 +28,7 @@ REFUSED = {
     "an unknown method": ("magic", {}, r"method is 'magic', but must be one of tuned, pid, hinf"),
     "a method that is no text": (None, {}, "method is None"),
     "an unknown option": ("mu", {"rates": 1e4}, r"no option 'rates'; did you mean \"rate\""),
+    "a structure that only tuning chooses": ("pid", {"structure": "filters"}, "structure is 'filters', but must be 'free' for"),
     "a rate below zero": ("mu", {"rate": -1.0}, "rate is -1.0, but must be positive; 10000 Hz is usual"),
     "a rate as text": ("mu", {"rate": "fast"}, "rate is .fast., but must be a number"),
     "a delay below zero": ("mu", {"rate": 1e4, "delay_samples": -1}, "computing delay .* is -1, but must be a whole number"),

@@ -266,6 +266,6 @@ def _limits(synthesis: Synthesis, machine: Machine | None, options: ExportOption
 
 def _known(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
     if value is None:
-        remedy = "state it, or name the machine (no bundled one is the machine that this controller was made for)"
+        remedy = "name the machine file, --machine my.toml (no bundled machine is the one it was made for), or state it"
         raise invalid(what, "unknown", f"given in {unit}", remedy)
     return value

@@ -29,7 +29,7 @@ def run_up_section(runs: Sequence[RunUp], limit: float | None, order: Sequence[s
 def _table(runs: Sequence[RunUp], limit: float | None) -> Table:
     rows: list[Row] = []
     every = [steps for run in runs for steps in (run.linear_steps, run.rig_steps)]
-    longest = max(every, key=lambda steps: len(steps))
+    longest = max(every, key=lambda run: run[-1].start if run else 0.0)
     for k, step in enumerate(longest):
         cells = [_settling(steps[k], limit) if k < len(steps) else Cell("ended before", "fail") for steps in every]
         rows.append((*numbers(units.quantity(step.start, "s"), units.quantity(step.speed, "rad/s")), *cells))

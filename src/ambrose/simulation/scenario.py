@@ -249,7 +249,8 @@ def _build(kind: type[Any], table: Mapping[str, Any], where: str, parts: Mapping
     known = [item.name for item in fields(kind) if item.name not in (parts or {})]
     for key in table:
         if key not in known:
-            raise InvalidInput(f"{where}unknown key {key!r}; {suggestion(key, known)}")
+            tables = [*_TABLES] if kind is Scenario else []
+            raise InvalidInput(f"{where}unknown key {key!r}; {suggestion(key, [*known, *tables])}")
     required = [item.name for item in fields(kind) if item.name in known and item.default is item.default_factory]
     missing = [key for key in required if key not in table]
     if missing:

@@ -90,6 +90,8 @@ def design(
         raise invalid("method", repr(method), f"one of {', '.join(METHODS)}", suggestion(str(method).lower(), METHODS))
     if options.order is not None and method not in {"polish", "tuned"}:
         raise invalid("order", options.order, f"None for method {method!r}", "only 'polish' and 'tuned' can choose it")
+    if options.structure != "free" and method != "tuned":
+        raise invalid("structure", repr(options.structure), f"'free' for method {method!r}", "only 'tuned' can choose it")
     if options.loss is not None and method == "tuned":
         raise invalid("loss", options.loss, "None for method 'tuned'", "give the order, from which it is tuned")
     if options.speeds is not None and method != "lpv":

@@ -49,7 +49,7 @@ class DesignOptions:
         if self.structure not in STRUCTURES:
             raise invalid("structure", repr(self.structure), f"one of {', '.join(STRUCTURES)}", "leave the default")
         if self.order is not None:
-            _check_count(self.order, "order", "None takes half of what mu needs")
+            _check_count(self.order, "order", "None leaves it to the method")
         if self.loss is not None:
             check_positive(self.loss, "loss", "0.05 allows 5 %", zero_allowed=True)
         if self.match_reference not in (None, True, False):

@@ -138,6 +138,8 @@ class Synthesis(Presented):
             words += f" at {len(envelope) - len(lost)} of {len(envelope)} operating points, unstable at {', '.join(lost)}"
         elif self.status is Status.VERIFIED and len(envelope) > 1:
             words += f" at all {len(envelope)} operating points"
+        if self.method == "tuned" and self.gamma > 1:
+            words += ", but not every requirement is met"
         return words if self.stopped_early is None else f"{words}, but stopped early: {self.stopped_early}"
 
     def facts(self) -> Mapping[str, Any]:

@@ -145,7 +145,7 @@ def deploy(
     sampled, increment, sizes = sample_controller(source, sample_time, method, prewarp)
     checks, box = verify_sampled(plants, delayed(sampled, count), progress)
     if not plants:
-        problems.append("its sampled loop was not examined: no plant was given")
+        problems.append("its sampled loop was not examined: no plant was given (--machine names its file)")
     problems += [f"the sampled loop is unstable at {c.label}" for c in checks if not c.stable]
     problems += [f"the sampled loop is unstable at {many} points of the tolerances ({why})" for _, many, why in _unstable(box)]
     _refuse(problems, force)

@@ -21,6 +21,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, named_f
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.controller import PidSettings
+from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import free_modes
 from ambrose.plant.assemble import bending_modes_of
@@ -156,6 +157,8 @@ def _prepared(
         raise invalid("the start's dt", start.dt, "None (continuous)", "give the continuous controller and the timing")
     if order is not None and (isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 1):
         raise invalid("order", repr(order), "a whole number, at least 1", "leave the default")
+    if order is not None and order > STATES:
+        raise invalid("order", order, f"at most {STATES}, as in a controller file", "three per axis are the default")
     modes = bending_modes_for(full[0]) if bending_modes is None else bending_modes
     small = tuple(reduce(plant, modes) if plant.bending_modes is None else plant for plant in full)
     aims = aims_of(machine, start)
