@@ -169,7 +169,7 @@ def test_the_command_line_tells_the_chains_and_writes_the_machine(found, monkeyp
     words += ["-o", tmp_path / "k.json", "--machine-file", tmp_path / "with.toml"]
     done = CliRunner().invoke(main, [str(word) for word in words])
     assert found.gamma > 1 and done.exit_code == 1, done.output  # after a few rounds
-    assert "verified at all 3 operating points, but not every requirement is met" in " ".join(done.output.split())
+    assert "verified, but not every requirement is met" in " ".join(done.output.split())
     assert "NDE_eta" in done.output and "low-pass" in done.output and "integral time" in done.output
     assert asked[0].structure == "pid"
     machine = amb.load_machine(tmp_path / "with.toml")
