@@ -321,6 +321,7 @@ def test_what_no_machine_or_not_this_one_tells_is_refused(cycle):
     for more, message in (
         ({"to_speed": 3.0}, "to_speed and changes of speed are both given"),
         ({"speed_change": [{"time": 0, "speed": 1, "ramp": 0}]}, "ramp of the change of speed"),
+        ({"speed_change": [{"time": 0, "speed": "-10 % of top speed", "ramp": 1}]}, "the speed of a change of speed is -"),
         ({"speed_change": [{"time": 3, "speed": 1, "ramp": 1}]}, "the time of a change of speed is 3"),
     ):
         whole = {"name": "x", "duration": 2.0, "speed": 0, "speed_change": [{"time": 0, "speed": 1, "ramp": 1}], **more}

@@ -171,8 +171,7 @@ class SpeedChange:
     def __post_init__(self) -> None:
         check_positive(self.time, "time of the change of speed", "correct it", zero_allowed=True)
         check_positive(self.ramp, "ramp of the change of speed", "give it in seconds; no rotor changes its speed at once")
-        if not math.isfinite(self.speed):
-            raise invalid("the speed of a change of speed", self.speed, "finite", "correct it")
+        check_positive(self.speed, "the speed of a change of speed", "a rotor turns one way", zero_allowed=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from typing import Any
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
+from ambrose.plant.model import top_speed
 from ambrose.simulation.disturbances import Prbs, Unbalance
 
 _SEEDS = 2  # axes of a bearing: two sequences at one bearing have neighbouring seeds
@@ -34,10 +35,6 @@ class Share(float):
         return f"{100 * self:g} % of {self.of}"
 
 
-def _top_speed(machine: Machine) -> float:
-    return max(machine.operation.speed_range[1], *(point.speed for point in machine.operation.points))
-
-
 def _top_pressure(machine: Machine) -> float | None:
     return max(point.seal_pressure for point in machine.operation.points)
 
@@ -47,10 +44,10 @@ def _least(name: str) -> Callable[[Machine], float | None]:
 
 
 _QUANTITIES: dict[str, tuple[str, Callable[[Machine], float | None], str]] = {
-    "top speed": ("angular rate", _top_speed, "[operation] speed_range"),
+    "top speed": ("angular rate", top_speed, "[operation] speed_range"),
     "balance speed": (
         "angular rate",
-        lambda m: m.requirements.balance_speed or _top_speed(m) or None,
+        lambda m: m.requirements.balance_speed or top_speed(m) or None,
         "[operation] speed_range",
     ),
     "top pressure": ("pressure", _top_pressure, "an [[operation.point]] with seal_pressure"),
