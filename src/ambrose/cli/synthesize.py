@@ -122,7 +122,11 @@ def synthesize(
         result = design(plant, method, options=options, progress=progress)
     failure = kept(lambda path: write_controller(path, result), output)
     if machine_file is not None and result.filters is not None:
-        found = replace(description, controller=result.filters)
+        runs = options.on(description).timing()
+        settings = result.filters
+        if runs is not None:  # or the loop would be judged continuous, read back from the file
+            settings = replace(settings, sample_time=runs.sample_time, delay=runs.delay_samples * runs.sample_time)
+        found = replace(description, controller=settings)
         failure = kept(lambda path: save_machine(found, path), machine_file) or failure
     certificate = result.certificate.to_dict()
     factor = None if result.weights is None else result.weights.control_factor

@@ -173,6 +173,7 @@ def test_the_command_line_tells_the_chains_and_writes_the_machine(found, monkeyp
     assert "NDE_eta" in done.output and "low-pass" in done.output and "integral time" in done.output
     assert asked[0].structure == "pid"
     machine = amb.load_machine(tmp_path / "with.toml")
+    assert machine.controller.sample_time == pytest.approx(5e-5) and machine.controller.delay == pytest.approx(5e-5)
     np.testing.assert_allclose(pid_controller(machine.controller, machine).A, found.controller.A, rtol=1e-12)
 
 
