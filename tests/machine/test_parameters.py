@@ -42,7 +42,8 @@ GOOD = {
 BAD = [
     *("", ".", "seal", "seal.c", "seal..k", "seal.c.k.", "seal.c.k_", "seal.c.K_xy", "seal.c.k_xx", "seal.c.M_xx"),
     *("seal.c.pressure_", "seal.c.pressure_xx"),
-    *("seal.c.k.xy", "seal.c.Q", "rotor.modal_damping", "rotor.bending_1.shape", "bearing.A", "bearing.A.gap", "bearing.A.negative_stiffness_zeta"),
+    *("rotor.modal_damping", "rotor.bending_1.shape"),
+    *("seal.c.k.xy", "seal.c.Q", "bearing.A", "bearing.A.gap", "bearing.A.negative_stiffness_zeta"),
     *("bearing.A.negative_stiffness.x", "bearing.A.negative_stiffness.zeta.zeta", "bearing.A.negative_stiffness."),
     *("coupling.c.mass", "amplifier", "amplifier.", "amplifier.order", "amplifier.bandwidth.zeta", "Seal.c.k", "seal.c. k"),
 ]

@@ -162,7 +162,7 @@ def uncertain_modes(machine: MachineDescription) -> tuple[int, ...]:
 
 
 def _labelled(machine: MachineDescription, label: str) -> OperatingPoint:
-    points = machine.operation.points
+    points = machine.operation.envelope
     matches = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]
     if len(matches) != 1:
         raise InvalidInput(f"operating point {label!r} is not one point of machine {machine.name!r}; it has {_labels(machine)}")
@@ -170,7 +170,7 @@ def _labelled(machine: MachineDescription, label: str) -> OperatingPoint:
 
 
 def _labels(machine: MachineDescription) -> str:
-    return ", ".join(repr(point.label) for point in machine.operation.points)
+    return ", ".join(repr(point.label) for point in machine.operation.envelope)
 
 
 def _wrong(path: str, problem: str) -> InvalidInput:

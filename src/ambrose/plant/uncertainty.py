@@ -238,7 +238,7 @@ def _rotor_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     ports = [f"{parameter.name}_{plane}" for plane in "xy"]
     if f"f_{ports[0]}" not in plant.rotor.inputs:
         raise InvalidInput(
-            f'parameter "{parameter.path}" has no port in this plant; name it in a [[tolerance]] of the machine and assemble again'
+            f'parameter "{parameter.path}" has no port in this plant; name it in a [[tolerance]] of the machine file'
         )
     omega = float(free_modes(plant.rotor_model, int(parameter.name.removeprefix(BENDING))).frequencies[-1])
     if parameter.quantity == "damping":
