@@ -65,7 +65,7 @@ def search(machine: Machine, area: OperatingRange, law: Any, timing: Timing | No
     grids = [np.linspace(*pair, 3) if pair[1] > pair[0] else np.array(pair[:1]) for pair in (area.speed, area.seal_pressure)]
     while True:
         values = np.array([[judged(float(v), float(p)) for p in grids[1]] for v in grids[0]])
-        found = Found(*grids, values[..., 0], values[..., 1])
+        found = Found(grids[0], grids[1], values[..., 0], values[..., 1])
         changes = [_changes(found.peak, axis).max(axis=1 - axis, initial=0.0) for axis in (0, 1)]
         axis = int(np.argmax([part.max(initial=0.0) for part in changes]))
         added = len(grids[1 - axis])
