@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame
@@ -92,7 +92,9 @@ def trade_off(
     plants = envelope_of(assemble(machine, machine.operation.design))
     order = int(wanted[0]) if over == ORDER else options.order
     job = prepare(plants, start, options.timing(), order, options.structure, options.bending_modes, None, time_limit, None)
-    law, aim, rows = first_law(job, start, order, options.structure), job.aims.sensitivity, []
+    law = cast(StateSpace, first_law(job, start, order, options.structure))  # of a bank it would be its settings
+    aim = job.aims.sensitivity
+    rows: list[tuple[float, float, bool, str, Synthesis | None]] = []
     try:
         for value in wanted:
             demanded = machine.requirements if over == ORDER else replace(machine.requirements, **{over: value})
@@ -108,7 +110,7 @@ def trade_off(
         if not rows:
             raise
     columns = list(zip(*rows, strict=True))
-    return TradeOff(over, unit_of(over), *columns)  # type: ignore[arg-type]
+    return TradeOff(over, unit_of(over), *columns)
 
 
 def unit_of(over: str) -> str:
