@@ -35,9 +35,9 @@ def trade_off(
 ) -> None:
     """What a requirement costs: the lowest sensitivity that a tuned controller reaches at each of its values."""
     from ambrose.machine.atomic_write import write_text
+    from ambrose.synthesis.fixed_order.trade_off import read_value
+    from ambrose.synthesis.fixed_order.trade_off import trade_off as traded
     from ambrose.synthesis.options import DesignOptions
-    from ambrose.synthesis.trade_off import read_value
-    from ambrose.synthesis.trade_off import trade_off as traded
 
     description = load(machine)
     wanted = [read_value(over, text.strip()) for text in values.split(",") if text.strip()]

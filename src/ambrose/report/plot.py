@@ -47,8 +47,8 @@ from ambrose.report.identification.static_load import line_figure
 from ambrose.report.record.figure import record_figure
 from ambrose.report.run_up import run_up_figure
 from ambrose.simulation.trace import Trace
+from ambrose.synthesis.fixed_order.trade_off import TradeOff
 from ambrose.synthesis.result import Synthesis
-from ambrose.synthesis.trade_off import TradeOff
 from ambrose.verification.checks import Checks, Curve
 from ambrose.verification.verification import Verification
 

@@ -14,13 +14,12 @@ from ambrose.core.presentation import to_plain
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
-from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction, reduce
-from ambrose.plant.uncertainty import with_offsets_of
 from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
 from ambrose.synthesis.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
-from ambrose.synthesis.envelope_model import envelope_model
+from ambrose.synthesis.envelope.model import envelope_model
+from ambrose.synthesis.envelope.plants import envelope_of
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
@@ -153,13 +152,6 @@ def _tuned(plant: Plant, options: DesignOptions, progress: Progress) -> Synthesi
         margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, start)[0]
     certificate = replace(result.certificate, margins={**result.certificate.margins, **margins})
     return replace(result, certificate=certificate)
-
-
-def envelope_of(plant: Plant) -> list[Plant]:
-    """The full plants at all operating points of the machine, and the given one if it is at another."""
-    points = plant.machine.operation.envelope
-    plants = [plant if point == plant.point else with_offsets_of(assemble(plant.machine, point), plant) for point in points]
-    return plants if any(item is plant for item in plants) else [*plants, plant]
 
 
 def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:

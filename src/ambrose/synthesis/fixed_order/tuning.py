@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 
 import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, named_failure
 from ambrose.core.frequency import frequency_response
-from ambrose.core.statespace import StateSpace, select
+from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
@@ -28,13 +27,14 @@ from ambrose.plant.assemble import assemble, bending_modes_of
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain, with_offsets_of
-from ambrose.synthesis.between import search
+from ambrose.plant.uncertainty import perturbed, tolerances_around, with_offsets_of
 from ambrose.synthesis.certificate import certify, fastest_pole
+from ambrose.synthesis.envelope.between import search
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
 from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, filter_bank, first_bank
 from ambrose.synthesis.fixed_order.descent import descend
-from ambrose.synthesis.fixed_order.loops import LoopModel, lateness, loop_model, unwarped, warped
+from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped
+from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
 from ambrose.synthesis.fixed_order.structure import Groups, Structure, axis_groups, structured
 from ambrose.synthesis.pid import pid_controller
@@ -53,7 +53,6 @@ _AROUND = 15  # points around a peak that is judged
 _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
 _FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
-_CORNERS = 512  # at most, of a box
 _STATES_PER_AXIS = 3
 _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
 Law = StateSpace | PidSettings  # what is tuned: matrices, or the chains of a filter bank
@@ -361,51 +360,6 @@ def _add_members(job: Job, law: Law) -> Law:
             between = with_offsets_of(assemble(job.full[0].machine, point), job.full[0])
             job.models.append(loop_model(reduce(between, modes), job.timing, point.label))
     return _holding(job, law)
-
-
-def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims) -> dict[str, float]:
-    """The corner of the tolerances around a plant with the largest sigma_max(S_o) over its limit; {} without tolerances.
-
-    By closing the parameters' feedback at frequencies where the nominal loop's ratio is above half its largest; all corners, at
-    most 512, drawn at random.
-    """
-    held = tolerances_around(plant)
-    if not held:
-        return {}
-    model = uncertain(plant, held)
-    n, names = model.n_w_blocks, [block.name for block in model.blocks]
-    top = aims.highest if timing is None else min(aims.highest, 0.97 * np.pi / timing.sample_time)
-    omega = np.geomspace(20.0, top, 120)
-    part = select(model.system, [*model.w[:n], *plant.named("u")], [*model.z[:n], *plant.named("y")])
-    P = frequency_response(part, omega).values.copy()
-    if timing is not None:
-        P[:, :, n:] *= lateness(omega, timing)[:, None, None]
-    K = frequency_response(controller, warped(omega, timing)).values
-    S = np.linalg.inv(np.eye(K.shape[-1]) + P[:, n:, n:] @ K)
-    KS = K @ S
-    M = P[:, :n, :n] - P[:, :n, n:] @ KS @ P[:, n:, :n]
-    into, out = -P[:, :n, n:] @ KS, S @ P[:, n:, :n]
-    owner = np.repeat(np.arange(len(names)), [block.n_w for block in model.blocks])
-    limit = aims.sensitivity_limit(omega)
-    ratio = np.linalg.norm(S, 2, axis=(1, 2)) / limit
-    near = ratio >= 0.5 * ratio.max()
-    M, into, out, S, limit = M[near], into[near], out[near], S[near], limit[near]
-    tried = _corners(len(names))
-    gains = np.empty(len(tried))
-    for k, delta in enumerate(tried):
-        spread = delta[owner]
-        closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
-        gains[k] = (np.linalg.norm(closed, 2, axis=(1, 2)) / limit).max()
-    return dict(zip(names, map(float, tried[int(gains.argmax())]), strict=True))
-
-
-def _corners(count: int) -> np.ndarray:
-    """All corners of a box, at most 512 of them at random; of one parameter some points in between as well."""
-    if count == 1:
-        return np.linspace(-1, 1, 9)[:, None]
-    if 2**count <= _CORNERS:
-        return np.array(list(product((-1.0, 1.0), repeat=count)))
-    return np.random.default_rng(0).choice([-1.0, 1.0], (_CORNERS, count))
 
 
 def _in_words(item: _Round) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.synthesis.fixed_order.trade_off import TradeOff, read_value, trade_off
 from ambrose.synthesis.options import DesignOptions
-from ambrose.synthesis.trade_off import TradeOff, read_value, trade_off
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from ambrose.machine.description import OperatingPoint, OperatingRange
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
-from ambrose.synthesis.between import search
 from ambrose.synthesis.certificate import certify
+from ambrose.synthesis.envelope.between import search
 from ambrose.synthesis.pid import pid_controller
 
 AREA = OperatingRange("running", (0.0, 600.0), (0.0, 0.5e5))

@@ -12,7 +12,7 @@ from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis.envelope_model import envelope_model
+from ambrose.synthesis.envelope.model import envelope_model
 
 OMEGA = np.geomspace(10, 5000, 12)
 POINTS = (OperatingPoint(label="rest"), OperatingPoint(600.0, 1.5e5, label="full"))

@@ -17,7 +17,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.plant.assemble import assemble
-from ambrose.synthesis.design import envelope_of
+from ambrose.synthesis.envelope.plants import envelope_of
 from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.tuning import Job, first_law, prepare, tuned, with_states
 from ambrose.synthesis.options import DesignOptions
