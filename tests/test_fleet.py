@@ -1,0 +1,73 @@
+"""Every bundled machine goes through every command. The fleet is discovered from src/ambrose/machines."""
+
+import pytest
+from benchmarks.fleet import PAGE, call, commands, description, outcomes
+
+import ambrose as amb
+
+FLEET = list(amb.bundled_machines())
+
+
+def test_the_fleet_is_what_issue_and_page_say():
+    """At least twelve machines; three bearings, no seal, no A and B, sensors beyond a bending node are among them."""
+    machines = {name: amb.load_machine(name) for name in FLEET}
+    assert len(machines) >= 12
+    assert {len(machine.bearings) for machine in machines.values()} >= {2, 3}
+    assert any(not machine.seals for machine in machines.values())
+    others = [m for m in machines.values() if not {"A", "B"} & {bearing.name for bearing in m.bearings}]
+    assert len(others) >= 10
+    for name, machine in machines.items():
+        assert machine.name == name
+        assert machine.source and machine.assumed and machine.description
+        assert machine.controller is not None and machine.tolerances
+        assert machine.requirements.sensitivity_peak is not None
+        assert len(machine.operation.points) >= 2
+        assert any(point.speed == 0 and point.seal_pressure == 0 for point in machine.operation.points)
+
+
+def test_the_page_lists_every_machine_with_its_source():
+    text = PAGE.read_text(encoding="utf-8")
+    for name in FLEET:
+        assert description(name) in text
+
+
+LIGHT = ("check", "pid", "levitation")
+SHORT = 'name = "short-levitation"\nduration = "0.4 s"\ninitial = "resting"\n'  # the bundled one, and no longer than it takes
+MANY_SEALS = 4  # from here on a machine's certificate takes seconds
+
+
+def heavy_where_large(name):
+    return pytest.param(name, marks=pytest.mark.campaign) if len(amb.load_machine(name).seals) >= MANY_SEALS else name
+
+
+@pytest.mark.parametrize("name", [heavy_where_large(name) for name in FLEET])
+def test_every_machine_is_checked_and_held_and_lifted_by_its_own_controller(name, tmp_path):
+    """Status 0 throughout: certified at every operating point, and free of the touchdown bearings on the virtual rig."""
+    short = tmp_path / "short.toml"
+    short.write_text(SHORT, encoding="utf-8")
+    steps = commands(name, tmp_path, levitation=short)
+    for what in LIGHT:
+        status, _, said = call(steps[what])
+        assert status == 0, (what, said)
+
+
+NEW_KINDS = ("three-bearing-train", "high-speed-spindle", "turbomolecular-pump")  # three bearings; fast; hyphens in axes
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", NEW_KINDS)
+def test_the_rest_of_the_chain_with_the_file_s_controller(name, tmp_path):
+    """Nothing is refused (status 2); what misses a requirement says so (status 1)."""
+    steps = commands(name, tmp_path)
+    for what in ("pid", "levitation", "convert", "prbs", "identify", "cycle"):
+        status, _, said = call(steps[what])
+        assert status in {0, 1}, (what, said)
+        assert status == 0 or what == "identify", (what, said)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", FLEET)
+def test_every_command_on_every_machine(name):
+    """Half an hour of what docs/reference/machines.md shows: no command is refused on any machine."""
+    for what, (status, _, text) in outcomes(name, progress=lambda line: None).items():
+        assert status in {0, 1}, (what, text)
