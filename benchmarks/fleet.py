@@ -3,8 +3,8 @@
     python -m benchmarks.fleet --write          docs/reference/machines.md, everything run anew (about half an hour)
     python -m benchmarks.fleet NAME ...         the same of some machines, printed
 
-The fleet is discovered: a file more in src/ambrose/machines is a row more here, and a case more in tests/test_fleet.py, which runs
-the same commands.
+The fleet is discovered: a file more in src/ambrose/machines is a row more here, and a case more in tests/test_fleet.py, which
+runs the same commands.
 """
 
 import argparse
@@ -102,10 +102,10 @@ def page(results):
     )
     return f"""# Bundled machines
 
-`ambrose machines` lists them; each is a [machine file](../machine-file.md) to start from, `src/ambrose/machines/NAME.toml`, and says
-under `[machine.assumed]` which of its figures were chosen. Rotors from books have magnets of our own sizing in place of the books'
-bearings; `tests/literature/` compares them with what is printed for those. Mass, first free-free bending frequency and top speed
-are computed from the files.
+`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from, `src/ambrose/machines/NAME.toml`, and
+says under `[machine.assumed]` which of its figures were chosen. Rotors from books have magnets of our own sizing in place of
+the books' bearings; `tests/literature/` compares them with what is printed for those. Mass, first free-free bending frequency
+and top speed are computed from the files.
 
 | machine | what it is | mass | first bending | top speed | bearings | seals | source |
 |---|---|---|---|---|---|---|---|
@@ -113,9 +113,9 @@ are computed from the files.
 
 ## Every command on every machine
 
-What comes out, and how long it takes (two slow cores, the first run of a command compiles the virtual rig). `pid` is the machine
-file's own `[controller]`, meant to levitate and no more: requirements that it fails are what the tuned controller is for. `tests/test_fleet.py`
-runs the same commands.
+What comes out, and how long it takes on two slow cores that were busy with other work, too. `pid` is the machine file's own
+`[controller]`, meant to levitate and no more: the requirements that it fails are what the tuned controller is for.
+`python -m benchmarks.fleet --write` makes this page; `tests/test_fleet.py` runs the same commands.
 
 {head}
 {table}
