@@ -1,7 +1,7 @@
 """Every bundled machine through every command, and the page that says what came out.
 
-    python -m benchmarks.fleet --write          docs/reference/machines.md, everything run anew (about half an hour)
-    python -m benchmarks.fleet NAME ...         the same of some machines, printed
+    python -m benchmarks.fleet      everything anew, an hour on two cores: benchmarks/fleet.json, docs/reference/machines.md
+    python -m benchmarks.fleet NAME ... --only pid,cycle      some rows, some columns; the rest stays as it is stored
 
 The fleet is discovered: a file more in src/ambrose/machines is a row more here, and a case more in tests/test_fleet.py, which
 runs the same commands.
@@ -20,6 +20,7 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 
+STORED = Path(__file__).with_name("fleet.json")
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "machines.md"
 OUTCOMES = {0: "passed", 1: "fails a check", 2: "**refused**"}
 
@@ -60,19 +61,24 @@ def oddities(what, status, said):
     if not isinstance(said, dict):
         return str(said).splitlines()[-1].removeprefix("ambrose: ")
     if "points" in said:
-        failed = {check["name"] for point in said["points"] for check in point["checks"] if check.get("passed") is False}
+        groups = [*said["points"], *(said["tolerances"] or ())]
+        failed = {check["name"] for group in groups for check in group["checks"] if check.get("passed") is False}
         return ", ".join(sorted(failed))
-    return str(said.get("outcome") or said.get("reason") or said.get("status") or "")
+    if said.get("method") == "tuned":
+        return f"{said['status']}; the worst requirement is missed by a factor of {said['gamma']:.3g}"
+    words = [said.get("verdict"), said.get("outcome"), *said.get("problems", ()), *said.get("unmet_limits", ())]
+    return "; ".join(str(word) for word in words if word) or str(said.get("status", ""))
 
 
-def outcomes(machine, progress=print):
-    """Every command on a machine: {what: (status, seconds, oddities)}."""
+def outcomes(machine, only=(), progress=print):
+    """The commands on a machine (those that are named; what they read comes first): {what: [status, seconds, oddities]}."""
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         for what, arguments in commands(machine, Path(folder)).items():
-            status, seconds, said = call(arguments)
-            found[what] = status, seconds, oddities(what, status, said)
-            progress(f"{machine:24} {what:13} {OUTCOMES[status]:14} {seconds:6.1f} s  {found[what][2]}")
+            if not only or what in only:
+                status, seconds, said = call(arguments)
+                found[what] = [status, round(seconds, 1), oddities(what, status, said)]
+                progress(f"{machine:24} {what:13} {OUTCOMES[status]:14} {seconds:6.1f} s  {found[what][2]}")
     return found
 
 
@@ -91,10 +97,12 @@ def description(name):
 def page(results):
     """The page: results {machine: outcomes}."""
     rows = "\n".join(description(name) for name in results)
-    columns = list(next(iter(results.values())))
+    columns = list(commands("", PAGE))
     head = f"| machine | {' | '.join(columns)} |\n|---|{'---|' * len(columns)}"
     table = "\n".join(
-        f"| `{name}` | " + " | ".join(f"{OUTCOMES[found[c][0]]}, {found[c][1]:.1f} s" for c in columns) + " |"
+        f"| `{name}` | "
+        + " | ".join(f"{OUTCOMES[found[c][0]]}, {found[c][1]:.1f} s" if c in found else "not run" for c in columns)
+        + " |"
         for name, found in results.items()
     )
     odd = "\n".join(
@@ -115,7 +123,7 @@ and top speed are computed from the files.
 
 What comes out, and how long it takes on two slow cores that were busy with other work, too. `pid` is the machine file's own
 `[controller]`, meant to levitate and no more: the requirements that it fails are what the tuned controller is for.
-`python -m benchmarks.fleet --write` makes this page; `tests/test_fleet.py` runs the same commands.
+`python -m benchmarks.fleet` makes this page; `tests/test_fleet.py` runs the same commands.
 
 {head}
 {table}
@@ -133,8 +141,10 @@ Checks that fail, and why a command refuses.
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Every bundled machine through every command.")
     parser.add_argument("machine", nargs="*", help="default: all")
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.name}")
+    parser.add_argument("--only", default="", help="commands, with commas; default: all")
     asked = parser.parse_args()
-    results = {name: outcomes(name) for name in asked.machine or amb.bundled_machines()}
-    if asked.write:
-        PAGE.write_text(page(results), encoding="utf-8")
+    stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {}
+    for name in asked.machine or amb.bundled_machines():
+        stored[name] = stored.get(name, {}) | outcomes(name, tuple(filter(None, asked.only.split(","))))
+        STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(page({name: stored.get(name, {}) for name in amb.bundled_machines()}), encoding="utf-8")
