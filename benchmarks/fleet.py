@@ -65,7 +65,7 @@ def oddities(what, status, said):
         failed = {check["name"] for group in groups for check in group["checks"] if check.get("passed") is False}
         return ", ".join(sorted(failed))
     if said.get("method") == "tuned":
-        return f"{said['status']}; the worst requirement is missed by a factor of {said['gamma']:.3g}"
+        return "; ".join([said["status"], *said["notes"]])
     words = [said.get("verdict"), said.get("outcome"), *said.get("problems", ()), *said.get("unmet_limits", ())]
     return "; ".join(str(word) for word in words if word) or str(said.get("status", ""))
 

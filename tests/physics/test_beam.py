@@ -336,6 +336,15 @@ def test_a_cone_has_its_mass_and_no_stiffness_against_rigid_motion():
         np.testing.assert_allclose(item.stiffness @ motion, 0, atol=1e-9 * np.abs(item.stiffness).max())
 
 
+@pytest.mark.parametrize(("right", "bore"), [(0.01, (0.0, 0.0)), (0.1, (0.02, 0.099))])
+def test_steep_cones_and_thin_walls_are_integrated_to_rounding(right, bore):
+    """The flexibility of one element is that of twenty in a row, which are ten times less steep."""
+    one, many = (
+        np.linalg.inv(assembled(cone(n, 0.1, right, 0.3, "timoshenko", bore), "stiffness")[2:, 2:])[-2:, -2:] for n in (1, 20)
+    )
+    np.testing.assert_allclose(one, many, rtol=1e-8)
+
+
 def test_a_section_of_two_diameters_is_such_a_chain():
     section = ShaftSection(0.0, 0.3, 0.06, 0.02, elements=3, end_outer_diameter=0.12, end_inner_diameter=0.05)
     machine = Machine("cone", (section,), (), (), Amplifier("none"), beam_theory="timoshenko")

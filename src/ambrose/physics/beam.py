@@ -33,8 +33,8 @@ from ambrose.machine.description import BEAM_THEORIES
 # Four Gauss points integrate the products of the shape functions (degree 6) exactly.
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
-# Of a cone the integrands are rational; sixteen points give a diameter ratio of 3 to 1e-11.
-_FINE, _FINE_WEIGHTS = np.polynomial.legendre.leggauss(16)
+# Of a cone the integrands are rational; 64 points integrate them to rounding up to a diameter ratio of 100 in an element.
+_FINE, _FINE_WEIGHTS = np.polynomial.legendre.leggauss(64)
 _FINE, _FINE_WEIGHTS = (_FINE + 1) / 2, _FINE_WEIGHTS / 2
 
 
@@ -110,7 +110,7 @@ def conical_element(
 ) -> BeamElement:
     """The matrices of one element whose diameters (left, right) [m] vary linearly: outer for the stiffness, heavy for the mass.
 
-    ``shear`` is phi of the mean diameters. With equal diameters it is ``beam_element``. Arguments and errors as there.
+    ``shear`` is phi of the mean diameters, with which what sits inside the element is interpolated. With equal diameters it is ``beam_element``. Arguments and errors as there.
     """
     ends = [np.asarray(pair, dtype=float) for pair in (outer, inner, heavy)]
     args = {"density": density, "youngs_modulus": youngs_modulus, "poisson_ratio": poisson_ratio, "theory": theory}
