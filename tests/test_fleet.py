@@ -4,6 +4,7 @@ import pytest
 from benchmarks.fleet import PAGE, call, commands, description, outcomes
 
 import ambrose as amb
+from ambrose.physics.rotor import displacement_row, finite_element_rotor, free_modes
 
 FLEET = list(amb.bundled_machines())
 
@@ -23,6 +24,16 @@ def test_the_fleet_is_what_issue_and_page_say():
         assert machine.requirements.sensitivity_peak is not None
         assert len(machine.operation.points) >= 2
         assert any(point.speed == 0 and point.seal_pressure == 0 for point in machine.operation.points)
+
+
+def test_a_node_stands_between_magnets_and_sensors_of_one_machine():
+    """What the sensors of outboard-sensor-rotor see of the first bending mode has the other sign of what its magnets do."""
+    machine = amb.load_machine("outboard-sensor-rotor")
+    rotor = finite_element_rotor(machine)
+    shape = free_modes(rotor, 1).shapes[:, 4]
+    for bearing, sensor in zip(machine.bearings, machine.sensors, strict=True):
+        at_magnet, at_sensor = (displacement_row(rotor, item.position, 0.0) @ shape for item in (bearing, sensor))
+        assert sensor.bearing == bearing.name and at_magnet * at_sensor < 0
 
 
 def test_the_page_lists_every_machine_with_its_source():
