@@ -110,7 +110,8 @@ def conical_element(
 ) -> BeamElement:
     """The matrices of one element whose diameters (left, right) [m] vary linearly: outer for the stiffness, heavy for the mass.
 
-    ``shear`` is phi of the mean diameters, with which what sits inside the element is interpolated. With equal diameters it is ``beam_element``. Arguments and errors as there.
+    ``shear`` is phi of the mean diameters, with which what sits inside the element is interpolated. With equal diameters it is
+    ``beam_element``. Arguments and errors as there.
     """
     ends = [np.asarray(pair, dtype=float) for pair in (outer, inner, heavy)]
     args = {"density": density, "youngs_modulus": youngs_modulus, "poisson_ratio": poisson_ratio, "theory": theory}
