@@ -114,9 +114,14 @@ def conical_element(
     ``beam_element``. Arguments and errors as there.
     """
     ends = [np.asarray(pair, dtype=float) for pair in (outer, inner, heavy)]
-    args = {"density": density, "youngs_modulus": youngs_modulus, "poisson_ratio": poisson_ratio, "theory": theory}
-    beam_element(length, ends[0], ends[1], mass_diameter=ends[2], **args)  # type: ignore[arg-type]  # checks both ends
-    middle = beam_element(length, *(pair.mean() for pair in ends[:2]), mass_diameter=ends[2].mean(), **args)  # type: ignore[arg-type]
+    args: dict[str, Any] = {
+        "density": density,
+        "youngs_modulus": youngs_modulus,
+        "poisson_ratio": poisson_ratio,
+        "theory": theory,
+    }
+    beam_element(length, ends[0], ends[1], mass_diameter=ends[2], **args)  # checks both ends
+    middle = beam_element(length, ends[0].mean(), ends[1].mean(), mass_diameter=ends[2].mean(), **args)
 
     def section(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """1/(E I), 1/(kappa G A), rho A and rho I at places x in 0...1."""
