@@ -123,7 +123,8 @@ and top speed are computed from the files.
 
 What comes out, and how long it takes on two slow cores that were busy with other work, too. `pid` is the machine file's own
 `[controller]`, meant to levitate and no more: the requirements that it fails are what the tuned controller is for.
-`python -m benchmarks.fleet` makes this page; `tests/test_fleet.py` runs the same commands.
+`python -m benchmarks.fleet` makes this page, some rows or columns at a time if asked; what takes minutes was not run for every
+machine yet. `tests/test_fleet.py` runs the same commands.
 
 {head}
 {table}
