@@ -16,6 +16,7 @@ import scipy.linalg as sla
 from ambrose.core.mechanical import SecondOrder, to_statespace
 from ambrose.core.statespace import poles
 from ambrose.machine.description import Amplifier, Disc, Material, ShaftSection
+from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import displacement_row, finite_element_rotor, mass_properties, plane_rows
 
@@ -76,6 +77,13 @@ def test_nelson_mcvaugh_mesh_is_converged():
     for direction in ("backward", "forward"):
         coarse, fine = (critical_speeds(nelson_rotor("rayleigh", refine), direction) for refine in (1, 4))
         assert coarse == pytest.approx(fine, rel=2e-3)
+
+
+def test_the_bundled_machine_is_this_rotor():
+    bundled, other = finite_element_rotor(load_machine("nelson-mcvaugh-rotor")), nelson_rotor("rayleigh")
+    for name in ("positions", "mass", "gyroscopic", "stiffness"):
+        one, two = getattr(bundled, name), getattr(other, name)
+        np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9 * np.abs(two).max())
 
 
 # Model given to ROSS: section length, outer and inner diameter [m], elements; rho = 7850, E = 2.1e11, nu = 0.3 (Cowper's shear

@@ -67,7 +67,7 @@ def test_every_value_of_the_small_machine():
             ("seal.center.scales_with_pressure", "K is made up as well"),
         ),
         shaft=(
-            d.ShaftSection(0.0, 0.2, 0.06, 0.02, None, 4, d.Material(), "left end"),
+            d.ShaftSection(0.0, 0.2, 0.06, 0.02, None, 4, d.Material(), "left end", 0.064, 0.024),
             d.ShaftSection(0.2, 0.4, 0.08, 0.0, 0.1, 8, titanium),
         ),
         discs=(d.Disc("wheel", 0.02, 3.0, 0.02, 0.011),),

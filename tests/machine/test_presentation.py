@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ambrose.machine import description as d
-from ambrose.machine.file.toml import dumps_machine, load_machine, loads_machine
+from ambrose.machine.file.toml import bundled_machines, dumps_machine, load_machine, loads_machine
 
 SMALL = str(Path(__file__).with_name("small.toml"))
 
@@ -23,7 +23,7 @@ def parts(thing):
             yield from parts(element)
 
 
-@pytest.mark.parametrize("file", ["seal-rig", "turboexpander", SMALL])
+@pytest.mark.parametrize("file", [*bundled_machines(), SMALL])
 def test_every_part_shows_itself_in_a_line(file):
     for part in parts(load_machine(file)):
         assert repr(part).startswith(type(part).__name__) and len(repr(part)) < 200

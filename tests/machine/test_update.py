@@ -10,7 +10,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.controller import Channel, Section
 from ambrose.machine.description import BiasPoint, Material, SealTable, Tolerance
 from ambrose.machine.file import update
-from ambrose.machine.file.toml import dumps_machine, load_machine, loads_machine, read_machine_text
+from ambrose.machine.file.toml import bundled_machines, dumps_machine, load_machine, loads_machine, read_machine_text
 from ambrose.machine.file.update import machine_text, save_machine, update_machine_file
 
 SMALL = str(Path(__file__).with_name("small.toml"))
@@ -92,7 +92,7 @@ def never_anew(monkeypatch):
     monkeypatch.setattr(update, "dumps_machine", fail)
 
 
-@pytest.mark.parametrize("file", ["seal-rig", "turboexpander", SMALL])
+@pytest.mark.parametrize("file", [*bundled_machines(), SMALL])
 def test_nothing_changes_where_nothing_changed(file):
     assert update_machine_file(file, load_machine(file)) == read_machine_text(file)
     assert machine_text(load_machine(file)) == read_machine_text(file)

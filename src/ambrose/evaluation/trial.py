@@ -91,6 +91,7 @@ def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, tim
     """
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     events = events.on(plant.machine)
+    linear.check_scenario(events)
     if events.runs_up:
         scheduled = isinstance(controller, ScheduledSystem)
         fixed = controller if scheduled else match_controller(controller, plant)

@@ -74,9 +74,10 @@ class Material(Part):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ShaftSection(Part):
-    """A cylindrical piece of shaft; the sections follow each other from the left end to the right, without gap or overlap.
+    """A cylindrical or conical piece of shaft; the sections follow each other from the left end to the right, without gap or
+    overlap.
 
-    mass_diameter lets shrunk-on laminations add inertia without stiffness.
+    mass_diameter lets shrunk-on laminations add inertia without stiffness. A cone has other diameters at its right end.
     """
 
     start: Annotated[Length, "where the section starts; default: the end of the previous one"] = field(
@@ -93,6 +94,24 @@ class ShaftSection(Part):
         Material, Text("the name of a [material.NAME] table"), "name of a [material.NAME] table; default: steel"
     ] = field(default_factory=Material)
     label: Annotated[Words, "a name for drawings and messages"] = ""
+    end_outer_diameter: Annotated[
+        Length | None, "outer diameter at the right end of a cone, linear in between; default: outer_diameter"
+    ] = None
+    end_inner_diameter: Annotated[Length | None, "bore at the right end of a cone; default: inner_diameter"] = None
+
+    @property
+    def conical(self) -> bool:
+        return self.diameters(0.0) != self.diameters(1.0)
+
+    def diameters(self, place: float) -> tuple[float, float, float]:
+        """Outer diameter, bore and outer diameter of the mass [m] at a place from 0 (left end) to 1 (right end)."""
+        outer = _between(self.outer_diameter, self.end_outer_diameter, place)
+        mass = outer if self.mass_diameter is None else self.mass_diameter
+        return outer, _between(self.inner_diameter, self.end_inner_diameter, place), mass
+
+
+def _between(start: float, end: float | None, place: float) -> float:
+    return start if end is None else start + place * (end - start)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

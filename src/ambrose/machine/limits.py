@@ -65,7 +65,8 @@ def excess(tables: Mapping[str, Any], above: str = "") -> Iterator[str]:
 
 def _excess(path: str, value: Any) -> Iterator[str]:
     if isinstance(value, str):
-        most = NAME if path.rpartition(".")[2] in _NAMES else TEXT
+        table, _, key = path.rpartition(".")  # the keys of [machine.assumed] are the user's, its values are reasons
+        most = NAME if key in _NAMES and not table.startswith("machine.assumed") else TEXT
         if len(value) > most:
             yield f"{path} has {len(value)} characters, but at most {most} are allowed; shorten it"
     elif isinstance(value, (Mapping, Sequence)):

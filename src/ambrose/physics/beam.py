@@ -13,8 +13,10 @@ theory              translational mass  rotary inertia    gyroscopic moments   s
 ==================  ==================  ================  ===================  =================
 
 "rayleigh" is the element of Nelson & McVaugh (1976), "timoshenko" that of Nelson (1980); both use the static deflection under
-end loads as shape functions. Frequencies converge with order 4 in the element length; with shear, whose strain is constant
-in an element, with order 2. All functions take arrays: a leading axis runs over elements.
+end loads as shape functions. So does the conical element: its static deflection, stiffness and inertia are integrated over the
+diameters that vary along it, instead of being those of a staircase. Frequencies converge with order 4 in the element length;
+with shear, whose strain is constant in an element, with order 2. ``beam_element`` takes arrays: a leading axis
+runs over elements.
 """
 
 from __future__ import annotations
@@ -31,6 +33,9 @@ from ambrose.machine.description import BEAM_THEORIES
 # Four Gauss points integrate the products of the shape functions (degree 6) exactly.
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
+# Of a cone the integrands are rational; 64 points integrate them to rounding up to a diameter ratio of 100 in an element.
+_FINE, _FINE_WEIGHTS = np.polynomial.legendre.leggauss(64)
+_FINE, _FINE_WEIGHTS = (_FINE + 1) / 2, _FINE_WEIGHTS / 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +95,68 @@ def beam_element(
     tilting = (rho * second_moment(heavy, inner))[..., None, None] * per_length * _integral(theta)
     rotary = np.zeros_like(tilting) if theory == "bernoulli-euler" else tilting
     return BeamElement(translational, rotary, 2 * tilting, _stiffness(EI, L, phi), phi)
+
+
+def conical_element(
+    length: float,
+    outer: tuple[float, float],
+    inner: tuple[float, float],
+    heavy: tuple[float, float],
+    *,
+    density: float,
+    youngs_modulus: float,
+    poisson_ratio: float = 0.3,
+    theory: str = "bernoulli-euler",
+) -> BeamElement:
+    """The matrices of one element whose diameters (left, right) [m] vary linearly: outer for the stiffness, heavy for the mass.
+
+    ``shear`` is phi of the mean diameters, with which what sits inside the element is interpolated. With equal diameters it is
+    ``beam_element``. Arguments and errors as there.
+    """
+    ends = [np.asarray(pair, dtype=float) for pair in (outer, inner, heavy)]
+    args: dict[str, Any] = {
+        "density": density,
+        "youngs_modulus": youngs_modulus,
+        "poisson_ratio": poisson_ratio,
+        "theory": theory,
+    }
+    beam_element(length, ends[0], ends[1], mass_diameter=ends[2], **args)  # checks both ends
+    middle = beam_element(length, ends[0].mean(), ends[1].mean(), mass_diameter=ends[2].mean(), **args)
+
+    def section(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """1/(E I), 1/(kappa G A), rho A and rho I at places x in 0...1."""
+        do, di, dm = (pair[0] + x * (pair[1] - pair[0]) for pair in ends)
+        bending = youngs_modulus * second_moment(do, di)
+        shear = shear_coefficient(poisson_ratio, di / do) * youngs_modulus / (2 * (1 + poisson_ratio)) * area(do, di)
+        slack = 1 / shear if theory == "timoshenko" else np.zeros_like(shear)
+        return 1 / bending, slack, density * area(dm, di), density * second_moment(dm, di)
+
+    def deflection(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Deflection and rotation (p, 2) at places s [m] under unit force and moment at the right end; the left is held."""
+        t = s[:, None] * _FINE
+        bend, slack, _, _ = section(t / length)
+        weights = s[:, None] * _FINE_WEIGHTS
+        arm, lever = length - t, s[:, None] - t
+        w = [(weights * (arm * lever * bend + slack)).sum(axis=1), (weights * lever * bend).sum(axis=1)]
+        return np.stack(w, axis=1), np.stack([(weights * arm * bend).sum(axis=1), (weights * bend).sum(axis=1)], axis=1)
+
+    end = np.concatenate(deflection(np.array([length])))  # flexibility: [w, theta] of the right end under [force, moment]
+    deformation = np.array([[-1.0, -length, 1.0, 0.0], [0.0, -1.0, 0.0, 1.0]])
+    loads = np.linalg.solve((end + end.T) / 2, deformation)
+    w, theta = deflection(length * _FINE)
+    one, zero, place = np.ones_like(_FINE), np.zeros_like(_FINE), length * _FINE
+    w = np.stack([one, place, zero, zero], axis=1) + w @ loads
+    theta = np.stack([zero, one, zero, zero], axis=1) + theta @ loads
+    _, _, mass, tilting = section(_FINE)
+    stiffness = deformation.T @ loads
+
+    def integral(rows: np.ndarray, density: np.ndarray) -> np.ndarray:
+        weighted = np.sqrt(length * _FINE_WEIGHTS * density)[:, None] * rows
+        return weighted.T @ weighted
+
+    rotary = integral(theta, tilting)
+    lateral = np.zeros_like(rotary) if theory == "bernoulli-euler" else rotary
+    return BeamElement(integral(w, mass), lateral, 2 * rotary, (stiffness + stiffness.T) / 2, middle.shear)
 
 
 def shape(xi: ArrayLike, length: ArrayLike, shear: ArrayLike = 0.0) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from ambrose.core.mechanical import undamped_modes
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import Disc, ShaftSection
 from ambrose.machine.machine import Machine
-from ambrose.physics.beam import BeamElement, beam_element, shape
+from ambrose.physics.beam import BeamElement, beam_element, conical_element, shape
 
 STANDARD_GRAVITY = 9.80665  # [m/s2]
 
@@ -234,17 +234,37 @@ def _mesh(sections: tuple[ShaftSection, ...], theory: str) -> tuple[np.ndarray, 
     """Node positions (N,) [m] and the matrices of all elements."""
     count = [section.elements for section in sections]
     lengths = np.repeat([section.length / section.elements for section in sections], count)
+    middle = [section.diameters((i + 0.5) / section.elements) for section in sections for i in range(section.elements)]
+    outer, inner, heavy = np.array(middle).T
     element = beam_element(
         lengths,
-        np.repeat([section.outer_diameter for section in sections], count),
-        np.repeat([section.inner_diameter for section in sections], count),
+        outer,
+        inner,
         density=np.repeat([section.material.density for section in sections], count),
         youngs_modulus=np.repeat([section.material.youngs_modulus for section in sections], count),
         poisson_ratio=np.repeat([section.material.poisson_ratio for section in sections], count),
-        mass_diameter=np.repeat([s.outer_diameter if s.mass_diameter is None else s.mass_diameter for s in sections], count),
+        mass_diameter=heavy,
         theory=theory,
     )
+    _make_conical(element, sections, theory)
     return sections[0].start + np.concatenate([[0.0], np.cumsum(lengths)]), element
+
+
+def _make_conical(element: BeamElement, sections: tuple[ShaftSection, ...], theory: str) -> None:
+    """The elements of conical sections in place of the cylinders of their mean diameters."""
+    first = 0
+    for section in sections:
+        n, material = section.elements, section.material
+        if section.conical:
+            for i in range(n):
+                ends = zip(section.diameters(i / n), section.diameters((i + 1) / n), strict=True)
+                cone = conical_element(
+                    section.length / n, *ends, density=material.density, youngs_modulus=material.youngs_modulus,
+                    poisson_ratio=material.poisson_ratio, theory=theory,
+                )  # fmt: skip
+                for name in ("translational", "rotary", "gyroscopic", "stiffness", "shear"):
+                    getattr(element, name)[first + i] = getattr(cone, name)
+        first += n
 
 
 def _add_discs(element: BeamElement, positions: np.ndarray, discs: tuple[Disc, ...]) -> tuple[np.ndarray, np.ndarray]:

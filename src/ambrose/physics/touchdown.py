@@ -26,10 +26,8 @@ def parameters(machine: Machine, bearing: MagneticBearing) -> tuple[float, ...]:
     rounding = _ROUNDING * clearance if math.isfinite(clearance) else 1.0
     radius = contact.radius
     if radius is None:
-        radius = next(
-            (s.outer_diameter / 2 for s in machine.shaft if bearing.position <= s.start + s.length),
-            machine.shaft[-1].outer_diameter / 2,
-        )
+        section = next((s for s in machine.shaft if bearing.position <= s.start + s.length), machine.shaft[-1])
+        radius = section.diameters(min(max((bearing.position - section.start) / section.length, 0.0), 1.0))[0] / 2
     return (clearance, contact.stiffness, contact.damping, contact.friction, contact.sliding_speed, radius, rounding)
 
 

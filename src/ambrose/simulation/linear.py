@@ -57,11 +57,7 @@ def run(
     Raises InvalidInput, also where the states of loops at different speeds are not the same (their displacements and velocities
     are read from the states in another way), and NumericalFailure where a run-up does not converge.
     """
-    if scenario.only_for_the_rig:
-        what = ", ".join(scenario.only_for_the_rig)
-        raise InvalidInput(
-            f"scenario {scenario.name} has {what}, which a linear model does not know; run it on the virtual rig"
-        )
+    check_scenario(scenario)
     loop_at, first, speed = _resolve(loop, scenario, point)
     axes = [name.removeprefix("e_") for name in first.inputs if name.startswith("e_")]
     scenario = scenario.at_bearings(list(dict.fromkeys(axis.rpartition("_")[0] for axis in axes)))
@@ -91,6 +87,15 @@ def run(
     outcome = "completed" if stop is None else ("limit exceeded" if stable else "diverged")
     text = _explain(outcome, stopped_at, culprit, limit, pole, pole_speed if scenario.runs_up else None, error)
     return Trace(record, scenario.name, stable, outcome, text, pole, stopped_at, error)
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """Raises InvalidInput for a scenario with something that a linear model does not know."""
+    if scenario.only_for_the_rig:
+        what = ", ".join(scenario.only_for_the_rig)
+        raise InvalidInput(
+            f"scenario {scenario.name} has {what}, which a linear model does not know; run it on the virtual rig"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

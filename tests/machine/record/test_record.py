@@ -149,7 +149,7 @@ def test_csv_from_a_spreadsheet_is_read(csv, record, tmp_path):
         ({"sample_rate_hz": float("nan")}, "sample_rate_hz"),
         ({"start_time": float("inf")}, "start_time"),
         ({"signals": ("y_A_zeta", "y_A_zeta", "f_center_x"), "units": ("m", "m", "N")}, "unique"),
-        ({"signals": ("y A", "e_B_eta", "f_center_x")}, "identifier"),
+        ({"signals": ("y A", "e_B_eta", "f_center_x")}, "letters, digits"),
         ({"signals": ("time", "e_B_eta", "f_center_x"), "units": ("s", "A", "N")}, "other than time"),
         ({"units": ("m", "A")}, "one per signal"),
         ({"units": ("m", "A", "kN")}, "the SI unit 'N'"),

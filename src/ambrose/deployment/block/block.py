@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import NumericalFailure, check_finite, check_positive, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.deployment.block.names import check_identifiers
+from ambrose.deployment.block.names import check_identifiers, names_in_code
 
 HOLD_SAMPLES = 10
 WINDUP_TIME = 0.02  # s; an integral time of 0.2 s and a derivative time of 2 ms have it as their geometric mean
@@ -83,7 +83,7 @@ def check_settings(
     hold_samples: int,
 ) -> Settings:
     """The settings as arrays of the controller's size, after checking them and the names. Raises InvalidInput."""
-    check_identifiers(name, K.inputs, K.outputs)
+    check_identifiers(name, names_in_code(K.inputs), names_in_code(K.outputs))
     errors = check_limits(error_limit, len(K.inputs), "error_limit", "the bearing's gap is the largest")
     currents = check_limits(current_limit, len(K.outputs), "current_limit", "give the amplifier's largest control current in A")
     check_positive(windup_time, "windup_time", f"give it in seconds, e.g. {WINDUP_TIME:g}")

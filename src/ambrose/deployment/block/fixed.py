@@ -31,6 +31,7 @@ from ambrose.deployment.block.block import (
     slow_states,
     transfer_gains,
 )
+from ambrose.deployment.block.names import names_in_code
 from ambrose.deployment.discretisation.deployment import Deployment
 
 
@@ -88,7 +89,8 @@ def build_block(
     order, sizes = _winding_first(deployment.sizes, slow)
     increment = (deployment.increment * scale / scale[:, None])[np.ix_(order, order)]
     return ControlBlock(
-        name=name, inputs=K.inputs, outputs=K.outputs, sample_time=dt, delay=deployment.delay, sizes=sizes,
+        name=name, inputs=names_in_code(K.inputs), outputs=names_in_code(K.outputs),
+        sample_time=dt, delay=deployment.delay, sizes=sizes,
         increment=increment, B=(K.B / scale[:, None])[order], C=C[:, order], D=D, unwind=(unwind / scale[:, None])[order],
         from_error=from_error[order], from_output=from_output[order], error_limit=errors, current_limit=currents,
         raw_limit=np.maximum(raw, currents), winding=int(slow.sum()), hold_samples=hold_samples, windup_time=windup_time,

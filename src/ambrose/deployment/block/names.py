@@ -19,6 +19,11 @@ KEYWORDS = frozenset(_WORDS.split())
 _DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)", re.IGNORECASE)  # no file can be called so on Windows
 
 
+def names_in_code(signals: Sequence[str]) -> tuple[str, ...]:
+    """Signals as generated code calls them: names of a machine file may have hyphens, which become underscores."""
+    return tuple(signal.replace("-", "_") for signal in signals)
+
+
 def check_identifiers(name: str, inputs: Sequence[str], outputs: Sequence[str]) -> None:
     """Refuse names that cannot stand in C: the block's ``name``, and those of its signals. Raises InvalidInput."""
     check_identifier(name, "the name of the block", "choose letters, digits and underscores")

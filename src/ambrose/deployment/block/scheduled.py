@@ -36,6 +36,7 @@ from ambrose.deployment.block.block import (
     transfer_gains,
 )
 from ambrose.deployment.block.motion import Motion, bound_motion
+from ambrose.deployment.block.names import names_in_code
 from ambrose.deployment.discretisation.deployment import ScheduledDeployment
 
 _EXAMINED = 3  # speeds in every interval at which the anti-windup is examined
@@ -125,7 +126,8 @@ def build_scheduled_block(
     rows = scale[:, None]
     increment, B, C, L = law.increment * scale / rows, law.B / rows, law.C * scale, unwind / rows
     return ScheduledBlock(
-        name=name, inputs=K.inputs, outputs=K.outputs, sample_time=dt, delay=deployment.delay, grid=K.grid,
+        name=name, inputs=names_in_code(K.inputs), outputs=names_in_code(K.outputs),
+        sample_time=dt, delay=deployment.delay, grid=K.grid,
         increment=increment, B=B, C=C, D=law.D, unwind=L, steady=steady / rows, pick=pick / rows, passes=passes,
         error_limit=errors, current_limit=currents, raw_limit=np.maximum(raw, currents), hold_samples=hold_samples,
         windup_time=windup_time, speed_limit=speed_limit, rate_limit=rate_limit,

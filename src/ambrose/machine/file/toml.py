@@ -33,7 +33,7 @@ _BRACKET = re.compile(r"[][{}]")
 def bundled_machines() -> dict[str, Path]:
     """The machine files that come with the package, by name."""
     folder = Path(str(files("ambrose") / "machines"))
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    return {path.stem: path for path in sorted(folder.glob("*.toml"), key=lambda path: path.stem)}
 
 
 def load_machine(path: str | os.PathLike[str] | Machine) -> Machine:

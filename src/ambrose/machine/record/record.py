@@ -32,7 +32,7 @@ POINT_KEYS = {
 }
 RESERVED = {"format", "version", "machine", "sample_rate_hz", "start_time_s", "samples", *POINT_KEYS}
 _BLOCK = 1_000_000  # samples looked at together
-_SIGNAL, _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_]*"), re.compile(r"[a-z][a-z0-9_]*")
+_SIGNAL, _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]*"), re.compile(r"[a-z][a-z0-9_]*")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -165,7 +165,8 @@ def _check_texts(record: Record) -> None:
         raise invalid("the number of signals", 0, "at least 1", "a record needs a signal")
     for name, unit in zip(record.signals, record.units, strict=True):
         if not _SIGNAL.fullmatch(name) or name == "time" or names[name] > 1 or len(name) > NAME:
-            raise invalid(f"the signal name {quoted(name)}", "not usable", "a unique identifier other than time", "rename it")
+            wanted = "unique, other than time, of letters, digits, _ and -"
+            raise invalid(f"the signal name {quoted(name)}", "not usable", wanted, "rename it")
         si = _dimension(name, unit).unit
         if unit != si:
             raise invalid(f"the unit of {name}", quoted(unit), f"the SI unit {si!r}", "convert with si_values() first")

@@ -40,10 +40,18 @@ def shaft_place(index: int, section: ShaftSection) -> str:
 def _section(where: str, section: ShaftSection) -> Iterator[str]:
     bore, outer, mass = section.inner_diameter, section.outer_diameter, section.mass_diameter
     yield from not_positive(where, section, "give its size", "length", "outer_diameter")
+    yield from not_positive(where, section, "leave it out for a cylinder", "end_outer_diameter")
     yield from not_positive(where, section, "leave it out for a solid shaft", "inner_diameter", zero=True)
+    yield from not_positive(where, section, "leave it out for the bore of the left end", "end_inner_diameter", zero=True)
     if 0 < outer <= bore:
         below = f"below the outer_diameter, {outer:g} m"
         yield complaint(where, "inner_diameter", number(bore, "m"), below, "swap or correct the diameters")
+    elif 0 < section.diameters(1.0)[0] <= section.diameters(1.0)[1]:
+        end_outer, end_bore, _ = section.diameters(1.0)
+        below = f"below the outer diameter at the right end, {end_outer:g} m"
+        key = "inner_diameter" if section.end_inner_diameter is None else "end_inner_diameter"
+        yield complaint(where, key, number(end_bore, "m"), below, "give end_inner_diameter, or correct the diameters")
+    bore = max(bore, section.diameters(1.0)[1])
     if mass is not None and mass <= max(bore, 0):
         remedy = "it is the outer diameter that carries the mass; leave it out where it is the outer_diameter"
         yield complaint(where, "mass_diameter", number(mass, "m"), f"above the inner_diameter, {bore:g} m", remedy)

@@ -81,22 +81,23 @@ def rotor_drawing(machine: Machine, node_positions: ArrayLike, shapes: ArrayLike
 def _shaft(figure: Any, machine: Machine) -> None:
     for section in machine.shaft:
         left, right = section.start * 1e3, (section.start + section.length) * 1e3
-        outer, bore = section.outer_diameter * 500, section.inner_diameter * 500
-        mass = (section.mass_diameter or 0.0) * 500
-        if mass > outer:
+        outer, bore, mass = (np.array(ends) * 500 for ends in zip(section.diameters(0), section.diameters(1), strict=True))
+        if (mass > outer).any():
             for sign in (1, -1):
                 _patch(figure, left, right, sign * outer, sign * mass, _LAMINATION, hatched=True)
         _patch(figure, left, right, -outer, outer, _STEEL)
-        if bore > 0:
+        if bore.any():
             _patch(figure, left, right, -bore, bore, "white", dash="3px,2px")
 
 
 def _patch(
-    figure: Any, left: float, right: float, low: float, high: float, fill: str, *, hatched: bool = False, dash: str = "solid"
+    figure: Any, left: float, right: float, low: Any, high: Any, fill: str, *, hatched: bool = False, dash: str = "solid"
 ) -> None:
+    """From low to high at both ends: a number each, or one for the left and one for the right end."""
+    low, high = np.broadcast_to(low, 2), np.broadcast_to(high, 2)
     pattern = {"shape": "/", "fgcolor": theme.MUTED, "bgcolor": "white", "size": 5, "solidity": 0.25} if hatched else None
     theme.scatter(
-        figure, {}, [left, right, right, left, left], [low, low, high, high, low], fill="toself", fillcolor=fill,
+        figure, {}, [left, right, right, left, left], [low[0], low[1], high[1], high[0], low[0]], fill="toself", fillcolor=fill,
         fillpattern=pattern, line={"color": theme.INK, "width": 0.9, "dash": dash}, hoverinfo="skip",
     )  # fmt: skip
 
@@ -113,7 +114,7 @@ def equivalent_cylinder(disc: Disc) -> tuple[float, float] | None:
 def _radius_at(machine: Machine, position: float) -> float:
     """The outermost radius [mm] of the shaft at an axial position [mm]."""
     at = [
-        max(section.outer_diameter, section.mass_diameter or 0.0) * 500
+        max(*section.diameters(0.0), *section.diameters(1.0)) * 500
         for section in machine.shaft
         if section.start * 1e3 - 1e-6 <= position <= (section.start + section.length) * 1e3 + 1e-6
     ]

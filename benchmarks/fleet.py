@@ -1,0 +1,151 @@
+"""Every bundled machine through every command, and the page that says what came out.
+
+    python -m benchmarks.fleet      everything anew, an hour on two cores: benchmarks/fleet.json, docs/reference/machines.md
+    python -m benchmarks.fleet NAME ... --only pid,cycle      some rows, some columns; the rest stays as it is stored
+
+The fleet is discovered: a file more in src/ambrose/machines is a row more here, and a case more in tests/test_fleet.py, which
+runs the same commands.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.cli import main
+from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
+
+STORED = Path(__file__).with_name("fleet.json")
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "machines.md"
+OUTCOMES = {0: "passed", 1: "fails a check", 2: "**refused**"}
+
+
+def commands(machine, folder, levitation="levitation"):
+    """The commands of the chain in their order: {what it is: arguments}. What one writes the next ones read."""
+    pid, tuned, record = folder / "pid.json", folder / "tuned.json", folder / "prbs.h5"
+    return {
+        "check": ("check", machine),
+        "pid": ("synthesize", machine, "--method", "pid", "-o", pid),
+        "levitation": ("simulate", machine, "--controller", pid, "--scenario", levitation, "-o", folder / "levitation.h5"),
+        "convert": ("convert", folder / "levitation.h5", "-o", folder / "levitation.csv"),
+        "export": ("export", pid, "--to", "c", "--machine", machine, "-o", folder / "code"),
+        "verify": ("verify", machine, "--controller", pid),
+        "prbs": ("simulate", machine, "--controller", pid, "--scenario", "prbs", "-o", record),
+        "identify": ("identify", machine, record, "--controller", pid, "-o", folder / "identified.toml"),
+        "cycle": ("simulate", machine, "--controller", pid, "--scenario", "operating-cycle", "-o", folder / "cycle.h5"),
+        "tuned": ("synthesize", machine, "-o", tuned),
+        "tuned verify": ("verify", machine, "--controller", tuned),
+        "tuned cycle": ("simulate", machine, "--controller", tuned, "--scenario", "operating-cycle", "-o", folder / "tuned.h5"),
+    }
+
+
+def call(arguments):
+    """Exit status, seconds, and what was printed as JSON (None: not that) or the message of a refusal."""
+    start = time.perf_counter()
+    done = CliRunner().invoke(main, [*map(str, arguments), "--json"])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    said = json.loads(done.stdout) if done.exit_code in OUTCOMES and done.stdout.strip() else done.stderr.strip()
+    return done.exit_code, time.perf_counter() - start, said
+
+
+def oddities(what, status, said):
+    """What a reader should know of an outcome that is no pass."""
+    if status == 0:
+        return ""
+    if not isinstance(said, dict):
+        return str(said).splitlines()[-1].removeprefix("ambrose: ")
+    if "points" in said:
+        groups = [*said["points"], *(said["tolerances"] or ())]
+        failed = {check["name"] for group in groups for check in group["checks"] if check.get("passed") is False}
+        return ", ".join(sorted(failed))
+    if said.get("method") == "tuned":
+        return "; ".join([said["status"], *said["notes"]])
+    words = [said.get("verdict"), said.get("outcome"), *said.get("problems", ()), *said.get("unmet_limits", ())]
+    return "; ".join(str(word) for word in words if word) or str(said.get("status", ""))
+
+
+def outcomes(machine, only=(), progress=print):
+    """The commands on a machine (those that are named; what they read comes first): {what: [status, seconds, oddities]}."""
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for what, arguments in commands(machine, Path(folder)).items():
+            if not only or what in only:
+                status, seconds, said = call(arguments)
+                found[what] = [status, round(seconds, 1), oddities(what, status, said)]
+                progress(f"{machine:24} {what:13} {OUTCOMES[status]:14} {seconds:6.1f} s  {found[what][2]}")
+    return found
+
+
+def description(name):
+    """A row: what the machine is and where it comes from."""
+    machine = amb.load_machine(name)
+    rotor = finite_element_rotor(machine)
+    bending = free_bending_frequencies(rotor, 1)[0] / (2 * np.pi)
+    bearings = ", ".join(bearing.name for bearing in machine.bearings)
+    figures = (
+        f"{mass_properties(rotor).mass:.3g} kg | {bending:.0f} Hz | {machine.operation.speed_range[1] * 30 / np.pi:,.0f} rpm"
+    )
+    return f"| `{name}` | {machine.description} | {figures} | {bearings} | {len(machine.seals)} | {machine.source} |"
+
+
+def page(results):
+    """The page: results {machine: outcomes}."""
+    rows = "\n".join(description(name) for name in results)
+    columns = list(commands("", PAGE))
+    head = f"| machine | {' | '.join(columns)} |\n|---|{'---|' * len(columns)}"
+    table = "\n".join(
+        f"| `{name}` | "
+        + " | ".join(f"{OUTCOMES[found[c][0]]}, {found[c][1]:.1f} s" if c in found else "not run" for c in columns)
+        + " |"
+        for name, found in results.items()
+    )
+    odd = "\n".join(
+        f"| `{name}` | {what} | {text} |" for name, found in results.items() for what, (_, _, text) in found.items() if text
+    )
+    return f"""# Bundled machines
+
+`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from, `src/ambrose/machines/NAME.toml`, and
+says under `[machine.assumed]` which of its figures were chosen. Rotors from books have magnets of our own sizing in place of
+the books' bearings; `tests/literature/` compares them with what is printed for those. Mass, first free-free bending frequency
+and top speed are computed from the files.
+
+| machine | what it is | mass | first bending | top speed | bearings | seals | source |
+|---|---|---|---|---|---|---|---|
+{rows}
+
+## Every command on every machine
+
+What comes out, and how long it takes on two slow cores that were busy with other work, too. `pid` is the machine file's own
+`[controller]`, meant to levitate and no more: the requirements that it fails are what the tuned controller is for.
+`python -m benchmarks.fleet` makes this page, some rows or columns at a time if asked; what takes minutes was not run for every
+machine yet. `tests/test_fleet.py` runs the same commands.
+
+{head}
+{table}
+
+## What is odd
+
+Checks that fail, and why a command refuses.
+
+| machine | command | what |
+|---|---|---|
+{odd}
+"""
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Every bundled machine through every command.")
+    parser.add_argument("machine", nargs="*", help="default: all")
+    parser.add_argument("--only", default="", help="commands, with commas; default: all")
+    asked = parser.parse_args()
+    stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {}
+    for name in asked.machine or amb.bundled_machines():
+        stored[name] = stored.get(name, {}) | outcomes(name, tuple(filter(None, asked.only.split(","))))
+        STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(page({name: stored.get(name, {}) for name in amb.bundled_machines()}), encoding="utf-8")

@@ -1,0 +1,94 @@
+"""Every bundled machine goes through every command. The fleet is discovered from src/ambrose/machines."""
+
+import pytest
+from benchmarks.fleet import PAGE, call, commands, description, outcomes
+
+import ambrose as amb
+from ambrose.physics.rotor import displacement_row, finite_element_rotor, free_modes
+
+FLEET = list(amb.bundled_machines())
+
+
+def test_the_fleet_is_what_issue_and_page_say():
+    """At least twelve machines; three bearings, no seal, no A and B, sensors beyond a bending node are among them."""
+    machines = {name: amb.load_machine(name) for name in FLEET}
+    assert len(machines) >= 12
+    assert {len(machine.bearings) for machine in machines.values()} >= {2, 3}
+    assert any(not machine.seals for machine in machines.values())
+    others = [m for m in machines.values() if not {"A", "B"} & {bearing.name for bearing in m.bearings}]
+    assert len(others) >= 10
+    for name, machine in machines.items():
+        assert machine.name == name
+        assert machine.source and machine.assumed and machine.description
+        assert machine.controller is not None and machine.tolerances
+        assert machine.requirements.sensitivity_peak is not None
+        assert len(machine.operation.points) >= 2
+        assert any(point.speed == 0 and point.seal_pressure == 0 for point in machine.operation.points)
+
+
+def test_a_node_stands_between_magnets_and_sensors_of_one_machine():
+    """What the sensors of outboard-sensor-rotor see of the first bending mode has the other sign of what its magnets do."""
+    machine = amb.load_machine("outboard-sensor-rotor")
+    rotor = finite_element_rotor(machine)
+    shape = free_modes(rotor, 1).shapes[:, 4]
+    for bearing, sensor in zip(machine.bearings, machine.sensors, strict=True):
+        at_magnet, at_sensor = (displacement_row(rotor, item.position, 0.0) @ shape for item in (bearing, sensor))
+        assert sensor.bearing == bearing.name and at_magnet * at_sensor < 0
+
+
+def test_the_page_lists_every_machine_with_its_source():
+    text = PAGE.read_text(encoding="utf-8")
+    for name in FLEET:
+        assert description(name) in text
+
+
+LIGHT = ("check", "pid", "levitation")
+SHORT = 'name = "short-levitation"\nduration = "0.4 s"\ninitial = "resting"\n'  # the bundled one, and no longer than it takes
+MANY_SEALS = 4  # from here on a machine's certificate takes seconds
+KNOWN = {"seal-rig", "seal-rig-k-only", "turboexpander"}  # levitated and verified by many other tests
+
+
+def heavy(name):
+    large = len(amb.load_machine(name).seals) >= MANY_SEALS
+    return pytest.param(name, marks=pytest.mark.campaign) if large or name in KNOWN else name
+
+
+@pytest.mark.parametrize("name", [heavy(name) for name in FLEET])
+def test_every_machine_is_checked_and_held_and_lifted_by_its_own_controller(name, tmp_path):
+    """Status 0 throughout: certified at every operating point, and free of the touchdown bearings on the virtual rig."""
+    short = tmp_path / "short.toml"
+    short.write_text(SHORT, encoding="utf-8")
+    steps = commands(name, tmp_path, levitation=short)
+    for what in LIGHT:
+        status, _, said = call(steps[what])
+        assert status == 0, (what, said)
+
+
+def test_what_only_the_rig_knows_is_refused_in_words(tmp_path):
+    """It was called a range of speeds that does not ascend, because the change of speed was looked at first."""
+    steps = commands("flywheel", tmp_path)
+    assert call(steps["pid"])[0] == 0
+    status, _, said = call((*steps["cycle"], "--linear"))
+    assert status == 2 and "start from rest" in said and "virtual rig" in said
+
+
+NEW_KINDS = ("three-bearing-train", "high-speed-spindle", "turbomolecular-pump")  # three bearings; fast; hyphens in axes
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", NEW_KINDS)
+def test_the_rest_of_the_chain_with_the_file_s_controller(name, tmp_path):
+    """Nothing is refused (status 2); what misses a requirement says so (status 1)."""
+    steps = commands(name, tmp_path)
+    for what in ("pid", "levitation", "convert", "prbs", "identify", "cycle"):
+        status, _, said = call(steps[what])
+        assert status in {0, 1}, (what, said)
+        assert status == 0 or what == "identify", (what, said)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", FLEET)
+def test_every_command_on_every_machine(name):
+    """Half an hour of what docs/reference/machines.md shows: no command is refused on any machine."""
+    for what, (status, _, text) in outcomes(name, progress=lambda line: None).items():
+        assert status in {0, 1}, (what, text)
