@@ -49,7 +49,7 @@ def trade_off(
     if output is not None:
         from ambrose.report.plot import plot
 
-        text = plot(result).to_html(include_plotlyjs=True)
+        text = plot(result).to_html(include_plotlyjs=True, config={"responsive": True, "displayModeBar": False})
         failure = kept(lambda path: write_text(path, text, "page"), output)
     if as_json:
         rows = zip(result.values, result.sensitivity, result.met, result.binding, strict=True)
