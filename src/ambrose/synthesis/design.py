@@ -50,7 +50,7 @@ def methods_for(plant: Plant) -> tuple[str, ...]:
     robust = machine.weights is not None and bool(machine.tolerances)
     possible = {
         "tuned": True,
-        "pid": machine.controller is not None,
+        "pid": machine.reference is not None,
         "hinf": machine.weights is not None,
         "mu": robust,
         "polish": robust,
@@ -139,14 +139,14 @@ def provenance(plant: Plant, method: str, options: DesignOptions) -> Provenance:
 def _tuned(plant: Plant, options: DesignOptions, progress: Progress) -> Synthesis:
     """One controller tuned to the requirements at every operating point of the machine, from its PID or a first guess."""
     machine, timing = plant.machine, options.timing()
-    settings = first_settings(machine) if machine.controller is None else machine.controller
+    settings = machine.reference or first_settings(machine)
     start = pid_controller(settings, machine)
     result = tune_controller(
         envelope_of(plant), settings, timing, order=options.order, structure=options.structure,
         bending_modes=options.bending_modes, reference=start if options.match_reference else None, progress=progress,
     )  # fmt: skip
     _, margins, _ = full_plant_margins(plant, result.controller)
-    if machine.controller is not None:
+    if machine.reference is not None:
         margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, start)[0]
     certificate = replace(result.certificate, margins={**result.certificate.margins, **margins})
     return replace(result, certificate=certificate)
@@ -168,7 +168,7 @@ def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Pro
     small = reduce(plant, modes)
     model = apply_delay(open_model(small, wide, uncertain), 0.0 if timing is None else timing.lag)
     synthesis = hinf_synthesis if method == "hinf" else lambda problem: mu_synthesis(problem, order=SCALING_ORDER)
-    reference = None if machine.controller is None else pid_controller(machine.controller, machine)
+    reference = None if machine.reference is None else pid_controller(machine.reference, machine)
     margins: dict[str, float] = {}
     if wide is not None and len(wide) < len(machine.tolerances):
         names = ", ".join(item.parameter for item in wide)
@@ -207,4 +207,4 @@ def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Pro
 def _matched(machine: Machine, options: DesignOptions) -> bool:
     if options.match_reference is not None:
         return options.match_reference
-    return machine.controller is not None and machine.weights is not None and machine.weights.control_crossover is None
+    return machine.reference is not None and machine.weights is not None and machine.weights.control_crossover is None

@@ -1,0 +1,27 @@
+"""What the unstable poles and the delay of a plant make unavoidable, whatever controller closes its loop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ambrose.core.delay_limit import least_sensitivity
+from ambrose.core.statespace import index_of
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import Timing, machine_timing
+
+
+def unavoidable_sensitivity(plant: Plant, timing: Timing | None = None) -> tuple[float, float, float]:
+    """The least sigma_max(S_o) that any linear controller reaches, the fastest unstable pole [rad/s] and the delay [s].
+
+    timing: when the controller acts (None: as the machine file says; where that says nothing, without delay). (1, 0, delay)
+    for a plant without unstable poles. The amplifiers' lags, which a controller could invert at the price of current, do not
+    count: what is reached in practice lies above.
+    """
+    runs = timing or machine_timing(plant.machine)
+    delay = 0.0 if runs is None else runs.lag
+    small = plant if plant.bending_modes is not None else reduce(plant, 1)
+    A = small.system.A
+    C = small.system.C[index_of(small.named("y"), small.system.outputs, "output")]
+    fastest = float(np.linalg.eigvals(A).real.max(initial=0.0))
+    return least_sensitivity(A, C, delay), fastest, delay
