@@ -21,7 +21,7 @@ _BEYOND = 20.0  # p tau from which the limit, some e^{p tau}, is called infinite
 
 @named_failure("the least sensitivity")
 def least_sensitivity(A: ArrayLike, C: ArrayLike, delay: float) -> float:
-    """The infimum of ||S||_inf over all controllers, for a plant with dynamics A (n, n), measurements C (m, n) and ``delay`` [s].
+    """The infimum of ||S||_inf over all controllers of a plant with dynamics A (n, n), measurements C (m, n) and ``delay`` [s].
 
     S = (I + G K)^-1 on the m measurements; stable poles of A drop out. 1 without unstable poles or delay; for one real pole p
     e^{p tau}. inf where an unstable motion shows in no measurement. Raises InvalidInput.

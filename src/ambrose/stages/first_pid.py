@@ -15,15 +15,17 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.assemble import assemble, magnet_coefficients
-from ambrose.plant.reduce import default_bending_modes, reduce
+from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import machine_timing
 from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, warped
+from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
+from ambrose.synthesis.fixed_order.tuning import bending_modes_for
 from ambrose.synthesis.pid import first_settings, pid_controller
 
 _GAINS, _TIMES, _FILTERS = (1.5, 2.0, 3.0, 4.0), (0.35, 0.5, 0.75, 1.0, 1.5), (0.05, 0.1, 0.2)  # K_p k_i/k_s, T_d w_0, eps
 _GOOD = 2.6  # sensitivity peak from which no notch is tried
-_GRID = np.geomspace(1.0, 2e5, 150)  # rad/s
+_GRID = np.geomspace(1.0, 2e5, 80)  # rad/s
+_SHARP = 0.1  # damping ratio
 _SURE = 3  # of the best, until one holds the full plants
 
 
@@ -35,7 +37,8 @@ def holding_pid(machine: Machine) -> tuple[PidSettings, float]:
     """
     full = [assemble(machine, point) for point in machine.operation.points]
     timing = machine_timing(machine)
-    models = [loop_model(reduce(plant, default_bending_modes(plant)), timing) for plant in full]
+    small = [loop_model(reduce(plant, bending_modes_for(plant)), timing) for plant in full]
+    models = [(model, _responses(model, _GRID, len(machine.axes))) for model in small]
     ranked: list[tuple[float, PidSettings]] = []
     for candidates in _candidates(machine):
         ranked += [(_peak(models, tried, machine), tried) for tried in candidates]
@@ -69,10 +72,20 @@ def _candidates(machine: Machine) -> Iterator[list[PidSettings]]:
         ]  # fmt: skip
 
 
-def _peak(models: Sequence[LoopModel], settings: PidSettings, machine: Machine) -> float:
-    """The largest sigma_max(S_o) on a grid over the models; inf where a loop is unstable."""
+_Responses = tuple[np.ndarray, np.ndarray]
+
+
+def _responses(model: LoopModel, omega: np.ndarray, axes: int) -> _Responses:
+    """Frequencies below half the rate, and currents to displacements there."""
+    top = math.inf if model.timing is None else 0.97 * math.pi / model.timing.sample_time
+    omega = omega[(omega > 0) & (omega < top)]
+    return omega, model.response(omega)[:, :axes, :axes]
+
+
+def _peak(models: Sequence[tuple[LoopModel, _Responses]], settings: PidSettings, machine: Machine) -> float:
+    """The largest sigma_max(S_o) over the models, on a grid and at the sharp poles of the loop; inf where a loop is unstable."""
     law, worst = pid_controller(settings, machine), 0.0
-    for model in models:
+    for model, (base, response) in models:
         m = len(law.D)
         inner = np.linalg.inv(np.eye(m) + model.D @ law.D)  # y = inner (C x + D C_k x_k), u = C_k x_k - D_k y
         y = inner @ np.hstack([model.C, model.D @ law.C])
@@ -81,13 +94,13 @@ def _peak(models: Sequence[LoopModel], settings: PidSettings, machine: Machine) 
         loop = np.vstack([np.hstack([model.A, np.zeros((n, len(law.A)))]), np.hstack([np.zeros((len(law.A), n)), law.A])])
         loop[:n] += model.B @ u
         loop[n:] -= law.B @ y
-        if np.linalg.eigvals(loop).real.max() >= 0:
+        values = np.linalg.eigvals(loop)
+        if values.real.max() >= 0:
             return math.inf
-        top = math.inf if model.timing is None else 0.95 * math.pi / model.timing.sample_time
-        omega = _GRID[top > _GRID]
-        G = model.response(omega)[:, :m, :m]
-        K = frequency_response(law, warped(omega, model.timing)).values
-        worst = max(worst, float(1 / np.linalg.svd(np.eye(m) + G @ K, compute_uv=False)[:, -1].min()))
+        sharp = values[(values.imag > 0) & (-values.real < _SHARP * np.abs(values))]
+        for omega, G in ((base, response), _responses(model, unwarped(sharp.imag, model.timing), m)):
+            K = frequency_response(law, warped(omega, model.timing)).values
+            worst = max(worst, float(1 / np.linalg.svd(np.eye(m) + G @ K, compute_uv=False)[:, -1].min(initial=math.inf)))
     return worst
 
 

@@ -38,6 +38,7 @@ from ambrose.physics.rotor import STANDARD_GRAVITY, finite_element_rotor, free_m
 from ambrose.plant.assemble import assemble, magnet_coefficients
 from ambrose.plant.unavoidable import unavoidable_sensitivity
 from ambrose.stages.first_pid import holding_pid, in_hertz, rounded
+from ambrose.synthesis.pid import channel_chains, first_settings
 
 BIAS_FLUX = 0.6  # [T] half of what the iron carries
 _LOADS = 3.0  # times its share of the weight a bearing carries
@@ -77,6 +78,21 @@ def quantity_of(key: str, value: Any) -> float:
         )
     except ValueError as error:
         raise error if isinstance(error, InvalidInput) else InvalidInput(f"{key} {error}") from None
+
+
+def quantities_of(key: str, text: str) -> tuple[float, ...]:
+    """Several texts with a unit, separated by commas. Raises InvalidInput."""
+    return tuple(quantity_of(key, part.strip()) for part in text.split(","))
+
+
+def springs(machine: Machine) -> dict[str, tuple[float, float]]:
+    """Stiffness K_p k_i - k_s [N/m] and damping K_p k_i T_d [N s/m] that a bearing has under the reference controller's PID."""
+    settings = machine.reference or first_settings(machine)
+    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
+    gains = np.array([gain for gain, _ in channel_chains(settings, machine.axes)])
+    k = (gains * k_i - k_s).reshape(-1, 2).mean(axis=1)
+    c = (gains * k_i).reshape(-1, 2).mean(axis=1) * (settings.derivative_time or 0.0)
+    return {bearing.name: (float(a), float(b)) for bearing, a, b in zip(machine.bearings, k, c, strict=True)}
 
 
 def new_machine(
@@ -170,8 +186,8 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     return loads_machine(written, rotor.name)
 
 
-_TITLE = """A machine for Ambrose: numbers have units, what was chosen and not measured is marked "assumed" and listed with its reason.
-Replace it by what you know, then: ambrose check, ambrose synthesize, ambrose simulate."""
+_TITLE = """A machine for Ambrose: numbers have units, what was chosen and not measured is marked "assumed" and listed
+with its reason. Replace it by what you know, then: ambrose check, ambrose synthesize, ambrose simulate."""
 
 
 def _elements(length: float, diameter: float) -> int:

@@ -37,7 +37,7 @@ def pid_synthesis(plant: Plant, settings: PidSettings | None = None, timing: Tim
     settings = plant.machine.reference if settings is None else settings
     if settings is None:
         raise InvalidInput(
-            f"machine {plant.machine.name!r} has no reference controller; add a [controller] table with its gain or pass PidSettings"
+            f"machine {plant.machine.name!r} has no reference controller; add a [controller] with its gain or pass PidSettings"
         )
     design = pid_controller(settings, plant.machine)
     certificate = certify(plant, design)

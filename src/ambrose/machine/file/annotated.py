@@ -1,4 +1,4 @@
-"""A machine as a file for people: every number in an everyday unit, every key with its meaning, reasons beside what is assumed."""
+"""A machine as a file for people: every number in an everyday unit, every key with its meaning, what is assumed marked."""
 
 from __future__ import annotations
 
