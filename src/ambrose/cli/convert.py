@@ -72,9 +72,7 @@ def _convert_machine(
         write_text(output, ross_text(machine, springs(machine)), "rotor model")
         told: dict[str, object] = {"rotor_model": str(output), "left_out": [seal.name for seal in machine.seals]}
         left = ", ".join(item.name for item in (*machine.seals, *machine.couplings))
-        words = (
-            f"{output}: a model of ROSS, its bearings springs as under the reference controller; left out: {left or 'nothing'}"
-        )
+        words = f"{output}: a model of ROSS, bearings as springs of the reference controller; left out: {left or 'nothing'}"
     else:
         if output.exists() and output.samefile(source):
             raise InvalidInput(f"{output} is what is read; give the machine file another name with -o")

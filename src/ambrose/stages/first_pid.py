@@ -83,7 +83,7 @@ def _responses(model: LoopModel, omega: np.ndarray, axes: int) -> _Responses:
 
 
 def _peak(models: Sequence[tuple[LoopModel, _Responses]], settings: PidSettings, machine: Machine) -> float:
-    """The largest sigma_max(S_o) over the models, on a grid and at the sharp poles of the loop; inf where a loop is unstable."""
+    """The largest sigma_max(S_o) over the models, on a grid and at the loops' sharp poles; inf where one is unstable."""
     law, worst = pid_controller(settings, machine), 0.0
     for model, (base, response) in models:
         m = len(law.D)

@@ -181,8 +181,7 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     )
     machine = replace(machine, controller=settings)
     machine = _with_aims(machine, reasons)
-    left = "".join(f"\nLeft out: {item}." for item in rotor.left_out)
-    written = annotated_machine(replace(machine, assumed=tuple(sorted(reasons.items()))), f"{_TITLE}{left}")
+    written = annotated_machine(replace(machine, assumed=tuple(sorted(reasons.items()))), _TITLE)
     return loads_machine(written, rotor.name)
 
 

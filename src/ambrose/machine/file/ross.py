@@ -80,9 +80,7 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
         assumed["beam_theory"] = "the shear coefficient is Cowper's here, Hutchinson's in the model of ROSS"
     if left:
         shown = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
-        assumed["shaft"] = (
-            f"{assumed.get('shaft', '')}; " * ("shaft" in assumed) + f"the model of ROSS also holds {shown}: left out"
-        )
+        assumed["seal"] = f"the model of ROSS also holds {shown}: left out"
     version = document.get("ross_version", "unknown")
     speed = document.get("parameters", {}).get("rated_w") if isinstance(document.get("parameters"), Mapping) else None
     return RotorModel(

@@ -122,7 +122,7 @@ def _read(where: str, kind: str, cell: str, unit: str, mark: str) -> float:
 
 
 def read_rotor(path: str | os.PathLike[str]) -> RotorModel:
-    """The rotor in a file of ROSS (*.toml, *.json) or in a table of stations (*.csv), called as the file. Raises InvalidInput."""
+    """The rotor in a file of ROSS (*.toml, *.json) or a table of stations (*.csv), called as the file. Raises InvalidInput."""
     source = Path(path)
     text, suffix = read_text(source, "rotor model", TOML_BYTES), source.suffix.lower()
     if suffix in {".csv", ".txt"}:
