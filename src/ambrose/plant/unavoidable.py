@@ -7,7 +7,7 @@ import numpy as np
 from ambrose.core.delay_limit import least_sensitivity
 from ambrose.core.statespace import index_of
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
+from ambrose.plant.reduce import reduce_from
 from ambrose.plant.timing import Timing, machine_timing
 
 
@@ -20,7 +20,7 @@ def unavoidable_sensitivity(plant: Plant, timing: Timing | None = None) -> tuple
     """
     runs = timing or machine_timing(plant.machine)
     delay = 0.0 if runs is None else runs.lag
-    small = plant if plant.bending_modes is not None else reduce(plant, 1)
+    small = plant if plant.bending_modes is not None else reduce_from(plant, 1)
     A = small.system.A
     C = small.system.C[index_of(small.named("y"), small.system.outputs, "output")]
     fastest = float(np.linalg.eigvals(A).real.max(initial=0.0))

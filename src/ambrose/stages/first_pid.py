@@ -15,7 +15,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.plant.assemble import assemble, magnet_coefficients
-from ambrose.plant.reduce import reduce
+from ambrose.plant.reduce import reduce_from
 from ambrose.plant.timing import machine_timing
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
@@ -37,7 +37,7 @@ def holding_pid(machine: Machine) -> tuple[PidSettings, float]:
     """
     full = [assemble(machine, point) for point in machine.operation.points]
     timing = machine_timing(machine)
-    small = [loop_model(reduce(plant, bending_modes_for(plant)), timing) for plant in full]
+    small = [loop_model(reduce_from(plant, bending_modes_for(plant)), timing) for plant in full]
     models = [(model, _responses(model, _GRID, len(machine.axes))) for model in small]
     ranked: list[tuple[float, PidSettings]] = []
     for candidates in _candidates(machine):

@@ -10,7 +10,7 @@ from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
+from ambrose.plant.reduce import reduce_from
 from ambrose.synthesis.lpv.machine import speed_grid
 
 
@@ -29,7 +29,7 @@ def facts(machine: Machine) -> dict[str, Any]:
     rotor = finite_element_rotor(machine)
     properties = mass_properties(rotor)
     plant = assemble(machine)
-    reduced = reduce(plant)
+    reduced = reduce_from(plant, 0)
     values = poles(plant.rotor)
     return {
         "machine": machine.name,
