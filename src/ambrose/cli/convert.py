@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,7 +64,8 @@ def _convert_machine(
     from ambrose.machine.file.stations import read_rotor
     from ambrose.machine.file.toml import bundled_machines, load_machine, read_toml
     from ambrose.machine.file.update import save_machine
-    from ambrose.stages.new_machine import Known, machine_of_rotor, quantities_of, quantity_of, springs
+    from ambrose.stages.new_machine import NOT_HELD, Known, machine_of_rotor, quantities_of, quantity_of
+    from ambrose.stages.plausibility import springs
 
     own = source.suffix.lower() == ".toml" and str(source) not in bundled_machines() and "machine" in read_toml(source, "file")
     if own or str(source) in bundled_machines():
@@ -92,3 +94,4 @@ def _convert_machine(
         if rotor.left_out:
             words += f"; left out: {', '.join(rotor.left_out[:6])}{' ...' if len(rotor.left_out) > 6 else ''}"
     say_json(told) if as_json else say(words)
+    sys.exit(1 if NOT_HELD in words else 0)

@@ -44,7 +44,7 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
     """
     from ambrose.core.checks import InvalidInput, invalid
     from ambrose.machine.file.update import save_machine
-    from ambrose.stages.new_machine import new_machine
+    from ambrose.stages.new_machine import NOT_HELD, new_machine
 
     if file.suffix.lower() != ".toml":
         raise invalid("the machine file", f'"{file}"', "a file *.toml", f'write "{file}.toml"')
@@ -69,11 +69,13 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
     )
     save_machine(machine, file)
     told = dict(machine.assumed)
+    held = NOT_HELD not in told["controller"]
     if as_json:
-        say_json({"machine": str(file), "axes": machine.axes, "assumed": told})
-        return
+        say_json({"machine": str(file), "axes": machine.axes, "held": held, "assumed": told})
+        sys.exit(0 if held else 1)
     say(f"{file}: {len(machine.bearings)} bearings of {machine.bearings[0].max_force:g} N; {told['controller']}")
     say(f"{len(told)} entries are assumed, each with its reason in the file; next: ambrose check {file}")
+    sys.exit(0 if held else 1)
 
 
 _EXAMPLES = {"length": '"600 mm"', "diameter": '"40 mm"', "speed": '"12000 rpm"'}

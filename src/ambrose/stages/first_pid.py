@@ -21,11 +21,13 @@ from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.tuning import bending_modes_for
 from ambrose.synthesis.pid import first_settings, pid_controller
+from ambrose.synthesis.time_limit import TimeLimit
 
 _GAINS, _TIMES, _FILTERS = (1.5, 2.0, 3.0, 4.0), (0.35, 0.5, 0.75, 1.0, 1.5), (0.05, 0.1, 0.2)  # K_p k_i/k_s, T_d w_0, eps
 _GOOD = 2.6  # sensitivity peak from which no notch is tried
 _GRID = np.geomspace(1.0, 2e5, 80)  # rad/s
 _SHARP = 0.1  # damping ratio
+_SECONDS = 15.0
 _SURE = 3  # of the best, until one holds the full plants
 
 
@@ -39,11 +41,12 @@ def holding_pid(machine: Machine) -> tuple[PidSettings, float]:
     timing = machine_timing(machine)
     small = [loop_model(reduce_from(plant, bending_modes_for(plant)), timing) for plant in full]
     models = [(model, _responses(model, _GRID, len(machine.axes))) for model in small]
+    clock = TimeLimit(_SECONDS)
     ranked: list[tuple[float, PidSettings]] = []
     for candidates in _candidates(machine):
         ranked += [(_peak(models, tried, machine), tried) for tried in candidates]
         ranked.sort(key=lambda item: item[0])
-        if ranked[0][0] < _GOOD:
+        if ranked[0][0] < _GOOD or clock.left <= 0:
             break
     for _, settings in ranked[:_SURE]:
         law = pid_controller(settings, machine)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.checks import InvalidInput, check_positive, invalid, named_failure
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import (
     Amplifier,
@@ -38,9 +38,10 @@ from ambrose.physics.rotor import STANDARD_GRAVITY, finite_element_rotor, free_m
 from ambrose.plant.assemble import assemble, magnet_coefficients
 from ambrose.plant.unavoidable import unavoidable_sensitivity
 from ambrose.stages.first_pid import holding_pid, in_hertz, rounded
-from ambrose.synthesis.pid import channel_chains, first_settings
+from ambrose.stages.plausibility import shares
 
 BIAS_FLUX = 0.6  # [T] half of what the iron carries
+NOT_HELD = "NO SUCH PID HOLDS THE MACHINE"
 _LOADS = 3.0  # times its share of the weight a bearing carries
 _GRADE = 2.5e-3  # [m/s] balance grade G2.5
 
@@ -68,31 +69,22 @@ _DIMENSIONS = {
     "force_per_current": "force per current",
     "negative_stiffness": "stiffness",
 }
+_DISC = ("length", "mass", "length")
+_SLENDER = 100  # length over diameter that is a wire rather than a rotor
 
 
 def quantity_of(key: str, value: Any) -> float:
     """A number [SI], or a text with a unit. Raises InvalidInput."""
     try:
-        return check_positive(
-            read_quantity(value, DIMENSIONS[_DIMENSIONS[key]]), key, "give its size", zero_allowed=key == "speed"
-        )
+        number = read_quantity(value, DIMENSIONS[_DIMENSIONS[key]])
     except ValueError as error:
-        raise error if isinstance(error, InvalidInput) else InvalidInput(f"{key} {error}") from None
+        raise InvalidInput(f"{key} {error}") from None
+    return check_positive(number, key, "give its size", zero_allowed=key in {"speed", "bearings"})
 
 
 def quantities_of(key: str, text: str) -> tuple[float, ...]:
     """Several texts with a unit, separated by commas. Raises InvalidInput."""
     return tuple(quantity_of(key, part.strip()) for part in text.split(","))
-
-
-def springs(machine: Machine) -> dict[str, tuple[float, float]]:
-    """Stiffness K_p k_i - k_s [N/m] and damping K_p k_i T_d [N s/m] that a bearing has under the reference controller's PID."""
-    settings = machine.reference or first_settings(machine)
-    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
-    gains = np.array([gain for gain, _ in channel_chains(settings, machine.axes)])
-    k = (gains * k_i - k_s).reshape(-1, 2).mean(axis=1)
-    c = (gains * k_i).reshape(-1, 2).mean(axis=1) * (settings.derivative_time or 0.0)
-    return {bearing.name: (float(a), float(b)) for bearing, a, b in zip(machine.bearings, k, c, strict=True)}
 
 
 def new_machine(
@@ -121,7 +113,7 @@ def new_machine(
             f"new_machine has no option {unknown[0]!r}; it takes {', '.join(_DIMENSIONS)}, discs, vertical, rate"
         )
     long, thick = quantity_of("length", length), quantity_of("diameter", diameter)
-    wheels = tuple(_disc(number, long, *entry) for number, entry in enumerate(discs, 1))
+    wheels = tuple(_disc(number, long, entry) for number, entry in enumerate(discs, 1))
     rotor = RotorModel(
         name, (ShaftSection(0.0, long, thick, elements=_elements(long, thick), label="shaft"),), wheels,
         tuple(quantity_of("bearings", place) for place in bearings), quantity_of("speed", speed),
@@ -130,6 +122,7 @@ def new_machine(
     return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, **found))
 
 
+@named_failure("the new machine")
 def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     """The rotor on magnetic bearings: what neither says is chosen, and marked in ``assumed``. Raises InvalidInput."""
     known = known or Known()
@@ -142,8 +135,17 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     for place in places:
         if not 0 <= place <= bare.length:
             raise invalid("bearings", f"{place:g} m", f"on the shaft, from 0 to {bare.length:g} m", "count from the left end")
-    shares = _shares(mass * STANDARD_GRAVITY, centre, places)
-    bearing = _magnet(known, bare, max(shares), mass / len(places) * _GRADE * speed, reasons)
+    if len(places) > 1 and np.diff(np.sort(places)).min() < 1e-3 * bare.length:
+        raise invalid("bearings", f"{len(places)} with two at one place", "apart from each other", "name every place once")
+    slim = bare.length / max(section.outer_diameter for section in bare.shaft)
+    if slim > _SLENDER:
+        raise invalid(
+            "the rotor", f"{slim:.3g} diameters long", f"at most {_SLENDER}", "check the units of length and diameter"
+        )
+    if known.rate is not None:
+        check_positive(known.rate, "rate", "10000 Hz is usual")
+    loads = shares(mass * STANDARD_GRAVITY, centre, places)
+    bearing = _magnet(known, bare, float(max(loads)), mass / len(places) * _GRADE * speed, reasons)
     names = [chr(ord("A") + i) if len(places) <= 26 else f"B{i + 1}" for i in range(len(places))]
     pole = math.sqrt(_stiffness(bearing) * len(places) / mass)
     fast = max(speed, pole) / (2 * math.pi)
@@ -173,11 +175,7 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     reasons["controller"] = (
         f"K_p = {settings.gain[0] / float((k_s / k_i).max()):.2g} k_s/k_i, T_d by the rigid rotor's pace; "
-        + (
-            f"holds all points, largest sensitivity {peak:.2g}"
-            if peak < math.inf
-            else "NO SUCH PID HOLDS THE MACHINE, design another"
-        )
+        + (f"holds all points, largest sensitivity {peak:.2g}" if peak < math.inf else f"{NOT_HELD}, design another")
     )
     machine = replace(machine, controller=settings)
     machine = _with_aims(machine, reasons)
@@ -193,14 +191,18 @@ def _elements(length: float, diameter: float) -> int:
     return int(min(max(math.ceil(length / diameter), 12), 60))
 
 
-def _disc(number: int, length: float, position: Any, mass: Any, diameter: Any) -> Disc:
-    at, thick = quantity_of("length", position), quantity_of("diameter", diameter)
+def _disc(number: int, length: float, entry: Sequence[Any]) -> Disc:
+    what = f"disc {number}"
+    if isinstance(entry, str) or not isinstance(entry, Sequence) or len(entry) != 3:
+        raise invalid(what, repr(entry), "position, mass and diameter", 'such as ("300 mm", "8 kg", "250 mm")')
     try:
-        heavy = read_quantity(mass, DIMENSIONS["mass"])
+        at, heavy, thick = (read_quantity(value, DIMENSIONS[kind]) for value, kind in zip(entry, _DISC, strict=True))
     except ValueError as error:
-        raise InvalidInput(f"the mass of disc {number} {error}") from None
+        raise InvalidInput(f"{what} {error}") from None
+    check_positive(heavy, f"the mass of {what}", "give it in kg")
+    check_positive(thick, f"the diameter of {what}", "give it in m")
     if not 0 <= at <= length:
-        raise invalid(f"the position of disc {number}", f"{at:g} m", f"on the shaft, from 0 to {length:g} m", "correct it")
+        raise invalid(f"the position of {what}", f"{at:g} m", f"on the shaft, from 0 to {length:g} m", "correct it")
     return Disc(f"disc{number}", at, heavy, rounded(heavy * thick**2 / 8, 4), rounded(heavy * thick**2 / 16, 4))
 
 
@@ -212,17 +214,6 @@ def _places(bare: MachineDescription, reasons: dict[str, str]) -> tuple[float, f
     reasons["bearing.position"] = "an eighth of the free length from the ends, or from the discs that overhang there"
     inset = rounded((high - low) / 8, 3)
     return rounded(low + inset, 4), rounded(high - inset, 4)
-
-
-def _shares(weight: float, centre: float, places: Sequence[float]) -> np.ndarray:
-    """What every bearing carries of the weight [N] when the rotor lies: by levers, of more than two the evenest."""
-    if len(places) == 1:
-        return np.array([weight])
-    at = np.asarray(places) - centre
-    if np.ptp(at) <= 0:
-        return np.full(len(places), weight / len(places))
-    rows = np.stack([np.ones(len(at)), at / np.ptp(at)])
-    return np.abs(np.linalg.lstsq(rows, np.array([weight, 0.0]), rcond=None)[0])
 
 
 def _magnet(known: Known, bare: MachineDescription, share: float, unbalance: float, reasons: dict[str, str]) -> MagneticBearing:

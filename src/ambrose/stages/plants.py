@@ -11,6 +11,7 @@ from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce_from
+from ambrose.stages.plausibility import insight
 from ambrose.synthesis.lpv.machine import speed_grid
 
 
@@ -28,7 +29,7 @@ def facts(machine: Machine) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies, open-loop poles, sizes."""
     rotor = finite_element_rotor(machine)
     properties = mass_properties(rotor)
-    plant = assemble(machine)
+    plant = assemble(machine, machine.operation.design)
     reduced = reduce_from(plant, 0)
     values = poles(plant.rotor)
     return {
@@ -47,4 +48,5 @@ def facts(machine: Machine) -> dict[str, Any]:
         "operating_points": [point.label for point in machine.operation.points],
         "tolerances": [tolerance.parameter for tolerance in machine.tolerances],
         "assumed": len(machine.assumed),
+        **insight(plant),
     }

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.presentation import to_plain
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
@@ -20,8 +20,9 @@ from ambrose.plant.reduce import reduce
 from ambrose.plant.uncertainty import with_offsets_of
 from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
 from ambrose.synthesis.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
+from ambrose.synthesis.explanation import explained, why_none
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
-from ambrose.synthesis.fixed_order.tuning import tune_controller
+from ambrose.synthesis.fixed_order.tuning import bending_modes_for, tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
@@ -97,22 +98,30 @@ def design(
     if options.speeds is not None and method != "lpv":
         raise invalid("speeds", options.speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
     options = options.on(plant.machine)
-    if method == "pid":
-        result = pid_synthesis(plant, timing=options.timing())
-    elif method == "lpv":
-        grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
-        result = design_over_speed(plant, grid, bending_modes=options.bending_modes or 0, progress=progress)
-    elif method == "tuned":
-        result = _tuned(plant, options, progress)
-    else:
-        result = _by_weights(plant, method, options, progress)
+    try:
+        result = _designed(plant, method, options, progress)
+    except NumericalFailure as error:
+        if why := why_none(plant, options.timing()):
+            raise NumericalFailure(f"{error}; {why}") from error
+        raise
     if options.loss is not None:
         progress("lowering the order")
         result = reduce_order(plant, result, options, progress)
     if method != "pid":
         result = certify_as_it_runs(plant, result, options.timing())
     result = certify_envelope(envelope_of(plant), result, options.timing())
+    modes = bending_modes_for(plant) if method == "tuned" and options.bending_modes is None else options.bending_modes or 0
+    result = explained(plant, result, options.timing(), modes)
     return replace(result, provenance=provenance(plant, method, options))
+
+
+def _designed(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:
+    if method == "pid":
+        return pid_synthesis(plant, timing=options.timing())
+    if method == "lpv":
+        grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
+        return design_over_speed(plant, grid, bending_modes=options.bending_modes or 0, progress=progress)
+    return _tuned(plant, options, progress) if method == "tuned" else _by_weights(plant, method, options, progress)
 
 
 def _chosen(options: DesignOptions | None, choices: dict[str, Any]) -> DesignOptions:
