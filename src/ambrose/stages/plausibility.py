@@ -170,16 +170,13 @@ def _sizes(machine: Machine, properties: MassProperties) -> Iterator[str]:
             share = f"{100 * item.relative:,.4g} %"
             yield f'the tolerance of {item.parameter} is {share}, beyond all of it; write per cent as "{item.relative:g} %"'
     for bearing in machine.bearings:
-        yield from _gaps(machine, bearing)
+        yield from _gaps(bearing)
 
 
-def _gaps(machine: Machine, bearing: MagneticBearing) -> Iterator[str]:
-    gap, clear = bearing.gap, bearing.touchdown_gap
+def _gaps(bearing: MagneticBearing) -> Iterator[str]:
+    gap = bearing.gap
     if gap is not None and _outside(gap, (5e-5, 5e-3)):
         yield f"bearing {bearing.name} has a gap of {1e3 * gap:,.4g} mm, where 0.2 to 1 mm are usual; check its unit"
-    if gap is not None and clear is not None and clear >= gap:
-        what = f"touchdown gap {1e3 * clear:.3g} mm, gap {1e3 * gap:.3g} mm"
-        yield f"bearing {bearing.name} would touch its magnets first ({what}); half the magnets' gap is usual"
     if gap is not None and bearing.geometry is None and bearing.force_per_current and bearing.negative_stiffness:
         ratio = bearing.negative_stiffness[0] * gap / (bearing.force_per_current[0] * bearing.bias_current)
         if _outside(ratio, _RATIO):
