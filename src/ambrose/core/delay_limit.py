@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import check_positive, check_shape, named_failure
+from ambrose.core.checks import check_finite, check_positive, check_shape, named_failure
 
 _CELLS = 24  # of [0, tau]; with twice as many, extrapolated: 1e-5 at p tau = 1
 _MARGINAL = 1e-6  # of the largest pole: slower ones bind nothing, and count as stable
@@ -26,21 +26,21 @@ def least_sensitivity(A: ArrayLike, C: ArrayLike, delay: float) -> float:
     S = (I + G K)^-1 on the m measurements; stable poles of A drop out. 1 without unstable poles or delay; for one real pole p
     e^{p tau}. inf where an unstable motion shows in no measurement. Raises InvalidInput.
     """
-    A, C = check_shape(A, "A", "(n, n)"), np.asarray(C, dtype=float)
+    a, c = check_shape(A, "A", "(n, n)"), check_finite(C, "C")
     check_positive(delay, "the delay [s]", "zero is none", zero_allowed=True)
-    floor = _MARGINAL * max(np.abs(np.linalg.eigvals(A)).max(initial=0.0), 1e-300)
-    T, Q, count = sla.schur(A, output="real", sort=lambda re, im: re > floor)
+    floor = _MARGINAL * max(np.abs(np.linalg.eigvals(a)).max(initial=0.0), 1e-300)
+    T, Q, count = sla.schur(a, output="real", sort=lambda re, im: re > floor)
     if count == 0 or delay == 0:
         return 1.0
-    A, C = T[:count, :count], C @ Q[:, :count]
-    if np.linalg.eigvals(A).real.max() * delay > _BEYOND:
+    a, c = T[:count, :count], c @ Q[:, :count]
+    if np.linalg.eigvals(a).real.max() * delay > _BEYOND:
         return float("inf")
-    seen = sla.solve_continuous_lyapunov(A.T, C.T @ C)  # A^T W + W A = C^T C
+    seen = sla.solve_continuous_lyapunov(a.T, c.T @ c)  # A^T W + W A = C^T C
     size = np.linalg.eigvalsh((seen + seen.T) / 2)
     if size[0] <= 1e-13 * size[-1]:
         return float("inf")
-    B = np.linalg.solve(seen, C.T)  # B^{-1}(s) = I + C (s - A)^{-1} B is all-pass
-    coarse, fine = _truncated_norm(A, B, C, delay, _CELLS), _truncated_norm(A, B, C, delay, 2 * _CELLS)
+    b = np.linalg.solve(seen, c.T)  # B^{-1}(s) = I + C (s - A)^{-1} B is all-pass
+    coarse, fine = _truncated_norm(a, b, c, delay, _CELLS), _truncated_norm(a, b, c, delay, 2 * _CELLS)
     return float(fine + (fine - coarse) / 3)
 
 

@@ -81,8 +81,9 @@ def why_unstable(
     where = f"{frequency:.4g} Hz" if frequency > 0 else "standstill of whirl"
     if why := why_none(plant, timing):
         return why
-    loop = "" if timing is None else ", sampled and late"
-    return f"the loop{loop} has a pole at {abscissa:+.4g} rad/s ({where}); use method tuned, or sample faster"
+    loop = "" if timing is None else " as it runs, sampled and late,"
+    remedy = "tune its gains and times, or sample faster" if method == "tuned" else "use method tuned, or sample faster"
+    return f"the loop{loop} has a pole at {abscissa:+.4g} rad/s ({where}); {remedy}"
 
 
 def stiffness_margin(machine: Machine) -> float | None:
