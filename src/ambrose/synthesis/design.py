@@ -24,13 +24,12 @@ from ambrose.synthesis.explanation import explained, why_none
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.tuning import bending_modes_for, tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.order_selection import reduce_order, sampled_sensitivity
 from ambrose.synthesis.pid import first_settings, pid_controller, pid_synthesis
-from ambrose.synthesis.problem import LEAST_TOLERANCE, design_plant, design_tolerances, open_model
+from ambrose.synthesis.problem import LEAST_TOLERANCE, apply_delay, design_plant, design_tolerances, open_model
 from ambrose.synthesis.result import Provenance, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.synthesis.weights import machine_weights
