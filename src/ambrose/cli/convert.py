@@ -13,7 +13,7 @@ from ambrose.cli.terminal import AS_JSON, claim, say, say_json
 
 @click.command()
 @click.argument("record", type=click.Path(path_type=Path))
-@click.option("--columns", type=click.Path(path_type=Path), help="Column map (*.toml), for files of MATLAB and LabVIEW.")
+@click.option("--columns", type=click.Path(path_type=Path), help="Column map (*.toml), for files of other programs.")
 @click.option("--speed", help='Of a rotor model: the highest, such as "9000 rpm"; default: the model\'s, or standstill.')
 @click.option("--bearings", help='Of a rotor model: places of its magnets, such as "75 mm, 525 mm".')
 @click.option("--vertical", is_flag=True, help="Of a rotor model: it stands.")
@@ -24,9 +24,13 @@ def convert(
 ) -> None:
     """Write what another program wrote as a file of this one, by the suffix of the output.
 
-    As a record (*.h5, *.csv): a record, or a file of MATLAB (*.mat) or LabVIEW (*.tdms). As a controller file (*.json): a table
-    of filters (*.csv, *.json). As a machine file (*.toml): a rotor model of ROSS (*.toml, *.json) or a table of stations
-    (*.csv), on magnets chosen as `ambrose new` does; a machine file, or a bundled machine's name, becomes a model of ROSS.
+    As a record (*.h5, *.csv): a record; with a column map a file of MATLAB (*.mat) or LabVIEW (*.tdms), a universal file (*.uff
+    or *.unv) or a text table of any separator and decimal mark (*.csv, *.txt).
+
+    As a controller file (*.json): a table of filters (*.csv, *.json).
+
+    As a machine file (*.toml): a rotor model of ROSS (*.toml, *.json) or a table of stations (*.csv), on magnets chosen as
+    `ambrose new` does; a machine file, or a bundled machine's name, becomes a model of ROSS.
     """
     from ambrose.machine.record.files import check_suffix, read_record, write_record
     from ambrose.machine.record.foreign import read_foreign
@@ -73,7 +77,7 @@ def _convert_machine(
         claim(rotor_model=output)
         write_text(output, ross_text(machine, springs(machine)), "rotor model")
         told: dict[str, object] = {"rotor_model": str(output), "left_out": [seal.name for seal in machine.seals]}
-        left = ", ".join(item.name for item in (*machine.seals, *machine.couplings))
+        left = ", ".join([*(seal.name for seal in machine.seals), *(item.name for item in machine.couplings)])
         words = f"{output}: a model of ROSS, bearings as springs of the reference controller; left out: {left or 'nothing'}"
     else:
         if output.exists() and output.samefile(source):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,6 @@ _QUESTIONS = (
 
 def _asked(given: dict[str, Any]) -> dict[str, Any]:
     """What is given and what the user answers; a wrong answer is asked again."""
-    from ambrose.stages.new_machine import quantity_of
 
     def ask(text: str, default: str, read: Callable[[str], Any]) -> str:
         def checked(answer: str) -> str:
@@ -103,7 +103,7 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
     answers = dict(given)
     for key, text, example in _QUESTIONS:
         if given[key] is None:
-            answers[key] = ask(text, example, lambda answer, key=key: quantity_of(key, _united(key, answer)))
+            answers[key] = ask(text, example, partial(_checked, key))
     discs = list(given["discs"])
     while not given["discs"]:
         wanted = "Disc: position, mass, diameter (empty: no more)"
@@ -114,6 +114,12 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
     if not given["vertical"]:
         answers["vertical"] = click.confirm("Does the rotor stand upright", default=False, err=True)
     return {**answers, "discs": discs}
+
+
+def _checked(key: str, answer: str) -> None:
+    from ambrose.stages.new_machine import quantity_of
+
+    quantity_of(key, _united(key, answer))
 
 
 def _split(text: str, what: str, parts: str, count: int | None) -> list[str]:
