@@ -29,7 +29,7 @@ def facts(machine: Machine) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies, open-loop poles, sizes."""
     rotor = finite_element_rotor(machine)
     properties = mass_properties(rotor)
-    plant = assemble(machine, machine.operation.design)
+    plant = assemble(machine)
     reduced = reduce_from(plant, 0)
     values = poles(plant.rotor)
     return {
@@ -48,5 +48,5 @@ def facts(machine: Machine) -> dict[str, Any]:
         "operating_points": [point.label for point in machine.operation.envelope],
         "tolerances": [tolerance.parameter for tolerance in machine.tolerances],
         "assumed": len(machine.assumed),
-        **insight(plant),
+        **insight(plant if machine.operation.design is plant.point else assemble(machine, machine.operation.design)),
     }
