@@ -197,6 +197,8 @@ def test_rotor_files_become_machines_and_machines_models_of_ross(tmp_path):
     assert [bearing.position for bearing in machine.bearings] == pytest.approx([0.075, 0.525])
     assert json.loads(made.output)["assumed"] == dict(machine.assumed) and "bearing.position" not in dict(machine.assumed)
     assert machine.operation.speed_range[1] == pytest.approx(2 * np.pi * 100) and "rotor.csv" in machine.source
+    again = call("convert", table, "-o", tmp_path / "rotor.toml")
+    assert again.exit_code == 2 and "exists already; choose another name" in again.output
     back = call("convert", tmp_path / "rotor.toml", "-o", tmp_path / "ross.toml")
     assert back.exit_code == 0 and "DiskElement_disc1" in (tmp_path / "ross.toml").read_text(encoding="utf-8")
     bundled = call("convert", "seal-rig", "-o", tmp_path / "seal.toml")

@@ -82,6 +82,8 @@ def _convert_machine(
     else:
         if output.exists() and output.samefile(source):
             raise InvalidInput(f"{output} is what is read; give the machine file another name with -o")
+        if output.exists():
+            raise InvalidInput(f"{output} exists already; choose another name with -o, or remove the machine that stands there")
         rotor = read_rotor(source)
         claim(machine_file=output)
         rotor = replace(

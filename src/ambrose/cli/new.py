@@ -79,6 +79,7 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
     sys.exit(0 if held else 1)
 
 
+_LISTS = ('"300 mm, 8 kg, 250 mm"', '"75 mm, 525 mm"')
 _EXAMPLES = {"length": '"600 mm"', "diameter": '"40 mm"', "speed": '"12000 rpm"'}
 _QUESTIONS = (
     ("length", "Length of the shaft", "600 mm"),
@@ -127,7 +128,7 @@ def _split(text: str, what: str, parts: str, count: int | None) -> list[str]:
 
     found = [_united(what, part.strip()) for part in text.split(",")]
     if (count is not None and len(found) != count) or not all(found):
-        raise invalid(what, f'"{text}"', f"{parts}, separated by commas", 'such as "300 mm, 8 kg, 250 mm"')
+        raise invalid(what, f'"{text}"', f"{parts}, separated by commas", f"such as {_LISTS[count is None]}")
     return found
 
 

@@ -33,7 +33,7 @@ def parse_ross(text: str, name: str, suffix: str) -> dict[str, Any]:
     if suffix != ".json":
         return parse_toml(text, name)
     if len(text) > TOML_BYTES or text.count("[") + text.count("{") > TOML_BYTES // 10:
-        raise InvalidInput(f"{name}: it is larger than {TOML_BYTES} characters; is it the right file?")
+        raise InvalidInput(f"{name}: it is larger, or has more brackets, than any rotor; is it the right file?")
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
