@@ -98,5 +98,5 @@ def test_a_controller_table_may_state_the_rate_alone():
     assert "pid" not in methods_for(assemble(machine)) and "hinf" in methods_for(assemble(machine))
     with pytest.raises(InvalidInput, match=r"has no reference controller; add a \[controller\] with its gain"):
         pid_synthesis(assemble(machine))
-    with pytest.raises(InvalidInput, match="gain .* is missing"):
+    with pytest.raises(InvalidInput, match=r"gain .* is missing"):
         replace(MACHINE, controller=PidSettings(sample_time=1e-4, integral_time=0.1))
