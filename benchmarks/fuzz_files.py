@@ -3,7 +3,7 @@
     python -m benchmarks.fuzz_files [number of each kind, 1000] [seed, 0]
 
 A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as such; the worker goes on behind
-them. Counted as a breach of the contract: a traceback, an exit status other than 0 and 2 (for a verification 1 as well), the
+them. Counted as a breach of the contract: a traceback, an exit status other than 0 and 2 (1 of verify and check), the
 end of the process by a signal, more than 30 s. What kills the reader of a MATLAB, LabVIEW or HDF5 file in the worker is tried
 again the way the command does it, in a process of its own.
 """
@@ -241,7 +241,9 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
         return f"traceback: {result.exception!r:.150}"
     if result.exit_code == 2:
         return "refused" if "ambrose: " in result.output else f"status 2 without a message: {result.output:.150}"
-    return "read" if result.exit_code in ({0, 1} if kind == "controller" else {0}) else f"status {result.exit_code}"
+    return (
+        "read" if result.exit_code in ({0, 1} if kind in {"controller", "machine"} else {0}) else f"status {result.exit_code}"
+    )
 
 
 def place(kind: str, folder: Path) -> Path:

@@ -49,7 +49,7 @@ def described(path, text):
 def test_every_encoding_takes_every_text(charset, tmp_path):
     machine = described(tmp_path / "m.toml", "Läufer ≥ 3 μm ✓ 机器")
     status, out, _ = call("check", machine, charset=charset)
-    assert status == 0
+    assert status == 1 and "cannot be lifted" in out  # a bearing of the small machine is weak
     assert "kg m" in out
     assert (">= 3" in out) or ("≥ 3" in out)
     status, _, err = call("check", "机器✓.toml", charset=charset)
@@ -67,7 +67,7 @@ def test_what_an_encoding_lacks_is_spelled_and_no_number_changes():
 def test_a_text_is_text_on_one_line_of_its_own(tmp_path):
     machine = described(tmp_path / "m.toml", NASTY)
     for arguments, expected in (
-        (["check", machine], 0),
+        (["check", machine], 1),
         (["check", NASTY.replace("/", "-")], 2),
         (["check", f"--{NASTY}"], 2),
         ([NASTY], 2),
@@ -77,7 +77,7 @@ def test_a_text_is_text_on_one_line_of_its_own(tmp_path):
         assert status == expected
         assert not set(STEERING.replace("[31m", "")) & set(out + err)
         assert not [line for line in (out + err).splitlines() if line.strip().startswith("SPOOFED")]
-        if expected == 0:
+        if expected == 1:
             assert all(words in out for words in ("[/x]", "[red]danger[/red]", ":smile:", "\\x1b[31m", "\\nSPOOFED"))
 
 

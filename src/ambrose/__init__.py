@@ -19,6 +19,7 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
     "Machine": "machine.machine",
     "OperatingPoint": "machine.description",
     "save_machine": "machine.file.update",
+    "new_machine": "stages.new_machine",
     "Record": "machine.record.record",
     "StateSpace": "core.statespace",
     "Plant": "plant.model",

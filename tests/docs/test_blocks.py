@@ -20,7 +20,7 @@ from docs_build.blocks import (
 from ambrose.cli import main
 
 MINUTES = {
-    *("how-to/design.md", "how-to/deploy.md", "how-to/identify.md", "how-to/simulate.md"),
+    *("how-to/design.md", "how-to/deploy.md", "how-to/identify.md", "how-to/simulate.md", "how-to/start.md"),
     *("identification.md", "index.md", "records.md"),
 }
 NAMES = [name for name, path in pages().items() if blocks(path.read_text(encoding="utf-8"))]

@@ -23,10 +23,9 @@ from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
-from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.synthesis.problem import design_plant, design_tolerances, open_model
+from ambrose.synthesis.problem import apply_delay, design_plant, design_tolerances, open_model
 from ambrose.verification import nominal
 from ambrose.verification.sampled import check_over_box
 

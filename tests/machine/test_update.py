@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.controller import Channel, Section
+from ambrose.machine.controller import Channel, PidSettings, Section
 from ambrose.machine.description import BiasPoint, Material, SealTable, Tolerance
 from ambrose.machine.file import update
 from ambrose.machine.file.toml import bundled_machines, dumps_machine, load_machine, loads_machine, read_machine_text
@@ -252,3 +252,12 @@ def test_channels_take_the_place_of_one_gain_for_all_axes(monkeypatch):
     monkeypatch.setattr(update, "dumps_machine", lambda machine: pytest.fail("written anew"))
     updated = update_machine_file(text, changed)
     assert loads_machine(updated) == changed and "16 A/mm" not in updated and "# the left one" in updated
+
+
+def test_a_list_of_gains_that_gives_way_to_chains_leaves_the_rest_of_the_file_alone():
+    """seal-rig states its gain as a list of one; an empty list was no gain, and the whole file was written anew in SI."""
+    machine = load_machine("seal-rig")
+    chains = tuple(Channel((axis,), 18e3, (Section("pid", 0.2, 0.0035, 0.1),)) for axis in machine.axes)
+    text = machine_text(replace(machine, controller=PidSettings(channels=chains, sample_time=1e-4)))
+    assert 'unbalance_orbit = "8 um"' in text and "# Seal test rig" in text and "gain = []" not in text
+    assert loads_machine(text).controller.channels == chains and not loads_machine(text).controller.gain

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+import ambrose.plant.reduce
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
@@ -15,7 +16,7 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import top_speed
-from ambrose.plant.reduce import default_bending_modes, free_mode_reduction, modal_reduction, reduce, split_slow
+from ambrose.plant.reduce import default_bending_modes, free_mode_reduction, modal_reduction, reduce, reduce_from, split_slow
 from ambrose.plant.uncertainty import uncertain
 
 MACHINES = {"seal-rig": None, "turboexpander": None}
@@ -168,3 +169,23 @@ def test_the_rotor_is_assembled_once():
     assert finite_element_rotor(replace(machine, beam_theory="rayleigh")) is not finite_element_rotor(machine)
     with pytest.raises(ValueError, match="read-only"):
         finite_element_rotor(machine).mass[0, 0] = 0.0
+
+
+def test_modes_that_coincide_are_kept_together():
+    """One bending mode more, up to three: a symmetric rotor at speed has whirling modes that cross."""
+    machine = load_machine("seal-rig")
+    small = reduce_from(assemble(machine), 1)
+    assert small.bending_modes == 1
+    with pytest.MonkeyPatch.context() as patch:
+        parted = ambrose.plant.reduce.reduce
+
+        def coincide(plant, count):
+            if count < 3:
+                raise NumericalFailure("cannot be parted")
+            return parted(plant, count)
+
+        patch.setattr(ambrose.plant.reduce, "reduce", coincide)
+        assert reduce_from(assemble(machine), 1).bending_modes == 3
+        with pytest.raises(NumericalFailure):
+            patch.setattr(ambrose.plant.reduce, "reduce", lambda plant, count: coincide(plant, 0))
+            reduce_from(assemble(machine), 1)

@@ -11,8 +11,12 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, transfer_function
+from ambrose.machine.controller import PidSettings
+from ambrose.machine.file.toml import dumps_machine, loads_machine
+from ambrose.plant.assemble import assemble
 from ambrose.plant.timing import Timing, machine_timing, timing_of
-from ambrose.synthesis.pid import pid_controller
+from ambrose.synthesis.design import methods_for
+from ambrose.synthesis.pid import pid_controller, pid_synthesis
 
 MACHINE = load_machine("seal-rig")
 LAW = pid_controller(MACHINE.controller, MACHINE)
@@ -84,3 +88,15 @@ def test_a_sampled_law_of_another_rate_is_refused():
     with pytest.raises(InvalidInput, match="sample time"):
         Timing(1e-4).in_loop(c2d(LAW, 2e-4, "tustin"))
     np.testing.assert_array_equal(Timing(1e-4, 2).in_loop(LAW).A, delayed(c2d(LAW, 1e-4, "tustin"), 2).A)
+
+
+def test_a_controller_table_may_state_the_rate_alone():
+    """A machine without gains yet: when its controllers run is known, a reference controller is not."""
+    machine = replace(MACHINE, controller=PidSettings(sample_time=1e-4, delay=2e-4))
+    assert machine.reference is None and machine_timing(machine).delay_samples == 2
+    assert loads_machine(dumps_machine(machine)) == machine
+    assert "pid" not in methods_for(assemble(machine)) and "hinf" in methods_for(assemble(machine))
+    with pytest.raises(InvalidInput, match=r"has no reference controller; add a \[controller\] with its gain"):
+        pid_synthesis(assemble(machine))
+    with pytest.raises(InvalidInput, match=r"gain .* is missing"):
+        replace(MACHINE, controller=PidSettings(sample_time=1e-4, integral_time=0.1))

@@ -291,8 +291,10 @@ def test_a_scenario_in_terms_of_the_machine(cycle):
     assert on.on(machine) == on
 
 
-def test_a_bearing_of_that_name_is_meant_first(cycle):
-    assert cycle.on(three_bearings("DE", "last", "NDE")).pulses[0].signal == "e_last_eta"
+@pytest.mark.parametrize("word", ["first", "last", "every"])
+def test_no_bearing_is_called_by_what_scenarios_mean_by_its_place(word):
+    with pytest.raises(InvalidInput, match=f'name is "{word}", but must be none of first, last, every; scenarios mean'):
+        three_bearings("DE", word, "NDE")
 
 
 def test_speeds_of_a_cycle_and_their_integral(cycle):

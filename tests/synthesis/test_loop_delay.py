@@ -12,8 +12,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.design import design
-from ambrose.synthesis.loop_delay import apply_delay
-from ambrose.synthesis.problem import open_model
+from ambrose.synthesis.problem import apply_delay, open_model
 from ambrose.verification.sampled import check_over_box
 
 pytestmark = pytest.mark.study  # minutes

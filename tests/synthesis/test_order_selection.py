@@ -11,9 +11,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
-from ambrose.synthesis.problem import design_plant, open_model
+from ambrose.synthesis.problem import apply_delay, design_plant, open_model
 from ambrose.synthesis.weights import machine_weights
 
 pytestmark = pytest.mark.study  # minutes

@@ -301,7 +301,7 @@ class TestSynthesize:
     def test_no_settings_at_all(self):
         plant = rig()
         bare = replace(plant, machine=replace(plant.machine, controller=None))
-        with pytest.raises(InvalidInput, match="has no controller settings"):
+        with pytest.raises(InvalidInput, match="has no reference controller"):
             pid_synthesis(bare)
 
 

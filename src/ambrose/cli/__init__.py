@@ -17,6 +17,7 @@ from ambrose.cli.check import check, machines
 from ambrose.cli.convert import convert
 from ambrose.cli.export import export
 from ambrose.cli.identify import identify
+from ambrose.cli.new import new
 from ambrose.cli.simulate import simulate
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
@@ -78,5 +79,5 @@ def main() -> None:
     """
 
 
-for command in (machines, check, synthesize, trade_off, verify, simulate, identify, convert, export, study_command):
+for command in (machines, new, check, synthesize, trade_off, verify, simulate, identify, convert, export, study_command):
     main.add_command(command)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, say_json
+from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, say, say_json
 
 
 @click.command()
@@ -26,21 +27,31 @@ def machines(as_json: bool) -> None:
 @MACHINE
 @AS_JSON
 def check(machine: str, as_json: bool) -> None:
-    """Validate a machine file; mass, bending frequencies, open-loop poles and model sizes."""
+    """Validate a machine file, and say what it can do: mass, magnets against weight, bending, poles, critical speeds.
+
+    What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i) is said with its remedy,
+    and the exit status is 1.
+    """
     from ambrose.stages.plants import facts
 
     known = facts(load(machine))
     if as_json:
         say_json(known)
-        return
-    title = ": ".join(text for text in (known["machine"], known["description"]) if text)
-    print_table(title, ("quantity", "value"), _facts_in_words(known))
+    else:
+        title = ": ".join(text for text in (known["machine"], known["description"]) if text)
+        print_table(title, ("quantity", "value"), _facts_in_words(known))
+        for doubt in known["doubts"]:
+            say(f"implausible: {doubt}")
+        for remark in known["remarks"]:
+            say(f"note: {remark}")
+    sys.exit(1 if known["doubts"] else 0)
 
 
 def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
     from ambrose.report.units import quantity
 
-    unstable = ", ".join(f"{re:.1f}{im:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
+    unstable = ", ".join(f"{re:.1f}{im + 0.0:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
+    margin = facts["stiffness_margin"]
     return [
         ("rotor mass", quantity(facts["mass_kg"], "kg")),
         ("centre of mass", quantity(facts["centre_m"], "m")),
@@ -48,6 +59,10 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
             "inertia, diametral and polar",
             f"{facts['diametral_inertia_kg_m2']:.4g} and {facts['polar_inertia_kg_m2']:.4g} kg m²",
         ),
+        *(_bearing(item) for item in facts["bearings"]),
+        ("static stiffness margin, K_p k_i / k_s", "no reference controller" if margin is None else f"{margin:.3g}"),
+        ("critical speeds, undamped", ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none"),
+        ("least sensitivity that the delay allows", f"{facts['least_sensitivity']:.3g}"),
         ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
         ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),
         ("rotor states, full and reduced", f"{facts['rotor_states']} and {facts['reduced_rotor_states']}"),
@@ -56,3 +71,8 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
         ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
     ]
+
+
+def _bearing(item: dict[str, Any]) -> tuple[str, str]:
+    force = f"{item['max_force']:.4g} N for {item['weight']:.4g} N of the weight"
+    return f"bearing {item['name']}", f"k_i {item['k_i']:.4g} N/A, k_s {item['k_s'] / 1e6:.4g} N/um, {force}"

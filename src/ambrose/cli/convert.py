@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -11,12 +13,25 @@ from ambrose.cli.terminal import AS_JSON, claim, say, say_json
 
 @click.command()
 @click.argument("record", type=click.Path(path_type=Path))
-@click.option("--columns", type=click.Path(path_type=Path), help="Column map (*.toml), for files of MATLAB and LabVIEW.")
+@click.option("--columns", type=click.Path(path_type=Path), help="Column map (*.toml), for files of other programs.")
+@click.option("--speed", help='Of a rotor model: the highest, such as "9000 rpm"; default: the model\'s, or standstill.')
+@click.option("--bearings", help='Of a rotor model: places of its magnets, such as "75 mm, 525 mm".')
+@click.option("--vertical", is_flag=True, help="Of a rotor model: it stands.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
 @AS_JSON
-def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> None:
-    """Write a record (*.h5, *.csv), or a file of MATLAB (*.mat) or LabVIEW (*.tdms), as a record (*.h5 or *.csv); a table of
-    filters (*.csv, *.json) as a controller file (*.json)."""
+def convert(
+    record: Path, columns: Path | None, speed: str | None, bearings: str | None, vertical: bool, output: Path, as_json: bool
+) -> None:
+    """Write what another program wrote as a file of this one, by the suffix of the output.
+
+    As a record (*.h5, *.csv): a record; with a column map a file of MATLAB (*.mat) or LabVIEW (*.tdms), a universal file (*.uff
+    or *.unv) or a text table of any separator and decimal mark (*.csv, *.txt).
+
+    As a controller file (*.json): a table of filters (*.csv, *.json).
+
+    As a machine file (*.toml): a rotor model of ROSS (*.toml, *.json) or a table of stations (*.csv), on magnets chosen as
+    `ambrose new` does; a machine file, or a bundled machine's name, becomes a model of ROSS.
+    """
     from ambrose.machine.record.files import check_suffix, read_record, write_record
     from ambrose.machine.record.foreign import read_foreign
     from ambrose.synthesis.controller_file import read_controller, write_controller
@@ -30,6 +45,9 @@ def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> 
         text = f"{output}: {law.controller.n_states} states, {kind}, from {', '.join(law.controller.inputs)}"
         say_json(told) if as_json else say(text)
         return
+    if output.suffix.lower() == ".toml":
+        _convert_machine(record, output, speed, bearings, vertical, as_json)
+        return
     check_suffix(output)
     claim(record=output)
     result = read_record(record) if columns is None else read_foreign(record, columns)
@@ -39,3 +57,47 @@ def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> 
     signals = f"{', '.join(result.signals[:8])}{' ...' if len(result.signals) > 8 else ''}"
     words = f"{output}: {count / rate:.6g} s at {rate:.6g} Hz, {len(result.signals)} signals ({signals})"
     say_json(summary) if as_json else say(words)
+
+
+def _convert_machine(
+    source: Path, output: Path, speed: str | None, bearings: str | None, vertical: bool, as_json: bool
+) -> None:
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.atomic_write import write_text
+    from ambrose.machine.file.ross import ross_text
+    from ambrose.machine.file.stations import read_rotor
+    from ambrose.machine.file.toml import bundled_machines, load_machine, read_toml
+    from ambrose.machine.file.update import save_machine
+    from ambrose.stages.new_machine import NOT_HELD, Known, machine_of_rotor, quantities_of, quantity_of
+    from ambrose.stages.plausibility import springs
+
+    own = source.suffix.lower() == ".toml" and str(source) not in bundled_machines() and "machine" in read_toml(source, "file")
+    if own or str(source) in bundled_machines():
+        machine = load_machine(source)
+        claim(rotor_model=output)
+        write_text(output, ross_text(machine, springs(machine)), "rotor model")
+        told: dict[str, object] = {"rotor_model": str(output), "left_out": [seal.name for seal in machine.seals]}
+        left = ", ".join([*(seal.name for seal in machine.seals), *(item.name for item in machine.couplings)])
+        words = f"{output}: a model of ROSS, bearings as springs of the reference controller; left out: {left or 'nothing'}"
+    else:
+        if output.exists() and output.samefile(source):
+            raise InvalidInput(f"{output} is what is read; give the machine file another name with -o")
+        if output.exists():
+            raise InvalidInput(f"{output} exists already; choose another name with -o, or remove the machine that stands there")
+        rotor = read_rotor(source)
+        claim(machine_file=output)
+        rotor = replace(
+            rotor,
+            speed=rotor.speed if speed is None else quantity_of("speed", speed),
+            bearings=rotor.bearings if bearings is None else quantities_of("bearings", bearings),
+        )
+        machine = machine_of_rotor(rotor, Known(vertical=vertical))
+        save_machine(machine, output)
+        reasons = dict(machine.assumed)
+        told = {"machine": str(output), "axes": machine.axes, "assumed": reasons, "left_out": rotor.left_out}
+        counts = f"{len(machine.shaft)} sections, {len(machine.discs)} discs, {len(machine.bearings)} bearings"
+        words = f"{output}: {counts}; {reasons['controller']}"
+        if rotor.left_out:
+            words += f"; left out: {', '.join(rotor.left_out[:6])}{' ...' if len(rotor.left_out) > 6 else ''}"
+    say_json(told) if as_json else say(words)
+    sys.exit(1 if NOT_HELD in words else 0)

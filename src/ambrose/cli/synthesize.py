@@ -82,7 +82,11 @@ def synthesize(
     machine_file: Path | None,
     as_json: bool,
 ) -> None:
-    """Design a controller on the reduced plant and certify it on the full one, at an operating point."""
+    """Design a controller on the reduced plant and certify it on the full one.
+
+    With --method tuned, the default, for the whole envelope: all operating points and the tolerances around each; the other
+    methods design for one operating point (--point), lpv for a range of speeds.
+    """
     from ambrose.core.checks import check_positive, invalid
     from ambrose.evaluation.plants import plant_at
     from ambrose.machine.file.update import save_machine

@@ -83,7 +83,7 @@ class PidSettings(Part):
     gain: Annotated[
         tuple[float, ...],
         ListOf("current per displacement", scalar=True),
-        "K_p, one for all axes or one per axis; not needed where every channel has a chain",
+        "K_p, one for all axes or one per axis; not needed where every channel has a chain, nor to state sample_time and delay",
     ] = field(default=(), metadata={"required": False})
     integral_time: Annotated[Time | None, "T_i; default: no integral part"] = None
     derivative_time: Annotated[Time | None, "T_d; default: no derivative part"] = None

@@ -53,6 +53,7 @@ from ambrose.machine.seals import SealTable as SealTable  # noqa: PLC0414
 Pair = tuple[float, float]  # (zeta, eta)
 
 SCHEMA_VERSION = 1  # of the machine file
+BEARING_TERMS = ("first", "last", "every")  # what scenarios call bearings, whatever their names are
 BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
 AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "none": (),
@@ -424,6 +425,11 @@ class MachineDescription(Part):
     def length(self) -> float:
         """Rotor length [m]."""
         return self.shaft[-1].start + self.shaft[-1].length
+
+    @property
+    def reference(self) -> PidSettings | None:
+        """The reference controller; None where there is none, or [controller] states only when controllers run."""
+        return self.controller if self.controller is not None and (self.controller.gain or self.controller.channels) else None
 
     @property
     def axes(self) -> tuple[str, ...]:

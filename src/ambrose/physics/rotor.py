@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_finite, invalid
 from ambrose.core.mechanical import undamped_modes
 from ambrose.core.presentation import Presented
-from ambrose.machine.description import Disc, ShaftSection
-from ambrose.machine.machine import Machine
+from ambrose.machine.description import Disc, MachineDescription, ShaftSection
 from ambrose.physics.beam import BeamElement, beam_element, conical_element, shape
 
 STANDARD_GRAVITY = 9.80665  # [m/s2]
@@ -76,7 +75,7 @@ class FreeModes:
     frequencies: np.ndarray
 
 
-def finite_element_rotor(machine: Machine) -> Rotor:
+def finite_element_rotor(machine: MachineDescription) -> Rotor:
     """Assemble the shaft (``elements`` equal elements per section) and the discs of a machine; N = all elements + 1.
 
     Discs may lie between nodes: their inertia is spread by the shape functions. Assembled once: machines of the same shaft and

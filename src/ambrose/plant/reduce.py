@@ -7,6 +7,7 @@ paired with another and nothing becomes complex: the rigid-body poles on magneti
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,6 +67,14 @@ class Reduction:
 def reduce(plant: Plant, bending_modes: int = 0, static_correction: bool = True) -> Plant:
     """The plant with its rotor reduced to the rigid-body modes and ``bending_modes`` per plane; see ``modal_reduction``."""
     return modal_reduction(plant, bending_modes, static_correction).plant
+
+
+def reduce_from(plant: Plant, bending_modes: int) -> Plant:
+    """``reduce`` with so many bending modes per plane, or up to three more where that would part modes that coincide."""
+    for count in range(bending_modes, min(bending_modes + 3, bending_modes_of(plant.rotor_model))):
+        with suppress(NumericalFailure):
+            return reduce(plant, count)
+    return reduce(plant, min(bending_modes + 3, bending_modes_of(plant.rotor_model)))
 
 
 def default_bending_modes(plant: Plant) -> int:

@@ -12,6 +12,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import BEARING_TERMS
 from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
 from ambrose.plant.model import top_speed
@@ -103,7 +104,7 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
     key = next((name for name in ("signal", "port", "axis") if hasattr(item, name)), "")
     text = getattr(item, key, None) or ""
     before, word, after = _parted(text)
-    if word in bearings or word not in {"first", "last", "every"}:
+    if word not in BEARING_TERMS:
         yield item
         return
     chosen = {"first": bearings[:1], "last": bearings[-1:], "every": bearings}[word]
@@ -118,5 +119,5 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
 
 def _parted(text: str) -> tuple[str, str, str]:
     """ "e_first_zeta" -> "e_", "first", "_zeta"; "first_zeta" and "first" likewise."""
-    found = re.fullmatch(r"([edrf]_)?(first|last|every)(_zeta|_eta)?", text)
+    found = re.fullmatch(rf"([edrf]_)?({'|'.join(BEARING_TERMS)})(_zeta|_eta)?", text)
     return (found[1] or "", found[2], found[3] or "") if found else ("", text, "")

@@ -10,7 +10,8 @@ from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
+from ambrose.plant.reduce import reduce_from
+from ambrose.stages.plausibility import insight
 from ambrose.synthesis.lpv.machine import speed_grid
 
 
@@ -29,7 +30,7 @@ def facts(machine: Machine) -> dict[str, Any]:
     rotor = finite_element_rotor(machine)
     properties = mass_properties(rotor)
     plant = assemble(machine)
-    reduced = reduce(plant)
+    reduced = reduce_from(plant, 0)
     values = poles(plant.rotor)
     return {
         "machine": machine.name,
@@ -47,4 +48,5 @@ def facts(machine: Machine) -> dict[str, Any]:
         "operating_points": [point.label for point in machine.operation.envelope],
         "tolerances": [tolerance.parameter for tolerance in machine.tolerances],
         "assumed": len(machine.assumed),
+        **insight(plant if machine.operation.design is plant.point else assemble(machine, machine.operation.design)),
     }

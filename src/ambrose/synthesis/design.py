@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.presentation import to_plain
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
@@ -20,16 +20,16 @@ from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
 from ambrose.synthesis.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
 from ambrose.synthesis.envelope.model import envelope_model
 from ambrose.synthesis.envelope.plants import envelope_of
+from ambrose.synthesis.explanation import explained, why_none
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
-from ambrose.synthesis.fixed_order.tuning import tune_controller
+from ambrose.synthesis.fixed_order.tuning import bending_modes_for, tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.order_selection import reduce_order, sampled_sensitivity
 from ambrose.synthesis.pid import first_settings, pid_controller, pid_synthesis
-from ambrose.synthesis.problem import LEAST_TOLERANCE, design_plant, design_tolerances, open_model
+from ambrose.synthesis.problem import LEAST_TOLERANCE, apply_delay, design_plant, design_tolerances, open_model
 from ambrose.synthesis.result import Provenance, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 from ambrose.synthesis.weights import machine_weights
@@ -50,7 +50,7 @@ def methods_for(plant: Plant) -> tuple[str, ...]:
     robust = machine.weights is not None and bool(machine.tolerances)
     possible = {
         "tuned": True,
-        "pid": machine.controller is not None,
+        "pid": machine.reference is not None,
         "hinf": machine.weights is not None,
         "mu": robust,
         "polish": robust,
@@ -99,22 +99,30 @@ def design(
     if options.speeds is not None and method != "lpv":
         raise invalid("speeds", options.speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
     options = options.on(plant.machine)
-    if method == "pid":
-        result = pid_synthesis(plant, timing=options.timing())
-    elif method == "lpv":
-        grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
-        result = design_over_speed(plant, grid, bending_modes=options.bending_modes or 0, progress=progress)
-    elif method == "tuned":
-        result = _tuned(plant, options, progress)
-    else:
-        result = _by_weights(plant, method, options, progress)
+    try:
+        result = _designed(plant, method, options, progress)
+    except NumericalFailure as error:
+        if why := why_none(plant, options.timing()):
+            raise NumericalFailure(f"{error}; {why}") from error
+        raise
     if options.loss is not None:
         progress("lowering the order")
         result = reduce_order(plant, result, options, progress)
     if method != "pid":
         result = certify_as_it_runs(plant, result, options.timing())
     result = certify_envelope(envelope_of(plant), result, options.timing())
+    modes = bending_modes_for(plant) if method == "tuned" and options.bending_modes is None else options.bending_modes or 0
+    result = explained(plant, result, options.timing(), modes)
     return replace(result, provenance=provenance(plant, method, options))
+
+
+def _designed(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:
+    if method == "pid":
+        return pid_synthesis(plant, timing=options.timing())
+    if method == "lpv":
+        grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
+        return design_over_speed(plant, grid, bending_modes=options.bending_modes or 0, progress=progress)
+    return _tuned(plant, options, progress) if method == "tuned" else _by_weights(plant, method, options, progress)
 
 
 def _chosen(options: DesignOptions | None, choices: dict[str, Any]) -> DesignOptions:
@@ -141,14 +149,14 @@ def provenance(plant: Plant, method: str, options: DesignOptions) -> Provenance:
 def _tuned(plant: Plant, options: DesignOptions, progress: Progress) -> Synthesis:
     """One controller tuned to the requirements at every operating point of the machine, from its PID or a first guess."""
     machine, timing = plant.machine, options.timing()
-    settings = first_settings(machine) if machine.controller is None else machine.controller
+    settings = machine.reference or first_settings(machine)
     start = pid_controller(settings, machine)
     result = tune_controller(
         envelope_of(plant), settings, timing, order=options.order, structure=options.structure,
         bending_modes=options.bending_modes, reference=start if options.match_reference else None, progress=progress,
     )  # fmt: skip
     _, margins, _ = full_plant_margins(plant, result.controller)
-    if machine.controller is not None:
+    if machine.reference is not None:
         margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, start)[0]
     certificate = replace(result.certificate, margins={**result.certificate.margins, **margins})
     return replace(result, certificate=certificate)
@@ -167,7 +175,7 @@ def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Pro
     else:
         model = apply_delay(open_model(small, wide, uncertain), lag)
     synthesis = hinf_synthesis if not uncertain else lambda problem: mu_synthesis(problem, order=SCALING_ORDER)
-    reference = None if machine.controller is None else pid_controller(machine.controller, machine)
+    reference = None if machine.reference is None else pid_controller(machine.reference, machine)
     margins: dict[str, float] = {}
     if wide is not None and len(wide) < len(machine.tolerances):
         names = ", ".join(item.parameter for item in wide)
@@ -206,4 +214,4 @@ def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Pro
 def _matched(machine: Machine, options: DesignOptions) -> bool:
     if options.match_reference is not None:
         return options.match_reference
-    return machine.controller is not None and machine.weights is not None and machine.weights.control_crossover is None
+    return machine.reference is not None and machine.weights is not None and machine.weights.control_crossover is None

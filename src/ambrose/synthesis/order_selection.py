@@ -22,9 +22,8 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.certificate import certify, certify_on_full_plant, generalized_certificate
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
-from ambrose.synthesis.loop_delay import apply_delay
 from ambrose.synthesis.options import DesignOptions
-from ambrose.synthesis.problem import design_plant, design_tolerances, open_model
+from ambrose.synthesis.problem import apply_delay, design_plant, design_tolerances, open_model
 from ambrose.synthesis.result import Status, Synthesis
 from ambrose.synthesis.weights import machine_weights
 

@@ -34,10 +34,10 @@ def pid_synthesis(plant: Plant, settings: PidSettings | None = None, timing: Tim
     as well (``certify_as_it_runs``), and both must be stable for the status "verified"; otherwise it is "unstable", which
     is a verdict and raises nothing. Raises InvalidInput for settings that describe no controller.
     """
-    settings = plant.machine.controller if settings is None else settings
+    settings = plant.machine.reference if settings is None else settings
     if settings is None:
         raise InvalidInput(
-            f"machine {plant.machine.name!r} has no controller settings; add a [controller] table or pass PidSettings"
+            f"machine {plant.machine.name!r} has no reference controller; add a [controller] with its gain or pass PidSettings"
         )
     design = pid_controller(settings, plant.machine)
     certificate = certify(plant, design)

@@ -27,6 +27,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import FullBlock, GeneralizedPlant
+from ambrose.core.sampling import pade
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
@@ -138,3 +139,18 @@ def with_performance_block(plant: GeneralizedPlant) -> GeneralizedPlant:
         raise invalid("the number of performance signals (w, z)", (n_w, n_z), "at least 1 each", "it has its block already")
     blocks = [*plant.blocks, FullBlock(PERFORMANCE, n_w, n_z)]
     return GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, blocks)
+
+
+def apply_delay(model: GeneralizedPlant, delay: float, order: int = 1) -> GeneralizedPlant:
+    """The model with every current u delayed by ``delay`` [s], as a Pade all-pass of ``order`` states per axis; 0: unchanged.
+
+    So that a controller is designed for the sampled loop that it will run in: with the sample time T, acting n samples after it
+    read the displacements, it is (n + 1/2) T late, the half sample being the mean age of a held value.
+    order 1 is 0.004 degrees off at 100 Hz for 0.15 ms, 4 degrees at 1 kHz. Raises InvalidInput.
+    """
+    if delay == 0:
+        return model
+    passes = append(*[pade(delay, order, name, f"late_{name}") for name in model.u])
+    inner = rename(model.system, {name: f"late_{name}" for name in model.u}, {})
+    system = connect([passes, inner], inputs=list(model.system.inputs), outputs=list(model.system.outputs))
+    return GeneralizedPlant(system, model.w, model.u, model.z, model.y, model.blocks)

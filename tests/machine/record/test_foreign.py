@@ -292,7 +292,7 @@ def test_wrong_files_are_refused(tmp_path):
     with pytest.raises(InvalidInput, match=r"none\.mat is not a file"):
         read_foreign(tmp_path / "none.mat", columns)
     (tmp_path / "run.xlsx").write_bytes(b"PK")
-    with pytest.raises(InvalidInput, match=r"run\.xlsx is not of a kind known here \(\.mat, \.tdms\)"):
+    with pytest.raises(InvalidInput, match=r"run\.xlsx: it is not of a kind known here \(\.mat, \.tdms, \.csv"):
         read_foreign(tmp_path / "run.xlsx", columns)
     with pytest.raises(InvalidInput, match=r"none\.toml is not a file"):
         read_foreign(make("v5", tmp_path), tmp_path / "none.toml")

@@ -129,23 +129,30 @@ def read_machine_text(file: Any) -> str:
 
 def _lines(table: Mapping[str, Any], path: str) -> Iterator[str]:
     """A table as lines of TOML: its values, then the tables in it."""
-    import tomlkit
 
     def below(value: Any) -> bool:
         return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
 
-    def quoted(key: str) -> str:
-        return tomlkit.key(key).as_string()
-
-    def written(value: Any) -> str:
-        if isinstance(value, list):
-            comma = ",\n  " if value and isinstance(value[0], list) else ", "
-            return f"[{comma.join(map(written, value))}]"
-        return tomlkit.item(value).as_string()
-
-    yield from (f"{quoted(key)} = {written(value)}" for key, value in table.items() if not below(value))
+    yield from (f"{written_key(key)} = {written(value)}" for key, value in table.items() if not below(value))
     for key, value in table.items():
-        inner = f"{path}{quoted(key)}"
+        inner = f"{path}{written_key(key)}"
         for entry in value if isinstance(value, list) and below(value) else [value] if below(value) else []:
             yield f"\n[[{inner}]]" if isinstance(value, list) else f"\n[{inner}]"
             yield from _lines(entry, f"{inner}.")
+
+
+def written_key(key: str) -> str:
+    """A key as TOML, quoted where it must be."""
+    import tomlkit
+
+    return tomlkit.key(key).as_string()
+
+
+def written(value: Any) -> str:
+    """A value, or lists of values, as TOML."""
+    import tomlkit
+
+    if isinstance(value, list):
+        comma = ",\n  " if value and isinstance(value[0], list) else ", "
+        return f"[{comma.join(map(written, value))}]"
+    return tomlkit.item(value).as_string()

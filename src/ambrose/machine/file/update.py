@@ -135,7 +135,7 @@ def _update_value(table: Any, key: str, dimension: str, value: Any, wanted: bool
         if wanted:
             table[key] = value
         return
-    if value == [] and not isinstance(table[key], Array):  # one number stood for all, and there are none any more
+    if value == [] and not (wanted and isinstance(table[key], Array)):  # there are none any more, which is the default
         table.remove(key)
         return
     updated = _rewritten(table[key], value, dimension)

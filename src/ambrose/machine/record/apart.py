@@ -22,7 +22,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.limits import NUMBERS
 from ambrose.machine.record.hdf5_file import read_hdf5
-from ambrose.machine.record.mat_tdms import Variable, read_variables
+from ambrose.machine.record.mat_tdms import read_variables
+from ambrose.machine.record.text_uff import Variable
 
 _MEMORY = 900_000_000  # bytes of the child, where the system can limit it (Linux)
 _SECONDS, _BYTES_PER_SECOND = 20.0, 5_000_000  # time of the child: for any file, and by its size

@@ -19,7 +19,8 @@ from ambrose.machine.record.record import FORMAT, POINT_KEYS, VERSION, Record, s
 
 def _format(value: object) -> str:
     if value != FORMAT:
-        raise invalid("the format", quoted(value), repr(FORMAT), f"a record names its format and version {VERSION}")
+        remedy = f"a record names its format and version {VERSION}; another program's needs a column map, docs/records.md"
+        raise invalid("the format", quoted(value), repr(FORMAT), remedy)
     return FORMAT
 
 

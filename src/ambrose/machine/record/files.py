@@ -17,6 +17,8 @@ from ambrose.machine.atomic_write import draft_of
 from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.record.record import Record
 
+_FOREIGN = {".mat", ".tdms", ".txt", ".dat", ".asc", ".uff", ".unv"}
+
 
 def read_record(path: str | Path) -> Record:
     """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file, or what an unfinished run has left so far (.partial).
@@ -59,7 +61,8 @@ def check_suffix(path: Path) -> None:
 
 def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
     if path.suffix.lower() not in choices:
-        foreign = path.suffix.lower() in {".mat", ".tdms"}
-        remedy = "read it with a column map (ambrose convert --columns)" if foreign else "rename the file"
+        foreign = path.suffix.lower() in _FOREIGN
+        remedy = "read it with a column map (ambrose convert --columns), or export it as a kind that has one"
+        remedy = f"{remedy if foreign else 'export it as one of them, or as one that a column map reads'}: see docs/records.md"
         raise invalid(f"the suffix of {path.name}", repr(path.suffix), f"one of {', '.join(choices)}", remedy)
     return choices[path.suffix.lower()]

@@ -12,15 +12,15 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.limits import NUMBERS
 from ambrose.machine.record.apart import variables_of
 from ambrose.machine.record.column_map import Column, ColumnMap, load_columns, read_columns
-from ambrose.machine.record.mat_tdms import Variable
 from ambrose.machine.record.record import Record, si_values
+from ambrose.machine.record.text_uff import Variable
 from ambrose.machine.record.timing import uniform_rate
 
 _AGREE = 1e-3  # sample rates this close are the same one
 
 
 def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str | Path) -> Record:
-    """The record in a MATLAB .mat (v4 to v7.3) or NI TDMS (.tdms) file.
+    """The record in a MATLAB .mat (v4 to v7.3) or NI TDMS (.tdms) file, a text table, or a universal file (dataset 58).
 
     columns: a ColumnMap, its document as a dict, or its TOML file. Values are scaled, then converted from the column's unit to
     SI. The sample rate comes from the map, the time column or the file, and all that are there must agree. Raises InvalidInput

@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,25 +18,12 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.limits import FOREIGN_NUMBERS
-from ambrose.machine.messages import suggestion
 from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.record.hdf5_file import own_member
+from ambrose.machine.record.text_uff import Variable, text_table, universal, unknown
 
 _PART = re.compile(r"(?P<name>.*?)\s*\(\s*(?:(?P<row>\d+)\s*,\s*:|:\s*,\s*(?P<column>\d+))\s*\)")
-_SHOWN = 20  # names in a message
-
-
-@dataclass(frozen=True, slots=True)
-class Variable:
-    """One axis of numbers (k,) as they stand in the file; unit and sample rate [Hz] where the file states them.
-
-    bad: the first sample that is not finite.
-    """
-
-    values: np.ndarray
-    unit: str = ""
-    rate: float | None = None
-    bad: int | None = None
+_TABLES, _UNIVERSAL = (".csv", ".txt", ".dat", ".asc"), (".uff", ".unv")
 
 
 def read_variables(path: Path, names: Iterable[str]) -> Iterator[Variable]:
@@ -54,9 +41,10 @@ def _opened(path: Path) -> Iterator[Callable[[str], Variable]]:
 
     MATLAB: "y", a field "log.y", a column or row of a matrix "Y(:,2)", "Y(2,:)". TDMS: "group/channel". Raises InvalidInput.
     """
-    readers = {".mat": _matlab, ".tdms": _tdms}
+    readers = {".mat": _matlab, ".tdms": _tdms, **dict.fromkeys(_TABLES, text_table), **dict.fromkeys(_UNIVERSAL, universal)}
     if path.suffix.lower() not in readers:
-        raise InvalidInput(f"{path} is not of a kind known here ({', '.join(readers)}); export it as one of them")
+        page = "see docs/records.md, Files of other programs"
+        raise InvalidInput(f"{path}: it is not of a kind known here ({', '.join(readers)}); export it as one of them, {page}")
     check_source(path, "file of another program")
     try:
         with readers[path.suffix.lower()](path) as find:
@@ -113,13 +101,13 @@ def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
 def _from_matlab5(load: Callable[[str], np.ndarray], known: Mapping[str, int], name: str) -> np.ndarray:
     top, *fields = name.split(".")
     if top not in known:
-        raise _unknown(name, list(known), "variable")
+        raise unknown(name, list(known), "variable")
     _check_count(top, known[top])
     value = load(top)
     for i, key in enumerate(fields):
         names = value.dtype.names or ()
         if key not in names:
-            raise _unknown(name, [".".join((top, *fields[:i], n)) for n in names], "variable")
+            raise unknown(name, [".".join((top, *fields[:i], n)) for n in names], "variable")
         value = value[key]
         while value.dtype == object and value.size == 1:
             value = value.item()
@@ -140,10 +128,10 @@ def _from_tree(tree: Any, name: str, path: Path) -> np.ndarray:
     for i, key in enumerate(name.split(".")):
         members = [member for member in node if not member.startswith("#")] if isinstance(node, h5py.Group) else []
         if key not in members:
-            raise _unknown(name, [".".join((*name.split(".")[:i], member)) for member in members], "variable")
+            raise unknown(name, [".".join((*name.split(".")[:i], member)) for member in members], "variable")
         node = own_member(node, key, name)
     if not isinstance(node, h5py.Dataset):
-        raise _unknown(name, [f"{name}.{member}" for member in node], "variable")
+        raise unknown(name, [f"{name}.{member}" for member in node], "variable")
     if node.attrs.get("MATLAB_class", b"") in {b"char", b"cell"}:
         raise InvalidInput(f"the variable {name} holds no numbers, but must hold real ones in rows or columns; save its parts")
     _check_count(name, node.size or 0)
@@ -169,7 +157,7 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
         if doubts:  # a file cut within its last channels still has the others in full
             raise InvalidInput(f"the file is incomplete ({doubts[0]}); copy it again, or save it again in LabVIEW or DIAdem")
         if name not in channels:
-            raise _unknown(name, list(channels), "channel")
+            raise unknown(name, list(channels), "channel")
         channel = channels[name]
         _check_count(name, len(channel))
         values = channel[:]
@@ -191,11 +179,3 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
             yield find
     finally:
         log_manager.console_handler.removeFilter(note)
-
-
-def _unknown(name: str, known: list[str], kind: str) -> InvalidInput:
-    rest = f" and {len(known) - _SHOWN} rest" if len(known) > _SHOWN else ""
-    hint = suggestion(name, known, "")
-    listed = f"it has {', '.join(known[:_SHOWN])}{rest}" if known else f"there is no {kind} at that place"
-    close = f"; {hint}" if hint.startswith("did you mean") else ""
-    return InvalidInput(f"there is no {kind} {name!r} in the file; {listed}{close}")

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import BEAM_THEORIES, MachineDescription
+from ambrose.machine.description import BEAM_THEORIES, BEARING_TERMS, MachineDescription
 from ambrose.machine.limits import SEAL_POLES, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
@@ -120,6 +120,9 @@ def _names(machine: MachineDescription) -> Iterator[str]:
         if not _NAME.fullmatch(name):
             requirement = "a letter, then letters, digits, _ or -"
             yield complaint(f"[[{table}]]", "name", shown(name), requirement, "signals and files are named after it")
+        elif name in BEARING_TERMS:
+            remedy = "scenarios mean a bearing by its place with it; choose another"
+            yield complaint(f"[[{table}]]", "name", shown(name), f"none of {', '.join(BEARING_TERMS)}", remedy)
         elif name in tables:
             remedy = "give every attachment its own name"
             yield f'[[{table}]] {name}: name "{name}" is taken by a [[{tables[name]}]] already; {remedy}'

@@ -25,7 +25,7 @@ from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import free_modes
 from ambrose.plant.assemble import assemble, bending_modes_of
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
+from ambrose.plant.reduce import reduce, reduce_from
 from ambrose.plant.timing import Timing
 from ambrose.plant.uncertainty import perturbed, tolerances_around, with_offsets_of
 from ambrose.synthesis.certificate import certify, fastest_pole
@@ -169,7 +169,8 @@ def prepare(
     if order is not None and order > STATES:
         raise invalid("order", order, f"at most {STATES}, as in a controller file", "three per axis are the default")
     modes = bending_modes_for(full[0]) if bending_modes is None else bending_modes
-    small = tuple(reduce(plant, modes) if plant.bending_modes is None else plant for plant in full)
+    reduced = reduce_from if bending_modes is None else reduce
+    small = tuple(reduced(plant, modes) if plant.bending_modes is None else plant for plant in full)
     aims = aims_of(machine, start)
     fastest = _FASTEST * max(fastest_pole(start), aims.highest) if timing is None else _BELOW * np.pi / timing.sample_time
     return Job(

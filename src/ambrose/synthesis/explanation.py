@@ -1,0 +1,116 @@
+"""Why a controller does not hold a machine, or none was found: cause and remedy in one sentence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ambrose.core.checks import AmbroseError
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.criteria import SENSITIVITY, demand
+from ambrose.machine.machine import Machine
+from ambrose.physics.rotor import free_modes
+from ambrose.plant.assemble import assemble, bending_modes_of, magnet_coefficients
+from ambrose.plant.loop import closed_loop, law_at
+from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce_from
+from ambrose.plant.timing import Timing
+from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity
+from ambrose.synthesis.pid import channel_chains
+from ambrose.synthesis.result import Synthesis
+
+_ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
+_TRIED = 6  # bending modes
+_TWO_PI = 2 * np.pi
+
+
+def explained(plant: Plant, result: Synthesis, timing: Timing | None, bending_modes: int) -> Synthesis:
+    """The synthesis; where it does not hold the point that it was designed at, a note says why."""
+    lost = [label for label, abscissa in result.certificate.envelope.items() if not abscissa < 0]
+    if result.status != "unstable" and not lost:
+        missed = result.method == "tuned" and result.gamma > 1
+        why = why_none(plant, timing) if missed else ""
+        return replace(result, notes=(*result.notes, why)) if why else result
+    point = next((p for p in plant.machine.operation.points if p.label in lost), plant.point)
+    place = plant if result.status == "unstable" or plant.point.label in lost else assemble(plant.machine, point)
+    try:
+        reason = why_unstable(place, result.law, timing, bending_modes, result.method)
+    except AmbroseError:
+        return result  # what cannot be computed explains nothing
+    where = "" if place is plant else f"at {place.point.label}: "
+    return replace(result, notes=(*result.notes, f"{where}{reason}"))
+
+
+def why_none(plant: Plant, timing: Timing | None) -> str:
+    """Why a design may have found nothing; "" where no reason shows."""
+    limit = demand("maximum singular value of a sensitivity", plant.machine.requirements).limit or SENSITIVITY.limits[0].value
+    try:
+        return beyond_reach(*unavoidable_sensitivity(plant, timing), limit)
+    except AmbroseError:
+        return ""
+
+
+def why_unstable(
+    plant: Plant, law: StateSpace | ScheduledSystem, timing: Timing | None, bending_modes: int, method: str
+) -> str:
+    """Why a law does not hold a full plant: a bending mode, a gain below k_s/k_i, or what the poles tell."""
+    runs = law_at(law, plant.point.speed)
+    runs = runs if timing is None else timing.in_loop(runs)
+    margin = stiffness_margin(plant.machine) if method == "pid" else None
+    if margin is not None and margin < 1:
+        return below_stiffness(margin)
+    available = bending_modes_of(plant.rotor_model)
+    modes = free_modes(plant.rotor_model, min(_TRIED, available)).frequencies[4::2] / _TWO_PI
+    for count in range(min(_TRIED, available) + 1):
+        small = reduce_from(plant, count)
+        abscissa, frequency = _rightmost(small, runs)
+        if abscissa < 0:
+            continue
+        kept = small.bending_modes or 0
+        if kept == 0 or count == 0:
+            break
+        what = f"the {_ORDINALS[kept - 1]} bending mode ({modes[kept - 1]:.4g} Hz)"
+        if method == "pid":
+            return f"{what} is driven unstable by the [controller]; add a [[controller.notch]] there, or use method tuned"
+        if kept > bending_modes:
+            return f"{what} is not in the design model; design with --bending-modes {kept}, or use method tuned"
+        return f"{what} is driven unstable although it is in the design model; lower weights.bandwidth, or use method tuned"
+    abscissa, frequency = _rightmost(plant, runs)
+    where = f"{frequency:.4g} Hz" if frequency > 0 else "standstill of whirl"
+    if why := why_none(plant, timing):
+        return why
+    loop = "" if timing is None else " as it runs, sampled and late,"
+    remedy = "tune its gains and times, or sample faster" if method == "tuned" else "use method tuned, or sample faster"
+    return f"the loop{loop} has a pole at {abscissa:+.4g} rad/s ({where}); {remedy}"
+
+
+def stiffness_margin(machine: Machine) -> float | None:
+    """The least K_p k_i / k_s of the channels of the reference controller; below 1 a bearing pushes away at rest."""
+    if machine.reference is None:
+        return None
+    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
+    gains = np.array([gain for gain, _ in channel_chains(machine.reference, machine.axes)])
+    if machine.reference.coordinates != "axes":
+        k_i, k_s = np.full(len(gains), k_i.min()), np.full(len(gains), k_s.max())
+    with np.errstate(divide="ignore"):
+        return float((gains * k_i / k_s).min())
+
+
+def below_stiffness(margin: float) -> str:
+    """What to say of a margin below one."""
+    return (
+        f"K_p k_i is below k_s ({margin:.3g} of it): the [controller] leaves negative stiffness and holds nothing; raise gain "
+        f"{1.5 / margin:.2g} times or more"
+    )
+
+
+def _rightmost(plant: Plant, law: StateSpace) -> tuple[float, float]:
+    """Real part [rad/s] and frequency [Hz] of the rightmost pole of the loop."""
+    loop = closed_loop(plant, law)
+    values = np.linalg.eigvals(loop.A).astype(complex)
+    if loop.dt is not None:
+        values = np.log(np.where(values == 0, np.finfo(float).tiny, values)) / loop.dt
+    worst = values[np.argmax(values.real)]
+    return float(worst.real), float(abs(worst.imag) / _TWO_PI)

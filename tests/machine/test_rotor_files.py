@@ -1,0 +1,183 @@
+"""Rotor models of ROSS and tables of stations: read, refused in one sentence, written so that ROSS loads them."""
+
+import json
+import tomllib
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import MachineDescription
+from ambrose.machine.file.ross import parse_ross, ross_text, rotor_of_ross
+from ambrose.machine.file.stations import read_rotor, rotor_of_stations
+from ambrose.machine.file.toml import load_machine
+from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
+
+# The compressor of ROSS' own tests (compressor_example): length, inner and outer diameter of the steel, outer diameter of what
+# lies around it without stiffness [mm]; one finite element each. Discs: (node, mass [kg], diametral and polar inertia [kg m2]).
+COMPRESSOR = """
+35.5 140.9954 151.003; 36 140.9954 151.003; 54 0 80; 43 0 80; 16.5 0 88; 14 0 88; 36.5 0 90; 51 0 90; 25 0 103 138; 16 0 85 138;
+24.2 0 104 174; 4.5 0 98.2 174; 12.57 0 104 174; 20 0 106 184; 62.73 0 108 184; 38 0 110 184; 38 0 122 139; 30 0 135 175;
+53 0 117.7 196.5; 19.49 0 122.35 127; 13.51 0 122.35 127; 49.5 0 117.7; 19.59 0 122.35 127; 12.41 0 122.35 127; 49 0 117.7;
+19.7 0 122.35 127; 12.3 0 122.35 127; 49.5 0 117.7; 19.83 0 122.35 127; 11.67 0 122.35 127; 49.5 0 117.7; 19.98 0 122.35 127;
+12.02 0 122.35 127; 49.5 0 117.7; 20.1 0 122.35 127; 12.4 0 122.35 127; 57 0 117.7; 26 0 135 175; 38 0 122 139; 38 0 110 184;
+62.73 0 108 184; 20 0 106 184; 12.57 0 104 174; 4.5 0 98.2 174; 24.2 0 104 174; 16 0 85 138; 25 0 103 138; 51 0 90; 50.5 0 90;
+36.375 0 90; 36.375 0 90; 13.5 0 90; 35 0 90 245; 24 0 87.2 112; 32 0 85 113
+"""
+DISCS = (
+    (3, 15.119982018530925, 0.0, 0.0),
+    (20, 6.909991782278354, 0.02499983979288977, 0.046999698810632776),
+    (23, 6.929991758493341, 0.02499983979288977, 0.046999698810632776),
+    (26, 6.94999173470833, 0.02499983979288977, 0.047999692402348366),
+    (29, 6.979991699030812, 0.02499983979288977, 0.047999692402348366),
+    (32, 6.939991746600836, 0.02499983979288977, 0.047999692402348366),
+    (35, 6.959991722815824, 0.02499983979288977, 0.047999692402348366),
+)
+# By ross-rotordynamics 2.3.0: eigenvalues of K() and M() of its shaft and discs without bearings, Rotor.m, Rotor.CG, Rotor.Ip.
+ROSS_HERTZ = [154.82772345, 343.69550132, 613.17852883, 1027.27555322, 1488.97306334, 1927.32702128]
+ROSS_MASS, ROSS_CENTRE, ROSS_POLAR = 246.87036435603625, 0.8276413453580715, 0.9154643232219528
+ROSS_SEAL_RIG = [550.12368944, 1342.33664567, 2481.9115312]  # of what ross_text writes for seal-rig
+
+
+def compressor():
+    """The compressor as ROSS saves it, as far as it is read."""
+    document = {"ross_version": "2.0.0", "parameters": {}}
+    steel = {"name": "steel", "rho": 7833.412, "E": 206842300000.0, "G_s": 82736940000.0}
+    soft = {"name": "soft", "rho": 7833.412, "E": 6894.75, "G_s": 6894.75}
+    for n, row in enumerate(COMPRESSOR.replace("\n", " ").strip().split(";")):
+        length, *diameters = (round(float(word) / 1e3, 9) for word in row.split())
+        for layer, (inner, outer) in enumerate(pairwise(diameters)):
+            document[f"ShaftElement_{n}.{layer}"] = {
+                "L": length, "idl": inner, "odl": outer, "idr": inner, "odr": outer, "n": n,
+                "material": soft if layer else steel,
+                "shear_effects": True, "rotary_inertia": True, "shear_method_calc": "cowper", "tag": f"{n}.{layer}",
+            }  # fmt: skip
+    for n, mass, diametral, polar in DISCS:
+        document[f"DiskElement_Disk {n}"] = {"n": n, "m": mass, "Id": diametral, "Ip": polar, "tag": f"Disk {n}"}
+    for n in (7, 48):
+        document[f"BearingElement_{n}"] = {"n": n, "kxx": [1e6], "tag": str(n)}
+    document["SealElement_Seal 1"] = {"n": 18, "kxx": [1e6], "tag": "Seal 1"}
+    return document
+
+
+def finite_elements(model):
+    return finite_element_rotor(
+        MachineDescription(model.name, model.shaft, (), (), discs=model.discs, beam_theory=model.beam_theory)
+    )
+
+
+def hertz(rotor, count):
+    return free_bending_frequencies(rotor, count) / (2 * np.pi)
+
+
+@pytest.mark.literature
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_the_compressor_of_ross_bends_as_in_ross(tmp_path, suffix):
+    path = tmp_path / f"compressor{suffix}"
+    if suffix == ".json":
+        path.write_text(json.dumps(compressor()), encoding="utf-8")
+    else:
+        lines = ['ross_version = "2.0.0"']
+        for key, row in compressor().items():
+            if isinstance(row, dict):
+                cells = [f"{name} = {json.dumps(value)}" for name, value in row.items() if name != "material"]
+                lines += [f'["{key}"]', *cells] if key != "parameters" else ["[parameters]"]
+                if "material" in row:
+                    lines += [
+                        f'["{key}".material]',
+                        *(f"{name} = {json.dumps(value)}" for name, value in row["material"].items()),
+                    ]
+        path.write_text("\n".join(lines), encoding="utf-8")
+    model = read_rotor(path)
+    rotor = finite_elements(model)
+    np.testing.assert_allclose(hertz(rotor, 6), ROSS_HERTZ, rtol=1e-3)
+    found = mass_properties(rotor)
+    assert (found.mass, found.centre, found.polar_inertia) == pytest.approx((ROSS_MASS, ROSS_CENTRE, ROSS_POLAR), rel=1e-6)
+    assert model.bearings == pytest.approx((0.2355, 1.4255)) and model.left_out == ("SealElement_Seal 1",)
+    assert "Seal 1" in model.assumed["seal"] and model.name == "compressor"
+
+
+@pytest.mark.literature
+def test_a_machine_goes_to_ross_and_back():
+    machine = load_machine("seal-rig")
+    text = ross_text(machine, {"A": (1e6, 100.0), "B": (2e6, 200.0)})
+    document = tomllib.loads(text)
+    back = rotor_of_ross(parse_ross(text, "there", ".toml"), "there")
+    assert [document[f"BearingElement_{name}"]["kxx"] for name in "AB"] == [[1e6], [2e6]]
+    np.testing.assert_allclose(hertz(finite_elements(back), 3), hertz(finite_element_rotor(machine), 3), rtol=1e-6)
+    np.testing.assert_allclose(hertz(finite_element_rotor(machine), 3), ROSS_SEAL_RIG, rtol=1e-6)
+    assert mass_properties(finite_elements(back)).mass == pytest.approx(mass_properties(finite_element_rotor(machine)).mass)
+
+
+def test_conical_elements_and_two_stiff_layers_are_said():
+    document = compressor()
+    document["ShaftElement_3.0"] |= {"odr": 0.084}
+    document["ShaftElement_9.1"]["material"] = document["ShaftElement_9.0"]["material"]
+    model = rotor_of_ross(document, "rotor")
+    assert {"shaft.outer_diameter", "shaft.material"} <= set(model.assumed)
+    widened = next(item for item in model.shaft if item.start == pytest.approx(0.1255))
+    assert widened.outer_diameter == pytest.approx(0.082)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.pop("ShaftElement_5.0"), "the shaft has a gap"),
+        (lambda d: d["ShaftElement_5.0"].update(L="x"), "a finite number"),
+        (lambda d: d["ShaftElement_5.0"].update(L=float("nan")), "a finite number"),
+        (lambda d: d["ShaftElement_5.0"].update(L=-1.0), "must be positive"),
+        (lambda d: d["ShaftElement_5.0"].pop("material"), "no material"),
+        (lambda d: d["ShaftElement_9.1"].update(L=1.0), "different lengths"),
+        (lambda d: d["DiskElement_Disk 3"].update(m=None), "a finite number"),
+        (lambda d: [d.pop(key) for key in list(d) if key.startswith("Shaft")], "no ShaftElement"),
+    ],
+)
+def test_models_that_are_none_are_refused(change, words):
+    document = compressor()
+    change(document)
+    with pytest.raises(InvalidInput, match=words) as error:
+        rotor_of_ross(document, "rotor.toml")
+    assert "\n" not in str(error.value) and str(error.value).startswith("rotor.toml") and "; " in str(error.value)
+
+
+TABLE = """length [mm];od [mm];id [mm];E [GPa];rho [kg/m^3];disc mass [kg];disc Ip [kg m^2];disc Id [kg m^2];bearing
+75,5;40;0;210;7850;;;;
+225;40;0;210;7850;;;;x
+225;40;0;210;7850;8;0,0625;0,03125;
+75;40;10;210;7850;;;;x
+0;;;;;1,5;0,001;0;
+"""
+
+
+def test_a_spreadsheet_with_decimal_commas_becomes_a_rotor():
+    model = rotor_of_stations(TABLE, "table.csv")
+    assert [(item.length, item.outer_diameter) for item in model.shaft] == [(0.0755, 0.04), (0.45, 0.04), (0.075, 0.04)]
+    assert model.shaft[-1].inner_diameter == pytest.approx(0.01) and model.shaft[0].material.youngs_modulus == 2.1e11
+    assert model.bearings == pytest.approx((0.0755, 0.5255)) and [disc.mass for disc in model.discs] == [8.0, 1.5]
+    assert model.discs[-1].position == pytest.approx(0.6005)
+    assert "steel" in rotor_of_stations("L [m],diameter [m]\n0.5,0.05\n", "t").assumed["shaft.material"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no stations"),
+        ("length [mm];od [mm]\n", "no stations"),
+        ("length [mm];width\n1;2\n", "unknown"),
+        ("length [mm];id [mm]\n1;2\n", '"od" is missing'),
+        ("length;od [mm]\n100;40\n", "has no unit"),
+        ("length [kg];od [mm]\n100;40\n", "length is"),
+        ("length [mm];od [mm]\nabc;40\n", "must be a number"),
+        ("length [mm];od [mm]\nnan;40\n", "but must be"),
+        ("length [mm];od [mm]\n-5;40\n", "must be positive"),
+        ("length [mm];od [mm]\n5;\n", "must be positive"),
+        ("length [mm];od [mm]\n5;1;2\n", "3 cells"),
+        ("length [mm];od [mm];od [mm]\n5;1;2\n", "twice"),
+        ("length [mm];od [mm]\n0;1\n", "no row has a length"),
+    ],
+)
+def test_tables_that_are_none_are_refused(text, words):
+    with pytest.raises(InvalidInput, match=words) as error:
+        rotor_of_stations(text, "table.csv")
+    assert "\n" not in str(error.value) and str(error.value).startswith("table.csv")

@@ -1,0 +1,80 @@
+"""A controller that holds nothing, or a design that found none, says cause and remedy in one sentence."""
+
+from dataclasses import replace
+
+import pytest
+
+import ambrose as amb
+from ambrose.core.checks import NumericalFailure
+from ambrose.machine.description import ShaftSection
+from ambrose.plant.timing import Timing
+from ambrose.synthesis.explanation import stiffness_margin, why_none, why_unstable
+from ambrose.synthesis.pid import pid_controller, pid_synthesis
+
+
+@pytest.fixture(scope="module")
+def slender():
+    """The seal rig with a shaft of 60 mm, which bends at 374 Hz; its PID holds the rigid rotor, as long as it is not late."""
+    machine = amb.load_machine("seal-rig")
+    shaft = (ShaftSection(0.0, 0.86, 0.06, elements=16),)
+    settings = replace(machine.controller, sample_time=1e-4, delay=0.0, derivative_time=2e-3, gain=(15000.0,))
+    points = replace(machine.operation, points=machine.operation.points[1:2])
+    return replace(machine, shaft=shaft, seals=(), couplings=(), tolerances=(), operation=points, controller=settings)
+
+
+def test_a_mode_beyond_the_design_model_is_named_with_its_option(slender):
+    plant = amb.assemble(slender)
+    law = pid_controller(slender.controller, slender)
+    timing = Timing(1e-4, 0)
+    said = why_unstable(plant, law, timing, 0, "hinf")
+    assert (
+        said.startswith("the first bending mode (373.5 Hz)")
+        and "is not in the design model; design with --bending-modes 1" in said
+    )
+    inside = why_unstable(plant, law, timing, 1, "hinf")
+    assert "although it is in the design model" in inside
+    own = amb.design(plant, "pid")
+    assert own.status == "unstable" and "add a [[controller.notch]] there" in own.notes[-1] and "\n" not in own.notes[-1]
+
+
+def test_a_gain_below_the_negative_stiffness_is_said(slender):
+    weak = replace(slender, controller=replace(slender.controller, gain=(3000.0,)))
+    assert stiffness_margin(weak) == pytest.approx(3000 * 163.48 / 1.226e6, rel=0.2) and stiffness_margin(weak) < 1
+    notes = amb.design(weak, "pid").notes
+    assert notes[-1].startswith("K_p k_i is below k_s (0.4") and "raise gain" in notes[-1]
+
+
+def test_what_holds_gets_no_note(slender):
+    machine = amb.load_machine("seal-rig")
+    machine = replace(machine, operation=replace(machine.operation, points=machine.operation.points[1:2]), tolerances=())
+    made = amb.design(machine, "pid")
+    assert made.status == "verified" and made.notes == () and why_none(amb.assemble(slender), None) == ""
+
+
+def test_a_point_that_is_lost_is_named_with_the_note():
+    """The PID of the seal rig whirls at twice the nominal pressure."""
+    notes = amb.design("seal-rig", "pid").notes
+    assert len(notes) == 1 and notes[0].startswith("at twice nominal pressure: ") and "; " in notes[0]
+
+
+def test_a_delay_that_nothing_can_beat_is_named_by_the_failed_design(slender, monkeypatch):
+    late = replace(slender, controller=replace(slender.controller, sample_time=1e-3, delay=2e-2))
+    assert why_none(amb.assemble(late), None).startswith("no controller can: the unstable pole at ")
+
+    def nothing(*_, **__):
+        raise NumericalFailure("no controller of order 12 was found; allow a higher order")
+
+    monkeypatch.setattr("ambrose.synthesis.design.tune_controller", nothing)
+    with pytest.raises(NumericalFailure, match=r"allow a higher order; no controller can: .* keep S above .*; sample faster"):
+        amb.design(late)
+    with pytest.raises(NumericalFailure, match=r"allow a higher order$"):
+        amb.design(slender)
+
+
+def test_a_continuous_loop_that_is_lost_tells_its_pole(slender):
+    away = replace(slender.controller, sample_time=None, delay=None, derivative_time=None, integral_time=1e-3)
+    machine = replace(slender, controller=away)
+    plant = amb.assemble(machine)
+    assert not pid_synthesis(plant).certificate.stable
+    said = why_unstable(plant, pid_controller(away, machine), None, 0, "tuned")
+    assert said.startswith("the loop has a pole at +") and "Hz" in said
