@@ -54,6 +54,11 @@ class Block:
         return self.increment.shape[-1]
 
     @property
+    def state_range(self) -> np.ndarray:
+        """The largest magnitude (n,) of every state."""
+        return np.ones(self.n_states)
+
+    @property
     def transfers(self) -> bool:
         """Whether the block can go on from given currents: its states reach every output."""
         raise NotImplementedError

@@ -68,6 +68,10 @@ class CascadeBlock(ControlBlock):
     signals: np.ndarray
 
     @property
+    def state_range(self) -> np.ndarray:
+        return self.bound
+
+    @property
     def mixes(self) -> bool:
         """Whether channels are something else than the axes."""
         return not np.array_equal(self.into, np.eye(len(self.inputs)))

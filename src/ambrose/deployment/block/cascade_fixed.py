@@ -115,7 +115,7 @@ def to_fixed_cascade(block: CascadeBlock, word: int = 32, largest_error: float =
             f"{share.max():.2g} of its limit",
             f"at most {largest_error:g}",
             f"{block.raw_limit[worst] / currents[worst]:.3g} times the limit is asked for at the largest error: narrow "
-            f"error_limit to about {narrow:.1g} m, take away gain at high frequencies, or use words of 32 bits or floating point",
+            f"error_limit to {narrow:.1g} m, take away gain at high frequencies, or use words of 32 bits or floating point",
         )
     return replace(fixed, error=error, noise=noise, gain_error=moved)
 

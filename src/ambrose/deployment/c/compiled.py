@@ -15,7 +15,6 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.statespace import StateSpace
-from ambrose.deployment.block.cascade import CascadeBlock
 from ambrose.deployment.block.cost import padding_of
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.scheduled import ScheduledBlock
@@ -55,7 +54,7 @@ class _Words:
             stored,
             block.error_limit / one,
             block.current_limit / one,
-            2.0**-fixed.state_bits * (block.bound if isinstance(block, CascadeBlock) else 1.0),
+            2.0**-fixed.state_bits * block.state_range,
             True,
         )
 
@@ -197,9 +196,10 @@ def read_law(code: CompiledBlock | CompiledSchedule, speed: float | None = None)
         code.schedule(speed)
     block = code.block
     n, m = block.n_states, len(block.inputs)
-    columns = [_response(code, state, np.zeros(m)) for state in np.eye(n)]
+    columns = [_response(code, state, np.zeros(m)) for state in np.diag(block.state_range)]
     columns += [_response(code, np.zeros(n), error) for error in np.eye(m) * block.error_limit]
     table = np.array(columns).reshape(n + m, -1).T  # (next states and currents, states and errors)
+    table[:, :n] /= block.state_range
     table[:, n:] /= block.error_limit
     return StateSpace(
         table[:n, :n], table[:n, n:], table[n:, :n], table[n:, n:], block.inputs, block.outputs, block.sample_time
