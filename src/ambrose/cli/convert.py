@@ -17,6 +17,7 @@ from ambrose.cli.terminal import AS_JSON, claim, say, say_json
 def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> None:
     """Write a record (*.h5, *.csv), or a file of MATLAB (*.mat) or LabVIEW (*.tdms), as a record (*.h5 or *.csv); a table of
     filters (*.csv, *.json) as a controller file (*.json)."""
+    from ambrose.deployment.discretisation.deployment import instability
     from ambrose.machine.record.files import check_suffix, read_record, write_record
     from ambrose.machine.record.foreign import read_foreign
     from ambrose.synthesis.controller_file import read_controller, write_controller
@@ -26,9 +27,15 @@ def convert(record: Path, columns: Path | None, output: Path, as_json: bool) -> 
         law = read_controller(record)
         write_controller(output, law)
         kind = "continuous" if law.controller.dt is None else f"sampled at {1 / law.controller.dt:.6g} Hz"
-        told = {"controller": str(output), "inputs": law.controller.inputs, "states": law.controller.n_states, "kind": kind}
+        wrong = instability(law.controller)
+        told = {
+            "controller": str(output), "inputs": law.controller.inputs, "states": law.controller.n_states, "kind": kind,
+            "problems": wrong,
+        }  # fmt: skip
         text = f"{output}: {law.controller.n_states} states, {kind}, from {', '.join(law.controller.inputs)}"
         say_json(told) if as_json else say(text)
+        for problem in wrong:
+            say(f"careful: {problem}", err=True)
         return
     check_suffix(output)
     claim(record=output)

@@ -95,9 +95,9 @@ def filter_rows(settings: PidSettings) -> list[tuple[str, str, str]]:
     return rows
 
 
-def section_text(section: Section) -> str:
-    """The parameters of a section in everyday units."""
-    numbers = {key: getattr(section, key) for key in SECTIONS[section.kind]}
+def section_text(section: Section, numbers: Mapping[str, Any] | None = None) -> str:
+    """The parameters of a section, or the numbers given under some of its keys, in everyday units."""
+    numbers = {key: getattr(section, key) for key in SECTIONS[section.kind]} if numbers is None else numbers
     return ", ".join(_told(key, value) for key, value in numbers.items() if value is not None)
 
 

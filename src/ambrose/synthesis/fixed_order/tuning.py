@@ -31,7 +31,7 @@ from ambrose.plant.timing import Timing
 from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
-from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, filter_bank, first_bank
+from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, at_limits, filter_bank, first_bank
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.loops import LoopModel, lateness, loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
@@ -71,6 +71,7 @@ class _Job:
     say: Callable[[str], None]
     reference: StateSpace | None
     fastest: float  # pole of a filter bank [rad/s]
+    structure: str
     extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
     members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
 
@@ -166,6 +167,7 @@ def _prepared(
     return _Job(
         full, small, timing, aims, axis_groups(machine, "plane" if structure == "free" else structure),
         [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference, fastest,
+        structure,
     )  # fmt: skip
 
 
@@ -246,8 +248,13 @@ def _holding(job: _Job, law: Law) -> Law:
         return law
     raise NumericalFailure(
         f"no controller of order {structure.controller(x).n_states} that holds all {len(job.models)} models was found (a pole "
-        f"stays at {abscissa:+.3g} rad/s); allow a higher order, give another [controller] to start from, or drop a point"
+        f"stays at {abscissa:+.3g} rad/s); {_more(job)}, give another [controller] to start from, or drop a point"
     )
+
+
+def _more(job: _Job) -> str:
+    """How the structure can be given more freedom: a PID has one order only."""
+    return "choose structure 'filters' or 'free'" if job.structure == "pid" else "allow a higher order"
 
 
 def _grid(job: _Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarray:
@@ -303,8 +310,7 @@ def _best(job: _Job, rounds: list[_Round]) -> _Round:
     if not np.isfinite(best.worst):
         raise NumericalFailure(
             f"no controller of order {_system(best.law, job.full[0].machine).n_states} that holds the full plant at all "
-            f"{len(job.full)} operating points was found; allow a higher order, more bending modes or another structure, or "
-            "drop a point"
+            f"{len(job.full)} operating points was found; {_more(job)}, allow more bending modes, or drop a point"
         )
     return best
 
@@ -430,7 +436,9 @@ def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reas
     notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
     missed = [f"{name} ({ratio.value:.3f})" for name, ratio in ratios.items() if ratio.value > 1]
     if missed:
-        notes.append(f"not met: {', '.join(missed)}; allow a higher order, or relax a requirement")
+        notes.append(f"not met: {', '.join(missed)}; {_more(job)}, or relax a requirement")
+    if isinstance(best.law, PidSettings) and (ends := at_limits(best.law, machine, job.fastest)):
+        notes.append(f"at a limit of the search: {'; '.join(ends)}")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
     return Synthesis(
         controller, "tuned", at.value, status, certificate, history, tuple(notes), stopped_early=reason,
