@@ -200,6 +200,30 @@ def louder(bank):
     return replace(bank, channels=(replace(bank.channels[0], gain=21e3), bank.channels[1]))
 
 
+@compiler
+@pytest.mark.parametrize("arithmetic", ["float", "fixed32", "fixed16"])
+def test_gains_between_mixings_have_no_states(arithmetic, tmp_path):
+    bank = PidSettings(gain=(2e4,), coordinates="tilt-translate", tilt_gain=1.5)
+    block, _ = both(bank=bank, error=2e-4)
+    assert block.n_states == 0
+    for name, text in generate(block, arithmetic).items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    driver.build(driver.compilers()[0], [str(tmp_path / "rig.c"), str(tmp_path / "rig_test.c"), "-o", str(tmp_path / "test")])
+    assert subprocess.run([str(tmp_path / "test")], capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.parametrize("gain", [0.0, 1.0])
+def test_sections_that_do_nothing_or_cannot_be_seen(gain):
+    """Zeros on the poles, and a chain that ends in zero: modal form and cascade run all the same."""
+    idle = replace(NOTCH, zero_frequency=900.0, pole_frequency=900.0, zero_damping=0.3)
+    last = Section("sos", numerator=(gain,), denominator=(1.0, 500.0))
+    block, modal = both(
+        bank=PidSettings(channels=(Channel(MACHINE.axes, 2e4, (replace(PID, integral_time=None), idle, last)),))
+    )
+    e = np.random.default_rng(4).uniform(-1e-5, 1e-5, (200, 4))
+    assert np.abs(run_block(block, e).currents - run_block(modal, e).currents).max() < 1e-12
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -240,14 +240,16 @@ def _gains(
         b, d = B[:, :count] * saved, D[:, :count] * saved
         sources.append((E @ b, C @ b))
         direct.append((np.abs(C @ b) + 2 * np.abs(d)).sum(axis=1))
-    bounds = [found + _peak(block, part, steps) for (part, _), found in zip(sources, direct, strict=True)]
-    energy, x = sum((item**2).sum(axis=1) for _, item in sources), np.hstack([part for part, _ in sources])
-    if saved is not None:
-        energy = energy + 2 * (d**2).sum(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable controller that somebody insists on
+        bounds = [found + _peak(block, part, steps) for (part, _), found in zip(sources, direct, strict=True)]
+    bounds = [np.nan_to_num(item, nan=np.inf, posinf=np.inf) for item in bounds]
+    if saved is None:
+        return bounds[0], bounds[1] + bounds[2], np.zeros(p)
+    energy, x = sum((item**2).sum(axis=1) for _, item in sources) + 2 * (d**2).sum(axis=1), np.hstack([s for s, _ in sources])
     A = E + np.eye(n)
     for _ in range(_SAMPLES):
         energy, x = energy + ((C @ x) ** 2).sum(axis=1), A @ x
-    return bounds[0] + (bounds[3] if saved is not None else 0), bounds[1] + bounds[2], np.asarray(energy)
+    return bounds[0] + bounds[3], bounds[1] + bounds[2], np.asarray(energy)
 
 
 def _peak(block: CascadeBlock, B: np.ndarray, steps: float) -> np.ndarray:

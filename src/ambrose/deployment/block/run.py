@@ -182,7 +182,7 @@ def run_fixed_cascade(fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike |
         if block.mixes:
             total = fixed.into @ e[k] + kept
             v = _shift(total, *to_input)
-            kept = total - (v << fixed.into_bits)
+            kept = (total - (v << fixed.into_bits)) * (n > 0)  # without states nothing is kept
             v = np.clip(v, -one, one)
         x = _shift(X, *to_signal)
         at = v.copy()

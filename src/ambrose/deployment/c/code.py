@@ -204,7 +204,7 @@ def _floating_tables(block: ControlBlock, arithmetic: str) -> dict[str, Any]:
 
 
 def _cascade_tables(
-    block: CascadeBlock, table: Callable[[np.ndarray], str], into: np.ndarray, out: np.ndarray, rows: Sequence[Any]
+    block: CascadeBlock, table: Callable[[np.ndarray], str], into: np.ndarray, out: np.ndarray, rows: Any
 ) -> dict[str, Any]:
     """The sections, each with its name, and the mixings."""
     outputs = block.signals[len(block.into) :]
@@ -224,7 +224,7 @@ def _cascade_tables(
 
 def _fixed_tables(fixed: FixedBlock | FixedCascade) -> dict[str, Any]:
     if isinstance(fixed, FixedCascade):
-        m, w, rows = len(fixed.block.inputs), fixed.block.winding, fixed.sections.reshape(-1, 9)[:, [0, 1, 3, 4, 5, 6, 7]]
+        m, w, numbers = len(fixed.block.inputs), fixed.block.winding, fixed.sections.reshape(-1, 9)[:, [0, 1, 3, 4, 5, 6, 7]]
         arrays = {
             "row_bits": fixed.section_bits[:, 0], "update_shift": fixed.update_shift, "into_bits": fixed.into_bits,
             "output_bits": fixed.output_bits, "unwind": fixed.unwind[:w].T, "cut_bits": fixed.cut_bits,
@@ -232,7 +232,7 @@ def _fixed_tables(fixed: FixedBlock | FixedCascade) -> dict[str, Any]:
             "transfer_error": fixed.transfer[:, :m].T, "transfer_current": fixed.transfer[:, m:].T,
             "transfer_bits": fixed.transfer_bits + fixed.signal_bits,
         }  # fmt: skip
-        law = _cascade_tables(fixed.block, integer_table, fixed.into, fixed.output, rows)
+        law = _cascade_tables(fixed.block, integer_table, fixed.into, fixed.output, numbers)
         return {**law, "diagonals": [], **{name: integer_table(x) for name, x in arrays.items()}}
     block, n, m, w = fixed.block, fixed.block.n_states, len(fixed.block.inputs), fixed.block.winding
     increment, B = np.split(fixed.update, [n], axis=1)
