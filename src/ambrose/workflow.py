@@ -99,6 +99,7 @@ class Study(Presented):
                     "points": [checks.to_dict() for checks in c.checks],
                     "left_out": list(c.left_out),
                     "boxes": [box.to_dict() for box in c.boxes],
+                    "ranges": [checks.to_dict() for checks in c.ranges],
                     "timing": c.timing,
                 }
                 for c in self.candidates

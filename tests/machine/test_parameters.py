@@ -36,11 +36,14 @@ GOOD = {
     "amplifier.eddy_bandwidth": ("amplifier", "", "eddy_bandwidth", "", "angular rate"),
     "amplifier.natural_frequency": ("amplifier", "", "natural_frequency", "", "angular rate"),
     "amplifier.damping": ("amplifier", "", "damping", "", "angular rate"),
+    "rotor.bending_1.frequency": ("rotor", "bending_1", "frequency", "", "angular rate"),
+    "rotor.bending_2.damping": ("rotor", "bending_2", "damping", "", "ratio"),
 }
 BAD = [
     *("", ".", "seal", "seal.c", "seal..k", "seal.c.k.", "seal.c.k_", "seal.c.K_xy", "seal.c.k_xx", "seal.c.M_xx"),
     *("seal.c.pressure_", "seal.c.pressure_xx"),
-    *("seal.c.k.xy", "seal.c.Q", "rotor.modal_damping", "bearing.A", "bearing.A.gap", "bearing.A.negative_stiffness_zeta"),
+    *("rotor.modal_damping", "rotor.bending_1.shape"),
+    *("seal.c.k.xy", "seal.c.Q", "bearing.A", "bearing.A.gap", "bearing.A.negative_stiffness_zeta"),
     *("bearing.A.negative_stiffness.x", "bearing.A.negative_stiffness.zeta.zeta", "bearing.A.negative_stiffness."),
     *("coupling.c.mass", "amplifier", "amplifier.", "amplifier.order", "amplifier.bandwidth.zeta", "Seal.c.k", "seal.c. k"),
 ]

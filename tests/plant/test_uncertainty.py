@@ -95,6 +95,38 @@ def test_amplifier_bandwidth(machine, amplifier, parameter):
     assert response(ours) == pytest.approx(response(truth), rel=1e-6, abs=1e-9 * np.abs(response(truth)).max())
 
 
+def stiffer(machine, factor):
+    """All bending frequencies times ``factor``, their damping coefficients 2 zeta omega kept."""
+    shaft = tuple(
+        replace(s, material=replace(s.material, youngs_modulus=s.material.youngs_modulus * factor**2)) for s in machine.shaft
+    )
+    return replace(machine, shaft=shaft, modal_damping=machine.modal_damping / factor)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "change"),
+    [("frequency", stiffer), ("damping", lambda m, f: replace(m, modal_damping=m.modal_damping * f))],
+)
+@pytest.mark.parametrize("delta", [-1.0, 0.7])
+def test_a_bending_mode_moves_as_a_changed_shaft(machine, quantity, change, delta):
+    path = f"rotor.bending_1.{quantity}"
+    named = replace(machine, tolerances=(Tolerance(path, relative=0.3),))
+    full = assemble(named)
+    assert uncertain(full).blocks == (RealBlock(path, 4 if quantity == "frequency" else 2),)
+    assert full.ports == assemble(machine).ports
+    assert np.array_equal(response(full), response(assemble(machine)))
+    ours = response(perturbed(free_mode_reduction(full, 1), {path: delta}))
+    truth = response(free_mode_reduction(assemble(change(machine, 1 + 0.3 * delta)), 1))
+    assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
+    whole, reduced = response(perturbed(full, {path: delta})), response(perturbed(reduce(full, 3), {path: delta}))
+    assert np.abs(reduced[:, :4, :4] - whole[:, :4, :4]).max() < 1e-3 * np.abs(whole[:, :4, :4]).max()
+
+
+def test_a_bending_mode_without_port_is_refused(machine):
+    with pytest.raises(InvalidInput, match=r"no port in this plant; name it in a \[\[tolerance\]\]"):
+        uncertain(assemble(machine), [Tolerance("rotor.bending_1.damping", relative=0.3)])
+
+
 def test_single_entries_add_up_to_the_repeated_block(machine):
     plant = assemble(machine)
     both = perturbed(plant, {"seal.center.k": 0.4}, [Tolerance("seal.center.k", relative=1.0)])

@@ -138,8 +138,12 @@ def synthesize(
         }  # fmt: skip
         say_json(summary)
     else:
-        numbers = {**certificate, **certificate["margins"]}
-        rows = [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name != "margins"]
+        numbers = {"gamma": result.gamma, **certificate, **certificate["margins"]}
+        apart = {"margins", "envelope"}
+        if any(name.startswith("sampled_") for name in certificate["margins"]):  # the loop as it runs; the file keeps both
+            apart |= {"full_spectral_abscissa", "full_sensitivity_peak"}
+        rows = [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name not in apart]
+        rows += [(f"abscissa, {label}", shown(value)) for label, value in certificate["envelope"].items()]
         if factor is not None:
             rows.append(("control weight factor", shown(factor)))
         rows += [("note", note) for note in result.notes]

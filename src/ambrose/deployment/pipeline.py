@@ -222,7 +222,7 @@ def _deploy(
     how: dict[str, Any] = {**sampling, "force": options.force, "progress": progress}
     guards: dict[str, Any] = {"windup_time": options.windup_time, "hold_samples": options.hold_samples}
     if synthesis.scheduled is None:
-        plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.points]
+        plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.envelope]
         fixed = deploy(synthesis, dt, delay, plants=plants, **how)
         if options.form == "cascade":
             guards["prewarp"] = options.prewarp

@@ -14,7 +14,7 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.evaluation.plants import Progress, split_covered
 from ambrose.evaluation.trial import RUN_UP, RunUp, run_on_rig, simulate_linear
-from ambrose.evaluation.verdict import verify_points, verify_tolerances
+from ambrose.evaluation.verdict import verify_points, verify_ranges, verify_tolerances
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
@@ -36,7 +36,7 @@ class Candidate:
 
     name: for people ("PID", "H-infinity", "mu"); checks: per operating point; boxes: over the tolerances around each, from
     verify_tolerances; traces: (operating point, trace) pairs, several scenarios; left_out: labels of the operating points that
-    its schedule does not cover; timing: what loop was judged, in words.
+    its schedule does not cover; timing: what loop was judged, in words; ranges: over the machine's ranges, from verify_ranges.
     """
 
     name: str
@@ -46,6 +46,7 @@ class Candidate:
     traces: tuple[tuple[str, Trace], ...] = ()
     left_out: tuple[str, ...] = ()
     timing: str = CONTINUOUS
+    ranges: tuple[Checks, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.name.strip():
@@ -64,8 +65,8 @@ class Candidate:
 
     @property
     def verifications(self) -> tuple[Checks, ...]:
-        """The checks at every operating point, then those over the tolerances around each."""
-        return (*self.checks, *self.boxes)
+        """The checks at every operating point, then those over the tolerances around each and over the ranges."""
+        return (*self.checks, *self.boxes, *self.ranges)
 
     @property
     def passed(self) -> bool:
@@ -104,7 +105,7 @@ def points_of(machine: Machine, candidates: Sequence[Candidate]) -> tuple[str, .
     names = [candidate.name for candidate in candidates]
     if not names or len(set(names)) < len(names):
         raise InvalidInput(f"the candidates are named {', '.join(names) or 'not at all'}, but need one name each; rename them")
-    known = {point.label: (point.speed, point.seal_pressure) for point in machine.operation.points}
+    known = {point.label: (point.speed, point.seal_pressure) for point in machine.operation.envelope}
     labels = dict.fromkeys(checks.label for candidate in candidates for checks in candidate.checks)
     return tuple(sorted(labels, key=lambda label: known.get(label, (float("inf"), 0.0))))
 
@@ -130,6 +131,8 @@ def evaluate(
     running = Deployed(law, law, within, timing) if deployed is None else deployed
     checks = verify_points(within, running.law, progress, timing)
     boxes = verify_tolerances(within, running.law, checks, progress, timing, tolerances, design=law)
+    ranges, beyond = verify_ranges(plants[0].machine, running.law, checks, progress, timing)
+    left_out = (*left_out, *beyond)
     traces: list[tuple[str, Trace]] = []
     for plant, real in zip(within, running.plants, strict=True):
         label = plant.point.label
@@ -137,7 +140,8 @@ def evaluate(
         traces += [(label, simulate_linear(plant, law, scenario, timing)) for scenario in SCENARIOS]
         progress(f"virtual rig at {label}")
         traces.append((label, run_on_rig(real, running.program, SCENARIOS[-1], timing)))
-    return Candidate(name, synthesis, checks, boxes, tuple(traces), left_out, CONTINUOUS if timing is None else str(timing))
+    words = CONTINUOUS if timing is None else str(timing)
+    return Candidate(name, synthesis, checks, boxes, tuple(traces), left_out, words, ranges)
 
 
 def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress) -> tuple[RunUp, ...]:

@@ -28,7 +28,7 @@ _CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10
 def full_plants(machine: Machine) -> tuple[Plant, ...]:
     """The full finite-element plant at every operating point of the machine; the first is the one designs are made for."""
     first = machine.operation.design
-    others = [point for point in machine.operation.points if point is not first]
+    others = [point for point in machine.operation.envelope if point is not first]
     return tuple(assemble(machine, point) for point in (first, *others))
 
 

@@ -16,12 +16,14 @@ from ambrose.core.statespace import StateSpace
 from ambrose.evaluation.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
-from ambrose.plant.loop import match_controller
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import covers, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.plant.uncertainty import not_varied, tolerances_around
 from ambrose.synthesis.weights import machine_weights
 from ambrose.verification import nominal, robust, sampled
+from ambrose.verification.between import check_range
 from ambrose.verification.checks import Check, Checks
 from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
@@ -59,8 +61,12 @@ def verify_controller(
     timing = timing_of(within[0].machine, controller, rate, delay_samples)
     checks = verify_points(within, law, progress, timing)
     boxes = verify_tolerances(within, law, checks, progress, timing) if tolerances else ()
+    ranges: tuple[Checks, ...] = ()
+    if points is None and isinstance(machine, Machine):
+        ranges, beyond = verify_ranges(machine, law, checks, progress, timing)
+        left_out = (*left_out, *beyond)
     still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
-    return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still)
+    return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still, ranges)
 
 
 def running_law(law: Any, plant: Plant, timing: Timing | None) -> StateSpace:
@@ -81,6 +87,20 @@ def verify_points(
         along = plants_along_speed(plant) if turning else None
         results.append(nominal.check(plant, running_law(controller, plant, timing), plant_at=along))
     return tuple(results)
+
+
+def verify_ranges(
+    machine: Machine, law: Any, points: Sequence[Checks], progress: Progress, timing: Timing | None = None
+) -> tuple[tuple[Checks, ...], tuple[str, ...]]:
+    """The checks over every range all of whose corners (of ``points``) are held; the ranges that a schedule does not cover."""
+    stable, found, beyond = {checks.label: checks.stable for checks in points}, [], []
+    for area in machine.operation.ranges:
+        if not all(covers(law, assemble(machine, corner)) for corner in area.corners):
+            beyond.append(area.label)
+        elif all(stable.get(corner.label, True) for corner in area.corners):
+            progress(f"verifying between the points of {area.label}")
+            found.append(check_range(machine, area, law, timing))
+    return tuple(found), tuple(beyond)
 
 
 def verify_tolerances(

@@ -84,6 +84,8 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
         if one.quantity == "pressure":
             remedy = f"name its coefficients, seal.{one.name}.k and so on"
             raise InvalidInput(f'parameter "{one.path}" is an operating point\'s, known with the record; {remedy}')
+        if one.table == "rotor":
+            raise InvalidInput(f'parameter "{one.path}" has no key in the machine file; correct the shaft or modal_damping')
         for other in parameters[:i]:
             if one.overlaps(other):
                 raise InvalidInput(f'parameters "{other.path}" and "{one.path}" are the same number; name it once')

@@ -7,6 +7,7 @@ files are made from these fields (file/tables.py). Parts are not checked on thei
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -257,6 +258,26 @@ class OperatingPoint(Part):
 
 
 @dataclass(frozen=True, slots=True, repr=False)
+class OperatingRange(Part):
+    """All speeds and seal pressures of a rectangle: its corners are operating points, and what lies between is judged, too."""
+
+    label: Annotated[Words, "its name in reports"]
+    speed: Annotated[Pair, PairOf("angular rate", "lowest, highest"), "[lowest, highest] spin speed, or one"] = (0.0, 0.0)
+    seal_pressure: Annotated[Pair, PairOf("pressure", "lowest, highest"), "[lowest, highest] pressure, or one"] = (0.0, 0.0)
+    bias_current: Annotated[Current | None, "bias current; default: that of each bearing"] = None
+
+    def at(self, speed: float, seal_pressure: float) -> OperatingPoint:
+        """An operating point of the range."""
+        label = f"{self.label}: {speed * 30 / math.pi:.6g} rpm, {seal_pressure / 1e5:.6g} bar"
+        return OperatingPoint(speed, seal_pressure, self.bias_current, None, label)
+
+    @property
+    def corners(self) -> tuple[OperatingPoint, ...]:
+        """Its two or four corners, lowest speed and pressure first."""
+        return tuple(self.at(v, p) for v in dict.fromkeys(self.speed) for p in dict.fromkeys(self.seal_pressure))
+
+
+@dataclass(frozen=True, slots=True, repr=False)
 class Operation(Part):
     """Where the machine runs."""
 
@@ -268,6 +289,20 @@ class Operation(Part):
         0.0,
     )
     design_point: Annotated[Words, "label of the point that controllers are designed for; default: the nominal one"] = ""
+    ranges: Annotated[tuple[OperatingRange, ...], "ranges of speed and pressure in which the machine runs"] = field(
+        default=(), metadata={"key": "range"}
+    )
+
+    @property
+    def envelope(self) -> tuple[OperatingPoint, ...]:
+        """The operating points, and the corners of the ranges that are none of them."""
+
+        def place(point: OperatingPoint) -> tuple[float | None, ...]:
+            return point.speed, point.seal_pressure, point.bias_current, point.whirl_frequency
+
+        corners = {place(corner): corner for area in self.ranges for corner in area.corners}
+        known = {place(point) for point in self.points}
+        return (*self.points, *(corner for at, corner in corners.items() if at not in known))
 
     @property
     def nominal(self) -> OperatingPoint:
@@ -276,7 +311,7 @@ class Operation(Part):
     @property
     def design(self) -> OperatingPoint:
         """The point that controllers are designed for."""
-        return next((point for point in self.points if point.label == self.design_point and point.label), self.nominal)
+        return next((point for point in self.envelope if point.label == self.design_point and point.label), self.nominal)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -29,6 +29,7 @@ TABLES: Mapping[str, int] = {
     "coupling": 20,
     "tolerance": 60,
     "operation.point": 50,
+    "operation.range": 10,
     "controller.notch": 20,
     "controller.channel": 16,
     "controller.channel.section": 20,

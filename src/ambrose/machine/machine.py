@@ -30,7 +30,7 @@ class Machine(MachineDescription):
 
     def facts(self) -> Mapping[str, Any]:
         counts = {"discs": len(self.discs), "seals": len(self.seals), "tolerances": len(self.tolerances)}
-        points = len(self.operation.points)
+        points = len(self.operation.envelope)
         return {"name": self.name, "length": f"{self.length:.4g} m", "axes": list(self.axes), **counts, "points": points}
 
     def _repr_html_(self) -> str:
@@ -42,7 +42,7 @@ class Machine(MachineDescription):
             ("discs", ", ".join(f"{disc.name} at {disc.position:.4g} m, {disc.mass:.4g} kg" for disc in self.discs)),
             ("seals", _places(self.seals)),
             ("couplings", _places(self.couplings)),
-            ("operating points", "; ".join(_point_in_words(point) for point in self.operation.points)),
+            ("operating points", "; ".join(_point_in_words(point) for point in self.operation.envelope)),
             ("tolerances", "; ".join(_tolerance_in_words(item) for item in self.tolerances)),
         ]
         return html_table([row for row in rows if row[1]], f"Machine {self.name}")

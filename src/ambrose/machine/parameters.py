@@ -7,6 +7,7 @@ seal.<name>.pressure                             every coefficient that follows 
 bearing.<name>.force_per_current | negative_stiffness [.zeta | .eta]
 coupling.<name>.stiffness | damping [.zeta | .eta]
 amplifier.bandwidth | eddy_bandwidth | natural_frequency | damping    of all axes together
+rotor.bending_1.frequency | damping              of a free bending mode, bending_2 and so on, in both planes
 
 controller.delay and excitation.delay name the timing of a measured loop: not the machine's, but identified with its parameters.
 """
@@ -37,8 +38,10 @@ QUANTITIES: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "bearing": {"force_per_current": ("force per current", _TILTED), "negative_stiffness": ("stiffness", _TILTED)},
     "coupling": {"stiffness": ("stiffness", _TILTED), "damping": ("damping", _TILTED)},
     "amplifier": {name: ("angular rate", ()) for name in ("bandwidth", "eddy_bandwidth", "natural_frequency", "damping")},
+    "rotor": {"frequency": ("angular rate", ()), "damping": ("ratio", ())},
 }
 
+BENDING = "bending_"  # rotor.bending_<k>: the k-th free bending mode
 CONTROLLER_DELAY, EXCITATION_DELAY = "controller.delay", "excitation.delay"
 TIMING = (CONTROLLER_DELAY, EXCITATION_DELAY)  # [s]; what an identification may find beside the machine's parameters
 
@@ -102,6 +105,7 @@ def find_parameter(machine: MachineDescription, path: str) -> Parameter:
         "seal": [seal.name for seal in machine.seals],
         "bearing": [bearing.name for bearing in machine.bearings],
         "coupling": [coupling.name for coupling in machine.couplings],
+        "rotor": [f"{BENDING}{k + 1}" for k in range(2 * sum(section.elements for section in machine.shaft))],
     }[parameter.table]
     if parameter.name not in names:
         nothing = f"the machine has no [[{parameter.table}]]"
@@ -151,8 +155,14 @@ def operating_point(
     return replace(point, label="", **changed)  # type: ignore[arg-type]
 
 
+def uncertain_modes(machine: MachineDescription) -> tuple[int, ...]:
+    """The numbers, from 1, of the free bending modes that the machine's tolerances name; ascending."""
+    paths = [parse_parameter(item.parameter) for item in machine.tolerances if item.parameter.startswith("rotor.")]
+    return tuple(sorted({int(path.name.removeprefix(BENDING)) for path in paths}))
+
+
 def _labelled(machine: MachineDescription, label: str) -> OperatingPoint:
-    points = machine.operation.points
+    points = machine.operation.envelope
     matches = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]
     if len(matches) != 1:
         raise InvalidInput(f"operating point {label!r} is not one point of machine {machine.name!r}; it has {_labels(machine)}")
@@ -160,7 +170,7 @@ def _labelled(machine: MachineDescription, label: str) -> OperatingPoint:
 
 
 def _labels(machine: MachineDescription) -> str:
-    return ", ".join(repr(point.label) for point in machine.operation.points)
+    return ", ".join(repr(point.label) for point in machine.operation.envelope)
 
 
 def _wrong(path: str, problem: str) -> InvalidInput:

@@ -18,7 +18,7 @@ from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import OperatingPoint, Seal
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import operating_point
+from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes
 from ambrose.physics.seal_rational import has_states
@@ -65,7 +65,8 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
     """The rotor plus bearing stiffness, seals, couplings and modal damping, in free-rotor modes, with all ports.
 
     Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency (None: all of the mesh).
-    Inputs f_<port> [N]; outputs q_<port> and s_<axis> [m]; velocity outputs qdot_<port> [m/s].
+    Inputs f_<port> [N]; outputs q_<port> and s_<axis> [m]; velocity outputs qdot_<port> [m/s]. A free bending mode that a
+    tolerance names has ports too, bending_<k>_x and _y: the force on its mass-orthonormal coordinate, and the coordinate.
     """
     modes = free_modes(rotor, bending_modes_of(rotor) if bending_modes is None else bending_modes)
     places, sensed = ports(machine), sensor_ports(machine)
@@ -90,7 +91,9 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
         mass += pair.T @ m @ pair
-    names = [p.name for p in places]
+    own = np.eye(bending_modes_of(rotor) * 2 + 4)[:, : len(mass)]
+    N = np.vstack([N, *(own[2 + 2 * k : 4 + 2 * k] for k in uncertain_modes(machine))])
+    names = [*(p.name for p in places), *mode_ports(machine)]
     return SecondOrder(
         mass,
         damping,
@@ -103,6 +106,11 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
         tuple(f"q_{name}" for name in names) + tuple(f"s_{axis}" for axis in machine.axes),
         tuple(f"qdot_{name}" for name in names),
     )
+
+
+def mode_ports(machine: Machine) -> tuple[str, ...]:
+    """The ports of the free bending modes that the machine's tolerances name; they are the rotor's alone, not the plant's."""
+    return tuple(f"{BENDING}{k}_{plane}" for k in uncertain_modes(machine) for plane in "xy")
 
 
 def gyroscopic_of(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
@@ -167,14 +175,14 @@ def wire(
     names = tuple(p.name for p in ports(machine))
     system = connect(
         [
-            rename(rotor, [f"F_{name}" for name in names]),
+            rename(rotor, [f"F_{name}" for name in (*names, *mode_ports(machine))]),
             amplifier.linearised(machine.amplifier, machine.axes),
             magnets(machine, point),
             sensor.linearised(machine.sensors, machine.axes),
         ],
         inputs=plant_inputs(machine.axes, names),
         outputs=plant_outputs(machine.axes, names),
-        sums=force_sums(machine.axes, names),
+        sums={**force_sums(machine.axes, names), **{f"F_{name}": [] for name in mode_ports(machine)}},
     )
     return Plant(machine, point, system, rotor, names, bending_modes)
 

@@ -85,4 +85,4 @@ class Plant(Presented):
 
 def top_speed(machine: Machine) -> float:
     """The highest speed the machine is meant for [rad/s]: of its speed range and its operating points; 0 at standstill."""
-    return max(machine.operation.speed_range[1], *(point.speed for point in machine.operation.points))
+    return max(machine.operation.speed_range[1], *(point.speed for point in machine.operation.envelope))

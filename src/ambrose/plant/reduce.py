@@ -20,6 +20,7 @@ from ambrose.plant.assemble import (
     attached_rotor,
     attached_statespace,
     bending_modes_of,
+    mode_ports,
     seal_states,
     state_scales,
     wire,
@@ -53,8 +54,13 @@ class Reduction:
         intermediate model enter by their static compliance only (exactly, when the static correction is on).
         """
         omega = check_shape(omega, "omega", "(w,)")
-        keep = [i for i, name in enumerate(self.residual.outputs) if not name.startswith("qdot_")]
-        return modal_sum_bound(self.residual.A, self.residual.B, self.residual.C[keep], omega, self.static_correction)
+        own = tuple(f"_{name}" for name in mode_ports(self.plant.machine))
+        keep, used = (
+            [i for i, name in enumerate(names) if not name.startswith("qdot_") and not (own and name.endswith(own))]
+            for names in (self.residual.outputs, self.residual.inputs)
+        )
+        residual = self.residual
+        return modal_sum_bound(residual.A, residual.B[:, used], residual.C[keep], omega, self.static_correction)
 
 
 def reduce(plant: Plant, bending_modes: int = 0, static_correction: bool = True) -> Plant:

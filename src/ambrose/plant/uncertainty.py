@@ -17,18 +17,22 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
 from ambrose.machine.description import Amplifier, Seal, Tolerance
-from ambrose.machine.parameters import Parameter, find_uncertain
+from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
 from ambrose.physics import magnet, seal_rational, sensor
+from ambrose.physics.rotor import free_modes
 from ambrose.physics.seal_rational import has_states
-from ambrose.plant.assemble import force_sums, magnets, plant_inputs, plant_outputs, seal_coefficients, seal_model
+from ambrose.plant.assemble import force_sums, magnets, mode_ports, plant_inputs, plant_outputs, seal_coefficients, seal_model
 from ambrose.plant.model import Plant
+
+NEXT = "next"
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One occurrence of a parameter: nominal value * (gradient . signals) acts on ``target``.
 
-    target: "F_<port>" (a force sum) or "x_<axis>_<state>" (an amplifier's state derivative). gradient: signal -> factor.
+    target: "F_<port>" (a force sum), "x_<axis>_<state>" (an amplifier's state derivative) or "" (nothing). gradient: signal ->
+    factor; the signal NEXT is what the parameter's next channel gives, for a parameter that enters by its square.
     """
 
     target: str
@@ -54,16 +58,19 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     for tolerance, label, group in [*members, *((tolerance, tolerance.parameter, blocks) for tolerance in tolerances)]:
         places = channels(plant, tolerance.parameter)
         for j, (channel, width) in enumerate(zip(places, _half_widths(tolerance, places), strict=True)):
-            name = f"{label}_{j + 1}"
-            rows.append((f"z_{name}", {signal: width * factor for signal, factor in channel.gradient}))
-            sums.setdefault(channel.target, []).append(f"w_{name}")
+            name, follows = f"{label}_{j + 1}", f"w_{label}_{j + 2}"
+            gradient = {follows if signal == NEXT else signal: width * factor for signal, factor in channel.gradient}
+            rows.append((f"z_{name}", gradient))
+            if channel.target:
+                sums.setdefault(channel.target, []).append(f"w_{name}")
         group.append(RealBlock(label, len(places)))
     w = [f"w_{name[2:]}" for name, _ in rows]
     z = [name for name, _ in rows]
     drive = open_amplifier(machine.amplifier, machine.axes)
-    unused: dict[str, list[str]] = {name: [] for name in drive.inputs if name.startswith("x_") and name not in sums}
+    idle = [*(name for name in drive.inputs if name.startswith("x_")), *(f"F_{name}" for name in mode_ports(machine))]
+    unused: dict[str, list[str]] = {name: [] for name in idle if name not in sums}
     inner = [
-        rename(plant.rotor, [f"F_{name}" for name in plant.ports]),
+        rename(plant.rotor, [f"F_{name}" for name in (*plant.ports, *mode_ports(machine))]),
         drive,
         magnets(machine, plant.point),
         sensor.linearised(machine.sensors, machine.axes),
@@ -223,6 +230,29 @@ def _coupling_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     return _pair(parameter, getattr(item, parameter.quantity), "q" if parameter.quantity == "stiffness" else "qdot", -1.0)
 
 
+def _rotor_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
+    """A free bending mode in both planes: its frequency w, force -(w^2) q on the mode, or its damping ratio, -2 zeta w q'.
+
+    (w + D)^2 - w^2 = (2 w + D) D is two channels: D q, and D (2 w q + D q). The damping coefficient 2 zeta w keeps its w.
+    """
+    ports = [f"{parameter.name}_{plane}" for plane in "xy"]
+    if f"f_{ports[0]}" not in plant.rotor.inputs:
+        raise InvalidInput(
+            f'parameter "{parameter.path}" has no port in this plant; name it in a [[tolerance]] of the machine file'
+        )
+    omega = float(free_modes(plant.rotor_model, int(parameter.name.removeprefix(BENDING))).frequencies[-1])
+    if parameter.quantity == "damping":
+        return [Channel(f"F_{p}", plant.machine.modal_damping, ((f"qdot_{p}", -2 * omega),)) for p in ports]
+    return [
+        channel
+        for p in ports
+        for channel in (
+            Channel(f"F_{p}", omega, ((f"q_{p}", -2 * omega), (NEXT, -1.0))),
+            Channel("", omega, ((f"q_{p}", 1.0),)),
+        )
+    ]
+
+
 def _pair(parameter: Parameter, values: Sequence[float], signal: str, sign: float) -> list[Channel]:
     """The zeta and eta channels of an attachment, or the one that the path names."""
     return [
@@ -295,4 +325,5 @@ _FORMS = {
     "bearing": _bearing_channels,
     "coupling": _coupling_channels,
     "amplifier": _amplifier_channels,
+    "rotor": _rotor_channels,
 }

@@ -200,7 +200,9 @@ def _verification(verification: Verification) -> Any:
 
 @plot.register
 def _candidate(candidate: Candidate) -> Any:
-    return _verification(Verification(candidate.checks, candidate.boxes, candidate.left_out, candidate.timing))
+    return _verification(
+        Verification(candidate.checks, candidate.boxes, candidate.left_out, candidate.timing, ranges=candidate.ranges)
+    )
 
 
 def _sensitivity(points: Sequence[tuple[str, Checks]], verdict: str) -> Any:

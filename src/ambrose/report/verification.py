@@ -74,7 +74,7 @@ def models_section(comparison: Labelled) -> list[Section]:
 
 def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
     wanted = {checks.label for checks in verifications}
-    points = [point for point in machine.operation.points if point.label in wanted]
+    points = [point for point in machine.operation.envelope if point.label in wanted]
     shown = [*tables.overview_tables(verifications)]
     if points:
         shown.append(tables.operating_points_table(points))

@@ -36,7 +36,7 @@ class Share(float):
 
 
 def _top_pressure(machine: Machine) -> float | None:
-    return max(point.seal_pressure for point in machine.operation.points)
+    return max(point.seal_pressure for point in machine.operation.envelope)
 
 
 def _least(name: str) -> Callable[[Machine], float | None]:

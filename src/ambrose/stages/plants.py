@@ -44,7 +44,7 @@ def facts(machine: Machine) -> dict[str, Any]:
         "plant_states": plant.system.n_states,
         "reduced_rotor_states": reduced.rotor.n_states,
         "reduced_plant_states": reduced.system.n_states,
-        "operating_points": [point.label for point in machine.operation.points],
+        "operating_points": [point.label for point in machine.operation.envelope],
         "tolerances": [tolerance.parameter for tolerance in machine.tolerances],
         "assumed": len(machine.assumed),
     }

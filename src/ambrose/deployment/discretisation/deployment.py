@@ -247,7 +247,7 @@ def _unstable(boxes: Sequence[Checks]) -> list[tuple[str, str, str]]:
 
 def _verify_over_range(deployment: ScheduledDeployment, machine: Machine, progress: Progress) -> ScheduledDeployment:
     low, high = deployment.sampled.range
-    own = machine.operation.points
+    own = machine.operation.envelope
     inside = [point for point in own if low <= point.speed <= high]
     start = (inside or list(own))[0]
 

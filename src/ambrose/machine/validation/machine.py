@@ -60,10 +60,10 @@ def _sizes(machine: MachineDescription) -> Iterator[str]:
     """More than is allowed hides all else, and is looked at first (machine/limits.py)."""
     plural = {"disc", "bearing", "sensor", "seal", "coupling"}
     several = {key: getattr(machine, f"{key}s") for key in plural}
-    pid = machine.controller
+    pid, operation = machine.controller, machine.operation
     chains = {} if pid is None else {"notch": pid.notches, "channel": pid.channels}
     yield from excess({"shaft": machine.shaft, "tolerance": machine.tolerances, **several})
-    yield from excess({"operation": {"point": machine.operation.points}, "controller": chains})
+    yield from excess({"operation": {"point": operation.points, "range": operation.ranges}, "controller": chains})
     for channel in () if pid is None else pid.channels:
         yield from excess({"controller": {"channel": {"section": channel.sections, "name": channel.names}}})
     for bearing in machine.bearings:
@@ -163,6 +163,22 @@ def _operation(machine: MachineDescription) -> Iterator[str]:
         if point.label and point.label in labels:
             yield f'{where}: label "{point.label}" is taken by an earlier point; give every point its own label'
         labels.add(point.label)
+    for i, area in enumerate(operation.ranges):
+        where = f"[[operation.range]] {i + 1}" + (f' "{area.label}"' if area.label else "")
+        yield from not_positive(where, area, "spin is positive, pressure is a difference", "speed", "seal_pressure", zero=True)
+        yield from not_positive(where, area, "leave it out for the bearings' own", "bias_current")
+        for key in ("speed", "seal_pressure"):
+            low, high = getattr(area, key)
+            if low > high:
+                yield complaint(where, key, f"[{low:g}, {high:g}]", "[lowest, highest]", "swap the two")
+        if not _one_line(area.label) or not area.label:
+            yield complaint(where, "label", shown(area.label), _ONE_LINE, "records and reports call its corners by it")
+        if area.label in labels:
+            yield f'{where}: label "{area.label}" is taken by a point or an earlier range; give every one its own label'
+        if len(area.corners) == 1:
+            yield f"{where}: has no width in speed nor in seal_pressure; make it an [[operation.point]]"
+        labels.add(area.label)
+    labels |= {point.label for point in operation.envelope}
     wanted = operation.design_point
     if wanted and wanted not in labels:
         known = suggestion(wanted, sorted(labels - {""}))
@@ -182,7 +198,7 @@ def _tolerances(machine: MachineDescription) -> Iterator[str]:
             both = "both relative and absolute are" if tolerance.relative is not None else "neither relative nor absolute is"
             yield f"{named}: {both} given; give one of the two"
         yield from not_positive(named, tolerance, "give the half-width, or remove the tolerance", "relative", "absolute")
-        labels = [point.label for point in machine.operation.points]
+        labels = [point.label for point in machine.operation.envelope]
         for unknown in (label for label in tolerance.around if label not in labels):
             yield f'{named}: around names "{unknown}", which is no point\'s label; {suggestion(unknown, labels)}'
     for one, other in combinations(uncertain, 2):

@@ -109,6 +109,7 @@ def decision(candidates: Sequence[Candidate]) -> Verdict:
     where, worst = _worst(best)
     if best in good:
         box = ", and over the tolerances around them," if best.boxes else ""
+        box += f" between them (found on grids of {listed([c.label for c in best.ranges])})," if best.ranges else ""
         count = f"all {len(best.checks)} operating points" if len(best.checks) > 1 else "the operating point"
         margin = f"; nearest to its limit: {_amount(worst)} {where}" if worst.check is not None else "; no limits were given"
         others = [candidate.name for candidate in good if candidate is not best]
@@ -134,7 +135,7 @@ def _absent(candidate: Candidate, labels: Sequence[str]) -> list[str]:
 
 def _distance(candidate: Candidate, labels: Sequence[str]) -> tuple[int, int, float]:
     """How far a controller is from meeting everything: points not held, boxes not held, the worst ratio."""
-    points, boxes = ([share(checks) for checks in part] for part in (candidate.checks, candidate.boxes))
+    points, boxes = ([share(checks) for checks in part] for part in (candidate.checks, (*candidate.boxes, *candidate.ranges)))
     missing = len(_absent(candidate, labels)) + sum(not own.stable for own in points)
     return missing, sum(not own.stable for own in boxes), _worst(candidate)[1].ratio
 
@@ -143,6 +144,7 @@ def _worst(candidate: Candidate) -> tuple[str, Share]:
     """Where and what binds of everything that was evaluated; an operating point goes before the box around it."""
     known = [(f"at {checks.label}", share(checks)) for checks in candidate.checks]
     known += [(f"over the tolerances {around(box)}", share(box)) for box in candidate.boxes]
+    known += [(f"between the points of {checks.label}", share(checks)) for checks in candidate.ranges]
     return max(known, key=lambda item: (not item[1].passed, item[1].ratio))
 
 
@@ -157,7 +159,7 @@ def _amount(own: Share) -> str:
 
 def envelope_section(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
     """The map: a panel of speed over pressure per controller where the operating points form a grid, else one table."""
-    known = {point.label: point for point in machine.operation.points}
+    known = {point.label: point for point in machine.operation.envelope}
     left_out = [label for candidate in candidates for label in candidate.left_out]
     places = sorted(
         (known[label] for label in {*points, *left_out} if label in known), key=lambda p: (p.speed, p.seal_pressure)

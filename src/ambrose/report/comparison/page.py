@@ -95,6 +95,13 @@ def comparison_report(
 
 def _with_box(report: Report, machine: Machine, candidate: Candidate) -> Report:
     """The verification report of one controller, and what was found over the tolerance box."""
+    if candidate.ranges:
+        shown = tuple(replace(tables.checks_table(part), title=part.label) for part in candidate.ranges)
+        drawn = curve_figures([(part.label, curve) for part in candidate.ranges for curve in part.curves], ())
+        section = Section("Between the operating points", "", drawn, shown)
+        verdicts = tuple(tables.verdict(part) for part in candidate.ranges)
+        sections = (*report.sections[:-1], section, report.sections[-1])
+        report = replace(report, sections=sections, verdicts=(*report.verdicts, *verdicts))
     if candidate.robust is None:
         return report
     shown = tuple(replace(tables.checks_table(box), title=box.label) for box in candidate.boxes)
@@ -108,7 +115,7 @@ def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[
     shown = [comparison_tables.verdict_table(candidates, points), comparison_tables.glance_table(machine, candidates, points)]
     if len(points) > 1:
         shown += comparison_tables.point_tables(candidates, points)
-    known = [point for label in points for point in machine.operation.points if point.label == label]
+    known = [point for label in points for point in machine.operation.envelope if point.label == label]
     if known:
         shown.append(tables.operating_points_table(known))
     return Section("At a glance", "", (), tuple(shown))

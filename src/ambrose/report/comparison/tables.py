@@ -64,6 +64,9 @@ def _line(candidate: Candidate, points: Sequence[str]) -> str:
     if candidate.boxes:
         failed = [around(box) for box in candidate.boxes if not box.passed]
         words.append(f"fails over the tolerances {listed(failed)}" if failed else "passes over the tolerances")
+    if candidate.ranges:
+        failed = [checks.label for checks in candidate.ranges if not checks.passed]
+        words.append(f"fails between the points of {listed(failed)}" if failed else "passes between the points of its ranges")
     return "; ".join(words)
 
 

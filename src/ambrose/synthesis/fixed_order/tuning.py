@@ -24,11 +24,12 @@ from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import bending_modes_of
+from ambrose.plant.assemble import assemble, bending_modes_of
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain
+from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain, with_offsets_of
+from ambrose.synthesis.between import search
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
 from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, at_limits, filter_bank, first_bank
@@ -338,7 +339,8 @@ def _judged(job: _Job, law: Law, models: Sequence[LoopModel]) -> _Round:
 
 
 def _add_members(job: _Job, law: Law) -> Law:
-    """The worst corner of the tolerances around every point joins the models; the controller brought to hold them all."""
+    """The worst corner of the tolerances around every point, and the worst point of every range, join the models; the
+    controller brought to hold them all."""
     controller = _system(law, job.full[0].machine)
     for plant in job.small:
         found = worst_member(plant, controller, job.timing, job.aims)
@@ -347,6 +349,13 @@ def _add_members(job: _Job, law: Law) -> Law:
             job.members.add(key)
             label = f"{plant.point.label}, {', '.join(f'{name} {value:+.3g}' for name, value in found.items())}"
             job.models.append(loop_model(perturbed(plant, found, tolerances_around(plant)), job.timing, label))
+    for area in job.full[0].machine.operation.ranges:
+        point = search(job.full[0].machine, area, controller, job.timing).worst(area)
+        if (point.label, ()) not in job.members and point not in area.corners:
+            job.members.add((point.label, ()))
+            modes = job.small[0].bending_modes or 0
+            between = with_offsets_of(assemble(job.full[0].machine, point), job.full[0])
+            job.models.append(loop_model(reduce(between, modes), job.timing, point.label))
     return _holding(job, law)
 
 

@@ -29,7 +29,7 @@ def speed_grid(machine: Machine, point: OperatingPoint, count: int = POINTS) -> 
     Points count that have the seal pressure and the bias currents of ``point`` and turn. Raises InvalidInput where they leave
     no range.
     """
-    alike = [p for p in machine.operation.points if replace(p, speed=point.speed, label=point.label) == point]
+    alike = [p for p in machine.operation.envelope if replace(p, speed=point.speed, label=point.label) == point]
     speeds = sorted({p.speed for p in alike if p.speed > 0} | ({point.speed} if point.speed > 0 else set()))
     if len(speeds) < 2:
         raise InvalidInput(

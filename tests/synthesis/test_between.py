@@ -1,0 +1,82 @@
+"""A range of operating points: its corners, and what is found between them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ambrose as amb
+from ambrose.evaluation.verdict import verify_controller
+from ambrose.machine.description import OperatingPoint, OperatingRange
+from ambrose.plant.assemble import assemble
+from ambrose.plant.reduce import reduce
+from ambrose.plant.timing import Timing
+from ambrose.synthesis.between import search
+from ambrose.synthesis.certificate import certify
+from ambrose.synthesis.pid import pid_controller
+
+AREA = OperatingRange("running", (0.0, 600.0), (0.0, 1.5e5))
+
+
+@pytest.fixture(scope="module")
+def machine():
+    m = amb.load_machine("seal-rig")
+    points = (OperatingPoint(label="rest"), OperatingPoint(600.0, 1.5e5, label="full"))
+    return replace(m, operation=replace(m.operation, points=points, ranges=(AREA,), design_point=""), tolerances=())
+
+
+def test_corners_are_operating_points_but_those_that_are_points_already(machine):
+    labels = [point.label for point in machine.operation.envelope]
+    assert labels == ["rest", "full", "running: 0 rpm, 1.5 bar", "running: 5729.58 rpm, 0 bar"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"speed": (5.0, 5.0), "seal_pressure": (1.0, 1.0)}, "has no width in speed nor in seal_pressure; make it an"),
+        ({"speed": (9.0, 5.0)}, r"speed is \[9, 5\].*swap the two"),
+        ({"seal_pressure": (-1.0, 5.0)}, "seal_pressure"),
+        ({"label": "rest"}, "is taken by a point or an earlier range"),
+        ({"label": ""}, "label"),
+    ],
+)
+def test_a_range_that_is_none_is_refused(machine, change, words):
+    with pytest.raises(amb.InvalidInput, match=words):
+        replace(machine, operation=replace(machine.operation, ranges=(replace(AREA, **change),)))
+
+
+@pytest.mark.parametrize("timing", [None, Timing(1e-4, 1)])
+def test_the_peak_that_is_found_is_that_of_a_fine_grid(machine, timing):
+    K = pid_controller(machine.controller, machine)
+    found = search(machine, AREA, K, timing)
+    runs = K if timing is None else timing.in_loop(K)
+    fine = [
+        certify(reduce(assemble(machine, AREA.at(speed, pressure)), 3), runs).closed_loop_norm
+        for speed in np.linspace(0, 600, 4)
+        for pressure in np.linspace(0, 1.5e5, 4)
+    ]
+    assert found.peak.max() == pytest.approx(max(fine), rel=5e-3)
+    assert found.change <= 0.05 or found.peak.size > 26
+    assert (found.abscissa < 0).all()
+
+
+def test_a_loop_that_is_lost_at_high_pressure_is_found(machine):
+    """The PID holds the seal rig without pressure and loses it below 4 bar; the search says where it is lost most."""
+    wide = replace(machine, operation=replace(machine.operation, ranges=(replace(AREA, seal_pressure=(0.0, 4e5)),)))
+    found = search(wide, wide.operation.ranges[0], pid_controller(machine.controller, machine), Timing(1e-4, 1))
+    lost = found.abscissa >= 0
+    assert lost[:, -1].all()
+    assert not lost[:, 0].any()
+    assert np.isinf(found.peak[lost]).all()
+    assert found.worst(wide.operation.ranges[0]).seal_pressure == 4e5
+
+
+def test_verify_judges_between_the_points(machine):
+    verdict = verify_controller(machine, pid_controller(machine.controller, machine), rate=1e4, tolerances=False)
+    (inside,) = verdict.ranges
+    assert inside.label == "running"
+    corners = max(checks["sensitivity.output.max"].value for checks in verdict.points)
+    assert inside["range.sensitivity"].value >= 0.999 * corners
+    assert inside["range.sensitivity"].limit is not None
+    assert "running" in dict(verdict.labelled)
+    assert verdict.to_dict()["ranges"][0]["label"] == "running"
