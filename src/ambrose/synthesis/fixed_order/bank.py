@@ -160,6 +160,11 @@ def at_limits(settings: PidSettings, machine: Machine, fastest: float) -> list[s
     return [f"{text} ({', '.join(dict.fromkeys(names))})" for text, names in where.items()]
 
 
+def advice(structure: str) -> str:
+    """How a structure that is not enough can be given more: a PID has one order only."""
+    return "choose structure 'filters' or 'free'" if structure == "pid" else "allow a higher order"
+
+
 def _own(numbers: dict[str, Any]) -> dict[str, Any]:
     """A section's own keys: eps from the corner of the derivative's filter."""
     if "derivative_filter" in numbers:

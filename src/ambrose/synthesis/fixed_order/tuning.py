@@ -32,7 +32,7 @@ from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain, w
 from ambrose.synthesis.between import search
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
-from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, at_limits, filter_bank, first_bank
+from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, at_limits, filter_bank, first_bank, advice
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.loops import LoopModel, lateness, loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
@@ -249,13 +249,8 @@ def _holding(job: _Job, law: Law) -> Law:
         return law
     raise NumericalFailure(
         f"no controller of order {structure.controller(x).n_states} that holds all {len(job.models)} models was found (a pole "
-        f"stays at {abscissa:+.3g} rad/s); {_more(job)}, give another [controller] to start from, or drop a point"
+        f"stays at {abscissa:+.3g} rad/s); {advice(job.structure)}, give another [controller] to start from, or drop a point"
     )
-
-
-def _more(job: _Job) -> str:
-    """How the structure can be given more freedom: a PID has one order only."""
-    return "choose structure 'filters' or 'free'" if job.structure == "pid" else "allow a higher order"
 
 
 def _grid(job: _Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarray:
@@ -311,7 +306,7 @@ def _best(job: _Job, rounds: list[_Round]) -> _Round:
     if not np.isfinite(best.worst):
         raise NumericalFailure(
             f"no controller of order {_system(best.law, job.full[0].machine).n_states} that holds the full plant at all "
-            f"{len(job.full)} operating points was found; {_more(job)}, allow more bending modes, or drop a point"
+            f"{len(job.full)} operating points was found; {advice(job.structure)}, allow more bending modes, or drop a point"
         )
     return best
 
@@ -445,7 +440,7 @@ def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reas
     notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
     missed = [f"{name} ({ratio.value:.3f})" for name, ratio in ratios.items() if ratio.value > 1]
     if missed:
-        notes.append(f"not met: {', '.join(missed)}; {_more(job)}, or relax a requirement")
+        notes.append(f"not met: {', '.join(missed)}; {advice(job.structure)}, or relax a requirement")
     if isinstance(best.law, PidSettings) and (ends := at_limits(best.law, machine, job.fastest)):
         notes.append(f"at a limit of the search: {'; '.join(ends)}")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
