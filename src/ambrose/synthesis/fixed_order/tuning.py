@@ -32,7 +32,7 @@ from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain, w
 from ambrose.synthesis.between import search
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
-from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, at_limits, filter_bank, first_bank, advice
+from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, advice, at_limits, filter_bank, first_bank
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.loops import LoopModel, lateness, loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
