@@ -62,7 +62,7 @@ def bending_modes_of(rotor: Rotor) -> int:
     """How many bending modes per plane the full model has: all that the mesh has, 2 N - 2; of more than 128 the lowest 64.
 
     What the modes beyond would add is their static compliance, which falls with the third power of their number: poles and
-    checks agree with those of all modes to 1e-7, responses to 1e-6 (tests/plant/test_big_rotor.py).
+    checks agree with those of all modes to 1e-7, responses to 5e-6 (tests/plant/test_big_rotor.py).
     """
     available = 2 * rotor.n_nodes - 2
     return available if available <= 2 * FINE_MESH_MODES else FINE_MESH_MODES
