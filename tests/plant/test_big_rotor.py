@@ -7,9 +7,11 @@ import pytest
 
 import ambrose as amb
 from ambrose.core import mechanical
+from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.mechanical import undamped_modes
 from ambrose.core.statespace import poles, select
+from ambrose.machine.parameters import find_parameter
 from ambrose.physics.rotor import finite_element_rotor
 from ambrose.plant import assemble as assembly
 from ambrose.plant.reduce import reduce
@@ -61,3 +63,10 @@ def test_many_modes_of_a_fine_mesh(monkeypatch):
     assert np.abs(shapes.T @ M @ shapes - np.eye(MODES + 2)).max() < 1e-9
     monkeypatch.setattr(mechanical, "_DENSE_LIMIT", 1000)
     assert frequencies[2:] == pytest.approx(undamped_modes(M, K, MODES + 2)[0][2:], rel=1e-7)
+
+
+def test_tolerances_name_only_modes_that_the_model_has():
+    machine = refined("seal-rig", 2)
+    with pytest.raises(InvalidInput, match='names the unknown rotor "bending_65"'):
+        find_parameter(machine, "rotor.bending_65.frequency")
+    assert find_parameter(machine, "rotor.bending_64.frequency").name == "bending_64"

@@ -18,6 +18,7 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import OperatingPoint, Seal
+from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
@@ -26,7 +27,6 @@ from ambrose.physics.seal_rational import has_states
 from ambrose.plant.model import Plant
 from ambrose.plant.ports import ports, sensor_ports
 
-FINE_MESH_MODES = 64  # bending modes per plane that are kept of a mesh with more than twice as many
 _RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state: the pace of a levitated rotor
 
 
