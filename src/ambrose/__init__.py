@@ -40,6 +40,7 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
     **dict.fromkeys(
         ("coprime_factors", "injection_gain", "observer_controller", "residual_system"), "core.realisation.coprime"
     ),
+    "trade_off": "synthesis.fixed_order.trade_off",
     "minimal": "core.realisation.zeros",
     "delayed": "core.sampling",
     "lft": "core.lft",

@@ -21,6 +21,7 @@ from ambrose.cli.simulate import simulate
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
 from ambrose.cli.terminal import say, streams_settled
+from ambrose.cli.trade_off import trade_off
 from ambrose.cli.verify import verify
 from ambrose.machine.messages import BULLET
 from ambrose.version import __version__
@@ -77,5 +78,5 @@ def main() -> None:
     """
 
 
-for command in (machines, check, synthesize, verify, simulate, identify, convert, export, study_command):
+for command in (machines, check, synthesize, trade_off, verify, simulate, identify, convert, export, study_command):
     main.add_command(command)

@@ -40,6 +40,7 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
     show_default=True,
     help="With --method tuned: which axes share a part of the controller, or a filter bank per channel.",
 )
+@click.option("--envelope", is_flag=True, help="With --method hinf or mu: for all operating points at once.")
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: the design point.")
 @RATE
 @DELAY
@@ -71,6 +72,7 @@ def synthesize(
     match_reference: bool | None,
     order: int | None,
     structure: str,
+    envelope: bool,
     point: str | None,
     rate_hz: float | None,
     delay_samples: int | None,
@@ -109,6 +111,7 @@ def synthesize(
         order=order,
         bending_modes=bending_modes,
         structure=structure,
+        envelope=envelope,
         match_reference=match_reference,
         speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
     )

@@ -48,13 +48,14 @@ from ambrose.report.identification.static_load import line_figure
 from ambrose.report.record.figure import record_figure
 from ambrose.report.run_up import run_up_figure
 from ambrose.simulation.trace import Trace
+from ambrose.synthesis.fixed_order.trade_off import TradeOff
 from ambrose.synthesis.result import Synthesis
 from ambrose.verification.checks import Checks, Curve
 from ambrose.verification.verification import Verification
 
 _DRAWN = (
     "a Machine, Plant, controller (StateSpace, Synthesis, schedule, python-control system), Checks, Verification, Trace, "
-    "Record, Identification, FrequencyResponse, Curve, Study, bounds of mu, or several systems by name"
+    "Record, Identification, FrequencyResponse, Curve, TradeOff, Study, bounds of mu, or several systems by name"
 )
 _TITLE = 44  # characters of a line of the title: it fits a telephone
 _FAMILY = 5  # members of a schedule that are drawn
@@ -287,6 +288,25 @@ def _mu_bounds(bounds: MuBounds) -> Any:
     picture.update_xaxes(title_text="Number of the matrix")
     picture.update_yaxes(title_text="µ", rangemode="tozero")
     return _titled(picture, f"Structured singular value: at most {units.number(float(np.max(bounds.upper)))}")
+
+
+@plot.register
+def _trade_off(result: TradeOff) -> Any:
+    """The lowest sensitivity over the requirement; hollow where all else was not met."""
+    import plotly.graph_objects as go
+
+    factor, unit = units.scale(result.unit, max(result.values))
+    x, y = np.array(result.values) * factor, np.where(np.isfinite(result.sensitivity), result.sensitivity, np.nan)
+    picture, look = go.Figure(), theme.styles(["lowest sensitivity"])["lowest sensitivity"]
+    marks = {"size": 9, "symbol": ["circle" if met else "circle-open" for met in result.met], "color": look.line["color"]}
+    theme.scatter(picture, {}, x, y, "lowest sensitivity", mode="lines+markers", line=look.line, marker=marks,
+                  customdata=result.binding, hovertemplate="%{x:.4g}: %{y:.3g}, %{customdata} binds<extra/>")  # fmt: skip
+    theme.dress(picture, 300, legend=False)
+    name = result.over.replace("_", " ").capitalize()
+    picture.update_xaxes(title_text=f"{name} [{unit}]" if unit != "-" else name)
+    picture.update_yaxes(title_text="Largest singular value of S_o [-]")
+    hollow = "" if all(result.met) else "; hollow: not all other requirements are met"
+    return _titled(picture, f"What {name.lower()} costs: the lowest sensitivity of a tuned controller{hollow}")
 
 
 def _study(study: Any) -> Any:

@@ -14,12 +14,12 @@ from ambrose.core.presentation import to_plain
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
-from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
-from ambrose.plant.uncertainty import with_offsets_of
+from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
 from ambrose.synthesis.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
+from ambrose.synthesis.envelope.model import envelope_model
+from ambrose.synthesis.envelope.plants import envelope_of
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
@@ -73,7 +73,7 @@ def design(
     of the tolerances around each; the others know the plant's point alone), "pid" (the machine's reference controller), "hinf"
     (H-infinity for the nominal plant), "mu" (D-K iteration over the machine's tolerances), "polish" (the mu controller at half
     its order, refined for the worst case), "lpv" (scheduled over speed). options: all of them, or single ones by name as
-    ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, structure (``DesignOptions``).
+    ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, structure, envelope (DesignOptions).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
     "lpv", nor of "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
@@ -94,6 +94,8 @@ def design(
         raise invalid("structure", repr(options.structure), f"'free' for method {method!r}", "only 'tuned' can choose it")
     if options.loss is not None and method == "tuned":
         raise invalid("loss", options.loss, "None for method 'tuned'", "give the order, from which it is tuned")
+    if options.envelope and method not in {"hinf", "mu"}:
+        raise invalid("envelope", True, f"False for method {method!r}", "'hinf' and 'mu' can span it; 'tuned' always does")
     if options.speeds is not None and method != "lpv":
         raise invalid("speeds", options.speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
     options = options.on(plant.machine)
@@ -152,22 +154,19 @@ def _tuned(plant: Plant, options: DesignOptions, progress: Progress) -> Synthesi
     return replace(result, certificate=certificate)
 
 
-def envelope_of(plant: Plant) -> list[Plant]:
-    """The full plants at all operating points of the machine, and the given one if it is at another."""
-    points = plant.machine.operation.envelope
-    plants = [plant if point == plant.point else with_offsets_of(assemble(plant.machine, point), plant) for point in points]
-    return plants if any(item is plant for item in plants) else [*plants, plant]
-
-
 def _by_weights(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:
     """H-infinity, mu or polished mu for the machine's weights."""
     machine, weights = plant.machine, machine_weights(plant.machine)
     uncertain = method in {"mu", "polish"}
     wide = design_tolerances(machine) if uncertain else None
     modes, timing = options.bending_modes or 0, options.timing()
-    small = reduce(plant, modes)
-    model = apply_delay(open_model(small, wide, uncertain), 0.0 if timing is None else timing.lag)
-    synthesis = hinf_synthesis if method == "hinf" else lambda problem: mu_synthesis(problem, order=SCALING_ORDER)
+    small, lag = reduce(plant, modes), 0.0 if timing is None else timing.lag
+    if options.envelope:
+        model = apply_delay(envelope_model([free_mode_reduction(item, modes) for item in envelope_of(plant)], wide), lag)
+        uncertain = True
+    else:
+        model = apply_delay(open_model(small, wide, uncertain), lag)
+    synthesis = hinf_synthesis if not uncertain else lambda problem: mu_synthesis(problem, order=SCALING_ORDER)
     reference = None if machine.controller is None else pid_controller(machine.controller, machine)
     margins: dict[str, float] = {}
     if wide is not None and len(wide) < len(machine.tolerances):

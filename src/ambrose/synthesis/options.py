@@ -27,7 +27,8 @@ class DesignOptions:
     match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so that
     controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds:
     lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal pressure).
-    Raises InvalidInput.
+    envelope: "hinf" and "mu" are designed for all operating points at once, what changes between them being real parameters;
+    "hinf" is then D-K iteration over those alone. Raises InvalidInput.
     """
 
     rate: float | None = None
@@ -38,6 +39,7 @@ class DesignOptions:
     structure: str = "free"
     match_reference: bool | None = None
     speeds: tuple[float, float] | None = None
+    envelope: bool = False
 
     def __post_init__(self) -> None:
         if self.rate is not None:

@@ -10,8 +10,8 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import match_controller
 from ambrose.plant.timing import Timing
-from ambrose.synthesis.between import search
 from ambrose.synthesis.certificate import certify
+from ambrose.synthesis.envelope.between import search
 from ambrose.verification.checks import Checks, Curve
 from ambrose.verification.criteria import judge, zone_lines
 

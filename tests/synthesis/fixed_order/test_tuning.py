@@ -20,9 +20,10 @@ from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.fixed_order import tuning
 from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.loops import loop_model, warped
+from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
-from ambrose.synthesis.fixed_order.tuning import tune_controller, worst_member
+from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.pid import first_settings, pid_controller
 from ambrose.verification import nominal
 

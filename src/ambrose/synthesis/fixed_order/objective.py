@@ -67,24 +67,28 @@ class Objective:
     aims: Aims
     reference: StateSpace | None = None
     match: float = 0.08
-    _channels: list[_Channel] = field(init=False)
+    _P: np.ndarray = field(init=False)
     _G: np.ndarray = field(init=False)
     _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
-    _settling: _Settling | None = field(init=False)
+    _made: tuple[list[_Channel], _Settling | None] | None = field(init=False)  # on first use: stability needs neither
     _wanted: np.ndarray = field(init=False)  # direct gains of the reference (w, a)
 
     def __post_init__(self) -> None:
-        P = np.stack([model.response(self.omega) for model in self.models])
-        a = P.shape[-1] // 2
-        self._G = P[..., :a, :a]
-        self._channels = _channels(P, a, self.omega, self.aims, self.models)
+        self._P = np.stack([model.response(self.omega) for model in self.models])
+        a = self._P.shape[-1] // 2
+        self._G = self._P[..., :a, :a]
         self._stacks = _stacks(self.models)
-        self._settling = None
-        if self.aims.settling is not None and len(self.omega) > 20:
-            self._settling = _Settling(self.omega, self.aims.settling)
+        self._made = None
         if self.reference is not None:
             values = frequency_response(self.reference, _MATCHED).values
             self._wanted = np.abs(np.diagonal(values, axis1=1, axis2=2))
+
+    def _parts(self) -> tuple[list[_Channel], _Settling | None]:
+        if self._made is None:
+            timed = self.aims.settling is not None and len(self.omega) > 20
+            settling = _Settling(self.omega, self.aims.settling or 0.0) if timed else None
+            self._made = _channels(self._P, self._G.shape[-1], self.omega, self.aims, self.models), settling
+        return self._made
 
     def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
         """ln of the p-norm, and its gradient (k,); inf where a model is unstable."""
@@ -95,7 +99,8 @@ class Objective:
         K, X, Y = self._controller(x)
         S = np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
         Q = K @ S
-        loops = [channel.A - channel.B @ Q[:, channel.at] @ channel.C for channel in self._channels]
+        channels, settling = self._parts()
+        loops = [channel.A - channel.B @ Q[:, channel.at] @ channel.C for channel in channels]
         sizes = [np.linalg.norm(T, axis=(2, 3)) for T in loops]
         damping = [_damping(part.values, self.aims) for part in poles]
         top = max(
@@ -103,11 +108,11 @@ class Objective:
             *(ratio.max() for ratio, _ in damping),
         )
         timed = None
-        if self._settling is not None:
-            timed = self._settling.ratios(self._G, Q)
+        if settling is not None:
+            timed = settling.ratios(self._G, Q)
             top = max(top, float(timed[0].max()) ** _SETTLING_POWER)
         total, Z = 0.0, np.zeros(Q.shape, complex)
-        for channel, T, size in zip(self._channels, loops, sizes, strict=True):
+        for channel, T, size in zip(channels, loops, sizes, strict=True):
             used = size >= top * _IGNORED ** (1 / power)
             if not used.any():
                 continue
@@ -118,8 +123,8 @@ class Objective:
             i, j = np.nonzero(used)
             B, C = (np.broadcast_to(M, (*used.shape, *M.shape[2:]))[used] for M in (channel.B, channel.C))
             Z[i, channel.at[j]] -= B.conj().swapaxes(1, 2) @ slope @ C.conj().swapaxes(1, 2)
-        if timed is not None and self._settling is not None:
-            total += self._settling.add(Z, self._G, timed, top, power)
+        if timed is not None and settling is not None:
+            total += settling.add(Z, self._G, timed, top, power)
         slope_theta = self._poles_slope(theta, poles, damping, top, power)
         total += sum(float(((ratio / top) ** power).sum()) for ratio, _ in damping)
         extra = np.zeros_like(theta)
@@ -158,14 +163,15 @@ class Objective:
         K, _, _ = self._controller(x)
         Q = K @ np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
         found: dict[str, Ratio] = {}
-        for channel in self._channels:
+        channels, settling = self._parts()
+        for channel in channels:
             T = channel.A - channel.B @ Q[:, channel.at] @ channel.C
             size = np.linalg.norm(T, 2, axis=(2, 3))
             if size.size:
                 i, j = np.unravel_index(int(size.argmax()), size.shape)
                 found[channel.name] = Ratio(float(size[i, j]), self.models[int(i)].label, float(self.omega[channel.at[j]]))
-        if self._settling is not None:
-            late, _, _ = self._settling.ratios(self._G, Q, anew=True)
+        if settling is not None:
+            late, _, _ = settling.ratios(self._G, Q, anew=True)
             worst = late.max(axis=(1, 2, 3))
             found["settling"] = Ratio(
                 float(worst.max()) ** _SETTLING_POWER, self.models[int(worst.argmax())].label, float("nan")

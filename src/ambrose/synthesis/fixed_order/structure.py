@@ -24,6 +24,7 @@ from ambrose.machine.machine import Machine
 _SLOWEST = 1.0  # rad/s; an integrator is a state of this rate, else descent could never move it
 _ZERO = 1e-9  # of the largest entry: couples nothing
 Groups = tuple[tuple[int, ...], ...]
+Part = tuple[tuple[int, ...], tuple[int, ...]]  # outputs and inputs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,17 +68,19 @@ def axis_groups(machine: Machine, kind: str) -> Groups:
 
 
 def structured(controller: StateSpace, groups: Sequence[Sequence[int]] | None = None) -> tuple[Structure, np.ndarray]:
-    """The structure of a continuous controller with as many inputs as outputs, and its unknowns.
+    """The structure of a continuous controller and its unknowns.
 
-    groups: axes that share a part of the controller (None: all of them do). Groups that the controller couples are joined.
+    groups: axes that share a part of the controller, which then has as many inputs as outputs (None: one part of everything).
+    Groups that the controller couples are joined.
     """
-    parts = _parts(controller, groups or [range(len(controller.inputs))])
-    blocks = [block for own, axes in parts for block in _blocks(controller, own, axes)]
-    return _scaled(controller, blocks, [axes for _, axes in parts])
+    whole: Part = tuple(range(len(controller.outputs))), tuple(range(len(controller.inputs)))
+    parts = [(np.arange(controller.n_states), whole)] if groups is None else _parts(controller, groups)
+    blocks = [block for own, _ in parts for block in _blocks(controller, own)]
+    return _scaled(controller, blocks, [part for _, part in parts])
 
 
-def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, tuple[int, ...]]]:
-    """The states and the axes of every group; axes that the controller couples across groups end up in one."""
+def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, Part]]:
+    """The states and the axes, out and in, of every group; axes that the controller couples across groups end up in one."""
     m, n = len(K.inputs), K.n_states
 
     def linked(X: np.ndarray) -> np.ndarray:
@@ -93,12 +96,12 @@ def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndar
         members = np.flatnonzero(label == k)
         axes = tuple(int(i) for i in members if i < m)
         if axes:  # states that reach no axis do nothing
-            parts.append((members[members >= m] - m, axes))
+            parts.append((members[members >= m] - m, (axes, axes)))
     return parts
 
 
-def _blocks(K: StateSpace, own: np.ndarray, axes: tuple[int, ...]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """A, B (k, m), C (m, k) of every block of a group's states; parts that are decoupled already are not mixed."""
+def _blocks(K: StateSpace, own: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A, B (k, p), C (m, k) of every block of a group's states; parts that are decoupled already are not mixed."""
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     single: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     A, B, C = K.A[np.ix_(own, own)], K.B[own], K.C[:, own]
@@ -117,26 +120,25 @@ def _blocks(K: StateSpace, own: np.ndarray, axes: tuple[int, ...]) -> list[tuple
 
 
 def _scaled(
-    K: StateSpace, blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]], groups: list[tuple[int, ...]]
+    K: StateSpace, blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]], groups: list[Part]
 ) -> tuple[Structure, np.ndarray]:
-    m = len(K.inputs)
+    m, p = len(K.outputs), len(K.inputs)
     A = sla.block_diag(*[b[0] for b in blocks]) if blocks else np.zeros((0, 0))
-    B = np.vstack([b[1] for b in blocks] or [np.zeros((0, m))])
+    B = np.vstack([b[1] for b in blocks] or [np.zeros((0, p))])
     C = np.hstack([b[2] for b in blocks] or [np.zeros((m, 0))])
     n = len(A)
-    free = np.zeros((m + n, m + n), bool)
-    free[m:, m:] = sla.block_diag(*[np.ones_like(b[0], bool) for b in blocks]) if blocks else False
-    for axes in groups:
-        free[np.ix_(axes, axes)] = True
-    start, rate, even = m, np.ones(n), np.ones(n)
+    free = np.zeros((m + n, p + n), bool)
+    free[m:, p:] = sla.block_diag(*[np.ones_like(b[0], bool) for b in blocks]) if blocks else False
+    for part in groups:
+        free[np.ix_(*part)] = True
+    start, rate, even = 0, np.ones(n), np.ones(n)
     omega = np.geomspace(1.0, 1e5, 40)
     gain = np.sqrt(np.abs(frequency_response(K, omega).values).max(initial=1e-30))
     for block in blocks:
-        i = slice(start, start + len(block[0]))
-        axes = next(g for g in groups if block[1][:, list(g)].any() or block[2][list(g)].any())
-        free[i, list(axes)] = free[list(axes), i] = True
+        j = slice(start, start + len(block[0]))
+        out_axes, in_axes = next(g for g in groups if block[1][:, list(g[1])].any() or block[2][list(g[0])].any())
+        free[m + j.start : m + j.stop, list(in_axes)] = free[list(out_axes), p + j.start : p + j.stop] = True
         poles = np.abs(np.linalg.eigvals(block[0]) if block[0][~np.eye(len(block[0]), dtype=bool)].any() else np.diag(block[0]))
-        j = slice(start - m, start - m + len(poles))
         rate[j] = np.maximum(poles, _SLOWEST)
         into = float(np.linalg.norm(block[1] / np.sqrt(rate[j])[:, None] / gain))
         out = float(np.linalg.norm(block[2] / gain / np.sqrt(rate[j])))
@@ -144,7 +146,7 @@ def _scaled(
         start += len(poles)
     A, B, C = A * even / even[:, None], B / even[:, None], C * even
     root = np.sqrt(rate)
-    rows, columns = np.concatenate([np.full(m, gain), root]), np.concatenate([np.full(m, gain), root])
+    rows, columns = np.concatenate([np.full(m, gain), root]), np.concatenate([np.full(p, gain), root])
     structure = Structure(free, rows[:, None] * columns, K.inputs, K.outputs)
     theta = np.block([[K.D, C], [B, A]])
     return structure, (theta / structure.scale)[free]

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 
 import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, named_failure
 from ambrose.core.frequency import frequency_response
-from ambrose.core.statespace import StateSpace, select
+from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
@@ -28,13 +27,14 @@ from ambrose.plant.assemble import assemble, bending_modes_of
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import perturbed, tolerances_around, uncertain, with_offsets_of
-from ambrose.synthesis.between import search
+from ambrose.plant.uncertainty import perturbed, tolerances_around, with_offsets_of
 from ambrose.synthesis.certificate import certify, fastest_pole
+from ambrose.synthesis.envelope.between import search
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
 from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, advice, at_limits, filter_bank, first_bank
 from ambrose.synthesis.fixed_order.descent import descend
-from ambrose.synthesis.fixed_order.loops import LoopModel, lateness, loop_model, unwarped, warped
+from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped
+from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
 from ambrose.synthesis.fixed_order.structure import Groups, Structure, axis_groups, structured
 from ambrose.synthesis.pid import pid_controller
@@ -42,6 +42,7 @@ from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
 _POWERS = (10.0, 25.0, 60.0, 120.0, 120.0)
+_AGAIN = 2  # the first of these rounds for a law that was tuned before
 _ITERATIONS = 200  # of L-BFGS, a round
 _HOLDING = 60  # of L-BFGS, towards a controller that holds all models; so many times at most:
 _TRIES = 20
@@ -52,14 +53,13 @@ _AROUND = 15  # points around a peak that is judged
 _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
 _FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
-_CORNERS = 512  # at most, of a box
 _STATES_PER_AXIS = 3
 _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
 Law = StateSpace | PidSettings  # what is tuned: matrices, or the chains of a filter bank
 
 
 @dataclass(slots=True, eq=False)
-class _Job:
+class Job:
     """What is tuned, and the models it has collected so far."""
 
     full: tuple[Plant, ...]
@@ -114,16 +114,23 @@ def tune_controller(
     where a corner was found that nothing of this order holds. Raises InvalidInput, NumericalFailure where nothing holds every
     point.
     """
-    job = _prepared(plants, start, timing, order, structure, bending_modes, reference, time_limit, progress)
-    law = _start(job, start, order, structure)
+    job = prepare(plants, start, timing, order, structure, bending_modes, reference, time_limit, progress)
+    return tuned(job, first_law(job, start, order, structure), structure)
+
+
+def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthesis:
+    """``tune_controller`` from a law on; again: it was tuned before with this job, only the last rounds are made."""
+    powers = _POWERS[_AGAIN:] if again else _POWERS
     reason: str | None = None
     rounds: list[_Round] = []
     history: list[dict[str, float]] = []
     try:
         law = _holding(job, law)
-        for number, power in enumerate(_POWERS, 1):
-            if number > 1:  # fewer unknowns first
-                job.groups = axis_groups(plants[0].machine, structure)
+        if again:
+            rounds.append(_judged(job, law, job.models))
+        for number, power in enumerate(powers, 1):
+            if number > 1 or again:  # fewer unknowns first
+                job.groups = axis_groups(job.full[0].machine, structure)
             law, used = _descended(job, law, power)
             rounds.append(_judged(job, law, job.models))
             history.append(_row(job, number, power, used, rounds[-1]))
@@ -131,7 +138,7 @@ def tune_controller(
             if job.clock.left <= 0:
                 reason = job.clock.reached
                 break
-            if number < len(_POWERS):
+            if number < len(powers):
                 law = _add_members(job, law)
     except KeyboardInterrupt:
         if not rounds:
@@ -144,10 +151,11 @@ def tune_controller(
     return _result(job, _best(job, rounds), tuple(history), reason)
 
 
-def _prepared(
+def prepare(
     plants: Sequence[Plant], start: Law, timing: Timing | None, order: int | None, structure: str,
     bending_modes: int | None, reference: StateSpace | None, time_limit: float, progress: Callable[[str], None] | None,
-) -> _Job:  # fmt: skip
+) -> Job:  # fmt: skip
+    """What is tuned; arguments as of ``tune_controller``. Raises InvalidInput."""
     full = tuple(plants)
     if not full or any(plant.machine is not full[0].machine for plant in full):
         raise InvalidInput("tuning needs plants of one machine at its operating points; assemble them from the same machine")
@@ -165,7 +173,7 @@ def _prepared(
     small = tuple(reduce(plant, modes) if plant.bending_modes is None else plant for plant in full)
     aims = aims_of(machine, start)
     fastest = _FASTEST * max(fastest_pole(start), aims.highest) if timing is None else _BELOW * np.pi / timing.sample_time
-    return _Job(
+    return Job(
         full, small, timing, aims, axis_groups(machine, "plane" if structure == "free" else structure),
         [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference, fastest,
         structure,
@@ -176,7 +184,7 @@ def _system(law: Law, machine: Machine) -> StateSpace:
     return pid_controller(law, machine) if isinstance(law, PidSettings) else law
 
 
-def _unknowns(job: _Job, law: Law) -> tuple[Structure | FilterBank, np.ndarray]:
+def _unknowns(job: Job, law: Law) -> tuple[Structure | FilterBank, np.ndarray]:
     """The structure of what is tuned, and its unknowns."""
     if isinstance(law, PidSettings):
         return filter_bank(law, job.full[0].machine, job.fastest)
@@ -194,13 +202,14 @@ def bending_modes_for(plant: Plant) -> int:
     return min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
 
 
-def _start(job: _Job, start: Law, order: int | None, structure: str) -> Law:
+def first_law(job: Job, start: Law, order: int | None, structure: str) -> Law:
     """The start with a lag where its sample rate cannot show its poles, and with weak states, or filters, up to the order."""
     if structure in BANKS and isinstance(start, PidSettings):
         return first_bank(start, job.full[0].machine, structure, order, job.fastest)
     start = _system(start, job.full[0].machine)
-    if job.timing is not None and fastest_pole(start) * job.timing.sample_time > 0.5 * np.pi:
-        m, n = start.D.shape[0], start.n_states
+    m, n = start.D.shape[0], start.n_states
+    late = job.timing is not None and fastest_pole(start) * job.timing.sample_time > 0.5 * np.pi
+    if late and (order is None or n + m <= order):
         A = np.block([[start.A, np.zeros((n, m))], [_LAG * start.C, -_LAG * np.eye(m)]])
         B, C = np.vstack([start.B, _LAG * start.D]), np.hstack([np.zeros((m, n)), np.eye(m)])
         start = StateSpace(A, B, C, np.zeros((m, m)), start.inputs, start.outputs)
@@ -231,7 +240,7 @@ def with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
     return StateSpace(sla.block_diag(*A), np.vstack(B), np.hstack(C), K.D, K.inputs, K.outputs)
 
 
-def _holding(job: _Job, law: Law) -> Law:
+def _holding(job: Job, law: Law) -> Law:
     """A controller that holds all models, with some decay, by descent on the poles' real parts alone."""
     for attempt in range(_TRIES + 1):
         structure, x = _unknowns(job, law)
@@ -253,7 +262,7 @@ def _holding(job: _Job, law: Law) -> Law:
     )
 
 
-def _grid(job: _Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarray:
+def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarray:
     """A logarithmic grid with the loops' resonances, half a bandwidth to either side of light ones, and known peaks."""
     top = job.aims.highest if job.timing is None else min(job.aims.highest, 0.97 * np.pi / job.timing.sample_time)
     grid = np.geomspace(_LOWEST, top, int(per_decade * np.log10(top / _LOWEST)))
@@ -272,7 +281,7 @@ def _grid(job: _Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndar
     return np.array(kept)
 
 
-def _descended(job: _Job, law: Law, power: float) -> tuple[Law, int]:
+def _descended(job: Job, law: Law, power: float) -> tuple[Law, int]:
     """One descent; true peaks of a denser grid are kept for the next."""
     structure, x = _unknowns(job, law)
     controller = structure.controller(x)
@@ -293,16 +302,16 @@ def _descended(job: _Job, law: Law, power: float) -> tuple[Law, int]:
     return _law(structure, x), used
 
 
-def _best(job: _Job, rounds: list[_Round]) -> _Round:
+def _best(job: Job, rounds: list[_Round]) -> _Round:
     """The round that does best on all models by the end, members included, and on the full plants."""
     full = [loop_model(plant, job.timing) for plant in job.full]
-    on_models = sorted((_judged(job, item.law, job.models) for item in rounds), key=lambda item: item.worst)
     best = _Round(rounds[-1].law, {})
-    for item in on_models:
-        if item.worst >= best.worst:
-            break  # the full plants can only be worse
-        both = _both(item, _judged(job, item.law, full))
-        best = min(best, both, key=lambda item: item.worst)
+    for known in sorted(rounds, key=lambda item: item.worst):
+        if known.worst >= best.worst:
+            break  # more models, and the full plants, can only be worse
+        item = _judged(job, known.law, job.models)
+        if item.worst < best.worst:
+            best = min(best, _both(item, _judged(job, item.law, full)), key=lambda item: item.worst)
     if not np.isfinite(best.worst):
         raise NumericalFailure(
             f"no controller of order {_system(best.law, job.full[0].machine).n_states} that holds the full plant at all "
@@ -320,7 +329,7 @@ def _both(one: _Round, other: _Round) -> _Round:
     })  # fmt: skip
 
 
-def _judged(job: _Job, law: Law, models: Sequence[LoopModel]) -> _Round:
+def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
     """All ratios on models, on a dense grid that is denser still around every model's peak; none where one is unstable."""
     structure, x = _unknowns(job, law)
     rough = Objective(structure, models, np.array([100.0]), job.aims)
@@ -333,7 +342,7 @@ def _judged(job: _Job, law: Law, models: Sequence[LoopModel]) -> _Round:
     return _Round(law, cost.ratios(x))
 
 
-def _add_members(job: _Job, law: Law) -> Law:
+def _add_members(job: Job, law: Law) -> Law:
     """The worst corner of the tolerances around every point, and the worst point of every range, join the models; the
     controller brought to hold them all."""
     controller = _system(law, job.full[0].machine)
@@ -354,51 +363,6 @@ def _add_members(job: _Job, law: Law) -> Law:
     return _holding(job, law)
 
 
-def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims) -> dict[str, float]:
-    """The corner of the tolerances around a plant with the largest sigma_max(S_o) over its limit; {} without tolerances.
-
-    By closing the parameters' feedback at frequencies where the nominal loop's ratio is above half its largest; all corners, at
-    most 512, drawn at random.
-    """
-    held = tolerances_around(plant)
-    if not held:
-        return {}
-    model = uncertain(plant, held)
-    n, names = model.n_w_blocks, [block.name for block in model.blocks]
-    top = aims.highest if timing is None else min(aims.highest, 0.97 * np.pi / timing.sample_time)
-    omega = np.geomspace(20.0, top, 120)
-    part = select(model.system, [*model.w[:n], *plant.named("u")], [*model.z[:n], *plant.named("y")])
-    P = frequency_response(part, omega).values.copy()
-    if timing is not None:
-        P[:, :, n:] *= lateness(omega, timing)[:, None, None]
-    K = frequency_response(controller, warped(omega, timing)).values
-    S = np.linalg.inv(np.eye(K.shape[-1]) + P[:, n:, n:] @ K)
-    KS = K @ S
-    M = P[:, :n, :n] - P[:, :n, n:] @ KS @ P[:, n:, :n]
-    into, out = -P[:, :n, n:] @ KS, S @ P[:, n:, :n]
-    owner = np.repeat(np.arange(len(names)), [block.n_w for block in model.blocks])
-    limit = aims.sensitivity_limit(omega)
-    ratio = np.linalg.norm(S, 2, axis=(1, 2)) / limit
-    near = ratio >= 0.5 * ratio.max()
-    M, into, out, S, limit = M[near], into[near], out[near], S[near], limit[near]
-    tried = _corners(len(names))
-    gains = np.empty(len(tried))
-    for k, delta in enumerate(tried):
-        spread = delta[owner]
-        closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
-        gains[k] = (np.linalg.norm(closed, 2, axis=(1, 2)) / limit).max()
-    return dict(zip(names, map(float, tried[int(gains.argmax())]), strict=True))
-
-
-def _corners(count: int) -> np.ndarray:
-    """All corners of a box, at most 512 of them at random; of one parameter some points in between as well."""
-    if count == 1:
-        return np.linspace(-1, 1, 9)[:, None]
-    if 2**count <= _CORNERS:
-        return np.array(list(product((-1.0, 1.0), repeat=count)))
-    return np.random.default_rng(0).choice([-1.0, 1.0], (_CORNERS, count))
-
-
 def _in_words(item: _Round) -> str:
     if not item.ratios:
         return "unstable"
@@ -406,7 +370,7 @@ def _in_words(item: _Round) -> str:
     return f"of their limits: {', '.join(parts)}"
 
 
-def _row(job: _Job, number: int, power: float, used: int, item: _Round) -> dict[str, float]:
+def _row(job: Job, number: int, power: float, used: int, item: _Round) -> dict[str, float]:
     row = {
         "iteration": float(number),
         "power": power,
@@ -417,7 +381,7 @@ def _row(job: _Job, number: int, power: float, used: int, item: _Round) -> dict[
     return {**row, **{name: ratio.value for name, ratio in item.ratios.items()}, "seconds": job.clock.elapsed}
 
 
-def _result(job: _Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None) -> Synthesis:
+def _result(job: Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None) -> Synthesis:
     """The synthesis, with stability and the norm of S_o of the loop as it runs recomputed on every full plant.
 
     Tuning leaves the sampled plant's aliases out of its frequency responses: where the norm says more, it is the ratio.

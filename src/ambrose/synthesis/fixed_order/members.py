@@ -1,0 +1,62 @@
+"""The worst corner of the tolerances around a plant: the parameters' feedback is closed frequency by frequency."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import StateSpace, select
+from ambrose.plant.model import Plant
+from ambrose.plant.timing import Timing
+from ambrose.plant.uncertainty import tolerances_around, uncertain
+from ambrose.synthesis.fixed_order.aims import Aims
+from ambrose.synthesis.fixed_order.loops import lateness, warped
+
+_CORNERS = 512  # at most, of a box
+
+
+def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims) -> dict[str, float]:
+    """The corner of the tolerances around a plant with the largest sigma_max(S_o) over its limit; {} without tolerances.
+
+    By closing the parameters' feedback at frequencies where the nominal loop's ratio is above half its largest; all corners, at
+    most 512, drawn at random.
+    """
+    held = tolerances_around(plant)
+    if not held:
+        return {}
+    model = uncertain(plant, held)
+    n, names = model.n_w_blocks, [block.name for block in model.blocks]
+    top = aims.highest if timing is None else min(aims.highest, 0.97 * np.pi / timing.sample_time)
+    omega = np.geomspace(20.0, top, 120)
+    part = select(model.system, [*model.w[:n], *plant.named("u")], [*model.z[:n], *plant.named("y")])
+    P = frequency_response(part, omega).values.copy()
+    if timing is not None:
+        P[:, :, n:] *= lateness(omega, timing)[:, None, None]
+    K = frequency_response(controller, warped(omega, timing)).values
+    S = np.linalg.inv(np.eye(K.shape[-1]) + P[:, n:, n:] @ K)
+    KS = K @ S
+    M = P[:, :n, :n] - P[:, :n, n:] @ KS @ P[:, n:, :n]
+    into, out = -P[:, :n, n:] @ KS, S @ P[:, n:, :n]
+    owner = np.repeat(np.arange(len(names)), [block.n_w for block in model.blocks])
+    limit = aims.sensitivity_limit(omega)
+    ratio = np.linalg.norm(S, 2, axis=(1, 2)) / limit
+    near = ratio >= 0.5 * ratio.max()
+    M, into, out, S, limit = M[near], into[near], out[near], S[near], limit[near]
+    tried = _corners(len(names))
+    gains = np.empty(len(tried))
+    for k, delta in enumerate(tried):
+        spread = delta[owner]
+        closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
+        gains[k] = (np.linalg.norm(closed, 2, axis=(1, 2)) / limit).max()
+    return dict(zip(names, map(float, tried[int(gains.argmax())]), strict=True))
+
+
+def _corners(count: int) -> np.ndarray:
+    """All corners of a box, at most 512 of them at random; of one parameter some points in between as well."""
+    if count == 1:
+        return np.linspace(-1, 1, 9)[:, None]
+    if 2**count <= _CORNERS:
+        return np.array(list(product((-1.0, 1.0), repeat=count)))
+    return np.random.default_rng(0).choice([-1.0, 1.0], (_CORNERS, count))

@@ -1,0 +1,167 @@
+"""What a requirement costs: the lowest sensitivity that a tuned controller reaches while a demand becomes harder.
+
+For every value of the demand the sensitivity aimed at is moved until the worst of all ratios is 1: everything else is then met
+as asked, and sigma_max(S_o) stands at what is left. Each value starts from the controller of the one before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
+from ambrose.core.presentation import Presented, data_frame
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.machine import Machine
+from ambrose.machine.messages import suggestion
+from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.plant.assemble import assemble
+from ambrose.synthesis.envelope.plants import envelope_of
+from ambrose.synthesis.fixed_order.aims import aims_of
+from ambrose.synthesis.fixed_order.tuning import Job, first_law, prepare, tuned, with_states
+from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.pid import first_settings, pid_controller
+from ambrose.synthesis.result import Synthesis
+from ambrose.synthesis.time_limit import TimeLimit
+
+ORDER = "order"
+# what can be traded -> its dimension; all but the log decrement are easier to meet at larger values
+TRADED: Mapping[str, str] = {
+    "settling_time": "time",
+    "unbalance_orbit": "length",
+    "max_current": "current",
+    "compliance_peak": "compliance",
+    "log_decrement": "plain number",
+    ORDER: "plain number",
+}
+_EXACT = 0.02  # how far the worst ratio may be from 1
+_AIMS = 3  # sensitivities aimed at, for each value
+_HIGHEST = 12.0  # aimed at; what is not met there is not met
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class TradeOff(Presented):
+    """over: the requirement, or "order"; values (k,) in ``unit``, easiest first; controllers (k,): for each value the one with
+    the lowest sensitivity among those that meet all else, or that come nearest; None where nothing holds every point.
+
+    sensitivity (k,) [-]: the largest H-infinity norm of S_o at the operating points, on the full plants as the loop runs,
+    and of the worst corners found; inf without a controller. met (k,): whether all else was met. binding (k,): what binds.
+    """
+
+    over: str
+    unit: str
+    values: tuple[float, ...]
+    sensitivity: tuple[float, ...]
+    met: tuple[bool, ...]
+    binding: tuple[str, ...]
+    controllers: tuple[Synthesis | None, ...]
+
+    def facts(self) -> Mapping[str, Any]:
+        """The lowest sensitivity at every value."""
+        rows = zip(self.values, self.sensitivity, self.met, strict=True)
+        told = [f"{value:.4g} {self.unit}: {peak:.3g}{'' if met else ' (not met)'}" for value, peak, met in rows]
+        return {"over": self.over, "lowest_sensitivity": told}
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with a row for each value."""
+        columns = {f"{self.over} [{self.unit}]": self.values, "sensitivity [-]": self.sensitivity, "met": self.met}
+        return data_frame({**columns, "binding": self.binding})
+
+
+def trade_off(
+    machine: Machine,
+    over: str,
+    values: Sequence[float],
+    options: DesignOptions | None = None,
+    *,
+    time_limit: float = 180.0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> TradeOff:
+    """The lowest sensitivity of a tuned controller against the values of one requirement, or against its order.
+
+    over: a key of [requirements] (``TRADED``) or "order"; values: SI; options: rate, delay_samples, order and structure (no
+    bank) as for a design; time_limit [s] of computing for each sensitivity aimed at. Ctrl-C keeps the values that
+    are done. Raises InvalidInput.
+    """
+    options = (options or DesignOptions()).on(machine)
+    wanted = _checked(over, values)
+    if options.structure in {"pid", "filters"}:
+        raise invalid("structure", options.structure, "free, plane or axis", "a bank is tuned by the design itself")
+    start = pid_controller(first_settings(machine) if machine.controller is None else machine.controller, machine)
+    plants = envelope_of(assemble(machine, machine.operation.design))
+    order = int(wanted[0]) if over == ORDER else options.order
+    job = prepare(plants, start, options.timing(), order, options.structure, options.bending_modes, None, time_limit, None)
+    law = cast(StateSpace, first_law(job, start, order, options.structure))  # of a bank it would be its settings
+    aim = job.aims.sensitivity
+    rows: list[tuple[float, float, bool, str, Synthesis | None]] = []
+    try:
+        for value in wanted:
+            demanded = machine.requirements if over == ORDER else replace(machine.requirements, **{over: value})
+            job.aims = replace(aims_of(replace(machine, requirements=demanded), start), sensitivity=aim)
+            if over == ORDER and rows:
+                law = with_states(law, int(value) - law.n_states, job.groups)
+            progress(f"{over} {value:.4g} {unit_of(over)}")
+            best = _lowest(job, law, options.structure, bool(rows), time_limit, progress)
+            rows.append((value, *best))
+            if best[-1] is not None:
+                law, aim = best[-1].controller, min(max(best[0], 1.05), _HIGHEST)
+    except KeyboardInterrupt:
+        if not rows:
+            raise
+    columns = list(zip(*rows, strict=True))
+    return TradeOff(over, unit_of(over), *columns)
+
+
+def unit_of(over: str) -> str:
+    """The SI unit of what is traded."""
+    return DIMENSIONS[TRADED[over]].unit
+
+
+def read_value(over: str, text: str) -> float:
+    """A value as written in a file, "20 ms", in SI. Raises InvalidInput."""
+    try:
+        return float(text) if text.replace(".", "", 1).isdigit() else read_quantity(text, DIMENSIONS[TRADED[over]])
+    except ValueError as error:
+        raise InvalidInput(f"a value of {over} {error}") from None
+
+
+def _checked(over: str, values: Sequence[float]) -> list[float]:
+    """The values, easiest first. Raises InvalidInput."""
+    if over not in TRADED:
+        raise invalid("over", repr(over), f"one of {', '.join(TRADED)}", suggestion(str(over), TRADED))
+    for value in values:
+        check_positive(value, f"a value of {over}", f"give it in {unit_of(over)}")
+        if over == ORDER and value != int(value):
+            raise invalid("order", value, "a whole number", "round it")
+    if len(set(values)) < 2:
+        raise InvalidInput(f"a trade-off needs two different values of {over} at least; give more")
+    return sorted(set(map(float, values)), reverse=over not in {ORDER, "log_decrement"})
+
+
+def _lowest(
+    job: Job, law: StateSpace, structure: str, again: bool, time_limit: float, progress: Callable[[str], None]
+) -> tuple[float, bool, str, Synthesis | None]:
+    """Sensitivity, whether all else is met, what binds, and the controller, of the best aim."""
+    best: tuple[float, bool, str, Synthesis | None] = (float("inf"), False, "nothing holds every point", None)
+    for _ in range(_AIMS):
+        job.clock, aim = TimeLimit(time_limit), job.aims.sensitivity
+        try:
+            found = tuned(job, law, structure, again=again)
+        except NumericalFailure as error:
+            progress(str(error))
+            break
+        ratios = {k.removeprefix("ratio_"): v for k, v in found.certificate.margins.items() if k.startswith("ratio_")}
+        peak = aim * ratios["sensitivity"]
+        others = max(value for name, value in ratios.items() if name != "sensitivity")
+        here = peak, others <= 1 + _EXACT, max(ratios, key=lambda name: ratios[name]), found
+        early = f" ({found.stopped_early})" if found.stopped_early else ""
+        progress(f"aimed at {aim:.3g}: sensitivity {peak:.3g}, {here[2]} binds at {found.gamma:.3f} of its limit{early}")
+        if (not here[1], here[0]) < (not best[1], best[0]):
+            best = here
+        law, again = found.controller, True
+        if abs(found.gamma - 1) <= _EXACT or (aim >= _HIGHEST and not here[1]):
+            break
+        aim = min(max(aim * found.gamma**1.5 if found.gamma > 1 else aim * found.gamma, 1.02), _HIGHEST)
+        job.aims = replace(job.aims, sensitivity=aim)
+    return best

@@ -1,0 +1,76 @@
+"""What a requirement costs: refusals, units, and on the seal rig a curve whose controllers do what it says."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import ambrose as amb
+from ambrose.synthesis.fixed_order.trade_off import TradeOff, read_value, trade_off
+from ambrose.synthesis.options import DesignOptions
+
+
+@pytest.mark.parametrize(
+    ("over", "values", "words"),
+    [
+        ("settling", [0.1, 0.2], "over is 'settling'.*settling_time"),
+        ("settling_time", [0.1], "needs two different values"),
+        ("settling_time", [0.1, 0.1], "needs two different values"),
+        ("settling_time", [0.1, -1.0], "positive"),
+        ("settling_time", [0.1, float("nan")], "value of settling_time"),
+        ("order", [8.5, 12], "whole number"),
+    ],
+)
+def test_bad_input(over, values, words):
+    with pytest.raises(amb.InvalidInput, match=words):
+        trade_off(amb.load_machine("seal-rig"), over, values)
+
+
+def test_a_bank_is_refused():
+    with pytest.raises(amb.InvalidInput, match="a bank is tuned by the design itself"):
+        trade_off(amb.load_machine("seal-rig"), "order", [8, 12], DesignOptions(structure="pid"))
+
+
+@pytest.mark.parametrize(("text", "value"), [("20 ms", 0.02), ("0.02", 0.02), ("0.02 s", 0.02)])
+def test_values_as_in_a_machine_file(text, value):
+    assert read_value("settling_time", text) == pytest.approx(value)
+
+
+def test_a_value_in_another_unit_is_refused():
+    with pytest.raises(amb.InvalidInput, match=r"a value of settling_time .*time"):
+        read_value("settling_time", "20 mm")
+
+
+def test_it_is_drawn_in_its_unit_and_says_what_was_not_met():
+    result = TradeOff("settling_time", "s", (0.06, 0.03), (2.1, 2.5), (True, False), ("sensitivity", "settling"), (None, None))
+    picture = amb.plot(result)
+    assert np.allclose(picture.data[0].x, [60, 30])
+    assert "[ms]" in picture.layout.xaxis.title.text
+    assert list(picture.data[0].marker.symbol) == ["circle", "circle-open"]
+    assert "not all other requirements are met" in picture.layout.title.text.replace("<br>", " ")
+
+
+def test_the_command_refuses_in_one_sentence():
+    done = subprocess.run(
+        [sys.executable, "-m", "ambrose", "trade-off", "seal-rig", "--over", "settling_time", "--values", "20 mm, 3 ms"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "a value of settling_time" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.study
+def test_each_controller_settles_as_asked_and_a_harder_demand_costs_more(tmp_path):
+    machine = amb.load_machine("seal-rig")
+    result = trade_off(machine, "settling_time", [0.12, 0.06], DesignOptions(rate=1e4))
+    assert result.values == (0.12, 0.06)
+    assert result.sensitivity[1] >= 0.98 * result.sensitivity[0]
+    for value, peak, met, found in zip(result.values, result.sensitivity, result.met, result.controllers, strict=True):
+        verdict = amb.verify(machine, found, tolerances=False)
+        assert verdict.worst["sensitivity.output.max"].value <= 1.01 * peak
+        if met:
+            assert verdict.worst["transient.settling"].value <= 1.02 * value
+    json.dumps(result.to_frame().to_dict())
