@@ -111,3 +111,29 @@ def test_what_is_no_filter_is_refused_in_a_sentence(name, tmp_path):
     with pytest.raises(InvalidInput, match=message) as caught:
         amb.read_controller(tmp_path / file)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "lacking"),
+    [
+        ("channel, b0, b1, b2, a0, a1\nA_zeta,1,2,3,1,2\n", "it lacks a2; its first line must name"),
+        ("b0, b1, b2, a0, a1, a2, gain\n1,2,3,1,2,1,1\n", "it lacks channel; its first line must name"),
+        ("channel, zeros, gain\nA_zeta,1,2\n", "it lacks poles; its first line must name"),
+        ("x, y\n1, 2\n", "it is no table of filters; its first line must name"),
+    ],
+)
+def test_a_table_names_the_columns_that_it_lacks(text, lacking, tmp_path):
+    (tmp_path / "vendor.csv").write_text(text)
+    with pytest.raises(InvalidInput, match=lacking):
+        amb.read_controller(tmp_path / "vendor.csv")
+
+
+def test_an_unstable_table_is_converted_with_a_warning(tmp_path):
+    (tmp_path / "v.csv").write_text("channel,b0,b1,b2,a0,a1,a2,rate_hz\nA_zeta,1,2,3,1,-2.1,1.2,10000\n")
+    words = ["convert", str(tmp_path / "v.csv"), "-o", str(tmp_path / "k.json")]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0 and "careful: the controller itself is unstable (a pole at +911.6 rad/s)" in done.stderr
+    problems = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)["problems"]
+    assert len(problems) == 1 and "unstable" in problems[0]
+    (tmp_path / "v.csv").write_text("channel,b0,b1,b2,a0,a1,a2,rate_hz\nA_zeta,1,2,3,1,-1.9,0.95,10000\n")
+    assert "careful" not in CliRunner().invoke(main, words).stderr

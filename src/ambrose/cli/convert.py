@@ -32,6 +32,7 @@ def convert(
     As a machine file (*.toml): a rotor model of ROSS (*.toml, *.json) or a table of stations (*.csv), on magnets chosen as
     `ambrose new` does; a machine file, or a bundled machine's name, becomes a model of ROSS.
     """
+    from ambrose.deployment.discretisation.deployment import instability
     from ambrose.machine.record.files import check_suffix, read_record, write_record
     from ambrose.machine.record.foreign import read_foreign
     from ambrose.synthesis.controller_file import read_controller, write_controller
@@ -41,9 +42,15 @@ def convert(
         law = read_controller(record)
         write_controller(output, law)
         kind = "continuous" if law.controller.dt is None else f"sampled at {1 / law.controller.dt:.6g} Hz"
-        told = {"controller": str(output), "inputs": law.controller.inputs, "states": law.controller.n_states, "kind": kind}
+        wrong = instability(law.controller)
+        told = {
+            "controller": str(output), "inputs": law.controller.inputs, "states": law.controller.n_states, "kind": kind,
+            "problems": wrong,
+        }  # fmt: skip
         text = f"{output}: {law.controller.n_states} states, {kind}, from {', '.join(law.controller.inputs)}"
         say_json(told) if as_json else say(text)
+        for problem in wrong:
+            say(f"careful: {problem}", err=True)
         return
     if output.suffix.lower() == ".toml":
         _convert_machine(record, output, speed, bearings, vertical, as_json)

@@ -29,6 +29,10 @@ from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, say
 @DELAY
 @click.option("--sampling", type=click.Choice(["tustin", "zoh"]), default="tustin", show_default=True)
 @click.option("--prewarp-hz", type=float, default=None, help="Tustin exact at this frequency.")
+@click.option(
+    "--form", type=click.Choice(["modal", "cascade"]), default="modal", show_default=True,
+    help="Realisation in C: modal, or of a filter bank its sections one by one.",
+)  # fmt: skip
 @click.option("--machine", "machine", default=None, help="Default: the bundled machine that the controller was made for.")
 @click.option("--error-limit", type=float, default=None, help="Largest plausible error in m; default: the bearing's gap.")
 @click.option("--current-limit", type=float, default=None, help="Largest current in A; default: the bearing's.")
@@ -41,7 +45,8 @@ from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, say
 @AS_JSON
 def export(
     controller: Path, target: Any, output: Path, name: str, arithmetic: Any, rate_hz: float | None, delay_samples: int | None,
-    sampling: Any, prewarp_hz: float | None, machine: str | None, error_limit: float | None, current_limit: float | None,
+    sampling: Any, prewarp_hz: float | None, form: Any, machine: str | None, error_limit: float | None,
+    current_limit: float | None,
     speed_limit: float | None, speed_rate: float | None, sources_only: bool, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Sample a controller, verify its loop as it will run, and write it as code for the target.
@@ -58,7 +63,7 @@ def export(
     prewarp = None if prewarp_hz is None else 6.283185307179586 * check_positive(prewarp_hz, "--prewarp-hz", remedy)
     options = ExportOptions(
         name=name, arithmetic=arithmetic, rate=rate_hz, delay_samples=delay_samples, sampling=sampling, prewarp=prewarp,
-        error_limit=error_limit, current_limit=current_limit, speed_limit=speed_limit, speed_rate=speed_rate,
+        form=form, error_limit=error_limit, current_limit=current_limit, speed_limit=speed_limit, speed_rate=speed_rate,
         sources_only=sources_only, force=force,
     )  # fmt: skip
     file, known = read_controller(controller), None if machine is None else load(machine)

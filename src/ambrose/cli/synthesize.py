@@ -156,7 +156,7 @@ def synthesize(
         rows += [("note", note) for note in result.notes]
         early = "STOPPED EARLY: " if result.stopped_early else ""
         print_table(f"{method} controller, {early}{result.verdict}: {output}", ("certificate", "value"), rows)
-        if result.filters is not None:
+        if result.filters is not None and result.filters.channels:
             print_table("filters, each channel in series", ("channel", "filter", "parameters"), filter_rows(result.filters))
     if failure is not None:
         raise failure

@@ -196,7 +196,7 @@ def _subspace_iteration(mass: np.ndarray, stiffness: np.ndarray, count: int) -> 
     X = np.random.default_rng(0).standard_normal((len(mass), count + max(8, count // 2)))
     last, absolute = np.zeros(count), abs(K)
     for _ in range(_ITERATIONS):
-        values, X = _ritz(M, K, factor.solve(M @ X))
+        values, X = _ritz(M, K, np.linalg.qr(factor.solve(M @ X))[0])  # or many vectors become one another
         change = np.abs(values[:count] - last)
         if (change <= 1e-12 * (np.abs(values[:count]) + shift) + _noise(absolute, X[:, :count])).all():
             return X[:, :count]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from ambrose.core.sampling import Method
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, rename
 from ambrose.deployment.block.block import HOLD_SAMPLES, WINDUP_TIME, check_limits
+from ambrose.deployment.block.cascade import build_cascade
 from ambrose.deployment.block.fixed import ControlBlock, build_block
 from ambrose.deployment.block.names import check_identifier
 from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block, check_speed_limits
@@ -41,6 +42,7 @@ from ambrose.plant.timing import DEFAULT, Timing, timing_of
 from ambrose.synthesis.result import Synthesis
 
 Target = Literal["c", "mat", "fmu", "st"]
+Form = Literal["modal", "cascade"]
 TARGETS: Mapping[Target, tuple[Arithmetic, ...]] = {  # with what each can compute in
     "c": ("double", "float", "fixed32", "fixed16"), "mat": ("double",), "fmu": ("double", "float", "fixed32", "fixed16"),
     "st": ("double", "float"),
@@ -53,11 +55,12 @@ class ExportOptions(Presented):
 
     name: prefix of every name in the code, a C identifier. arithmetic: of the code. rate [Hz]: of the samples, delay_samples:
     from measured errors to currents set (None: as the controller or the machine file says, ``plant.timing.timing_of``; 10 kHz
-    and one sample where nobody does); sampling: "tustin", exact at ``prewarp``
-    [rad/s] if given, or "zoh". error_limit [m], current_limit [A]: one number or one per axis (None: the bearings' gaps, or
-    twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in ``build_block``. speed_limit
-    [rad/s], speed_rate [rad/s^2]: of a scheduled controller, as in ``build_scheduled_block``. sources_only: an FMU without a
-    binary. force: write a controller that is not verified, or not stable everywhere. Raises InvalidInput.
+    and one sample where nobody does); sampling: "tustin", exact at ``prewarp`` [rad/s] if given, or "zoh"; form: "modal", or
+    of filters "cascade", section by section (C only). error_limit [m], current_limit [A]: one number or one per axis (None:
+    the bearings' gaps, or twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in
+    ``build_block``. speed_limit [rad/s], speed_rate [rad/s^2]: of a scheduled controller, as in ``build_scheduled_block``.
+    sources_only: an FMU without a binary. force: write a controller that is not verified, or not stable everywhere. Raises
+    InvalidInput.
     """
 
     name: str = "controller"
@@ -66,6 +69,7 @@ class ExportOptions(Presented):
     delay_samples: int | None = None
     sampling: Method = "tustin"
     prewarp: float | None = None
+    form: Form = "modal"
     error_limit: ArrayLike | None = None
     current_limit: ArrayLike | None = None
     windup_time: float = WINDUP_TIME
@@ -77,6 +81,8 @@ class ExportOptions(Presented):
 
     def __post_init__(self) -> None:
         check_identifier(self.name, "the name of the block", "choose letters, digits and underscores")
+        if self.form not in get_args(Form):
+            raise invalid("form", repr(self.form), " or ".join(get_args(Form)), "choose one of them")
         if self.rate is not None:
             check_positive(self.rate, "rate", "give it in Hz")
         if self.delay_samples is not None:
@@ -186,9 +192,15 @@ def _check_target(synthesis: Synthesis, to: Target, options: ExportOptions) -> N
             remedy = "a scheduled controller is written as C99 only; or write the fixed one of a speed, scheduled.at(speed)"
             raise invalid("the target", what, '"c"', remedy)
         check_precision(options.arithmetic)
+        if options.form == "cascade":
+            raise invalid(
+                "form", "'cascade'", "'modal' for a controller scheduled over speed", "its sections change with the speed"
+            )
         check_speed_limits(scheduled.grid, options.speed_limit, options.speed_rate)
     elif not (options.speed_limit is None and options.speed_rate is None):
         raise invalid("speed_limit or speed_rate", "given", "left out", "this controller is not scheduled over speed")
+    if options.form == "cascade" and to != "c":
+        raise invalid("form", "'cascade'", f"'modal' for the target {to!r}", "write C for the sections one by one")
     if options.arithmetic not in TARGETS[to]:
         allowed = f"{' or '.join(TARGETS[to])} for the target {to!r}"
         raise invalid("arithmetic", repr(options.arithmetic), allowed, "choose it, or another target")
@@ -212,6 +224,9 @@ def _deploy(
     if synthesis.scheduled is None:
         plants = [] if machine is None else [assemble(machine, point) for point in machine.operation.envelope]
         fixed = deploy(synthesis, dt, delay, plants=plants, **how)
+        if options.form == "cascade":
+            guards["prewarp"] = options.prewarp
+            return fixed, build_cascade(fixed, synthesis.filters, machine, options.name, *limits, **guards)
         return fixed, build_block(fixed, options.name, *limits, **guards)
     over = deploy_scheduled(synthesis, dt, delay, machine=machine, **how)
     guards |= {"speed_limit": options.speed_limit, "rate_limit": options.speed_rate}

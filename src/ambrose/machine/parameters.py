@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, MachineDescription, OperatingPoint
+from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.machine.messages import shown, suggestion
 from ambrose.machine.seals import not_straight
 
@@ -105,7 +106,7 @@ def find_parameter(machine: MachineDescription, path: str) -> Parameter:
         "seal": [seal.name for seal in machine.seals],
         "bearing": [bearing.name for bearing in machine.bearings],
         "coupling": [coupling.name for coupling in machine.couplings],
-        "rotor": [f"{BENDING}{k + 1}" for k in range(2 * sum(section.elements for section in machine.shaft))],
+        "rotor": [f"{BENDING}{k + 1}" for k in range(_bending_modes(machine))],
     }[parameter.table]
     if parameter.name not in names:
         nothing = f"the machine has no [[{parameter.table}]]"
@@ -153,6 +154,12 @@ def operating_point(
     if all(getattr(point, name) == value for name, value in changed.items()):
         return point
     return replace(point, label="", **changed)  # type: ignore[arg-type]
+
+
+def _bending_modes(machine: MachineDescription) -> int:
+    """How many bending modes per plane the full model has, as ``plant.assemble.bending_modes_of`` counts them."""
+    available = 2 * sum(section.elements for section in machine.shaft)
+    return available if available <= 2 * FINE_MESH_MODES else FINE_MESH_MODES
 
 
 def uncertain_modes(machine: MachineDescription) -> tuple[int, ...]:

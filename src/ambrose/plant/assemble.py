@@ -1,10 +1,11 @@
 """Machine and operating point -> Plant, in three steps: the rotor with its attachments, its state space, the wiring.
 
-The rotor is written in the mass-orthonormal modes of the free rotor - all of them for the full model, so nothing is lost
-but a change of coordinates. There the rigid-body modes have exactly no stiffness; in nodal coordinates rounding of the
-element stiffness (norm 1e14) would disturb them in the sixth digit. Its states are the modal displacements q and q'/s, with
-scales s of the free rotor alone: they mean the same at every speed, seal pressure and bias current, so that a run-up may carry
-them from one plant to the next. Poles of the slow modes are good to 1e-8 rad/s (tests/plant/test_assemble.py).
+The rotor is written in the mass-orthonormal modes of the free rotor - all of them for the full model, so nothing is lost but
+a change of coordinates; of a very fine mesh as many as matter (``bending_modes_of``). There the rigid-body modes have exactly
+no stiffness; in nodal coordinates rounding of the element stiffness (norm 1e14) would disturb them in the sixth digit. Its
+states are the modal displacements q and q'/s, with scales s of the free rotor alone: they mean the same at every speed, seal
+pressure and bias current, so that a run-up may carry them from one plant to the next. Poles of the slow modes are good to
+1e-8 rad/s (tests/plant/test_assemble.py).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import OperatingPoint, Seal
+from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
@@ -57,8 +59,13 @@ def state_scales(rotor: Rotor, bending_modes: int | None = None) -> np.ndarray:
 
 
 def bending_modes_of(rotor: Rotor) -> int:
-    """How many bending modes per plane the mesh has: 2 N - 2."""
-    return 2 * rotor.n_nodes - 2
+    """How many bending modes per plane the full model has: all that the mesh has, 2 N - 2; of more than 128 the lowest 64.
+
+    What the modes beyond would add is their static compliance, which falls with the third power of their number: poles and
+    checks agree with those of all modes to 1e-7, responses to 5e-6 (tests/plant/test_big_rotor.py).
+    """
+    available = 2 * rotor.n_nodes - 2
+    return available if available <= 2 * FINE_MESH_MODES else FINE_MESH_MODES
 
 
 def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None) -> SecondOrder:
@@ -91,7 +98,7 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
         mass += pair.T @ m @ pair
-    own = np.eye(bending_modes_of(rotor) * 2 + 4)[:, : len(mass)]
+    own = np.eye(max(bending_modes_of(rotor) * 2 + 4, len(mass)))[:, : len(mass)]
     N = np.vstack([N, *(own[2 + 2 * k : 4 + 2 * k] for k in uncertain_modes(machine))])
     names = [*(p.name for p in places), *mode_ports(machine)]
     return SecondOrder(

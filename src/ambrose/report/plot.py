@@ -36,6 +36,7 @@ from ambrose.report.comparison.envelope import decision
 from ambrose.report.comparison.figures import loop_figures
 from ambrose.report.figures.bode import Line, bode_figure, entries, grid_of, unit_of
 from ambrose.report.figures.curves import figure
+from ambrose.report.figures.filter_chains import filter_figure
 from ambrose.report.figures.limits import BEYOND
 from ambrose.report.figures.pole_map import pole_zero_map
 from ambrose.report.figures.residual_response import residual_figure
@@ -151,6 +152,14 @@ def _schedule(schedule: ScheduledSystem, name: str = "Schedule") -> Any:
 
 @plot.register
 def _synthesis(synthesis: Synthesis) -> Any:
+    if synthesis.filters is not None and synthesis.scheduled is None:
+        system = synthesis.controller
+        axes = tuple(name.removeprefix("err_") for name in system.inputs)
+        picture, room = filter_figure(synthesis.filters, axes, system.dt), 0
+        room = picture.layout.meta["room"] - 24  # of the chains, which stand where _titled would put the axes
+        picture.update_layout(margin={"t": picture.layout.margin.t - room}, height=picture.layout.height - room)
+        picture = _titled(picture, f"Controller ({synthesis.method}): {system.n_states} states, each channel in series")
+        return picture.update_layout(margin={"t": picture.layout.margin.t + room}, height=picture.layout.height + room)
     draw = _schedule if synthesis.scheduled is not None else _system
     return draw(synthesis.law, f"Controller ({synthesis.method})")  # type: ignore[arg-type]
 

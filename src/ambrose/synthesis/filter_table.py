@@ -34,8 +34,10 @@ def controller_of_csv(text: str) -> StateSpace:
     except csv.Error as error:
         raise InvalidInput(f"it is no table in CSV ({error}); its first line must name the columns {_HEADER}") from None
     columns = {str(name).strip() for name in (rows[0] if rows else {})}
-    if "channel" not in columns or not (columns >= {*SOS} or columns >= {*ZPK}):
-        raise InvalidInput(f"it is no table of filters; its first line must name the columns {_HEADER}")
+    kind = max((SOS, ZPK), key=lambda names: len(columns & {*names}) / len(names))
+    if missing := [name for name in ("channel", *kind) if name not in columns]:
+        lacks = f"it lacks {', '.join(missing)}" if columns & {"channel", *SOS, *ZPK} else "it is no table of filters"
+        raise InvalidInput(f"{lacks}; its first line must name the columns {_HEADER}")
     rates, chains = set[str](), dict[str, list[Section]]()
     for number, row in enumerate(rows, 2):
         cells = {str(key).strip(): value.strip() for key, value in row.items() if isinstance(value, str)}

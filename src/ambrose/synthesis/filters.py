@@ -91,9 +91,14 @@ def filter_rows(settings: PidSettings) -> list[tuple[str, str, str]]:
     for channel in settings.channels:
         rows.append((", ".join(channel.names), "gain", f"{channel.gain / 1e3:.4g} A/mm"))
         for section in channel.sections:
-            numbers = {key: getattr(section, key) for key in SECTIONS[section.kind]}
-            rows.append(("", section.kind, ", ".join(_told(key, value) for key, value in numbers.items() if value is not None)))
+            rows.append(("", section.kind, section_text(section)))
     return rows
+
+
+def section_text(section: Section, numbers: Mapping[str, Any] | None = None) -> str:
+    """The parameters of a section, or the numbers given under some of its keys, in everyday units."""
+    numbers = {key: getattr(section, key) for key in SECTIONS[section.kind]} if numbers is None else numbers
+    return ", ".join(_told(key, value) for key, value in numbers.items() if value is not None)
 
 
 def _told(key: str, value: Any) -> str:

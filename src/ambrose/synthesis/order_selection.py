@@ -129,6 +129,7 @@ def reduce_order(plant: Plant, result: Synthesis, options: DesignOptions, progre
         status=Status.VERIFIED if certificate.stable else Status.UNSTABLE,
         notes=(*result.notes, note),
         gamma=np.nan,
+        filters=None,
     )
     return certify_on_full_plant(plant, fresh, margins)
 

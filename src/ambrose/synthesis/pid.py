@@ -42,7 +42,7 @@ def pid_synthesis(plant: Plant, settings: PidSettings | None = None, timing: Tim
     design = pid_controller(settings, plant.machine)
     certificate = certify(plant, design)
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
-    result = Synthesis(design, "pid", float("nan"), status, certificate)
+    result = Synthesis(design, "pid", float("nan"), status, certificate, filters=settings)
     return certify_as_it_runs(plant, result, timing or machine_timing(replace(plant.machine, controller=settings)))
 
 
@@ -84,12 +84,18 @@ def axes_controller(
 
     Raises InvalidInput.
     """
-    into, out = (np.eye(len(axes)),) * 2 if mixing is None else mixing
+    into, out = axes_mixings(settings, axes, mixing)
     chains = [chain(gain, [section_matrix(item) for item in sections]) for gain, sections in channel_chains(settings, axes)]
-    gains = check_finite(settings.gain, "the controller's gain").ravel()
-    if gains.size == len(axes) and settings.coordinates != "axes":  # of the axes, not of the modes
-        out = gains[:, None] * out
     return theta_system(bank(chains, into, out), axes)
+
+
+def axes_mixings(
+    settings: PidSettings, axes: tuple[str, ...], mixing: tuple[np.ndarray, np.ndarray] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """From displacements to channels and back (``mixings``; None: every axis is a channel), with gains that are of the axes."""
+    into, out = (np.eye(len(axes)),) * 2 if mixing is None else mixing
+    gains = check_finite(settings.gain, "the controller's gain").ravel()
+    return into, gains[:, None] * out if gains.size == len(axes) and settings.coordinates != "axes" else out
 
 
 def theta_system(theta: np.ndarray, axes: tuple[str, ...], dt: float | None = None) -> StateSpace:
@@ -113,8 +119,12 @@ def channel_chains(settings: PidSettings, axes: tuple[str, ...]) -> list[tuple[f
         gains = [gain, gain, settings.tilt_gain * gain, settings.tilt_gain * gain]
     else:
         gains = list(settings.gain) * (1 if len(settings.gain) == len(axes) else len(axes))
-    names = MODES if modal else axes
-    return [own[name] if name in own else (gains[i], common) for i, name in enumerate(names)]
+    return [own[name] if name in own else (gains[i], common) for i, name in enumerate(channel_names(settings, axes))]
+
+
+def channel_names(settings: PidSettings, axes: tuple[str, ...]) -> tuple[str, ...]:
+    """The channels in their order."""
+    return MODES if settings.coordinates == "tilt-translate" else axes
 
 
 def common_sections(settings: PidSettings) -> tuple[Section, ...]:

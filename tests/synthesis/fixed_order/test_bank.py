@@ -20,7 +20,7 @@ from ambrose.plant.timing import Timing
 from ambrose.synthesis import design
 from ambrose.synthesis.fixed_order import tuning
 from ambrose.synthesis.fixed_order.aims import aims_of
-from ambrose.synthesis.fixed_order.bank import filter_bank, first_bank
+from ambrose.synthesis.fixed_order.bank import at_limits, filter_bank, first_bank
 from ambrose.synthesis.fixed_order.loops import loop_model
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.tuning import tune_controller
@@ -104,10 +104,34 @@ def test_values_keep_within_their_limits():
                 and channel.sections[1].frequency <= FASTEST
             )
             assert all(0.1 <= item.pole_damping <= 1 and item.pole_frequency <= FASTEST for item in channel.sections[2:])
+            assert all(item.zero_damping >= 0.01 for item in channel.sections[2:])
     for values in (x, x + 30.0):  # a round begins where the last one ended, at a limit too
         settings = bank.settings(values)
         again, there = filter_bank(settings, MACHINE, FASTEST)
         np.testing.assert_allclose(again.theta(there), bank.theta(values), rtol=1e-6)
+
+
+def test_what_ended_at_a_limit_is_told():
+    bank, x = filter_bank(first_bank(FIRST, MACHINE, "filters", None, FASTEST), MACHINE, FASTEST)
+    assert not at_limits(bank.settings(x), MACHINE, FASTEST)
+    for k, item in enumerate(bank.unknowns):
+        if item.channel < 2 and (item.section, item.key) in {(0, "integral_time"), (1, "frequency"), (2, "zero_damping")}:
+            x[k] = -30.0 if item.key == "zero_damping" else 30.0
+    names = f"({', '.join(MACHINE.axes[:2])})"
+    assert at_limits(bank.settings(x), MACHINE, FASTEST) == [
+        f"pid integral time 1000 ms {names}", f"low-pass frequency 9500 Hz {names}", f"notch zero damping 0.01 {names}",
+    ]  # fmt: skip
+
+
+def test_a_notch_without_damping_leaves_its_limit():
+    notch = Section("notch", zero_frequency=2e3, zero_damping=0.0, pole_frequency=2e3, pole_damping=0.3)
+    given = PidSettings(channels=(Channel(MACHINE.axes, 2e4, (Section("pid", 0.1, 1e-3), notch)),))
+    found = first_bank(given, MACHINE, "pid", None, FASTEST)
+    assert found.channels[0].sections[1].zero_damping == pytest.approx(0.015)
+    bank, x = filter_bank(found, MACHINE, FASTEST)
+    slope = bank.gradient(x, np.ones_like(bank.theta(x)))
+    k = next(k for k, item in enumerate(bank.unknowns) if item.key == "zero_damping")
+    assert abs(slope[k]) > 1e-6 * np.abs(slope).max()
 
 
 @pytest.mark.parametrize(
@@ -153,6 +177,7 @@ def test_the_filters_found_are_a_controller_table(found, tmp_path):
     K, same = found.controller, pid_controller(again.controller, again)
     for letter in "ABCD":
         np.testing.assert_allclose(getattr(same, letter), getattr(K, letter), rtol=1e-12, atol=0)
+    assert any("choose structure 'filters' or 'free', or relax a requirement" in note for note in found.notes)
     assert found.status == "verified" and found.certificate.fastest_pole < np.pi / RUNS.sample_time
     assert amb.read_controller(amb.write_controller(tmp_path / "tuned.json", found)) == found
     content = json.loads((tmp_path / "tuned.json").read_text())

@@ -19,6 +19,7 @@ from ambrose.deployment.block.names import check_identifiers, names_in_code
 HOLD_SAMPLES = 10
 WINDUP_TIME = 0.02  # s; an integral time of 0.2 s and a derivative time of 2 ms have it as their geometric mean
 HEADROOM = 1.02  # of the bounds on the states
+_UNSEEN = 1e-150  # effect of a state that no output sees; its square is a number
 _SLOW = 5.0  # times the windup time: modes slower than this wind up
 
 
@@ -52,6 +53,11 @@ class Block:
     @property
     def n_states(self) -> int:
         return self.increment.shape[-1]
+
+    @property
+    def state_range(self) -> np.ndarray:
+        """The largest magnitude (n,) of every state."""
+        return np.ones(self.n_states)
 
     @property
     def transfers(self) -> bool:
@@ -155,7 +161,7 @@ def transfer_gains(
     k, p, n = C.shape
     steady, pick, fast = np.zeros((k, n, B.shape[2])), np.zeros((k, n, p)), ~slow
     C = C / currents[:, None]
-    size = np.maximum(np.linalg.norm(C, axis=1).max(axis=0, initial=0.0), np.finfo(float).tiny)
+    size = np.maximum(np.linalg.norm(C, axis=1).max(axis=0, initial=0.0), _UNSEEN)
     spans = slow.any() and all(np.linalg.matrix_rank(c[:, slow] / size[slow], tol=1e-3) == p for c in C)
     weight = np.where(slow | (not spans), 1 / size**2, 0.0)
     for i in range(k):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.deployment.block.cascade import CascadeBlock
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.scheduled import ScheduledBlock
 
@@ -28,27 +29,30 @@ def diagonals_of(x: np.ndarray) -> list[int]:
     return [k for k in range(1 - len(x), len(x)) if np.diagonal(x, k).any()]
 
 
-def padding_of(increment: np.ndarray) -> tuple[int, int]:
-    """How many places before and after the states the diagonals of A - I (n, n) reach."""
-    offsets = diagonals_of(increment)
+def padding_of(block: ControlBlock) -> tuple[int, int]:
+    """How many places before and after the states the diagonals of A - I reach; a cascade has none."""
+    offsets = [] if isinstance(block, CascadeBlock) else diagonals_of(block.increment)
     return max(0, -min(offsets, default=0)), max(0, max(offsets, default=0))
 
 
 def step_cost(block: ControlBlock, arithmetic: str) -> Cost:
-    """Counted as the code does it: whole diagonals of A - I, dense B, C and (where not zero) D."""
+    """Counted as the code does it: whole diagonals of A - I, dense B, C and (where not zero) D; of a cascade its sections."""
     n, m, p, w = block.n_states, len(block.inputs), len(block.outputs), block.winding
     direct = m * p if block.D.any() else 0
     products = len(diagonals_of(block.increment)) * n + n * m + n * p + direct
     signal, state = _BYTES[arithmetic]
     floating = arithmetic in {"double", "float"}
-    carry = w * signal if floating else 0
+    if isinstance(block, CascadeBlock):
+        per_state = 2 if floating else 3  # and a feedthrough of every section
+        products = per_state * n + len(block.stages) + m * p + (m * m if block.mixes else 0)
+    carry = w * signal if floating else (n + m * block.mixes) * state if isinstance(block, CascadeBlock) else 0
     tables = products + w * p + (m + p if floating else 0) + (n * (m + p) if block.transfers else 0)
     shifts = 0 if floating else n + 2 * p + (n if block.transfers else 0)
     return Cost(
         multiplications=products,
         additions=products + n + (3 * w if floating else 0),
         limited=w * p,
-        state_bytes=(n + sum(padding_of(block.increment))) * state + carry + m * (signal + 2),
+        state_bytes=(n + sum(padding_of(block))) * state + carry + m * (signal + 2),
         table_bytes=tables * signal + shifts,
     )
 

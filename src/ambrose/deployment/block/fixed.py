@@ -58,6 +58,10 @@ class ControlBlock(Block):
         A = np.eye(self.n_states) + self.increment
         return StateSpace(A, self.B, self.C, self.D, self.inputs, self.outputs, self.sample_time)
 
+    def respond(self, e: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The currents asked for (p,) [A] and what is added to the states (n,), for errors e (m,) [m]."""
+        return self.D @ e + self.C @ x, self.increment @ x + self.B @ e
+
 
 def build_block(
     deployment: Deployment,
@@ -80,12 +84,12 @@ def build_block(
     errors, currents = settings.error_limit, settings.current_limit
     dt = float(K.dt or 0.0)
     slow = slow_states(deployment.increment, deployment.sizes, dt, windup_time)
-    unwind = _unwinding(deployment, slow, currents, dt / windup_time)
-    bound = _state_bounds(deployment, unwind, slow, settings)
+    unwind = unwinding(deployment, slow, currents, dt / windup_time)
+    bound = state_bounds(deployment, unwind, slow, settings)
     scale = _powers(deployment.sizes, bound)
     C, D = K.C * scale, K.D
     raw = np.abs(C) @ (bound / scale) + np.abs(D) @ errors
-    from_error, from_output = _transfer(deployment, scale, slow, currents)
+    from_error, from_output = transfer(deployment, scale, slow, currents)
     order, sizes = _winding_first(deployment.sizes, slow)
     increment = (deployment.increment * scale / scale[:, None])[np.ix_(order, order)]
     return ControlBlock(
@@ -103,7 +107,7 @@ def _winding_first(sizes: Sequence[int], slow: np.ndarray) -> tuple[np.ndarray, 
     return order, tuple(b.stop - b.start for b in blocks)
 
 
-def _unwinding(deployment: Deployment, slow: np.ndarray, currents: np.ndarray, rate: float) -> np.ndarray:
+def unwinding(deployment: Deployment, slow: np.ndarray, currents: np.ndarray, rate: float) -> np.ndarray:
     """L (n, p) [1/A], on the slow states only."""
     gain = np.zeros((deployment.controller.n_states, len(currents)))
     if not slow.any():
@@ -117,7 +121,7 @@ def _unwinding(deployment: Deployment, slow: np.ndarray, currents: np.ndarray, r
     return gain
 
 
-def _state_bounds(deployment: Deployment, unwind: np.ndarray, slow: np.ndarray, settings: Settings) -> np.ndarray:
+def state_bounds(deployment: Deployment, unwind: np.ndarray, slow: np.ndarray, settings: Settings) -> np.ndarray:
     """Bounds (n,) on the states for every plausible input and any saturation (the module's formula)."""
     K, E, errors = deployment.controller, deployment.increment, settings.error_limit
     bound = np.zeros(K.n_states)
@@ -142,7 +146,7 @@ def _powers(sizes: Sequence[int], bound: np.ndarray) -> np.ndarray:
     return scale
 
 
-def _transfer(
+def transfer(
     deployment: Deployment, scale: np.ndarray, slow: np.ndarray, currents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Scaled states from errors (n, m) and currents (n, p), zero where the states cannot set the outputs."""

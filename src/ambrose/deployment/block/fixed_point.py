@@ -60,10 +60,10 @@ def to_fixed_point(block: ControlBlock, word: int = 32, largest_error: float = L
     signal = word - 2
     cut_bits = np.ceil(np.log2(block.raw_limit / block.current_limit)).astype(int)
     update, unwind, output, transfer = _normalise(block, cut_bits)
-    q_update, update_bits = _rows(update, word, "a state's increment")
-    q_unwind, unwind_bits = _rows(unwind, word, "a state's unwinding")
-    q_output, output_bits = _rows(output, word, "an output")
-    q_transfer, transfer_bits = _rows(
+    q_update, update_bits = quantise_rows(update, word, "a state's increment")
+    q_unwind, unwind_bits = quantise_rows(unwind, word, "a state's unwinding")
+    q_output, output_bits = quantise_rows(output, word, "an output")
+    q_transfer, transfer_bits = quantise_rows(
         transfer, word, "a state at transfer", least=_LEAST_BITS - signal, most=2 * word - 3 - signal
     )
     smallest = min(update_bits.min(initial=2 * word), unwind_bits.min(initial=2 * word))
@@ -97,7 +97,7 @@ def _normalise(block: ControlBlock, cut_bits: np.ndarray) -> tuple[np.ndarray, n
     return update, block.unwind * u * np.exp2(cut_bits), output, np.hstack([block.from_error * e, block.from_output * u])
 
 
-def _rows(matrix: np.ndarray, word: int, what: str, least: int = 0, most: int = 100) -> tuple[np.ndarray, np.ndarray]:
+def quantise_rows(matrix: np.ndarray, word: int, what: str, least: int = 0, most: int = 100) -> tuple[np.ndarray, np.ndarray]:
     """Whole numbers and fraction bits of every row: each below 2^(word-1), their sum at most 2^word."""
     bits = np.zeros(len(matrix), int)
     whole = np.zeros(matrix.shape, np.int64)

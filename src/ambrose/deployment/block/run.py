@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.deployment.block.block import Block
+from ambrose.deployment.block.cascade_fixed import FixedCascade
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import FixedBlock
 from ambrose.deployment.block.scheduled import ScheduledBlock, places
@@ -38,16 +39,14 @@ def run_block(
     e, status = _plausible_errors(block, errors, valid)
     x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
     carry, largest = np.zeros(block.winding), np.abs(x)
-    direct, driven = e @ block.D.T, e @ block.B.T
-    currents = np.empty(direct.shape)
+    currents = np.empty((len(e), len(block.outputs)))
     for k in range(len(e)):
-        u = direct[k] + block.C @ x
+        u, step = block.respond(e[k], x)
         currents[k] = np.minimum(np.maximum(u, -block.current_limit), block.current_limit)
         cut = currents[k] - u
-        step = block.increment @ x + driven[k]
         if cut.any():
             status[k] |= LIMITED
-            step += block.unwind @ cut
+            step[: len(carry)] += block.unwind[: len(carry)] @ cut
         x = _add_compensated(x, step, carry, FLOOR["double"])
         largest = np.maximum(largest, np.abs(x))
     return BlockRun(currents, status, x, largest)
@@ -151,6 +150,55 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
         cut = np.minimum(np.maximum(u, -one), one)
         currents[k] = cut
         step = _shift(driven[k] + A @ x, *to_state)
+        if (cut != u).any():
+            status[k] |= LIMITED
+            step = step + _shift(fixed.unwind @ _shift(cut - u, *to_cut), *to_unwinding)
+        X = np.minimum(np.maximum(X + step, -edge), edge)
+        largest = np.maximum(largest, np.abs(X))
+    return BlockRun(currents, status, X, largest)
+
+
+def run_fixed_cascade(fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike | None = None) -> BlockRun:
+    """Fixed point of a cascade, bit by bit: as ``run_fixed``."""
+    block, s, n = fixed.block, fixed.signal_bits, fixed.block.n_states
+    given, good = _inputs(block, errors, valid)
+    e, one, edge = given.astype(np.int64), 1 << s, 1 << fixed.state_bits
+    e, status = _hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
+    X, rest, largest = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
+    kept, currents = np.zeros(len(block.into), np.int64), np.empty((len(e), len(block.outputs)), np.int64)
+    to_signal, to_output, to_cut, to_input = (
+        _half(bits, count)
+        for bits, count in (
+            (fixed.state_bits - s, n),
+            (fixed.output_bits, None),
+            (fixed.cut_bits, None),
+            (fixed.into_bits, None),
+        )
+    )
+    to_section, to_state = _half(fixed.section_bits), _half(fixed.update_shift)
+    to_unwinding = _half(fixed.unwind_bits + s - fixed.state_bits)
+    for k in range(len(e)):
+        v, sums, i = e[k], np.empty(n, np.int64), 0
+        if block.mixes:
+            total = fixed.into @ e[k] + kept
+            v = _shift(total, *to_input)
+            kept = (total - (v << fixed.into_bits)) * (n > 0)  # without states nothing is kept
+            v = np.clip(v, -one, one)
+        x = _shift(X, *to_signal)
+        at = v.copy()
+        for j, stage in enumerate(block.stages):
+            local = np.array([at[stage.channel], *x[i : i + stage.order], *[0] * (2 - stage.order)], np.int64)
+            y, *added = fixed.sections[j] @ local
+            sums[i : i + stage.order] = added[: stage.order]
+            y = _shift(np.array([y]), to_section[0][j, :1], to_section[1][j, :1])[0]
+            at[stage.channel] = min(max(y, -one), one)
+            i += stage.order
+        u = _shift(fixed.output @ at, *to_output)
+        cut = np.minimum(np.maximum(u, -one), one)
+        currents[k] = cut
+        sums += rest
+        step = _shift(sums, *to_state)
+        rest = sums - (step << fixed.update_shift)
         if (cut != u).any():
             status[k] |= LIMITED
             step = step + _shift(fixed.unwind @ _shift(cut - u, *to_cut), *to_unwinding)

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ambrose.deployment.block.block import Block
+from ambrose.deployment.block.cascade_fixed import FixedCascade
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import FixedBlock
-from ambrose.deployment.block.run import run_block, run_fixed, run_scheduled
+from ambrose.deployment.block.run import run_block, run_fixed, run_fixed_cascade, run_scheduled
 from ambrose.deployment.block.scheduled import ScheduledBlock
 
 _SAMPLES = 96
@@ -33,7 +34,7 @@ class Vectors:
     rounding: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def make_vectors(block: ControlBlock, fixed: FixedBlock | None = None, single: bool = False) -> Vectors:
+def make_vectors(block: ControlBlock, fixed: FixedBlock | FixedCascade | None = None, single: bool = False) -> Vectors:
     """Small and large errors, limiting, flags, values out of range, silence. fixed: the answer in whole numbers; single:
     errors that single precision holds."""
     e, valid = _errors(len(block.inputs), _SAMPLES)
@@ -43,7 +44,7 @@ def make_vectors(block: ControlBlock, fixed: FixedBlock | None = None, single: b
     if fixed is not None:
         words = np.clip(np.round(e * (1 << fixed.signal_bits)), 1 - 2 ** (fixed.word - 1), 2 ** (fixed.word - 1) - 1)
         e = words.astype(np.int64)
-        run = run_fixed(fixed, e, valid)
+        run = run_fixed_cascade(fixed, e, valid) if isinstance(fixed, FixedCascade) else run_fixed(fixed, e, valid)
     else:
         e = _held_exactly(e * block.error_limit, single)
         run = run_block(block, e, valid)

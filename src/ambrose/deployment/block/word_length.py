@@ -43,13 +43,19 @@ def word_lengths(block: ControlBlock, bits: tuple[int, ...] = BITS) -> tuple[Wor
 def gain_error(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, bits: int) -> float:
     """What rounding A - I, B, C and D to ``bits`` bits of mantissa does to the response, relative to its largest singular
     value at each frequency: the largest, from 1e-6 of the Nyquist frequency up to it."""
-    exact = _response(increment, B, C, D)
-    error = _response(*(round_to_bits(x, bits) for x in (increment, B, C, D))) - exact
-    size = np.maximum(np.linalg.norm(exact, 2, axis=(1, 2)), np.finfo(float).tiny)
-    return float((np.linalg.norm(error, 2, axis=(1, 2)) / size).max())
+    exact = sampled_response(increment, B, C, D)
+    return response_error(exact, sampled_response(*(round_to_bits(x, bits) for x in (increment, B, C, D))))
 
 
-def _response(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.ndarray:
+def response_error(exact: np.ndarray, found: np.ndarray, floor: float = 0.0) -> float:
+    """How far responses (w, p, m) are from exact ones, relative to the largest singular value there: the largest. floor: of the
+    median gain, below which gains count as that large (a notch's zero, Tustin's at the Nyquist frequency)."""
+    size = np.linalg.norm(exact, 2, axis=(1, 2))
+    size = np.maximum(size, max(floor * float(np.median(size)), np.finfo(float).tiny))
+    return float((np.linalg.norm(found - exact, 2, axis=(1, 2)) / size).max())
+
+
+def sampled_response(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.ndarray:
     """C (delta - increment)^-1 B + D (w, p, m), with delta = z - 1 evaluated without cancellation."""
     if not len(increment):
         return np.broadcast_to(D, (len(_ANGLES), *D.shape)).astype(complex)

@@ -6,7 +6,7 @@ block/fixed_point.py, block/scheduled.py and docs/integrator.md. The code needs 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -14,6 +14,8 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.deployment.block.block import Block
+from ambrose.deployment.block.cascade import CascadeBlock
+from ambrose.deployment.block.cascade_fixed import FixedCascade, cascade_error, to_fixed_cascade, word_errors
 from ambrose.deployment.block.cost import padding_of, scheduled_cost, step_cost
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, to_fixed_point
@@ -21,7 +23,7 @@ from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.run import FLOOR
 from ambrose.deployment.block.scheduled import ScheduledBlock
 from ambrose.deployment.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
-from ambrose.deployment.block.word_length import MANTISSA, floating_error, gain_error, word_lengths
+from ambrose.deployment.block.word_length import BITS, MANTISSA, floating_error, gain_error, word_lengths
 from ambrose.deployment.c.literals import diagonals, integer_table, literal, real_table
 from ambrose.deployment.rendering import render
 from ambrose.machine.atomic_write import write_files
@@ -60,14 +62,16 @@ def generate(
         if arithmetic == "float":
             tolerance = np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
     else:
-        fixed = to_fixed_point(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
+        fixed = in_words(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
         run = make_vectors(block, fixed, single=arithmetic == "float")
         facts = {**_facts(block, arithmetic, provenance), **_word_facts(block, fixed)}
         tables = _floating_tables(block, arithmetic) if fixed is None else _fixed_tables(fixed)
-        error = floating_error(block, MANTISSA[arithmetic]) if fixed is None else fixed.error
+        bound = cascade_error if isinstance(block, CascadeBlock) else floating_error
+        error = bound(block, MANTISSA[arithmetic]) if fixed is None else fixed.error  # type: ignore[arg-type]
         report, kind = _fixed_report(block, fixed, error), "controller"
-        source = "controller.c.j2" if fixed is None else "controller_fixed.c.j2"
-        tolerance = {"double": _DOUBLE_TOLERANCE * block.raw_limit, "float": error}.get(arithmetic, 0 * error)
+        source = f"{'cascade' if facts['cascade'] else kind}{'' if fixed is None else '_fixed'}.c.j2"
+        within = cascade_error(block, MANTISSA["float"], len(run.errors)) if isinstance(block, CascadeBlock) else error
+        tolerance = {"double": _DOUBLE_TOLERANCE * block.raw_limit, "float": within}.get(arithmetic, 0 * error)
     texts = {
         ".h": (f"{kind}.h.j2", {}),
         ".c": (source, tables),
@@ -76,6 +80,13 @@ def generate(
     }
     files = {f"{block.name}{end}": render(template, {**facts, **values}) for end, (template, values) in texts.items()}
     return {**files, f"{block.name}_vectors.csv": as_csv(block, run)}
+
+
+def in_words(block: ControlBlock, word: int, largest_error: float = LARGEST_ERROR) -> FixedBlock | FixedCascade:
+    """The block in words of 16 or 32 bits. Raises InvalidInput."""
+    if isinstance(block, CascadeBlock):
+        return to_fixed_cascade(block, word, largest_error)
+    return to_fixed_point(block, word, largest_error)
 
 
 def write_code(
@@ -130,11 +141,13 @@ def _facts(block: ControlBlock | ScheduledBlock, arithmetic: str, provenance: Se
     }  # fmt: skip
 
 
-def _word_facts(block: ControlBlock, fixed: FixedBlock | None) -> dict[str, Any]:
+def _word_facts(block: ControlBlock, fixed: FixedBlock | FixedCascade | None) -> dict[str, Any]:
     """What is added of a fixed controller: its paddings, and what a count is of its words."""
-    low, high = padding_of(block.increment)
+    low, high = padding_of(block)
+    cascade = block if isinstance(block, CascadeBlock) else None
     facts: dict[str, Any] = {
         "winding": block.winding, "low": low, "padded": block.n_states + low + high, "error_unit": "m", "current_unit": "A",
+        "cascade": cascade is not None, "mixes": cascade is not None and cascade.mixes,
     }  # fmt: skip
     if fixed is None:
         return facts
@@ -175,7 +188,13 @@ def _delay_text(delay: int) -> str:
 
 def _floating_tables(block: ControlBlock, arithmetic: str) -> dict[str, Any]:
     table = real_table(arithmetic)
+    law = (
+        _cascade_tables(block, table, block.into, block.out, [stage.coefficients for stage in block.stages])
+        if isinstance(block, CascadeBlock)
+        else {}
+    )
     return {
+        **law,
         "diagonals": [{**d, "table": table(d["entries"])} for d in diagonals(block.increment, block.increment)],
         "B": table(block.B.T), "C": table(block.C.T), "D": table(block.D.T), "unwind": table(block.unwind[: block.winding].T),
         "error_limit": table(block.error_limit), "current_limit": table(block.current_limit),
@@ -184,7 +203,37 @@ def _floating_tables(block: ControlBlock, arithmetic: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _fixed_tables(fixed: FixedBlock) -> dict[str, Any]:
+def _cascade_tables(
+    block: CascadeBlock, table: Callable[[np.ndarray], str], into: np.ndarray, out: np.ndarray, rows: Any
+) -> dict[str, Any]:
+    """The sections, each with its name, and the mixings."""
+    outputs = block.signals[len(block.into) :]
+    return {
+        "channels": len(into), "into": table(into.T), "out": table(out.T),
+        "channel": integer_table(np.array([stage.channel for stage in block.stages])),
+        "order": integer_table(np.array([stage.order for stage in block.stages])),
+        "stages": [
+            {
+                "row": " ".join(table(np.array(row)).split()), "label": as_comment(stage.label), "largest": f"{largest:.4g}",
+                "numbers": [f"{value:.9g}" for value in stage.coefficients],
+            }
+            for stage, row, largest in zip(block.stages, rows, outputs, strict=True)
+        ],
+    }  # fmt: skip
+
+
+def _fixed_tables(fixed: FixedBlock | FixedCascade) -> dict[str, Any]:
+    if isinstance(fixed, FixedCascade):
+        m, w, numbers = len(fixed.block.inputs), fixed.block.winding, fixed.sections.reshape(-1, 9)[:, [0, 1, 3, 4, 5, 6, 7]]
+        arrays = {
+            "row_bits": fixed.section_bits[:, 0], "update_shift": fixed.update_shift, "into_bits": fixed.into_bits,
+            "output_bits": fixed.output_bits, "unwind": fixed.unwind[:w].T, "cut_bits": fixed.cut_bits,
+            "unwind_shift": fixed.unwind_bits[:w] + fixed.signal_bits - fixed.state_bits,
+            "transfer_error": fixed.transfer[:, :m].T, "transfer_current": fixed.transfer[:, m:].T,
+            "transfer_bits": fixed.transfer_bits + fixed.signal_bits,
+        }  # fmt: skip
+        law = _cascade_tables(fixed.block, integer_table, fixed.into, fixed.output, numbers)
+        return {**law, "diagonals": [], **{name: integer_table(x) for name, x in arrays.items()}}
     block, n, m, w = fixed.block, fixed.block.n_states, len(fixed.block.inputs), fixed.block.winding
     increment, B = np.split(fixed.update, [n], axis=1)
     C, D = np.split(fixed.output, [n], axis=1)
@@ -238,17 +287,32 @@ def _output_rows(block: Block, error: np.ndarray) -> list[dict[str, str]]:
     ]
 
 
-def _fixed_report(block: ControlBlock, fixed: FixedBlock | None, error: np.ndarray) -> dict[str, Any]:
-    return {
+def _fixed_report(block: ControlBlock, fixed: FixedBlock | FixedCascade | None, error: np.ndarray) -> dict[str, Any]:
+    report = {
         "sizes": ", ".join(str(k) for k in block.sizes) or "none", "outputs": _output_rows(block, error), "horizon": HORIZON,
-        "rows": [] if fixed is None else _formats(fixed), "word_lengths": word_lengths(block),
+        "rows": [] if fixed is None else _formats(fixed),
     }  # fmt: skip
+    if not isinstance(block, CascadeBlock):
+        return {**report, "word_lengths": word_lengths(block)}
+    report |= _cascade_tables(
+        block, real_table("double"), block.into, block.out, [stage.coefficients for stage in block.stages]
+    )
+    report["word_lengths"] = [{"bits": bits, "gain_error": word_errors(block, bits)} for bits in BITS]
+    if isinstance(fixed, FixedCascade):
+        report |= {"noise": ", ".join(f"{value:.2g}" for value in fixed.noise), "gain_error": f"{fixed.gain_error:.2g}"}
+    return report
 
 
-def _formats(fixed: FixedBlock) -> list[dict[str, str]]:
+def _formats(fixed: FixedBlock | FixedCascade) -> list[dict[str, str]]:
     block = fixed.block
     states = [f"x[{i}]" for i in range(block.n_states)]
-    groups = [(states, fixed.update, fixed.update_bits), (block.outputs, fixed.output, fixed.output_bits)]
+    if isinstance(fixed, FixedCascade):
+        names = [f"{stage.label}, {row}" for stage in fixed.block.stages for row in ("y", "x1", "x2")[: stage.order + 1]]
+        used = [k for stage in fixed.block.stages for k in [True, True, stage.order > 1]]
+        sections, bits = fixed.sections.reshape(-1, 3)[used], fixed.section_bits.ravel()[used]
+        groups = [(names, sections, bits), (block.outputs, fixed.output, fixed.output_bits)]
+    else:
+        groups = [(states, fixed.update, fixed.update_bits), (block.outputs, fixed.output, fixed.output_bits)]
     groups.append(([f"unwind {state}" for state in states[: block.winding]], fixed.unwind, fixed.unwind_bits))
     if block.transfers:
         groups.append(([f"track {state}" for state in states], fixed.transfer, fixed.transfer_bits))

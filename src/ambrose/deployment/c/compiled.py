@@ -17,9 +17,8 @@ from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.cost import padding_of
 from ambrose.deployment.block.fixed import ControlBlock
-from ambrose.deployment.block.fixed_point import to_fixed_point
 from ambrose.deployment.block.scheduled import ScheduledBlock
-from ambrose.deployment.c.code import Arithmetic, Precision, generate
+from ambrose.deployment.c.code import Arithmetic, Precision, generate, in_words
 from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler, load_library
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
@@ -38,7 +37,7 @@ class _Words:
     stored: type
     error: np.ndarray
     current: np.ndarray
-    state: float
+    state: float | np.ndarray
     whole: bool
 
     @classmethod
@@ -47,10 +46,17 @@ class _Words:
             real = np.float64 if arithmetic == "double" else np.float32
             return cls(real, real, np.ones(len(block.inputs)), np.ones(len(block.outputs)), 1.0, False)
         word = int(arithmetic.removeprefix("fixed"))
-        fixed = to_fixed_point(cast(ControlBlock, block), word)
+        fixed = in_words(cast(ControlBlock, block), word)
         one = 2.0**fixed.signal_bits
         signal, stored = (np.int32, np.int64) if word == 32 else (np.int16, np.int32)
-        return cls(signal, stored, block.error_limit / one, block.current_limit / one, 2.0**-fixed.state_bits, True)
+        return cls(
+            signal,
+            stored,
+            block.error_limit / one,
+            block.current_limit / one,
+            2.0**-fixed.state_bits * block.state_range,
+            True,
+        )
 
     def counts(self, values: np.ndarray, unit: np.ndarray | float) -> np.ndarray:
         scaled = np.asarray(values, float) / unit
@@ -112,7 +118,7 @@ class _Compiled(Generic[B]):
 
     def _state_memory(self) -> np.ndarray:
         """The states where the code keeps them: first in the block, after the zeros that its diagonals reach into."""
-        before = padding_of(self.block.increment)[0] if isinstance(self.block, ControlBlock) else 0
+        before = padding_of(self.block)[0] if isinstance(self.block, ControlBlock) else 0
         kind = np.dtype(self._words.stored)
         return np.frombuffer(memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize)
 
@@ -190,9 +196,10 @@ def read_law(code: CompiledBlock | CompiledSchedule, speed: float | None = None)
         code.schedule(speed)
     block = code.block
     n, m = block.n_states, len(block.inputs)
-    columns = [_response(code, state, np.zeros(m)) for state in np.eye(n)]
+    columns = [_response(code, state, np.zeros(m)) for state in np.diag(block.state_range)]
     columns += [_response(code, np.zeros(n), error) for error in np.eye(m) * block.error_limit]
     table = np.array(columns).reshape(n + m, -1).T  # (next states and currents, states and errors)
+    table[:, :n] /= block.state_range
     table[:, n:] /= block.error_limit
     return StateSpace(
         table[:n, :n], table[:n, n:], table[n:, :n], table[n:, n:], block.inputs, block.outputs, block.sample_time

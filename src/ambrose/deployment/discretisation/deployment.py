@@ -140,7 +140,7 @@ def deploy(
     check_positive(sample_time, "the sample time", "give it in seconds")
     source = as_statespace(getattr(controller, "controller", controller))
     count = whole_samples(delay, sample_time)
-    problems = _status_problems(controller, examined=bool(plants)) + _instability(source)
+    problems = _status_problems(controller, examined=bool(plants)) + instability(source)
     _refuse(problems, force)
     sampled, increment, sizes = sample_controller(source, sample_time, method, prewarp)
     checks, box = verify_sampled(plants, delayed(sampled, count), progress)
@@ -180,7 +180,7 @@ def deploy_scheduled(
     count = whole_samples(delay, sample_time)
     problems = _status_problems(controller, examined=machine is not None)
     speeds = interval_points(source.grid, between)
-    problems += next(filter(None, (_instability(source.at(float(v)), f" at {v:.4g} rad/s") for v in speeds)), [])
+    problems += next(filter(None, (instability(source.at(float(v)), f" at {v:.4g} rad/s") for v in speeds)), [])
     _refuse(problems, force)
     progress("sampling at every grid point")
     common, sizes = common_states(source)
@@ -220,7 +220,7 @@ def _status_problems(controller: Any, *, examined: bool) -> list[str]:
     return [] if status is Status.VERIFIED else [f"the controller's status is '{status}', not 'verified'"]
 
 
-def _instability(source: StateSpace, where: str = "") -> list[str]:
+def instability(source: StateSpace, where: str = "") -> list[str]:
     """One sentence if the controller itself is unstable; integrators are meant to be on the boundary."""
     size = max(float(np.abs(poles(source)).max(initial=0.0)), 1.0)
     abscissa = spectral_abscissa(source)

@@ -15,6 +15,7 @@ from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.captions import caption
 from ambrose.report.comparison.envelope import NOT_EVALUATED
+from ambrose.report.figures.filter_chains import filter_figure
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Figure
 from ambrose.report.record.curves import thinned, trace_curves
@@ -152,6 +153,16 @@ def gain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Fig
         "the others, which is where the controllers differ: cross coupling works against the seal's."
     )
     return (Figure("Controller gains", picture, _with(words, hidden)),)
+
+
+def chain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Figure, ...]:
+    """The filter banks among the controllers: per channel its sections, and their Bode diagram."""
+    words = (
+        "Channels that are the same are drawn once: every section in series with its frequencies and dampings (○ zeros, × "
+        "poles), and the response of the whole chain."
+    )
+    banks = [(candidate.name, candidate.synthesis.filters) for candidate in candidates if candidate.synthesis.scheduled is None]
+    return tuple(Figure(f"{name}: filters", filter_figure(bank, machine.axes), words) for name, bank in banks if bank)
 
 
 def _gain_panel(machine: Machine, gains: Mapping[str, tuple[np.ndarray, np.ndarray]], i: int, j: int) -> Panel:

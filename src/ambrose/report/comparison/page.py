@@ -140,7 +140,8 @@ def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
     columns = ("Controller", "Method", "Order", "Status", "Certified on", "Loop judged", "Notes")
     shown = [Table("How they were made", columns, tuple(rows))]
     shown += [_history(candidate) for candidate in candidates if any("mu_mixed" in row for row in candidate.synthesis.history)]
-    return Section("Controllers", "", figures.gain_figures(machine, candidates), tuple(shown))
+    pictures = (*figures.gain_figures(machine, candidates), *figures.chain_figures(machine, candidates))
+    return Section("Controllers", "", pictures, tuple(shown))
 
 
 def _history(candidate: Candidate) -> Table:

@@ -18,7 +18,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import MODES, SECTIONS, Channel, PidSettings, Section
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.synthesis.filters import DERIVATIVE_FILTER, bank, chain, embedded, section_matrix
+from ambrose.synthesis.filters import DERIVATIVE_FILTER, bank, chain, embedded, section_matrix, section_text
 from ambrose.synthesis.pid import channel_chains, first_settings, mixings, theta_system
 
 _STEP = 1e-30  # of a complex derivative
@@ -30,7 +30,8 @@ _DAMPED = {"low-pass": (0.5, 1.0), "notch": (0.1, 1.0), "phase-bump": (0.1, 1.0)
 _PHASE = 3.0  # rad; more than a phase bump can turn
 _SLOWEST = 1.0  # s; longest integral time, without which the integrals are tuned away
 _DAMPING = 0.5  # of a notch that does nothing yet
-_LEAST = 1e-3  # damping of the zeros of a notch that starts with none
+_LEAST = 0.01  # damping of a notch's zeros: a deeper one needs the mode's frequency to better than a percent
+_AT = 0.02  # of the room between limits: so near one a value is at it
 _EXTRA = 1  # notch per channel with structure "filters"
 BANKS = ("pid", "filters")
 
@@ -50,7 +51,7 @@ class _Unknown:
             return float(np.log(gain))
         if self.key == "phase":
             return float(np.arctanh(np.clip((section.phase or 0.0) / _PHASE, _EDGE - 1, 1 - _EDGE)))
-        value = getattr(section, self.key) or _LEAST
+        value = getattr(section, self.key)
         if self.key == "derivative_filter":
             value = 1 / (value * (section.derivative_time or 0.0))
         return self.unknown(value)
@@ -143,6 +144,27 @@ class FilterBank:
         return np.asarray(section_matrix(section, _own(numbers)).imag / _STEP)
 
 
+def at_limits(settings: PidSettings, machine: Machine, fastest: float) -> list[str]:
+    """The numbers of a tuned bank that ended at a limit of the search, each with its limit and the channels where it did."""
+    found, x = filter_bank(settings, machine, fastest)
+    where: dict[str, list[str]] = {}
+    for item, at in zip(found.unknowns, x, strict=True):
+        value, channel = float(item.value(at)), settings.channels[item.channel]
+        room = item.limit - item.least if np.isfinite(item.limit) else item.least
+        ends = [end for end in (item.least, item.limit) if 0 < end < np.inf and abs(value - end) <= _AT * room]
+        for end in ends if item.key != "phase" else ():
+            section = channel.sections[item.section]
+            corner = item.key == "derivative_filter"
+            words = f"filter frequency {end / (2 * np.pi):.4g} Hz" if corner else section_text(section, {item.key: end})
+            where.setdefault(f"{section.kind} {words}", []).extend(channel.names)
+    return [f"{text} ({', '.join(dict.fromkeys(names))})" for text, names in where.items()]
+
+
+def advice(structure: str) -> str:
+    """How a structure that is not enough can be given more: a PID has one order only."""
+    return "choose structure 'filters' or 'free'" if structure == "pid" else "allow a higher order"
+
+
 def _own(numbers: dict[str, Any]) -> dict[str, Any]:
     """A section's own keys: eps from the corner of the derivative's filter."""
     if "derivative_filter" in numbers:
@@ -163,6 +185,8 @@ def filter_bank(settings: PidSettings, machine: Machine, fastest: float) -> tupl
                     continue  # of a term that is not there
                 fast = key in {"derivative_filter", "pole_frequency"} or section.kind == "low-pass"
                 limits = _DAMPED[section.kind] if key in {"damping", "pole_damping"} else (0.0, fastest if fast else np.inf)
+                if key == "zero_damping":
+                    limits = _LEAST, np.inf
                 if key == "integral_time":
                     limits = 0.0, max(_SLOWEST, getattr(section, key))
                 found.append(_Unknown(c, i, key, limits[1], limits[0]))
@@ -198,7 +222,8 @@ def first_bank(settings: PidSettings, machine: Machine, structure: str, order: i
     kept = {key: getattr(settings, key) for key in ("coordinates", "sample_time", "delay")}
     found, x = filter_bank(PidSettings(channels=tuple(channels), **kept), machine, fastest)
     most = [item.unknown(_INSIDE * item.limit) if np.isfinite(item.limit) else np.inf for item in found.unknowns]
-    return found.settings(np.minimum(x, most))
+    least = [item.unknown(1.5 * _LEAST) if item.key == "zero_damping" else -np.inf for item in found.unknowns]
+    return found.settings(np.clip(x, least, most))  # what starts at a limit would not leave it again
 
 
 def _completed(sections: tuple[Section, ...], machine: Machine, fastest: float) -> tuple[Section, ...]:

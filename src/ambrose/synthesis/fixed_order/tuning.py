@@ -31,7 +31,7 @@ from ambrose.plant.uncertainty import perturbed, tolerances_around, with_offsets
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.envelope.between import search
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
-from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, filter_bank, first_bank
+from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, advice, at_limits, filter_bank, first_bank
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped
 from ambrose.synthesis.fixed_order.members import worst_member
@@ -72,6 +72,7 @@ class Job:
     say: Callable[[str], None]
     reference: StateSpace | None
     fastest: float  # pole of a filter bank [rad/s]
+    structure: str
     extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
     members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
 
@@ -176,6 +177,7 @@ def prepare(
     return Job(
         full, small, timing, aims, axis_groups(machine, "plane" if structure == "free" else structure),
         [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference, fastest,
+        structure,
     )  # fmt: skip
 
 
@@ -257,7 +259,7 @@ def _holding(job: Job, law: Law) -> Law:
         return law
     raise NumericalFailure(
         f"no controller of order {structure.controller(x).n_states} that holds all {len(job.models)} models was found (a pole "
-        f"stays at {abscissa:+.3g} rad/s); allow a higher order, give another [controller] to start from, or drop a point"
+        f"stays at {abscissa:+.3g} rad/s); {advice(job.structure)}, give another [controller] to start from, or drop a point"
     )
 
 
@@ -314,8 +316,7 @@ def _best(job: Job, rounds: list[_Round]) -> _Round:
     if not np.isfinite(best.worst):
         raise NumericalFailure(
             f"no controller of order {_system(best.law, job.full[0].machine).n_states} that holds the full plant at all "
-            f"{len(job.full)} operating points was found; allow a higher order, more bending modes or another structure, or "
-            "drop a point"
+            f"{len(job.full)} operating points was found; {advice(job.structure)}, allow more bending modes, or drop a point"
         )
     return best
 
@@ -404,7 +405,9 @@ def _result(job: Job, best: _Round, history: tuple[dict[str, float], ...], reaso
     notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
     missed = [f"{name} ({ratio.value:.3f})" for name, ratio in ratios.items() if ratio.value > 1]
     if missed:
-        notes.append(f"not met: {', '.join(missed)}; allow a higher order, or relax a requirement")
+        notes.append(f"not met: {', '.join(missed)}; {advice(job.structure)}, or relax a requirement")
+    if isinstance(best.law, PidSettings) and (ends := at_limits(best.law, machine, job.fastest)):
+        notes.append(f"at a limit of the search: {'; '.join(ends)}")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
     return Synthesis(
         controller, "tuned", at.value, status, certificate, history, tuple(notes), stopped_early=reason,
