@@ -24,7 +24,10 @@ def figures():
     found = {}
     for name in ("seal-rig", "turboexpander"):
         known = facts(load_machine(name))
-        found[name] = {key: value for key, value in known.items() if isinstance(value, int | float | list) and value}
+        plain = {key: value for key, value in known.items() if isinstance(value, int | float | list) and value}
+        found[name] = {
+            key: value for key, value in plain.items() if not isinstance(value, list) or not isinstance(value[0], dict)
+        }
     plant = assemble(load_machine("seal-rig"))
     for method in ("pid", "hinf"):
         checks = nominal.check(plant, design(plant, method).controller)

@@ -22,7 +22,7 @@ from ambrose.synthesis.envelope.model import envelope_model
 from ambrose.synthesis.envelope.plants import envelope_of
 from ambrose.synthesis.explanation import explained, why_none
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
-from ambrose.synthesis.fixed_order.tuning import bending_modes_for, tune_controller
+from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
 from ambrose.synthesis.mu.synthesis import mu_synthesis
@@ -111,7 +111,7 @@ def design(
     if method != "pid":
         result = certify_as_it_runs(plant, result, options.timing())
     result = certify_envelope(envelope_of(plant), result, options.timing())
-    modes = bending_modes_for(plant) if method == "tuned" and options.bending_modes is None else options.bending_modes or 0
+    modes = int(result.certificate.margins.get("bending_modes", options.bending_modes or 0))
     result = explained(plant, result, options.timing(), modes)
     return replace(result, provenance=provenance(plant, method, options))
 

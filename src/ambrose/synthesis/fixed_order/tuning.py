@@ -33,7 +33,7 @@ from ambrose.synthesis.envelope.between import search
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
 from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, advice, at_limits, filter_bank, first_bank
 from ambrose.synthesis.fixed_order.descent import descend
-from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped
+from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
 from ambrose.synthesis.fixed_order.structure import Groups, Structure, axis_groups, structured
@@ -54,6 +54,7 @@ _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sa
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
 _FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
 _STATES_PER_AXIS = 3
+_HEARD, _LISTENED = 0.15, 12  # loop gain of a mode that is kept; modes above the others that are looked at
 _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
 Law = StateSpace | PidSettings  # what is tuned: matrices, or the chains of a filter bank
 
@@ -169,7 +170,7 @@ def prepare(
         raise invalid("order", repr(order), "a whole number, at least 1", "leave the default")
     if order is not None and order > STATES:
         raise invalid("order", order, f"at most {STATES}, as in a controller file", "three per axis are the default")
-    modes = bending_modes_for(full[0]) if bending_modes is None else bending_modes
+    modes = max(bending_modes_for(plant, start, timing) for plant in full) if bending_modes is None else bending_modes
     reduced = reduce_from if bending_modes is None else reduce
     small = tuple(reduced(plant, modes) if plant.bending_modes is None else plant for plant in full)
     aims = aims_of(machine, start)
@@ -196,11 +197,23 @@ def _law(structure: Structure | FilterBank, x: np.ndarray) -> Law:
     return structure.settings(x) if isinstance(structure, FilterBank) else structure.controller(x)
 
 
-def bending_modes_for(plant: Plant) -> int:
-    """How many bending modes per plane a model needs to be tuned on: all that the sensitivity is judged at, and one more."""
+def bending_modes_for(plant: Plant, start: StateSpace | None = None, timing: Timing | None = None) -> int:
+    """How many bending modes per plane a model needs to be tuned on: all that the sensitivity is judged at, and one more.
+
+    With a controller to start from also all at whose resonances sigma_max(G K) reaches ``_HEARD``: what is left out is excited.
+    """
     available = bending_modes_of(plant.rotor_model)
     frequencies = free_modes(plant.rotor_model, available).frequencies[4::2]
-    return min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
+    judged = min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
+    top = np.inf if timing is None else np.pi / timing.sample_time
+    above = np.flatnonzero(frequencies[judged:] < top)[:_LISTENED]
+    if start is None or not len(above):
+        return judged
+    near = (frequencies[judged:][above][:, None] * np.linspace(0.99, 1.01, 9)).ravel()
+    G = loop_model(plant, timing).response(near)[:, : len(plant.axes), : len(plant.axes)]
+    gain = np.linalg.norm(G @ frequency_response(start, warped(near, timing)).values, 2, axis=(1, 2)).reshape(len(above), -1)
+    heard = np.flatnonzero(gain.max(axis=1) >= _HEARD)
+    return judged + (int(above[heard[-1]]) + 1 if len(heard) else 0)
 
 
 def first_law(job: Job, start: Law, order: int | None, structure: str) -> Law:
@@ -396,7 +409,8 @@ def _result(job: Job, best: _Round, history: tuple[dict[str, float], ...], reaso
     ratios["sensitivity"] = max(ratios["sensitivity"], exact, key=lambda ratio: ratio.value)
     certificate = Certificate(
         all(item.stable for item in found), max(item.spectral_abscissa for item in found), found[worst].closed_loop_norm,
-        fastest_pole(controller), {f"ratio_{name}": ratio.value for name, ratio in ratios.items()},
+        fastest_pole(controller),
+        {f"ratio_{name}": ratio.value for name, ratio in ratios.items()} | {"bending_modes": float(job.small[0].bending_modes or 0)},
         f"{machine.name}, full plant at {len(found)} operating points",
     )  # fmt: skip
     binding = max(ratios, key=lambda name: ratios[name].value)
