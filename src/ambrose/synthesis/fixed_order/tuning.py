@@ -410,7 +410,7 @@ def _result(job: Job, best: _Round, history: tuple[dict[str, float], ...], reaso
     certificate = Certificate(
         all(item.stable for item in found), max(item.spectral_abscissa for item in found), found[worst].closed_loop_norm,
         fastest_pole(controller),
-        {f"ratio_{name}": ratio.value for name, ratio in ratios.items()} | {"bending_modes": float(job.small[0].bending_modes or 0)},
+        {"bending_modes": float(job.small[0].bending_modes or 0)} | {f"ratio_{name}": r.value for name, r in ratios.items()},
         f"{machine.name}, full plant at {len(found)} operating points",
     )  # fmt: skip
     binding = max(ratios, key=lambda name: ratios[name].value)
