@@ -13,9 +13,10 @@ from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, append, feedback, rename, select, series, static_gain
+from ambrose.physics.rotor import free_modes
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
+from ambrose.plant.timing import Timing, machine_timing
 from ambrose.plant.uncertainty import perturbed
 from ambrose.synthesis.fixed_order import tuning
 from ambrose.synthesis.fixed_order.aims import aims_of
@@ -61,6 +62,7 @@ def objective(timing, x_noise=1e-3, reference=None):
 @pytest.mark.parametrize("timing", [None, RUNS])
 def test_the_gradient_is_that_of_finite_differences(timing):
     cost, x = objective(timing, reference=START)
+    cost.fence = 1.3 * float(np.abs(np.linalg.eigvals(cost.structure.matrices(x)[0])).max())
     assert set(cost.ratios(x)) == {
         "sensitivity", "gain", "compliance", "orbit", "current", "settling", "damping", "match",
     }  # fmt: skip
@@ -70,6 +72,34 @@ def test_the_gradient_is_that_of_finite_differences(timing):
         steps = [(function(x + h * direction)[0] - function(x - h * direction)[0]) / (2 * h) for h in (2e-6, 1e-6)]
         scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
         assert gradient @ direction == pytest.approx((4 * steps[1] - steps[0]) / 3, abs=1e-6 * scale)
+
+
+def test_poles_at_the_fence_are_pushed_back():
+    """The cost grows without bound towards the fence, is infinite beyond it, and its slope points away from it."""
+    cost, x = objective(RUNS)
+    fastest = float(np.abs(np.linalg.eigvals(cost.structure.matrices(x)[0])).max())
+    free = cost(x, 12.0)[0]
+    values = []
+    for room in (2.0, 1.1, 1.001):
+        cost.fence = room * fastest
+        values.append(cost(x, 12.0)[0] - free)
+    assert 0 < values[0] < values[1] < values[2]
+    gradient = cost(x, 12.0)[1]
+    moved = cost.structure.matrices(x - 1e-6 * gradient / np.linalg.norm(gradient))[0]
+    assert np.abs(np.linalg.eigvals(moved)).max() < fastest
+    cost.fence = 0.999 * fastest
+    assert cost(x, 12.0)[0] == np.inf
+
+
+def test_modes_that_the_start_excites_are_kept():
+    """Two modes of two-disc-rotor at 3,014 and 3,028 Hz: judged by frequency alone, one was left out."""
+    machine = amb.load_machine("two-disc-rotor")
+    plant, timing = assemble(machine), machine_timing(machine)
+    start = pid_controller(machine.controller, machine)
+    fewer, kept = tuning.bending_modes_for(plant), tuning.bending_modes_for(plant, start, timing)
+    frequencies = free_modes(plant.rotor_model, kept).frequencies[4::2] / (2 * np.pi)
+    assert kept == fewer + 1
+    assert frequencies[-2:] == pytest.approx([3014, 3028], abs=2)
 
 
 def test_the_loop_in_w_is_the_sampled_loop():

@@ -31,6 +31,7 @@ _TIMED_TO = 2e4  # rad/s; what is faster than that does not matter for settling
 _SLOW_TO = 2000.0  # rad/s; below it a step of the quadrature turns the latest time by this phase, above it 4 pulse durations:
 _PHASE = 0.15  # rad
 _MATCHED = np.geomspace(max(BAND[0], 2 * np.pi), BAND[1], 30)  # rad/s
+_BARRIER = 0.02  # of the controller's own poles
 _SETTLING_POWER = 0.4  # of the settling ratio: an exponential decay enters about as a rate
 
 
@@ -59,6 +60,8 @@ class Objective:
     """f(x) = ln of the p-norm and its gradient, for models with as many states or not, on one grid omega (w,) [rad/s].
 
     reference: a controller to stay near: the rms of ln|k/k_ref| over the direct gains below 200 Hz is held below ``match``.
+    fence: a modulus [rad/s] that the controller's own poles stay below; a search that ran into a limit of which its cost knows
+    nothing would end there, so that f has a logarithmic barrier, f - 0.02 sum ln(1 - |pole|^2/fence^2).
     """
 
     structure: Structure | FilterBank
@@ -67,6 +70,7 @@ class Objective:
     aims: Aims
     reference: StateSpace | None = None
     match: float = 0.08
+    fence: float | None = None
     _P: np.ndarray = field(init=False)
     _G: np.ndarray = field(init=False)
     _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
@@ -133,8 +137,12 @@ class Objective:
             share = (ratio / top) ** power
             total += share
             extra = more * (share / max(ratio, 1e-9))
+        barrier = 0.0
+        if self.fence is not None:
+            barrier, slope = _barrier(self.structure.matrices(x)[0], self.fence)
+            extra[len(extra) - len(slope) :, extra.shape[1] - len(slope) :] += total * slope
         gradient = self.structure.gradient(x, _controller_slope(Z, Q, self._G, S, X, Y) + slope_theta + extra)
-        return float(np.log(top) + np.log(total) / power), gradient / total
+        return float(np.log(top) + np.log(total) / power) + barrier, gradient / total
 
     def unstable(self, x: np.ndarray, power: float = 20.0, scale: float = 100.0) -> tuple[float, np.ndarray]:
         """A soft maximum of the poles' real parts [100 rad/s], with its gradient: for a start that does not hold all models."""
@@ -268,6 +276,17 @@ def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarra
     for i, model in enumerate(models):
         groups.setdefault(len(model.A), []).append(i)
     return [(places, [np.stack([getattr(models[i], k) for i in places]) for k in "ABCD"]) for places in groups.values()]
+
+
+def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
+    """The barrier of the controller's own poles, and its slope by A (n, n)."""
+    values, V = np.linalg.eig(A)
+    W = np.linalg.pinv(V) if len(A) and np.linalg.cond(V) > 1e14 else np.linalg.inv(V)
+    room = 1 - np.abs(values) ** 2 / fence**2
+    if (room <= 0).any():
+        return np.inf, np.zeros_like(A)
+    weight = 2 * _BARRIER * values.conj() / fence**2 / room
+    return -_BARRIER * float(np.log(room).sum()), np.asarray(((W * weight[:, None]).T @ V.T).real)
 
 
 def _damping(values: np.ndarray, aims: Aims) -> tuple[np.ndarray, np.ndarray]:

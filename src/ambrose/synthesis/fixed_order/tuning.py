@@ -54,6 +54,7 @@ _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sa
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
 _FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
 _STATES_PER_AXIS = 3
+_BEYOND = 1.02  # of the fastest pole allowed: where its barrier is infinite
 _HEARD, _LISTENED = 0.15, 12  # loop gain of a mode that is kept; modes above the others that are looked at
 _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
 Law = StateSpace | PidSettings  # what is tuned: matrices, or the chains of a filter bank
@@ -310,6 +311,8 @@ def _descended(job: Job, law: Law, power: float) -> tuple[Law, int]:
     def allowed(trial: np.ndarray) -> bool:
         return float(np.abs(np.linalg.eigvals(structure.matrices(trial)[0])).max(initial=0.0)) <= fastest
 
+    if not isinstance(structure, FilterBank):
+        cost.fence = _BEYOND * fastest
     x, used = descend(lambda v: cost(v, power), allowed, x, _ITERATIONS, 1e-4, lambda: job.clock.left > 0)
     dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
     job.extra += [float(dense.omega[i]) for i in set(dense.sensitivity(x).argmax(axis=1))]
