@@ -334,3 +334,11 @@ def test_what_no_machine_or_not_this_one_tells_is_refused(cycle):
 def test_a_misspelt_table_is_told_its_name():
     with pytest.raises(InvalidInput, match="unknown key 'unbalanse'; did you mean \"unbalance\""):
         read_scenario({"name": "x", "duration": 1.0, "unbalanse": [{"port": "A", "amount": 1e-6}]})
+
+
+@pytest.mark.parametrize("key", ["speed", "to_speed"])
+def test_a_negative_speed_is_refused(key):
+    """It passed, and the rig ran backwards."""
+    given = {"speed": 100.0, "to_speed": 200.0, key: -1.0}
+    with pytest.raises(InvalidInput, match=f"{key} is -1.*a rotor turns one way"):
+        Scenario("back", 1.0, **given)

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
-from ambrose.cli.check import check, machines
+from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
 from ambrose.cli.export import export
 from ambrose.cli.identify import identify
@@ -79,5 +79,18 @@ def main() -> None:
     """
 
 
-for command in (machines, new, check, synthesize, trade_off, verify, simulate, identify, convert, export, study_command):
+for command in (
+    machines,
+    scenarios,
+    new,
+    check,
+    synthesize,
+    trade_off,
+    verify,
+    simulate,
+    identify,
+    convert,
+    export,
+    study_command,
+):
     main.add_command(command)

@@ -24,6 +24,19 @@ def machines(as_json: bool) -> None:
 
 
 @click.command()
+@AS_JSON
+def scenarios(as_json: bool) -> None:
+    """List the bundled scenarios; one's own is a file in the same form."""
+    from ambrose.simulation.scenario import bundled_scenarios
+
+    known = bundled_scenarios()
+    if as_json:
+        say_json(known)
+    else:
+        print_table("Bundled scenarios", ("name", "what is done"), list(known.items()))
+
+
+@click.command()
 @MACHINE
 @AS_JSON
 def check(machine: str, as_json: bool) -> None:

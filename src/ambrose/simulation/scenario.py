@@ -97,6 +97,9 @@ class Scenario(Presented):
                 if later.time < earlier.time + earlier.ramp:
                     requirement = f"after the one before is over, at {earlier.time + earlier.ramp:g} s"
                     raise invalid(f"the time of a change of {what}", later.time, requirement, "move it")
+        for name in ("speed", "to_speed"):
+            if (value := getattr(self, name)) is not None:
+                check_positive(value, name, "a rotor turns one way, from x to y", zero_allowed=True)
         if self.to_speed is not None and self.speed_changes:
             raise InvalidInput("to_speed and changes of speed are both given; keep one of the two")
         if (self.to_speed is not None or self.speed_changes) and self.speed is None:
