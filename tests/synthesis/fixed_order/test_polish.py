@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.published_p5 import published_p5_problem
+from scipy.linalg import block_diag
 from scipy.optimize import rosen, rosen_der
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
@@ -13,11 +14,10 @@ from ambrose.core.lft import ComplexBlock, GeneralizedPlant, RealBlock, close_un
 from ambrose.core.mu import all_frequencies
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, spectral_abscissa
-from ambrose.synthesis.fixed_order.cost import Cost
+from ambrose.synthesis.fixed_order.cost import Cost, block_form
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
-from ambrose.synthesis.fixed_order.structure import structured
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import with_performance_block
@@ -57,16 +57,28 @@ def worst(plant: GeneralizedPlant, controller: StateSpace, count: int = 33) -> f
 # the pieces
 
 
-def test_the_structure_keeps_the_controller(start):
-    form, x = structured(start)
-    a, b = (frequency_response(item, OMEGA).values for item in (start, form.controller(x)))
+def test_block_form_keeps_the_controller(start):
+    form, x = block_form(start)
+    found = form.controller(x)
+    a, b = (frequency_response(item, OMEGA).values for item in (start, found))
     np.testing.assert_allclose(b, a, rtol=1e-6, atol=1e-9 * np.abs(a).max())
+    np.testing.assert_allclose(form.unknowns(found.A, found.B, found.C, found.D), x)
     assert np.abs(x).max() < 1e3  # numbers of similar size
+
+
+def test_block_form_of_real_and_odd_poles():
+    rng = np.random.default_rng(1)
+    A = block_diag([[-1.0, 5.0], [-5.0, -1.0]], [[-0.01]], [[-200.0]], [[-3.0]])
+    controller = StateSpace(A, rng.normal(size=(5, 2)), rng.normal(size=(3, 5)), rng.normal(size=(3, 2)))
+    form, x = block_form(controller)
+    a, b = (frequency_response(item, OMEGA).values for item in (controller, form.controller(x)))
+    np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-10)
+    assert form.mask.sum() == 4 + 4 + 1
 
 
 def test_cost_is_the_norm_and_its_gradient_is_exact(plant, start):
     reduced, _ = reduce_controller(models(plant), start, 12)
-    form, x = structured(reduced)
+    form, x = block_form(reduced)
     cost = Cost(form, models(plant), OMEGA)
     loops = [frequency_response(lft(model, form.controller(x)), OMEGA).values for model in models(plant)]
     sigma = np.linalg.svd(np.array(loops), compute_uv=False)

@@ -5,6 +5,7 @@ from scipy.linalg import block_diag
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
+from ambrose.synthesis.fixed_order.cost import block_form
 from ambrose.synthesis.fixed_order.structure import structured
 
 OMEGA = np.geomspace(0.1, 1e4, 60)
@@ -24,6 +25,15 @@ def test_equal_lags_in_series_stay_what_they_are():
         controller = StateSpace(lags, 100 * np.eye(n)[:, :1], np.eye(n)[-1:], np.zeros((1, 1)))
         structure, _ = same(controller)
         assert structure.free[1:, 1:].sum() == n * n
+
+
+def test_polishing_keeps_them_too():
+    """Its form paired the two as real poles: the controller was another one, off by 1.16 times its gain."""
+    lags = -100.0 * np.eye(2) + 100.0 * np.eye(2, k=-1)
+    controller = StateSpace(lags, [[100.0], [0.0]], [[0.0, 1.0]], [[0.0]])
+    form, x = block_form(controller)
+    a, b = (frequency_response(item, OMEGA).values for item in (controller, form.controller(x)))
+    np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-10)
 
 
 def test_real_and_odd_poles_and_another_number_of_outputs():

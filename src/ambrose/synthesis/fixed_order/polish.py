@@ -21,10 +21,9 @@ from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa
 from ambrose.synthesis.certificate import fastest_pole
-from ambrose.synthesis.fixed_order.cost import Cost
+from ambrose.synthesis.fixed_order.cost import Cost, Form, block_form
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
-from ambrose.synthesis.fixed_order.structure import Structure, structured
 from ambrose.synthesis.hinf.scaling import check_plant
 from ambrose.synthesis.problem import PERFORMANCE, with_performance_block
 from ambrose.synthesis.result import Certificate, Status, Synthesis
@@ -238,7 +237,7 @@ def _grid(job: _Job, controller: StateSpace) -> np.ndarray:
 
 def _round(job: _Job, point: _Point, number: int) -> _Point:
     """One descent at the round's power, judged."""
-    form, x = structured(point.controller)
+    form, x = block_form(point.controller)
     scale = 1.0
     if not np.isfinite(point.worst):
         scale = next((s for s in _SCALES if _all_stable(job, form, x, s)), np.nan)
@@ -268,7 +267,7 @@ def _models(job: _Job, scale: float) -> list[GeneralizedPlant]:
     return [job.model(delta) for delta in dict.fromkeys(tuple(scale * v for v in delta) for delta in job.models)]
 
 
-def _all_stable(job: _Job, form: Structure, x: np.ndarray, scale: float) -> bool:
+def _all_stable(job: _Job, form: Form, x: np.ndarray, scale: float) -> bool:
     controller = form.controller(x)
     return all(is_stable(lft(model, controller)) for model in _models(job, scale))
 

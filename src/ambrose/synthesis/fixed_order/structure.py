@@ -75,7 +75,7 @@ def structured(controller: StateSpace, groups: Sequence[Sequence[int]] | None = 
     """
     whole: Part = tuple(range(len(controller.outputs))), tuple(range(len(controller.inputs)))
     parts = [(np.arange(controller.n_states), whole)] if groups is None else _parts(controller, groups)
-    blocks = [block for own, _ in parts for block in _blocks(controller, own)]
+    blocks = [block for own, _ in parts for block in decoupled_blocks(controller, own)]
     return _scaled(controller, blocks, [part for _, part in parts])
 
 
@@ -100,7 +100,7 @@ def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndar
     return parts
 
 
-def _blocks(K: StateSpace, own: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def decoupled_blocks(K: StateSpace, own: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """A, B (k, p), C (m, k) of every block of a group's states; parts that are decoupled already are not mixed."""
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     single: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
