@@ -45,8 +45,9 @@ def test_a_range_that_is_none_is_refused(machine, change, words):
         replace(machine, operation=replace(machine.operation, ranges=(replace(AREA, **change),)))
 
 
-@pytest.mark.campaign
-@pytest.mark.parametrize("timing", [None, Timing(1e-4, 1)])
+@pytest.mark.parametrize(
+    "timing", [pytest.param(None, marks=pytest.mark.study), pytest.param(Timing(1e-4, 1), marks=pytest.mark.campaign)]
+)
 def test_the_peak_that_is_found_is_that_of_a_fine_grid(machine, timing):
     K = pid_controller(machine.controller, machine)
     found = search(machine, AREA, K, timing)
