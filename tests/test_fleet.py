@@ -47,9 +47,17 @@ SHORT = 'name = "short-levitation"\nduration = "0.4 s"\ninitial = "resting"\n'  
 MANY_SEALS = 4  # from here on a machine's certificate takes seconds
 KNOWN = {"seal-rig", "seal-rig-k-only", "turboexpander"}  # levitated and verified by many other tests
 
+OTHERS = {
+    "flywheel",
+    "lalanne-ferraris-rotor",
+    "outboard-sensor-rotor",
+    "overhung-disc-rotor",
+    "vertical-pump",
+}  # two like them stay
+
 
 def heavy(name):
-    large = len(amb.load_machine(name).seals) >= MANY_SEALS
+    large = len(amb.load_machine(name).seals) >= MANY_SEALS or name in OTHERS
     return pytest.param(name, marks=pytest.mark.campaign) if large or name in KNOWN else name
 
 

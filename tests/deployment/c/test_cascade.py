@@ -150,6 +150,7 @@ def test_law_read_back_and_transfer(blocks, arithmetic, digits):
         assert code.step(np.full(4, 1e-6)) == pytest.approx([0.5, -0.25, 0.1, 0.0], abs=2e-3)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
 @pytest.mark.parametrize(("word", "error"), [(32, 0.5e-3), (16, 1e-5)])
 def test_rounding_is_predicted(coordinates, word, error):

@@ -62,6 +62,7 @@ def test_the_peak_that_is_found_is_that_of_a_fine_grid(machine, timing):
     assert (found.abscissa < 0).all()
 
 
+@pytest.mark.campaign
 def test_a_loop_that_is_lost_at_high_pressure_is_found(machine):
     """The PID holds the seal rig without pressure and loses it below 4 bar; the search says where it is lost most."""
     wide = replace(machine, operation=replace(machine.operation, ranges=(replace(AREA, seal_pressure=(0.0, 4e5)),)))
@@ -73,6 +74,7 @@ def test_a_loop_that_is_lost_at_high_pressure_is_found(machine):
     assert found.worst(wide.operation.ranges[0]).seal_pressure == 4e5
 
 
+@pytest.mark.campaign
 def test_the_range_is_part_of_the_verdict(machine):
     law = pid_controller(machine.controller, machine)
     (inside,), beyond = verify_ranges(machine, law, (), lambda stage: None, Timing(1e-4, 1))
