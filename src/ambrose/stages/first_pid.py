@@ -37,7 +37,7 @@ def holding_pid(machine: Machine) -> tuple[PidSettings, float]:
     inf where nothing of the grid holds them: then the first guess. One gain for all axes; K_p in multiples of k_s/k_i, T_d of
     1/w_0 (``first_settings``), numbers rounded; notches at the lowest bending modes where that is better.
     """
-    full = [assemble(machine, point) for point in machine.operation.points]
+    full = [assemble(machine, point) for point in machine.operation.envelope]
     timing = machine_timing(machine)
     small = [loop_model(reduce_from(plant, bending_modes_for(plant)), timing) for plant in full]
     models = [(model, _responses(model, _GRID, len(machine.axes))) for model in small]

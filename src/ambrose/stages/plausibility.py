@@ -230,7 +230,7 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
 
 def _operation(machine: Machine, critical: list[float]) -> Iterator[str]:
     low, high = machine.operation.speed_range
-    for point in machine.operation.points:
+    for point in machine.operation.envelope:
         if high > 0 and not low - 1e-9 <= point.speed <= high * (1 + 1e-9):
             span = f"{low / HERTZ * 60:.6g} to {high / HERTZ * 60:.6g} rpm"
             turns = f"turns at {point.speed / HERTZ * 60:.6g} rpm"

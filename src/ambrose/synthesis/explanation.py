@@ -33,7 +33,7 @@ def explained(plant: Plant, result: Synthesis, timing: Timing | None, bending_mo
         missed = result.method == "tuned" and result.gamma > 1
         why = why_none(plant, timing) if missed else ""
         return replace(result, notes=(*result.notes, why)) if why else result
-    point = next((p for p in plant.machine.operation.points if p.label in lost), plant.point)
+    point = next((p for p in plant.machine.operation.envelope if p.label in lost), plant.point)
     place = plant if result.status == "unstable" or plant.point.label in lost else assemble(plant.machine, point)
     try:
         reason = why_unstable(place, result.law, timing, bending_modes, result.method)

@@ -67,7 +67,7 @@ _Made = tuple[SealTable, np.ndarray]
 
 def _line(machine: Machine, fit: SealFit) -> _Made:
     rows = fit if np.isnan(fit.frequency).all() else averaged(fit)
-    top = max(float(rows.pressure.max()), *(point.seal_pressure for point in machine.operation.points))
+    top = max(float(rows.pressure.max()), *(point.seal_pressure for point in machine.operation.envelope))
     ends = np.array([0.0, check_positive(top, "the highest pressure", "measure under pressure")])
     lines = [line(rows, letter) for letter in COEFFICIENTS]
     values = tuple((letter, tuple(one.at(ends).tolist())) for letter, one in zip(COEFFICIENTS, lines, strict=True))
@@ -110,7 +110,7 @@ def _change(machine: Machine, item: Seal, pressure: Tolerance) -> np.ndarray:
 
 def check_reach(machine: Machine, seal: str, low: float, high: float) -> None:
     """Refuse pressures [Pa] of a table that some operating point lies outside of: nothing is extrapolated later."""
-    for point in machine.operation.points:
+    for point in machine.operation.envelope:
         if not low * (1 - 1e-9) <= point.seal_pressure <= high * (1 + 1e-9):
             raise invalid(
                 f"operating point {point.label!r}", f"{point.seal_pressure:g} Pa",

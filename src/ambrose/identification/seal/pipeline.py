@@ -72,7 +72,7 @@ def identify_seal(
     fit = time_domain.identify(known, records, controller, seal=name, start=begin or None, progress=progress, **asdict(options))
     checks = _check_fit(known, records, controller, fit, options)
     refuse(checks)
-    highest = max(point.seal_pressure for point in machine.operation.points)
+    highest = max(point.seal_pressure for point in machine.operation.envelope)
     return replace(done, checks=(*done.checks, *checks), seal=SealByPressure(fit, form, highest))
 
 

@@ -102,6 +102,8 @@ def merged(sections: Sequence[ShaftSection]) -> list[ShaftSection]:
 
 
 def _alike(one: ShaftSection, other: ShaftSection) -> bool:
+    if one.conical:  # the next cone of the same ends begins anew
+        return False
     same = replace(other, start=one.start, length=one.length, elements=one.elements, label=one.label) == one
     return same and abs(one.length / one.elements - other.length / other.elements) < _GRADED * one.length
 
@@ -115,9 +117,9 @@ def _number(name: str, key: str, row: _Row, entry: str) -> float:
 
 def _layer(name: str, key: str, row: _Row) -> dict[str, Any]:
     numbers = {entry: _number(name, key, row, entry) for entry in ("L", "n")}
-    for left, right, default in (("idl", "idr", None), ("odl", "odr", None)):
+    for left, right in (("idl", "idr"), ("odl", "odr")):
         numbers[left] = _number(name, key, row, left)
-        numbers[right] = _number(name, key, row, right) if right in row else numbers[left] if default is None else default
+        numbers[right] = _number(name, key, row, right) if right in row else numbers[left]
     material = row.get("material")
     if not isinstance(material, Mapping):
         raise InvalidInput(f"{name}: [{key}]: it has no material; save the rotor anew with ROSS")
@@ -129,14 +131,24 @@ def _layer(name: str, key: str, row: _Row) -> dict[str, Any]:
     return {**row, **numbers, "stuff": made}
 
 
+def _conical(layer: Mapping[str, Any]) -> bool:
+    ends = (("odl", "odr"), ("idl", "idr"))
+    return any(abs(layer[left] - layer[right]) > _GRADED * max(layer[left], layer[right]) for left, right in ends)
+
+
 def _section(name: str, layers: Sequence[dict[str, Any]], start: float, assumed: dict[str, str]) -> ShaftSection:
-    """The layers between two nodes as one section: stiffness of the stiff ones, mass of all."""
+    """The layers between two nodes as one section: stiffness of the stiff ones, mass of all; a single one may be a cone."""
     if any(abs(layer["L"] - layers[0]["L"]) > _GRADED * layers[0]["L"] for layer in layers):
         raise InvalidInput(f"{name}: the layers at node {layers[0]['n']:.0f} have different lengths; make them equal")
+    if len(layers) == 1 and _conical(one := layers[0]):
+        return ShaftSection(
+            start, one["L"], one["odl"], one["idl"], material=one["stuff"], label=str(one.get("tag") or ""),
+            end_outer_diameter=one["odr"], end_inner_diameter=one["idr"],
+        )  # fmt: skip
     for layer in layers:
         for left, right in (("odl", "odr"), ("idl", "idr")):
             if abs(layer[left] - layer[right]) > _GRADED * max(layer[left], layer[right]):
-                assumed["shaft.outer_diameter"] = "conical elements have their mean diameter"
+                assumed["shaft.outer_diameter"] = "conical elements in layers have their mean diameter"
                 layer[left] = (layer[left] + layer[right]) / 2
     top = max(layer["stuff"].youngs_modulus for layer in layers)
     stiff = [layer for layer in layers if layer["stuff"].youngs_modulus > _SOFT * top]
@@ -170,15 +182,17 @@ def ross_text(machine: Machine, springs: Mapping[str, tuple[float, float]]) -> s
     nodes, lines = [0.0], ['ross_version = "2.0.0"', "", "[parameters]"]
     flags = {"shear_effects": machine.beam_theory == "timoshenko", "rotary_inertia": machine.beam_theory != "bernoulli-euler"}
     for section in machine.shaft:
-        for _ in range(section.elements):
+        material = section.material
+        for k in range(section.elements):
             length, n = section.length / section.elements, len(nodes) - 1
-            rings = [(section.inner_diameter, section.outer_diameter, section.material, 1.0)]
-            if section.mass_diameter is not None and section.mass_diameter > section.outer_diameter:
-                rings.append((section.outer_diameter, section.mass_diameter, section.material, 1e-8))
-            for layer, (inner, outer, material, share) in enumerate(rings):
+            ends = [section.diameters(place / section.elements) for place in (k, k + 1)]
+            rings = [([(bore, outer) for outer, bore, _ in ends], 1.0)]
+            if any(mass > outer for outer, _, mass in ends):
+                rings.append(([(outer, max(mass, outer)) for outer, _, mass in ends], 1e-8))
+            for layer, (((idl, odl), (idr, odr)), share) in enumerate(rings):
                 young = material.youngs_modulus * share
                 row = {
-                    "L": length, "idl": inner, "odl": outer, "idr": inner, "odr": outer, "n": n, "axial_force": 0, "torque": 0,
+                    "L": length, "idl": idl, "odl": odl, "idr": idr, "odr": odr, "n": n, "axial_force": 0, "torque": 0,
                     **flags, "gyroscopic": True, "shear_method_calc": "cowper", "tag": f"shaft {n}.{layer}",
                 }  # fmt: skip
                 lines += _element(f"ShaftElement_shaft {n}.{layer}", row)
