@@ -122,7 +122,7 @@ def test_conical_elements_and_two_stiff_layers_are_said():
 
 
 def test_a_cone_goes_to_ross_and_back():
-    """A single layer stays a cone; written as a cylinder of its left end, it lost a twelfth of this rotor's mass."""
+    """A single layer stays a cone; written as a cylinder of its left end, it lost a tenth of this rotor's mass."""
     document = compressor()
     document["ShaftElement_3.0"] |= {"odr": 0.12}
     cone = next(item for item in rotor_of_ross(document, "rotor").shaft if item.conical)

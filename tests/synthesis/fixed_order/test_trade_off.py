@@ -3,13 +3,16 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.synthesis.fixed_order import trade_off as module
 from ambrose.synthesis.fixed_order.trade_off import TradeOff, read_value, trade_off
 from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.result import Certificate, Status
 
 
 @pytest.mark.parametrize(
@@ -60,6 +63,23 @@ def test_the_command_refuses_in_one_sentence():
     assert done.returncode == 2
     assert "a value of settling_time" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_ctrl_c_ends_it_and_keeps_the_values_that_are_done(monkeypatch):
+    """Tuning returns its best when it is interrupted; the next value was begun all the same."""
+    seen = []
+
+    def tuned(job, law, structure, *, again=False):
+        seen.append(again)
+        done = amb.Synthesis(
+            law, "tuned", 1.0, Status.VERIFIED, Certificate(margins={"ratio_sensitivity": 1.0, "ratio_gain": 0.5})
+        )
+        return done if len(seen) == 1 else replace(done, stopped_early="interrupted")
+
+    monkeypatch.setattr(module, "tuned", tuned)
+    result = trade_off(amb.load_machine("seal-rig"), "settling_time", [0.1, 0.05, 0.02], DesignOptions(rate=1e4))
+    assert result.values == (0.1,)
+    assert len(seen) == 2
 
 
 @pytest.mark.study

@@ -91,6 +91,19 @@ def test_poles_at_the_fence_are_pushed_back():
     assert cost(x, 12.0)[0] == np.inf
 
 
+def test_an_integrator_that_drifted_is_set_back():
+    """process-compressor came out with a pole at +0.007 rad/s: stable in the loop, and not to be exported."""
+
+    def with_pole(value):
+        return StateSpace(np.diag([value, -300.0]), [[1.0], [2.0]], [[3.0, 4.0]], [[5.0]])
+
+    for value in (7e-3, 1e-6):
+        assert np.linalg.eigvals(tuning.without_drift(with_pole(value)).A).real.max() == pytest.approx(-value)
+    for value in (0.0, -7e-3, 5.0):  # an integrator, one that leaks, and a controller that is unstable in earnest
+        law = with_pole(value)
+        assert tuning.without_drift(law) is law
+
+
 def test_modes_that_the_start_excites_are_kept():
     """Two modes of two-disc-rotor at 3,014 and 3,028 Hz: judged by frequency alone, one was left out."""
     machine = amb.load_machine("two-disc-rotor")

@@ -19,7 +19,7 @@ from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.envelope.plants import envelope_of
 from ambrose.synthesis.fixed_order.aims import aims_of
-from ambrose.synthesis.fixed_order.tuning import Job, first_law, prepare, tuned, with_states
+from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, Job, first_law, prepare, tuned, with_states
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import first_settings, pid_controller
 from ambrose.synthesis.result import Synthesis
@@ -151,6 +151,8 @@ def _lowest(
         except NumericalFailure as error:
             progress(str(error))
             break
+        if found.stopped_early == INTERRUPTED:  # the value at work has not come to its end
+            raise KeyboardInterrupt
         ratios = {k.removeprefix("ratio_"): v for k, v in found.certificate.margins.items() if k.startswith("ratio_")}
         peak = aim * ratios["sensitivity"]
         others = max(value for name, value in ratios.items() if name != "sensitivity")

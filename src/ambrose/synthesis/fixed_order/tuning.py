@@ -42,6 +42,7 @@ from ambrose.synthesis.result import Certificate, Status, Synthesis
 from ambrose.synthesis.time_limit import TimeLimit
 
 _POWERS = (10.0, 25.0, 60.0, 120.0, 120.0)
+INTERRUPTED = "interrupted"
 _AGAIN = 2  # the first of these rounds for a law that was tuned before
 _ITERATIONS = 200  # of L-BFGS, a round
 _HOLDING = 60  # of L-BFGS, towards a controller that holds all models; so many times at most:
@@ -54,6 +55,7 @@ _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sa
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
 _FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
 _STATES_PER_AXIS = 3
+_ROUNDING, _DRIFT = 1e-9, 0.1  # rad/s; of an integrator that is set back
 _BEYOND = 1.02  # of the fastest pole allowed: where its barrier is infinite
 _HEARD, _LISTENED = 0.15, 12  # loop gain of a mode that is kept; modes above the others that are looked at
 _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
@@ -145,7 +147,7 @@ def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthes
     except KeyboardInterrupt:
         if not rounds:
             raise
-        reason = "interrupted"
+        reason = INTERRUPTED
     except NumericalFailure as error:  # of a member that nothing was found to hold: what the rounds gave is kept
         if not rounds:
             raise
@@ -314,9 +316,25 @@ def _descended(job: Job, law: Law, power: float) -> tuple[Law, int]:
     if not isinstance(structure, FilterBank):
         cost.fence = _BEYOND * fastest
     x, used = descend(lambda v: cost(v, power), allowed, x, _ITERATIONS, 1e-4, lambda: job.clock.left > 0)
+    law = _law(structure, x)
+    if isinstance(law, StateSpace) and (settled := without_drift(law)) is not law:
+        law, (structure, x) = settled, _unknowns(job, settled)
+        cost = Objective(structure, job.models, cost.omega, job.aims, job.reference)
     dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
     job.extra += [float(dense.omega[i]) for i in set(dense.sensitivity(x).argmax(axis=1))]
-    return _law(structure, x), used
+    return law, used
+
+
+def without_drift(law: StateSpace) -> StateSpace:
+    """A - 2 a I where the controller's rightmost pole a is over the imaginary axis by at most ``_DRIFT``; else the same.
+
+    The loop holds so slow a pole and no requirement sees it, but the controller would run away when the loop is open.
+    """
+    drift = float(np.linalg.eigvals(law.A).real.max(initial=-np.inf))
+    if not _ROUNDING < drift <= _DRIFT:
+        return law
+    A = law.A - 2 * drift * np.eye(law.n_states)
+    return StateSpace(A, law.B, law.C, law.D, law.inputs, law.outputs)
 
 
 def _best(job: Job, rounds: list[_Round]) -> _Round:
