@@ -183,9 +183,9 @@ def ross_text(machine: Machine, springs: Mapping[str, tuple[float, float]]) -> s
     flags = {"shear_effects": machine.beam_theory == "timoshenko", "rotary_inertia": machine.beam_theory != "bernoulli-euler"}
     for section in machine.shaft:
         material = section.material
-        for k in range(section.elements):
+        for number in range(section.elements):
             length, n = section.length / section.elements, len(nodes) - 1
-            ends = [section.diameters(place / section.elements) for place in (k, k + 1)]
+            ends = [section.diameters(place / section.elements) for place in (number, number + 1)]
             rings = [([(bore, outer) for outer, bore, _ in ends], 1.0)]
             if any(mass > outer for outer, _, mass in ends):
                 rings.append(([(outer, max(mass, outer)) for outer, _, mass in ends], 1e-8))
