@@ -112,9 +112,9 @@ def decision(candidates: Sequence[Candidate]) -> Verdict:
         box += f" between them (found on grids of {listed([c.label for c in best.ranges])})," if best.ranges else ""
         count = f"all {len(best.checks)} operating points" if len(best.checks) > 1 else "the operating point"
         margin = f"; nearest to its limit: {_amount(worst)} {where}" if worst.check is not None else "; no limits were given"
-        others = [candidate.name for candidate in good if candidate is not best]
-        also = f"; also by {listed(others).replace(' and ', ' and by ')}" if others else ""
-        return Verdict("", True, f"Every requirement is met at {count}{box} by {best.name}{margin}{also}.")
+        others = [_quoted(candidate.name) for candidate in good if candidate is not best]
+        also = f"; also by {listed(others)}" if others else ""
+        return Verdict("", True, f"Every requirement is met at {count}{box} by {_quoted(best.name)}{margin}{also}.")
     lost = [checks.label for checks in best.checks if not checks.stable]
     if lost:
         why = f"it is unstable at {listed(lost)}"
@@ -125,7 +125,12 @@ def decision(candidates: Sequence[Candidate]) -> Verdict:
         why = f"it becomes unstable {where}"
     else:
         why = f"{_amount(worst)} {where}"
-    return Verdict("", False, f"No controller meets every requirement; nearest comes {best.name}: {why}.")
+    return Verdict("", False, f"No controller meets every requirement; nearest comes {_quoted(best.name)}: {why}.")
+
+
+def _quoted(name: str) -> str:
+    """A name that would read as two of a list, "mu, polished", in quotes."""
+    return f'"{name}"' if "," in name or " and " in name else name
 
 
 def _absent(candidate: Candidate, labels: Sequence[str]) -> list[str]:
