@@ -44,6 +44,8 @@ def never(monkeypatch):
 
 SIMULATE = ["simulate", "seal-rig", "--controller", "{tmp}/law.json", "--scenario", "impulse-parallel"]
 BAD = {
+    "a controller that is a machine file": (["synthesize", "seal-rig", "-o", "{tmp}/m.toml"], "must be a file *.json"),
+    "a report that is a machine file": ([*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/m.toml"], "must be a file *.html"),
     "a report in no folder": ([*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/none/r.html"], "not a directory"),
     "a report that is a folder": ([*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}"], "path of the report"),
     "a report over the record": ([*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/x/../r.h5"], "another name"),

@@ -221,3 +221,10 @@ def test_from_nothing_to_a_levitating_rig_in_two_minutes(tmp_path, monkeypatch):
         assert result.exit_code == 0, result.output
     assert "completed" in result.output and Path("record.h5").exists()
     assert time.monotonic() - start < 120
+
+
+@pytest.mark.parametrize("disc", [("350 mm", "9 kg", "220 mm"), ("300 mm", "7 kg", "230 mm")])
+def test_rounded_inertias_of_a_disc_are_those_of_a_body(disc):
+    """Each was rounded by itself, and the polar one came out above twice the diametral one, which no body has."""
+    machine = amb.new_machine(length="700 mm", diameter="40 mm", speed="3000 rpm", discs=[disc])
+    assert machine.discs[0].polar_inertia == 2 * machine.discs[0].diametral_inertia

@@ -158,3 +158,12 @@ def test_the_limit_holds_for_every_controller_that_was_designed(rig):
     assert math.exp(0.9 * pole * delay) < least < 2
     peak = amb.design(plant, "pid").certificate.margins["sampled_sensitivity_peak"]
     assert peak > least
+
+
+def test_a_controller_that_loses_a_point_is_told_and_no_fault():
+    """The PID of the seal rig is unstable at twice its nominal pressure, and `check` said nothing of it."""
+    known = facts(amb.load_machine("seal-rig"))
+    (line,) = [text for text in known["remarks"] if "does not hold" in text]
+    assert "twice nominal pressure" in line and "zero pressure" not in line
+    assert not known["doubts"]
+    assert not [text for text in facts(amb.load_machine("flywheel"))["remarks"] if "does not hold" in text]

@@ -133,7 +133,9 @@ def synthesize(
         settings = result.filters
         if runs is not None:  # or the loop would be judged continuous, read back from the file
             settings = replace(settings, sample_time=runs.sample_time, delay=runs.delay_samples * runs.sample_time)
-        found = replace(description, controller=settings)
+        stays = {"controller.sample_time", "controller.delay"}  # of [machine.assumed]; the rest speaks of other settings
+        reasons = tuple(row for row in description.assumed if row[0] in stays or row[0].partition(".")[0] != "controller")
+        found = replace(description, controller=settings, assumed=reasons)
         failure = kept(lambda path: save_machine(found, path), machine_file) or failure
     certificate = result.certificate.to_dict()
     factor = None if result.weights is None else result.weights.control_factor

@@ -31,6 +31,8 @@ RATE = click.option("--rate-hz", type=float, default=None, help="Sample rate; de
 DELAY = click.option(
     "--delay-samples", type=int, default=None, help="From measured errors to currents set; default: the machine file's, or 1."
 )
+_SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html", "page": ".html"}
+_KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}  # endings that mean a file of this package, or a record
 _GONE = {errno.EPIPE, errno.EINVAL, errno.EIO}  # nobody reads: as Unix, as Windows, and as a terminal that was closed says it
 _SPELLED = {
     "≤": "<=", "≥": ">=", "≠": "!=", "±": "+-", "×": "*", "·": "*", "−": "-", "–": "-", "→": "->", "…": "...", "°": " deg",
@@ -211,6 +213,8 @@ def claim(**places: Path | None) -> None:
         check_file(path, what)
         if (other := known.setdefault(os.path.realpath(path), what)) != what:
             raise InvalidInput(f"{path} is to hold the {other} and the {what}; give one of them another name")
+        if (own := _SUFFIX.get(what, "")) != path.suffix.lower() and own and path.suffix.lower() in _KINDS:
+            raise InvalidInput(f"the {what} is to be {path}, but must be a file *{own}; that ending means another kind of file")
         click.get_current_context().with_resource(claimed(path, what))
 
 

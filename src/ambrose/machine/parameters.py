@@ -108,6 +108,8 @@ def find_parameter(machine: MachineDescription, path: str) -> Parameter:
         "coupling": [coupling.name for coupling in machine.couplings],
         "rotor": [f"{BENDING}{k + 1}" for k in range(_bending_modes(machine))],
     }[parameter.table]
+    if parameter.table == "rotor" and parameter.name not in names:
+        raise _wrong(path, f"names no bending mode of this mesh; write {BENDING}1 to {BENDING}{len(names)}")
     if parameter.name not in names:
         nothing = f"the machine has no [[{parameter.table}]]"
         raise _wrong(

@@ -203,7 +203,8 @@ def _disc(number: int, length: float, entry: Sequence[Any]) -> Disc:
     check_positive(thick, f"the diameter of {what}", "give it in m")
     if not 0 <= at <= length:
         raise invalid(f"the position of {what}", f"{at:g} m", f"on the shaft, from 0 to {length:g} m", "correct it")
-    return Disc(f"disc{number}", at, heavy, rounded(heavy * thick**2 / 8, 4), rounded(heavy * thick**2 / 16, 4))
+    polar = rounded(heavy * thick**2 / 8, 4)
+    return Disc(f"disc{number}", at, heavy, polar, polar / 2)
 
 
 def _places(bare: MachineDescription, reasons: dict[str, str]) -> tuple[float, float]:

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import AmbroseError
+from ambrose.core.statespace import spectral_abscissa
 from ambrose.machine.criteria import demand
 from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
@@ -27,12 +28,15 @@ from ambrose.physics.rotor import (
     mass_properties,
     plane_rows,
 )
-from ambrose.plant.assemble import bending_modes_of, magnet_coefficients
+from ambrose.plant.assemble import assemble, bending_modes_of, magnet_coefficients
+from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant, top_speed
+from ambrose.plant.reduce import reduce_from
 from ambrose.plant.timing import machine_timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
-from ambrose.synthesis.pid import channel_chains, first_settings
+from ambrose.synthesis.fixed_order.tuning import bending_modes_for
+from ambrose.synthesis.pid import channel_chains, first_settings, pid_controller
 
 HERTZ = 2 * math.pi
 _MASS, _LENGTH, _DIAMETER = (1e-3, 5e3), (0.02, 12.0), (1e-3, 2.0)  # [kg], [m], [m] of rotors on magnetic bearings
@@ -42,6 +46,7 @@ _NODE = 0.05  # of a mode's largest deflection
 _SHORT = 3.0  # diameters of length that one bearing may hold
 _MARGIN = 1.2  # K_p k_i / k_s below which stiffness is left to chance
 _MODES = 12
+_POINTS = 8  # at most, at which the reference controller is looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +147,7 @@ def insight(plant: Plant) -> dict[str, Any]:
             *_operation(machine, critical),
             *_timing(machine, rotor, least, pole, delay),
         ],
-        "remarks": list(_remarks(machine)),
+        "remarks": [*_remarks(machine), *_not_held(machine)],
     }
 
 
@@ -251,6 +256,19 @@ def _timing(machine: Machine, rotor: Rotor, least: float, pole: float, delay: fl
     if timing is not None and timing.rate * HERTZ < 10 * max(top_speed(machine), pole):
         what = f"the {max(top_speed(machine), pole) / HERTZ:.4g} Hz of speed or unstable pole"
         yield f"the controller runs at {timing.rate:.4g} Hz, less than 10 times {what}; sample faster"
+
+
+def _not_held(machine: Machine) -> Iterator[str]:
+    """Operating points at which the reference controller loses the loop, as it runs: a start for tuning, but no controller."""
+    if machine.reference is None:
+        return
+    law, timing = pid_controller(machine.reference, machine), machine_timing(machine)
+    runs = law if timing is None else timing.in_loop(law)
+    plants = [assemble(machine, point) for point in machine.operation.envelope[:_POINTS]]
+    modes = bending_modes_for(plants[0], law, timing)
+    lost = [p.point.label for p in plants if spectral_abscissa(closed_loop(reduce_from(p, modes), runs)) >= 0]
+    if lost:
+        yield f"the [controller] does not hold {', '.join(lost)}: tuned may start from it, method pid cannot be used there"
 
 
 def _remarks(machine: Machine) -> Iterator[str]:

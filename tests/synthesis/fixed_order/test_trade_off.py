@@ -36,9 +36,30 @@ def test_a_bank_is_refused():
         trade_off(amb.load_machine("seal-rig"), "order", [8, 12], DesignOptions(structure="pid"))
 
 
-@pytest.mark.parametrize(("text", "value"), [("20 ms", 0.02), ("0.02", 0.02), ("0.02 s", 0.02)])
-def test_values_as_in_a_machine_file(text, value):
-    assert read_value("settling_time", text) == pytest.approx(value)
+def test_values_as_in_a_machine_file():
+    assert read_value("settling_time", "20 ms") == read_value("settling_time", "0.02 s") == 0.02
+    assert (read_value("order", "12"), read_value("log_decrement", "0.1")) == (12, 0.1)
+
+
+@pytest.mark.parametrize(("over", "text"), [("settling_time", "20"), ("order", "x"), ("order", "8 states")])
+def test_a_value_that_could_be_anything_is_refused(over, text):
+    with pytest.raises(amb.InvalidInput, match=f"a value of {over} is"):
+        read_value(over, text)
+
+
+def test_a_value_that_was_not_met_is_no_start_for_the_next(monkeypatch):
+    """Order 12 came to 44.4 after order 8 had failed with 42.1, and to 2.7 by itself."""
+    begun = []
+
+    def tuned(job, law, structure, *, again=False):
+        begun.append((law.n_states, again))
+        margins = {"ratio_sensitivity": 1.0, "ratio_gain": 9.0 if len(begun) == 1 else 0.5}
+        return amb.Synthesis(law, "tuned", 1.0, Status.VERIFIED, Certificate(margins=margins))
+
+    monkeypatch.setattr(module, "tuned", tuned)
+    result = trade_off(amb.load_machine("seal-rig"), "order", [12, 16, 20], DesignOptions(rate=1e4))
+    assert result.met == (False, True, True)
+    assert begun == [(12, False), (16, False), (20, True)]
 
 
 def test_a_value_in_another_unit_is_refused():

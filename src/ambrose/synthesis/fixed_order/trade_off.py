@@ -19,7 +19,7 @@ from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.envelope.plants import envelope_of
 from ambrose.synthesis.fixed_order.aims import aims_of
-from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, Job, first_law, prepare, tuned, with_states
+from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, Job, Law, first_law, prepare, tuned, with_states
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import first_settings, pid_controller
 from ambrose.synthesis.result import Synthesis
@@ -88,24 +88,30 @@ def trade_off(
     wanted = _checked(over, values)
     if options.structure in {"pid", "filters"}:
         raise invalid("structure", options.structure, "free, plane or axis", "a bank is tuned by the design itself")
-    start = pid_controller(first_settings(machine) if machine.controller is None else machine.controller, machine)
+    start = pid_controller(machine.reference or first_settings(machine), machine)
     plants = envelope_of(assemble(machine, machine.operation.design))
     order = int(wanted[0]) if over == ORDER else options.order
     job = prepare(plants, start, options.timing(), order, options.structure, options.bending_modes, None, time_limit, None)
-    law = cast(StateSpace, first_law(job, start, order, options.structure))  # of a bank it would be its settings
-    aim = job.aims.sensitivity
+    groups, usual = job.groups, job.aims.sensitivity
+    law, aim, again = first_law(job, start, order, options.structure), usual, False
     rows: list[tuple[float, float, bool, str, Synthesis | None]] = []
     try:
         for value in wanted:
             demanded = machine.requirements if over == ORDER else replace(machine.requirements, **{over: value})
             job.aims = replace(aims_of(replace(machine, requirements=demanded), start), sensitivity=aim)
-            if over == ORDER and rows:
-                law = with_states(law, int(value) - law.n_states, job.groups)
+            if not again:  # the first one, or the one before has nothing to go on from
+                job.groups = groups
+                law = first_law(job, start, int(value) if over == ORDER else order, options.structure)
+            elif over == ORDER:
+                law = with_states(cast(StateSpace, law), int(value) - cast(StateSpace, law).n_states, job.groups)
             progress(f"{over} {value:.4g} {unit_of(over)}")
-            best = _lowest(job, law, options.structure, bool(rows), time_limit, progress)
+            best = _lowest(job, law, options.structure, again, time_limit, progress)
             rows.append((value, *best))
-            if best[-1] is not None:
-                law, aim = best[-1].controller, min(max(best[0], 1.05), _HIGHEST)
+            again, found = best[1], best[-1]
+            if again and found is not None:
+                law, aim = found.controller, min(max(best[0], 1.05), _HIGHEST)
+            else:
+                aim = usual
     except KeyboardInterrupt:
         if not rows:
             raise
@@ -121,9 +127,12 @@ def unit_of(over: str) -> str:
 def read_value(over: str, text: str) -> float:
     """A value as written in a file, "20 ms", in SI. Raises InvalidInput."""
     try:
-        return float(text) if text.replace(".", "", 1).isdigit() else read_quantity(text, DIMENSIONS[TRADED[over]])
+        if over in {ORDER, "log_decrement"}:
+            return float(text)
+        return read_quantity(text, DIMENSIONS[TRADED[over]])
     except ValueError as error:
-        raise InvalidInput(f"a value of {over} {error}") from None
+        told = str(error) if TRADED[over] != "plain number" else f'is "{text}", but must be a plain number'
+        raise InvalidInput(f"a value of {over} {told}") from None
 
 
 def _checked(over: str, values: Sequence[float]) -> list[float]:
@@ -140,7 +149,7 @@ def _checked(over: str, values: Sequence[float]) -> list[float]:
 
 
 def _lowest(
-    job: Job, law: StateSpace, structure: str, again: bool, time_limit: float, progress: Callable[[str], None]
+    job: Job, law: Law, structure: str, again: bool, time_limit: float, progress: Callable[[str], None]
 ) -> tuple[float, bool, str, Synthesis | None]:
     """Sensitivity, whether all else is met, what binds, and the controller, of the best aim."""
     best: tuple[float, bool, str, Synthesis | None] = (float("inf"), False, "nothing holds every point", None)
