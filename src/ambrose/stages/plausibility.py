@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import AmbroseError
+from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.statespace import spectral_abscissa
 from ambrose.machine.criteria import demand
 from ambrose.machine.description import MagneticBearing
@@ -264,8 +264,13 @@ def _not_held(machine: Machine) -> Iterator[str]:
         return
     law, timing = pid_controller(machine.reference, machine), machine_timing(machine)
     runs = law if timing is None else timing.in_loop(law)
-    plants = [assemble(machine, point) for point in machine.operation.envelope[:_POINTS]]
-    modes = bending_modes_for(plants[0], law, timing)
+    plants: list[Plant] = []
+    for point in machine.operation.envelope[:_POINTS]:
+        try:
+            plants.append(assemble(machine, point))
+        except InvalidInput as error:  # outside a seal's table, or of the measured bias currents
+            yield f"operating point {point.label} has no model: {error}"
+    modes = bending_modes_for(plants[0], law, timing) if plants else 0
     lost = [p.point.label for p in plants if spectral_abscissa(closed_loop(reduce_from(p, modes), runs)) >= 0]
     if lost:
         yield f"the [controller] does not hold {', '.join(lost)}: tuned may start from it, method pid cannot be used there"
