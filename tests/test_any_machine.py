@@ -30,7 +30,7 @@ def renamed(name):
     return text
 
 
-@pytest.fixture(scope="module", params=["seal-rig", "turboexpander"])
+@pytest.fixture(scope="module", params=["seal-rig", pytest.param("turboexpander", marks=pytest.mark.campaign)])
 def pair(request, tmp_path_factory):
     """A bundled machine, and the path of the same under other names."""
     path = tmp_path_factory.mktemp("renamed") / "machine.toml"

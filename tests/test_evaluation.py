@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
+from coarse import coarse
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
@@ -40,11 +41,9 @@ def made(small: Plant) -> Synthesis:
     return pid_synthesis(small)
 
 
-@pytest.fixture(scope="module")
-def coarse():
-    """The turboexpander on a coarse shaft, its operating points at the pressure of its seal."""
-    machine = load_machine("turboexpander")
-    return replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft))
+@pytest.fixture(scope="module", name="coarse")
+def turboexpander():
+    return coarse("turboexpander")
 
 
 @pytest.fixture(scope="module")

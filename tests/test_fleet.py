@@ -50,10 +50,13 @@ KNOWN = {"seal-rig", "seal-rig-k-only", "turboexpander"}  # levitated and verifi
 OTHERS = {
     "flywheel",
     "lalanne-ferraris-rotor",
+    "nelson-mcvaugh-rotor",
     "outboard-sensor-rotor",
+    "overhung-blower",
     "overhung-disc-rotor",
+    "three-bearing-train",
     "vertical-pump",
-}  # two like them stay
+}  # three of other kinds stay
 
 
 def heavy(name):

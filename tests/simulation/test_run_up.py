@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.scheduled import ScheduledSystem
@@ -22,6 +21,7 @@ from ambrose.simulation.run_up import loops_over_speed, spin_up, steps
 from ambrose.simulation.scenario import Scenario
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 
 RUN_UP = Scenario(
     name="short", duration=0.2, speed=400.0, to_speed=900.0,
@@ -31,7 +31,7 @@ RUN_UP = Scenario(
 
 @pytest.fixture(scope="module")
 def plant():
-    machine = load_machine("turboexpander")
+    machine = coarse("turboexpander")
     point = next(p for p in machine.operation.points if p.label.startswith("140 Hz"))
     return assemble(machine, point)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
@@ -17,11 +16,12 @@ from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return reduce(assemble(load_machine("seal-rig")))
+    return reduce(assemble(coarse("seal-rig")))
 
 
 REFUSED = {
@@ -56,7 +56,7 @@ def test_bad_arguments_are_named_in_one_sentence(name, plant):
 
 def test_a_machine_is_no_plant():
     with pytest.raises(InvalidInput, match=r"plant is Machine, but must be a Plant; assemble\(machine, point\) gives one"):
-        design(load_machine("seal-rig"), "pid")
+        design(coarse("seal-rig"), "pid")
 
 
 @pytest.mark.parametrize(
