@@ -124,6 +124,7 @@ def test_the_box_goes_around_every_operating_point():
     assert verdict.to_dict()["not_varied"] == list(verdict.not_varied)
 
 
+@pytest.mark.campaign
 def test_a_box_that_fails_at_another_point_fails_the_verification():
     """Around zero pressure the PID bears 30 % of k_s, around the nominal point it does not: the first box alone would pass."""
     machine = replace(coarse("seal-rig"), tolerances=(Tolerance("seal.center.k", absolute=1.6e6),))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from coarse import coarse
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
@@ -26,6 +25,7 @@ from ambrose.synthesis.result import Synthesis
 from ambrose.verification import nominal
 from ambrose.verification.checks import Check, Checks
 from ambrose.workflow import Study
+from coarse import coarse
 
 LOW, HIGH = 2 * np.pi * 20.0, 2 * np.pi * 140.0
 

@@ -369,7 +369,7 @@ OUTSIDE = {
 
 
 @pytest.mark.parametrize("how", OUTSIDE)
-@pytest.mark.parametrize("unfinished", [False, True])
+@pytest.mark.parametrize("unfinished", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_a_record_reads_nothing_outside_itself(how, unfinished, secret):
     path = secret / "r.h5"
     with h5py.File(path, "w") as file:

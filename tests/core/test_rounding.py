@@ -339,7 +339,7 @@ SLOW = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_last_bit_decides_nothing(name):
-    for seed in range(1 if name in SLOW | {"mu_of_one_repeated_real_block"} else 5):
+    for seed in range(1 if name in SLOW | {"mu_of_one_repeated_real_block"} else 3):
         compare(name, seed)
 
 

@@ -18,6 +18,7 @@ from ambrose.deployment.pipeline import ExportOptions, bundled_machine, export, 
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design
+from coarse import coarse
 from example_blocks import small_controller
 
 GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
@@ -195,7 +196,7 @@ def test_limits_of_a_machine():
 @pytest.fixture(scope="module")
 def rig():
     """The seal rig at its nominal point alone, without tolerances: verified in half a second; and a controller for it."""
-    machine = load_machine("seal-rig")
+    machine = coarse("seal-rig")
     machine = replace(machine, tolerances=(), operation=replace(machine.operation, points=machine.operation.points[:1]))
     return machine, design(assemble(machine), "hinf")
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coarse import coarse
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
@@ -20,6 +19,7 @@ from ambrose.synthesis.design import provenance
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_synthesis
 from ambrose.synthesis.result import Certificate, Status, Synthesis
+from coarse import coarse
 
 OWN_GAIN = DesignOptions(match_reference=False, rate=1e4)
 

@@ -154,6 +154,7 @@ def test_initial_state_offset_several_records_and_other_parameters():
     assert update_machine(machine(), result.estimate).name == "turboexpander"
 
 
+@pytest.mark.campaign
 def test_several_starts_find_the_same():
     nominal = nominal_values(plant(), [PATH])[0]
     for factor in (1.3, 1.1, 0.7, 0.4, 0.0, -0.5):
@@ -175,6 +176,7 @@ def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method
     assert other.standard_deviations[0] / nominal > 1.5 * scatter
 
 
+@pytest.mark.campaign
 def test_sensors_of_different_noise_are_weighted():
     sizes = np.array([[2e-6], [2e-6], [2e-7], [2e-7]])
     quiet = simulate(select(loop(), E, Y + U), sequences(3000))

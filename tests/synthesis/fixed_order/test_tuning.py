@@ -46,7 +46,7 @@ def tuned():
 def few_rounds():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tuning, "_POWERS", (10.0, 40.0))
-        patch.setattr(tuning, "_ITERATIONS", 130)
+        patch.setattr(tuning, "_ITERATIONS", 60)
         yield
 
 
@@ -209,6 +209,7 @@ def test_the_worst_member_is_that_of_the_perturbed_plants(tuned):
     assert worst_member(SMALL[2], tuned.controller, RUNS, aims).keys() == {"bearing.DE.negative_stiffness"}  # no seal at rest
 
 
+@pytest.mark.campaign
 def test_ctrl_c_keeps_the_best(monkeypatch):
     monkeypatch.setattr(tuning, "_ITERATIONS", 5)
 

@@ -30,7 +30,11 @@ def test_svec_keeps_inner_products():
     np.testing.assert_allclose(smat(svec(X)), X, rtol=1e-15)
 
 
-@pytest.mark.parametrize(("kind", "seed"), [(k, s) for k in KINDS if k != "singular" for s in (1, 2)])
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [(k, 1) for k in KINDS if k != "singular"]
+    + [pytest.param(k, 2, marks=pytest.mark.campaign) for k in KINDS if k != "singular"],
+)
 def test_gamma_within_a_thousandth_or_better_than_the_inequalities(kind, seed):
     """Where the solver's gamma is the larger one, a verified controller below it shows which of the two is wrong."""
     item = plant(kind, seed)
