@@ -46,7 +46,7 @@ def tuned():
 def few_rounds():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tuning, "_POWERS", (10.0, 40.0))
-        patch.setattr(tuning, "_ITERATIONS", 60)
+        patch.setattr(tuning, "_ITERATIONS", 130)
         yield
 
 
@@ -190,6 +190,7 @@ def test_rounds_are_told_and_worst_members_join(tuned):
     assert [row["iteration"] for row in tuned.history] == [1.0, 2.0]
     assert tuned.history[1]["models"] > len(PLANTS)
     before = tune_controller(PLANTS, START, RUNS, order=8, bending_modes=0, time_limit=1e-3)
+    assert "time limit" in before.stopped_early and before.certificate.stable
     assert tuned.gamma < before.gamma  # where it started
 
 
@@ -219,12 +220,6 @@ def test_ctrl_c_keeps_the_best(monkeypatch):
 
     found = tune_controller(PLANTS, START, RUNS, bending_modes=1, progress=interrupted)
     assert found.stopped_early == "interrupted" and found.status == "verified"
-
-
-def test_the_time_limit_returns_what_holds(monkeypatch):
-    monkeypatch.setattr(tuning, "_ITERATIONS", 5)
-    found = tune_controller(PLANTS, START, RUNS, bending_modes=1, time_limit=1e-3)
-    assert "time limit" in found.stopped_early and found.certificate.stable
 
 
 @pytest.mark.campaign
