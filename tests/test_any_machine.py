@@ -143,6 +143,7 @@ def test_commands_with_other_names(pair, tmp_path):
     done = call("simulate", path, "--controller", controller, "--scenario", "force-step", "--linear", "-o", tmp_path / "r.h5")
     assert done.exit_code in {0, 1} and "Traceback" not in done.output
     wrong = call("verify", machine.name, "--controller", controller)
+    assert wrong.stderr.startswith(f"note: {controller} was made for other numbers of {machine.name};")
     assert wrong.exit_code == 2 and "this controller is for another machine" in wrong.stderr.splitlines()[-1]
     assert json.loads(call("check", path, "--json").stdout)["mass_kg"] > 1
     assert Path(controller).exists()

@@ -79,10 +79,14 @@ def test_simulate_writes_a_record(controller, tmp_path):
     from ambrose.machine.record.files import read_record
 
     path = tmp_path / "record.h5"
-    done = call("simulate", RIG, "--controller", controller, "--scenario", "impulse-parallel", "--linear", "-o", path, "--json")
-    assert done.exit_code == 0, done.stderr
-    assert json.loads(done.stdout)["outcome"] == "completed"
-    assert "y_A_zeta" in read_record(path).signals
+    other = f"note: {controller} was made for another machine, seal-rig;"
+    for machine, note in ((RIG, ""), ("seal-rig-k-only", other)):
+        rest = ("--controller", controller, "--scenario", "impulse-parallel", "--linear", "-o", path, "--json")
+        done = call("simulate", machine, *rest)
+        assert done.exit_code == 0, done.stderr
+        assert json.loads(done.stdout)["outcome"] == "completed"
+        assert note in done.stderr and ("note: " in done.stderr) == bool(note)
+        assert "y_A_zeta" in read_record(path).signals
 
 
 def test_simulate_reports_divergence_with_status_1(controller, tmp_path):
@@ -173,7 +177,20 @@ def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_pat
 BAD = {
     "unknown machine": (["check", "no-such-machine"], "seal-rig"),
     "speeds exchanged": (["synthesize", "turboexpander", "--method", "lpv", "--speeds-hz", "300", "20"], "--speeds-hz is 300"),
-    "speeds without lpv": (["synthesize", "turboexpander", "--speeds-hz", "20", "300"], "only method 'lpv'"),
+    "speeds without lpv": (
+        ["synthesize", "turboexpander", "--speeds-hz", "20", "300"],
+        "--speeds-hz is given, but must be left out with --method tuned; it goes with lpv",
+    ),
+    "an envelope without a method for it": (
+        ["synthesize", RIG, "--envelope", "--method", "pid"],
+        "--envelope is given, but must be",
+    ),
+    "an order without a method for it": (["synthesize", RIG, "--order", "4", "--method", "mu"], "it goes with polish or tuned"),
+    "another ending of a machine file": (["new", "{tmp}/x.json"], 'x.toml"'),
+    "a machine file as controller": (["verify", RIG, "--controller", "{tmp}/negative.toml"], "it is a machine file"),
+    "a controller as rotor": (["convert", "{controller}", "-o", "{tmp}/m.toml"], "or of a table of stations (*.csv)"),
+    "a record as rotor": (["convert", "{tmp}/record.csv", "-o", "{tmp}/m.toml"], "names no column of a table of stations"),
+    "a record's ending": (["convert", "{tmp}/x.xls", "-o", "{tmp}/x.h5"], "must be one of .h5, .hdf5, .csv; export"),
     "a directory": (["check", "."], "director"),
     "machine file truncated": (["check", "{tmp}/cut.toml"], "cut.toml"),
     "negative mass": (["check", "{tmp}/negative.toml"], "mass"),
@@ -214,6 +231,8 @@ def bad_files(tmp_path, controller):
     text = Path(str(bundled_machines()["seal-rig"])).read_text()
     (tmp_path / "cut.toml").write_text(text[: text.index("[[bearing]]") + 20])
     (tmp_path / "negative.toml").write_text(text + '\n[[disc]]\nname = "d"\nposition = 0.4\nmass = -1\n')
+    (tmp_path / "record.csv").write_text("time,y_A\n0,1\n")
+    (tmp_path / "x.xls").write_text("")
     (tmp_path / "unit.toml").write_text(text.replace('"50 mm"', '"50 kg"', 1))
     content = json.loads(controller.read_text())
     (tmp_path / "cut.json").write_text(controller.read_text()[:300])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from ambrose.core.checks import InvalidInput
@@ -107,3 +109,5 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
     assert seen["states"] == states + 4 and callable(seen["judge"]) and seen["loss"] == 0.05  # a Pade state per axis
     assert DesignOptions(rate=1e4, delay_samples=2).timing() == Timing(1e-4, 2)
     assert DesignOptions().timing() is None
+    runs = replace(plant, machine=replace(plant.machine, controller=replace(plant.machine.controller, sample_time=1e-4)))
+    assert "1 sample late (machine file)" in design(runs, "pid").certificate.plant  # it was called given
