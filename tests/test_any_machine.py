@@ -74,12 +74,8 @@ def test_robust_designs_do_not_depend_on_names(pair, method):
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-6)
 
 
-QUICK = {"impulse-parallel"}
-
-
-@pytest.mark.parametrize(
-    "name", [item if item in QUICK else pytest.param(item, marks=pytest.mark.campaign) for item in amb.bundled_scenarios()]
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", amb.bundled_scenarios())
 def test_every_scenario_runs_alike_under_other_names(pair, name):
     machine, path = pair
     other, scenario = amb.load_machine(path), amb.load_scenario(name)

@@ -134,6 +134,7 @@ def test_a_box_that_fails_at_another_point_fails_the_verification():
     assert first.passed and second.passed is False and not verdict.passed
 
 
+@pytest.mark.campaign
 def test_a_schedule_is_judged_as_it_runs_at_every_speed_of_its_grid():
     """At 1 kHz it loses the shaft that it holds continuously; the verification says which loop it judged."""
     machine = replace(coarse("turboexpander"), tolerances=())

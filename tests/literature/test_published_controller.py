@@ -258,6 +258,7 @@ def test_how_far_beyond_the_range():
         assert held == [True, False]
 
 
+@pytest.mark.campaign
 def test_rounded_integrators_leave_the_virtual_rig_off_centre():
     """Under the rotor's weight it rests up to 3.8 um from the middle; our own controller within 0.1 um."""
     scenario = replace(load_scenario("impulse-orthogonal"), duration=0.06)

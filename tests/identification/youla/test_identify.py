@@ -139,6 +139,7 @@ def test_recovery_without_noise(theta):
     assert result.estimate.converged and not result.estimate.warnings and result.controller_error < 1e-9
 
 
+@pytest.mark.campaign
 def test_initial_state_offset_several_records_and_other_parameters():
     later = record(2500, skip=700)
     values = later.values.copy()
