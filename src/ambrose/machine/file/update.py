@@ -156,7 +156,7 @@ def _in_units(model: type[Model], values: _Plain) -> dict[str, Any]:
         key, below = field.alias or name, table_below(model, name)
         if key in told and below is None:
             told[key] = _worded(told[key], _dimension(model, name, values), key)
-        elif key in told and not str(field.annotation).startswith("dict"):
+        elif below is not None and key in told and not str(field.annotation).startswith("dict"):
             several = isinstance(told[key], list)
             told[key] = [_in_units(below, item) for item in told[key]] if several else _in_units(below, told[key])
     return told
