@@ -30,7 +30,7 @@ def renamed(name):
     return text
 
 
-@pytest.fixture(scope="module", params=["seal-rig", pytest.param("turboexpander", marks=pytest.mark.campaign)])
+@pytest.fixture(scope="module", params=["seal-rig", pytest.param("turboexpander", marks=pytest.mark.study)])
 def pair(request, tmp_path_factory):
     """A bundled machine, and the path of the same under other names."""
     path = tmp_path_factory.mktemp("renamed") / "machine.toml"
@@ -65,7 +65,7 @@ def test_verification_and_designs_do_not_depend_on_names(pair):
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("method", ["hinf", "mu"])
+@pytest.mark.parametrize("method", ["hinf", pytest.param("mu", marks=pytest.mark.study)])
 def test_robust_designs_do_not_depend_on_names(pair, method):
     machine, path = pair
     one, two = (amb.design(item, method) for item in (machine, amb.load_machine(path)))
@@ -74,8 +74,13 @@ def test_robust_designs_do_not_depend_on_names(pair, method):
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-6)
 
 
-@pytest.mark.campaign
-@pytest.mark.parametrize("name", amb.bundled_scenarios())
+CAMPAIGN = {"impulse-parallel", "operating-cycle"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.campaign if n in CAMPAIGN else pytest.mark.study) for n in amb.bundled_scenarios()],
+)
 def test_every_scenario_runs_alike_under_other_names(pair, name):
     machine, path = pair
     other, scenario = amb.load_machine(path), amb.load_scenario(name)

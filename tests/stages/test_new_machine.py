@@ -208,7 +208,7 @@ def test_rotor_files_become_machines_and_machines_models_of_ross(tmp_path):
     assert same.exit_code == 2 and "give the machine file another name" in same.output
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_from_nothing_to_a_levitating_rig_in_two_minutes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     start = time.monotonic()

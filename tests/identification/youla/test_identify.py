@@ -163,7 +163,7 @@ def test_several_starts_find_the_same():
         assert share(result) == pytest.approx(0.5, abs=1e-6), factor
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method():
     """0.3 A, 1 um of white sensor noise; P1's own experiment has its Monte Carlo study in tests/literature/test_p1.py."""
     nominal = nominal_values(plant(), [PATH])[0]

@@ -271,7 +271,7 @@ def all_rounds(monkeypatch):
     monkeypatch.setattr(tuning, "_ITERATIONS", 200)
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_a_machine_without_a_controller_meets_every_requirement(all_rounds):
     """Bearings DE and NDE, no [controller] table; over the tolerances around every point as well."""
     result = amb.design(MACHINE, "tuned", rate=RUNS.rate)
@@ -280,8 +280,7 @@ def test_a_machine_without_a_controller_meets_every_requirement(all_rounds):
     assert max(point["sensitivity.output.max"].value for point in verdict.points) < 2.3
 
 
-@pytest.mark.campaign
-@pytest.mark.parametrize("rate", [None, 10_000.0])
+@pytest.mark.parametrize("rate", [pytest.param(None, marks=pytest.mark.study), pytest.param(1e4, marks=pytest.mark.campaign)])
 def test_the_turboexpander_holds_from_standstill_to_full_speed(rate, all_rounds):
     """Nothing else that this package designs meets every requirement of this machine at every one of its points."""
     result = amb.design("turboexpander", "tuned", rate=rate)
