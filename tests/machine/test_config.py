@@ -376,6 +376,8 @@ def machines(draw):
         draw(positive), coordinates, draw(positive), sample_time, None if samples is None else samples * sample_time, channels,
     )  # fmt: skip
     demands = {field.name: draw(maybe(st.floats(1, 3))) for field in fields(d.Requirements)}
+    demands["running_speeds"] = draw(maybe(st.just((0.5 * points[0].speed, 2 * points[0].speed))))
+    demands["roll_off"] = None if demands["control_gain"] is None else demands["roll_off"]
     crossover = draw(maybe(positive))
     limit = None if crossover is None else draw(maybe(st.floats(2, 50)))
     weights = d.DesignWeights(
