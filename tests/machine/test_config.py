@@ -104,7 +104,9 @@ def test_every_value_of_the_small_machine():
             d.Tolerance("seal.center.K", absolute=0.1e6),
             d.Tolerance("bearing.A.negative_stiffness.zeta", relative=0.2, around=("standstill",)),
         ),
-        requirements=d.Requirements(3.0, 1e-6, 2.5e-3, 200 * hz, 8e-6, 200 * hz, 0.05, 2.0, 30 * deg, 0.1, 4.0),
+        requirements=d.Requirements(
+            3.0, 1e-6, 2.5e-3, 200 * hz, 8e-6, 200 * hz, 0.05, 2.0, 30 * deg, 0.1, 4.0, 9e4, 1500 * hz, (5000 * rpm, 7000 * rpm)
+        ),
         weights=d.DesignWeights(20e-6, 1.0, 2 * hz, 0.3, 2.5, 0.002, 1400 * hz, 2, 20.0, 0.5, 2.0),
     )  # fmt: skip
     ours, theirs = flat(loads_machine(SMALL)), flat(expected)
