@@ -63,7 +63,7 @@ def test_published_p5_plant():
     np.testing.assert_allclose(peaks, [3.91, 2.63, 2.31, 2.48, 3.94], atol=0.02)
 
 
-QUICK = ("plain", "weights")
+QUICK = ("weights",)
 
 
 @pytest.mark.parametrize("kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.campaign) for k in KINDS])

@@ -55,6 +55,7 @@ def test_stable_over_the_range_with_high_sensitivity_off_nominal(checks):
     assert checks["robust.sensitivity.bound"].value < 1.005 * checks["robust.sensitivity.worst"].value
 
 
+@pytest.mark.campaign
 def test_input_sensitivity_is_very_similar(checks):
     """P5.9: within 1 % at the worst case."""
     assert checks["robust.sensitivity.input"].value == pytest.approx(checks["robust.sensitivity.worst"].value, rel=0.01)

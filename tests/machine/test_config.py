@@ -104,7 +104,9 @@ def test_every_value_of_the_small_machine():
             d.Tolerance("seal.center.K", absolute=0.1e6),
             d.Tolerance("bearing.A.negative_stiffness.zeta", relative=0.2, around=("standstill",)),
         ),
-        requirements=d.Requirements(3.0, 1e-6, 2.5e-3, 200 * hz, 8e-6, 200 * hz, 0.05, 2.0, 30 * deg, 0.1, 4.0),
+        requirements=d.Requirements(
+            3.0, 1e-6, 2.5e-3, 200 * hz, 8e-6, 200 * hz, 0.05, 2.0, 30 * deg, 0.1, 4.0, 9e4, 1500 * hz, (5000 * rpm, 7000 * rpm)
+        ),
         weights=d.DesignWeights(20e-6, 1.0, 2 * hz, 0.3, 2.5, 0.002, 1400 * hz, 2, 20.0, 0.5, 2.0),
     )  # fmt: skip
     ours, theirs = flat(loads_machine(SMALL)), flat(expected)
@@ -376,6 +378,8 @@ def machines(draw):
         draw(positive), coordinates, draw(positive), sample_time, None if samples is None else samples * sample_time, channels,
     )  # fmt: skip
     demands = {field.name: draw(maybe(st.floats(1, 3))) for field in fields(d.Requirements)}
+    demands["running_speeds"] = draw(maybe(st.just((0.5 * points[0].speed, 2 * points[0].speed))))
+    demands["roll_off"] = None if demands["control_gain"] is None else demands["roll_off"]
     crossover = draw(maybe(positive))
     limit = None if crossover is None else draw(maybe(st.floats(2, 50)))
     weights = d.DesignWeights(
@@ -480,6 +484,11 @@ class TestHash:
         assert len(hashes | {machine_hash(m) for m in changed}) == len(changed) + 1
 
 
+@pytest.fixture(scope="module")
+def validator():
+    return jsonschema.Draft202012Validator(machine_schema())
+
+
 class TestSchema:
     def test_committed_schema_is_current(self):
         committed = json.loads((ROOT / "docs" / "machine.schema.json").read_text())
@@ -491,11 +500,11 @@ class TestSchema:
         jsonschema.Draft202012Validator.check_schema(machine_schema())
 
     @pytest.mark.parametrize("path", [*bundled_machines().values(), HERE / "small.toml"], ids=lambda p: p.name)
-    def test_it_accepts_what_is_read(self, path):
-        jsonschema.validate(tomllib.loads(path.read_text()), machine_schema())
+    def test_it_accepts_what_is_read(self, path, validator):
+        validator.validate(tomllib.loads(path.read_text()))
 
-    def test_it_accepts_what_is_written(self):
-        jsonschema.validate(tomllib.loads(dumps_machine(loads_machine(SMALL))), machine_schema())
+    def test_it_accepts_what_is_written(self, validator):
+        validator.validate(tomllib.loads(dumps_machine(loads_machine(SMALL))))
 
     @pytest.mark.parametrize(
         "old, new",
@@ -512,10 +521,10 @@ class TestSchema:
             ("turns = 36", 'turns = "36"'),
         ],
     )
-    def test_it_refuses_what_is_refused(self, old, new):
+    def test_it_refuses_what_is_refused(self, old, new, validator):
         wrong = SMALL.replace(old, new, 1)
         with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(tomllib.loads(wrong), machine_schema())
+            validator.validate(tomllib.loads(wrong))
         with pytest.raises(InvalidInput):
             loads_machine(wrong)
 

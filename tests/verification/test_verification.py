@@ -77,7 +77,7 @@ def test_it_shows_itself_and_gives_plain_data():
         "Verification(passed=False, stable=True, worst_sensitivity=21, failed=[sensitivity.output.max]"
     )
     assert "&lt;b&gt;" in verdict._repr_html_()
-    assert repr(many[0].checks[1]) == "Check(name=margin.gain.A, value=2 -, limit=>= 1.5, passed=True)"
+    assert repr(many[0].checks[1]) == "Check(name=margin.gain.A, value=2, limit=>= 1.5, passed=True)"
 
 
 def test_frames():
