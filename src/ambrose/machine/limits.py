@@ -25,7 +25,7 @@ TABLES: Mapping[str, int] = {
     "material": 100,
     "disc": 100,
     "bearing": 8,
-    "sensor": 8,
+    "sensor": 32,
     "seal": 40,
     "coupling": 20,
     "tolerance": 60,

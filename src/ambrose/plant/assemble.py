@@ -72,8 +72,9 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
     """The rotor plus bearing stiffness, seals, couplings and modal damping, in free-rotor modes, with all ports.
 
     Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency (None: all of the mesh).
-    Inputs f_<port> [N]; outputs q_<port> and s_<axis> [m]; velocity outputs qdot_<port> [m/s]. A free bending mode that a
-    tolerance names has ports too, bending_<k>_x and _y: the force on its mass-orthonormal coordinate, and the coordinate.
+    Inputs f_<port> [N]; outputs q_<port> and s_<channel> [m] (``sensor_ports``); velocity outputs qdot_<port> [m/s]. A free
+    bending mode that a tolerance names has ports too, bending_<k>_x and _y: the force on its mass-orthonormal coordinate, and
+    the coordinate.
     """
     modes = free_modes(rotor, bending_modes_of(rotor) if bending_modes is None else bending_modes)
     places, sensed = ports(machine), sensor_ports(machine)
@@ -110,7 +111,7 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
         np.vstack([N, S]),
         N,
         tuple(f"f_{name}" for name in names),
-        tuple(f"q_{name}" for name in names) + tuple(f"s_{axis}" for axis in machine.axes),
+        tuple(f"q_{name}" for name in names) + tuple(f"s_{p.name}" for p in sensed),
         tuple(f"qdot_{name}" for name in names),
     )
 
@@ -185,7 +186,7 @@ def wire(
             rename(rotor, [f"F_{name}" for name in (*names, *mode_ports(machine))]),
             amplifier.linearised(machine.amplifier, machine.axes),
             magnets(machine, point),
-            sensor.linearised(machine.sensors, machine.axes),
+            sensor.linearised(machine.sensor_pairs, machine.axes),
         ],
         inputs=plant_inputs(machine.axes, names),
         outputs=plant_outputs(machine.axes, names),

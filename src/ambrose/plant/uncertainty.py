@@ -73,7 +73,7 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
         rename(plant.rotor, [f"F_{name}" for name in (*plant.ports, *mode_ports(machine))]),
         drive,
         magnets(machine, plant.point),
-        sensor.linearised(machine.sensors, machine.axes),
+        sensor.linearised(machine.sensor_pairs, machine.axes),
     ]
     u, y = plant_inputs(machine.axes, plant.ports), plant_outputs(machine.axes, plant.ports)
     gain = _rows_as_gain(rows)

@@ -151,7 +151,10 @@ def stations_table(machine: Machine) -> Table:
         rows.append((bearing.position, f"bearing {bearing.name}", ", ".join(words)))
     for sensor in machine.sensors:
         lag = "no lag" if sensor.bandwidth is None else f"bandwidth {units.quantity(sensor.bandwidth, 'rad/s')}"
-        rows.append((sensor.position, f"sensor {sensor.bearing}", ", ".join([*_pair_of("gain", sensor.gain, ""), lag])))
+        words = [*_pair_of("gain", sensor.gain, ""), lag]
+        words += [] if sensor.angle is None else [f"at {units.quantity(sensor.angle, 'rad')}"]
+        words += [] if sensor.weight == 1 else [f"weight {units.number(sensor.weight)}"]
+        rows.append((sensor.position, f"sensor {sensor.bearing}", ", ".join(words)))
     for seal in machine.seals:
         values = (
             (c, getattr(seal, c), u) for c, u in (("K", "N/m"), ("k", "N/m"), ("C", "N s/m"), ("c", "N s/m"), ("M", "kg"))

@@ -31,12 +31,13 @@ from ambrose.physics.rotor import (
 from ambrose.plant.assemble import assemble, bending_modes_of, magnet_coefficients
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant, top_speed
+from ambrose.plant.ports import measured_ports, sensor_turn
 from ambrose.plant.reduce import reduce_from
 from ambrose.plant.timing import machine_timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
 from ambrose.synthesis.fixed_order.tuning import bending_modes_for
-from ambrose.synthesis.pid import channel_chains, first_settings, pid_controller
+from ambrose.synthesis.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
 
 HERTZ = 2 * math.pi
 _MASS, _LENGTH, _DIAMETER = (1e-3, 5e3), (0.02, 12.0), (1e-3, 2.0)  # [kg], [m], [m] of rotors on magnetic bearings
@@ -76,10 +77,13 @@ def springs(machine: Machine) -> dict[str, tuple[float, float]]:
     Without one under ``first_settings``. Raises InvalidInput where that has no answer.
     """
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
-    chains = channel_chains(machine.reference or first_settings(machine), machine.axes)
-    gains = np.array([gain for gain, _ in chains])
+    settings = machine.reference or first_settings(machine)
+    chains = channel_chains(settings, machine.axes)
+    into, out = axes_mixings(settings, machine.axes, mixings(settings, machine))
     times = np.array([sum(item.derivative_time or 0.0 for item in sections) for _, sections in chains])
-    k, c = ((part.reshape(-1, 2)).mean(axis=1) for part in (gains * k_i - k_s, gains * k_i * times))
+    terms = np.array([[gain for gain, _ in chains], times * [gain for gain, _ in chains]])
+    own = np.einsum("ic,tc,ci->ti", out, terms, into @ sensor_turn(machine).T)  # of every axis over its own displacement
+    k, c = ((part.reshape(-1, 2)).mean(axis=1) for part in (own[0] * k_i - k_s, own[1] * k_i))
     return {bearing.name: (float(a), float(b)) for bearing, a, b in zip(machine.bearings, k, c, strict=True)}
 
 
@@ -221,9 +225,10 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
         return
     largest = float(np.abs(shape[0::2]).max())
     what = f"the first bending mode ({modes.frequencies[-1] / HERTZ:.4g} Hz)"
-    sensed = {sensor.bearing: sensor.position for sensor in machine.sensors}
     for bearing in machine.bearings:
-        at, read = (plane_rows(rotor, [bearing.position, sensed[bearing.name]])[0] @ shape)[:, 0] / largest
+        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
+        at, *each = (plane_rows(rotor, [bearing.position, *(pair.position for pair in pairs)])[0] @ shape)[:, 0] / largest
+        read = sum(pair.weight * value for pair, value in zip(pairs, each, strict=True))
         if abs(read) < _NODE:
             yield f"the sensor of bearing {bearing.name} is at a node of {what} and hardly sees it; move it along the shaft"
         elif at * read < 0 and abs(at) > _NODE:
@@ -290,5 +295,9 @@ def _remarks(machine: Machine) -> Iterator[str]:
         yield "no gravity_direction: the rotor has no weight on the rig"
     if machine.operation.speed_range[1] == 0 and top_speed(machine) > 0:
         yield "no speed_range: nothing is judged between the operating points"
+    turned = [p for p, b in zip(measured_ports(machine)[0::2], machine.bearings, strict=True) if p.direction != b.angle]
+    if turned:
+        names = ", ".join(port.name.removesuffix("_zeta") for port in turned)
+        yield f"sensors of {names} at another angle than the magnets: y_ is along the sensors, a PID turns it to the magnets"
     if not machine.tolerances:
         yield "no [[tolerance]]: what is verified holds for these very numbers"

@@ -159,13 +159,14 @@ def sensors(machine: MachineDescription) -> Iterator[str]:
         if sensor.bearing not in names:
             remedy = suggestion(sensor.bearing, names, "there is no [[bearing]]")
             yield f'{where}: bearing "{sensor.bearing}" is unknown; {remedy}'
-        elif sensor.bearing in served[:i]:
-            yield f'{where}: bearing "{sensor.bearing}" has a [[sensor]] already; give one sensor pair per bearing'
+        elif sensor.bearing not in served[:i] and sum(s.weight for s in machine.sensors if s.bearing == sensor.bearing) == 0:
+            yield complaint(where, "weight", 0, "positive for one pair of the bearing", "leave it out for equal shares")
         yield from not_positive(where, sensor, "leave it out for a sensor without lag", "bandwidth")
         for axis, gain in zip(("zeta", "eta"), sensor.gain, strict=True):
             if gain == 0:
                 yield complaint(where, f"gain ({axis})", 0, "different from zero", "1 is a calibrated sensor")
         yield from not_positive(where, sensor, "leave it out for a sensor without", "noise", "resolution", zero=True)
+        yield from not_positive(where, sensor, "1 is an equal share in the mean", "weight", zero=True)
         for k, harmonic in enumerate(sensor.runout):
             inside = f"{where}, [[sensor.runout]] {k + 1}"
             yield from not_positive(inside, harmonic, "periods per revolution; an offset is the key offset", "order")
