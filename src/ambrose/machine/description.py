@@ -49,8 +49,10 @@ from ambrose.machine.seals import SEAL_COEFFICIENTS as SEAL_COEFFICIENTS  # noqa
 from ambrose.machine.seals import GasSealGeometry as GasSealGeometry  # noqa: PLC0414
 from ambrose.machine.seals import Seal as Seal  # noqa: PLC0414
 from ambrose.machine.seals import SealTable as SealTable  # noqa: PLC0414
+from ambrose.machine.stator import CasingMode as CasingMode  # noqa: PLC0414
 from ambrose.machine.stator import Runout as Runout  # noqa: PLC0414
 from ambrose.machine.stator import Sensor as Sensor  # noqa: PLC0414
+from ambrose.machine.stator import Support as Support  # noqa: PLC0414
 
 Pair = tuple[float, float]  # (zeta, eta)
 
@@ -387,6 +389,8 @@ class MachineDescription(Part):
     discs: Annotated[tuple[Disc, ...], "rigid discs"] = field(default=(), metadata={"key": "disc"})
     seals: Annotated[tuple[Seal, ...], "annular seals"] = field(default=(), metadata={"key": "seal"})
     couplings: Annotated[tuple[Coupling, ...], "flexible couplings to ground"] = field(default=(), metadata={"key": "coupling"})
+    supports: Annotated[tuple[Support, ...], "supports under bearings"] = field(default=(), metadata={"key": "support"})
+    casing_modes: Annotated[tuple[CasingMode, ...], "modes of the casing"] = field(default=(), metadata={"key": "casing_mode"})
     controller: Annotated[PidSettings | None, "the reference controller"] = None
     operation: Annotated[Operation, "operating points and speed range"] = field(default_factory=Operation)
     tolerances: Annotated[tuple[Tolerance, ...], "uncertain parameters"] = field(default=(), metadata={"key": "tolerance"})

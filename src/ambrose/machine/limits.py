@@ -28,6 +28,8 @@ TABLES: Mapping[str, int] = {
     "sensor": 32,
     "seal": 40,
     "coupling": 20,
+    "support": 8,
+    "casing_mode": 20,
     "tolerance": 60,
     "operation.point": 50,
     "operation.range": 10,

@@ -36,6 +36,13 @@ def ports(machine: Machine) -> tuple[Port, ...]:
     )
 
 
+def supported_ports(machine: Machine) -> tuple[str, ...]:
+    """The ports at which the stator is on a support or a casing that moves: forces of bearing and seal act on both."""
+    moved = {name for support in machine.supports for name in (support.bearing, *support.seals)}
+    moved |= {name for mode in machine.casing_modes for name in mode.at}
+    return tuple(port.name for port in ports(machine) if port.name.rpartition("_")[0] in moved)
+
+
 def sensor_ports(machine: Machine) -> tuple[Port, ...]:
     """The places of the single displacement sensors, in the order of ``physics.sensor.channels``."""
     return tuple(

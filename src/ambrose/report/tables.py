@@ -169,6 +169,12 @@ def stations_table(machine: Machine) -> Table:
         words = _pair_of("stiffness", coupling.stiffness, "N/m")
         words += _pair_of("damping", coupling.damping, "N s/m") if any(coupling.damping) else []
         rows.append((coupling.position, _titled("coupling", coupling.name), ", ".join(words)))
+    for support in machine.supports:
+        place = next(bearing.position for bearing in machine.bearings if bearing.name == support.bearing)
+        pairs = (("mass", support.mass, "kg"), ("stiffness", support.stiffness, "N/m"), ("damping", support.damping, "N s/m"))
+        words = [f"{name} {' and '.join(units.quantity(v, u) for v in dict.fromkeys(pair))}" for name, pair, u in pairs]
+        words += [f"with seal {name}" for name in support.seals] + ["sensors on the ground"] * (support.sensor == "ground")
+        rows.append((place, f"support {support.bearing}", ", ".join(words)))
     for disc in machine.discs:
         inertias = (("polar", disc.polar_inertia), ("diametral", disc.diametral_inertia))
         words = [f"{name} inertia {units.quantity(value, 'kg m2')}" for name, value in inertias if value]

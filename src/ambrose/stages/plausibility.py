@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.statespace import spectral_abscissa
 from ambrose.machine.criteria import demand
-from ambrose.machine.description import MagneticBearing
+from ambrose.machine.description import MagneticBearing, Seal
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import (
     STANDARD_GRAVITY,
@@ -28,7 +28,7 @@ from ambrose.physics.rotor import (
     mass_properties,
     plane_rows,
 )
-from ambrose.plant.assemble import assemble, bending_modes_of, magnet_coefficients
+from ambrose.plant.assemble import assemble, attached_rotor, bending_modes_of, magnet_coefficients
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.ports import measured_ports, sensor_turn
@@ -88,18 +88,21 @@ def springs(machine: Machine) -> dict[str, tuple[float, float]]:
 
 
 def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
-    """The lowest undamped critical speeds [rad/s], forward, of the rotor on ``springs`` and couplings, without seals."""
-    rotor, held = finite_element_rotor(machine), springs(machine)
-    modes = free_modes(rotor, min(_MODES, bending_modes_of(rotor)))
-    plane = _plane(modes.shapes)
-    places = [*((b.position, held[b.name][0]) for b in machine.bearings)]
-    places += [(item.position, float(np.mean(item.stiffness))) for item in machine.couplings]
-    w = plane_rows(rotor, [place for place, _ in places])[0] @ plane
-    K = np.diag(modes.frequencies[0::2] ** 2) + w.T @ np.diag([k for _, k in places]) @ w
-    G = plane.T @ rotor.plane_gyroscopic @ plane
-    values = sla.eigvals(K, np.eye(len(K)) - G)  # (K - W^2 (M - G)) z = 0: whirl as fast as spin
-    squares = values.real[np.isfinite(values) & (np.abs(values.imag) < 1e-6 * np.abs(values)) & (values.real > 0)]
-    return [float(speed) for speed in np.sqrt(np.sort(squares))[:count]]
+    """The lowest undamped critical speeds [rad/s], forward, of the rotor on ``springs``, couplings and supports, without seals.
+
+    (K - W^2 (M - j G)) q = 0: whirl as fast as spin, forward where x leads y in most of the rotor's motion.
+    """
+    rotor, held, point = finite_element_rotor(machine), springs(machine), machine.operation.design
+    bending = min(_MODES, bending_modes_of(rotor))
+    bare = replace(machine, seals=tuple(Seal(item.name, item.position) for item in machine.seals), tolerances=())
+    model = attached_rotor(bare, point, rotor, bending)
+    N = model.C[: len(machine.axes)]
+    extra = np.repeat([held[b.name][0] for b in machine.bearings], 2) + magnet_coefficients(machine, point)[1]
+    values, vectors = sla.eig(model.stiffness + N.T @ np.diag(extra) @ N, model.mass - 1j * model.gyroscopic)
+    x, y = vectors[0 : 4 + 2 * bending : 2], vectors[1 : 4 + 2 * bending : 2]
+    forward = (np.abs(x + 1j * y) ** 2).sum(axis=0) > (np.abs(x - 1j * y) ** 2).sum(axis=0)
+    real = np.isfinite(values) & (np.abs(values.imag) < 1e-6 * np.abs(values)) & (values.real > 0)
+    return [float(speed) for speed in np.sqrt(np.sort(values[real & forward].real))[:count]]
 
 
 def _plane(shapes: np.ndarray) -> np.ndarray:

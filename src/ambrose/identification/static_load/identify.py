@@ -138,7 +138,8 @@ def bearing_forces(machine: Machine, point: OperatingPoint, levels: Levels) -> t
         if f"f_{port}" not in system.inputs:
             known = ", ".join(name.removeprefix("f_") for name in system.inputs)
             raise invalid("a load's port", repr(port), f"one of {known}", "name the signal f_<port>, or add a disc there")
-    N_b, N_f = system.B[:, at], system.B[:, [system.inputs.index(f"f_{port}") for port in levels.ports]]
+    outside = [f"o_{port}" if f"o_{port}" in system.inputs else f"f_{port}" for port in levels.ports]  # on the rotor alone
+    N_b, N_f = system.B[:, at], system.B[:, [system.inputs.index(name) for name in outside]]
     seen = [system.outputs.index(f"s_{port.name}") for port in sensor_ports(machine)]
     S = sensor.means(machine.sensor_pairs, axes) @ system.C[seen]
     K = system.stiffness + N_b @ np.diag(_stiffness(machine, point, None)) @ N_b.T  # takes the magnets out again

@@ -201,7 +201,10 @@ def _coefficients(item: Seal, poles: np.ndarray, pressure: float, speed: float, 
 
 
 def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
-    """(I + sum M phi phi^T)^-1 in the middle of every sample; M the seals' added masses."""
+    """(I + sum M phi phi^T)^-1 in the middle of every sample; M the seals' added masses.
+
+    Of one plane, (p, p); where such a seal is on a support of all coordinates, (n, n).
+    """
     p = rig.modes
     added = coefficients[:, :, 4]
     if not added.any():
@@ -209,4 +212,9 @@ def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
     first = len(rig.machine.bearings) + len(rig.machine.couplings)
     shape = rig.constants.shape[first : first + added.shape[1]]
     middle = added if len(added) == 1 else (added[1:] + added[:-1]) / 2
+    on = rig.constants.support_shape[first : first + added.shape[1]]
+    if on[added.any(axis=0)].any():
+        rows = np.concatenate([np.einsum("sp,de->sdpe", shape, np.eye(2)).reshape(len(shape), 2, 2 * p), -on], axis=2)
+        whole = np.einsum("ks,sdi,sdj->kij", middle, rows, rows)
+        return np.ascontiguousarray(np.linalg.inv(np.eye(rows.shape[2]) + whole))
     return np.ascontiguousarray(np.linalg.inv(np.eye(p) + np.einsum("ks,sp,sq->kpq", middle, shape, shape)))

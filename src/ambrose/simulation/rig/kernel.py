@@ -156,15 +156,17 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
 
 @_compiled
 def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) -> None:
-    """The scenario's forces at their stations; weight and unbalance on the modes."""
+    """The scenario's forces, weight and unbalance, on the rotor alone."""
+    for j in range(rig.weight.shape[0]):
+        work.modal[j] = rig.weight[j]
     for m in range(drive.force_at.shape[0]):
         value = drive.force[0, m, k] + tau * (drive.force[1, m, k] + tau * (drive.force[2, m, k] + tau * drive.force[3, m, k]))
         s, axis = drive.force_at[m, 0], drive.force_at[m, 1]
         c, d = rig.direction[s, 0], rig.direction[s, 1]
-        work.force[s, 0] += value * (c if axis == 0 else -d)
-        work.force[s, 1] += value * (d if axis == 0 else c)
-    for j in range(rig.weight.shape[0]):
-        work.modal[j] = rig.weight[j]
+        fx, fy = value * (c if axis == 0 else -d), value * (d if axis == 0 else c)
+        for j in range(rig.stiffness.shape[0]):
+            work.modal[2 * j] += rig.shape[s, j] * fx
+            work.modal[2 * j + 1] += rig.shape[s, j] * fy
     acceleration = (drive.speed[k + 1] - drive.speed[k]) / drive.dt
     if drive.unbalance.shape[0] and (speed != 0.0 or acceleration != 0.0):
         angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2

@@ -19,6 +19,7 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes, gravity_load
+from ambrose.physics.support import foundation
 from ambrose.plant.assemble import bending_modes_of, gyroscopic_of, seal_model
 from ambrose.plant.ports import ports, sensor_ports
 
@@ -132,6 +133,7 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
     rates = [w for w in (machine.amplifier.bandwidth, machine.amplifier.natural_frequency) if w is not None]
     single = sensor.channels(machine.sensor_pairs, machine.axes)
     tracks = [sensor.harmonics(pair) for pair in machine.sensor_pairs]
+    base = foundation(machine)
     constants = Constants(
         stiffness=frequencies**2,
         damping=2 * machine.modal_damping * frequencies,
@@ -153,9 +155,9 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
         runout_start=np.cumsum([0, *(len(track) for track in tracks)]),
         seal_lags=_seal_lags(machine, point),
         weight=modes.shapes.T @ gravity_load(rotor, machine.gravity_direction),
-        support=np.zeros((0, 2)),
-        support_shape=np.zeros((len(places) // 2, 2, 0)),
-        sensor_support=np.zeros((len(sensed) // 2, 2, 0)),
+        support=np.column_stack([base.stiffness, base.damping]),
+        support_shape=base.stator_rows([port.name.rpartition("_")[0] for port in places[0::2]]),
+        sensor_support=base.sensor_rows([port.name.rpartition("_")[0] for port in sensed[0::2]]),
     )
     translation = modes.shapes[:, 0]
     return Rig(machine, point, constants, tuple(port.name for port in places), float(1 / np.abs(translation).max() ** 2))
