@@ -38,6 +38,7 @@ from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity, una
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
 from ambrose.synthesis.fixed_order.tuning import bending_modes_for
 from ambrose.synthesis.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
+from ambrose.verification.rotor_modes import PLANAR, whirl_measure
 
 HERTZ = 2 * math.pi
 _MASS, _LENGTH, _DIAMETER = (1e-3, 5e3), (0.02, 12.0), (1e-3, 2.0)  # [kg], [m], [m] of rotors on magnetic bearings
@@ -47,6 +48,7 @@ _NODE = 0.05  # of a mode's largest deflection
 _SHORT = 3.0  # diameters of length that one bearing may hold
 _MARGIN = 1.2  # K_p k_i / k_s below which stiffness is left to chance
 _MODES = 12
+_APART = 1e-9  # of the squared critical speeds: no figure shows it
 _POINTS = 8  # at most, at which the reference controller is looked at
 
 
@@ -90,7 +92,7 @@ def springs(machine: Machine) -> dict[str, tuple[float, float]]:
 def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
     """The lowest undamped critical speeds [rad/s], forward, of the rotor on ``springs``, couplings and supports, without seals.
 
-    (K - W^2 (M - j G)) q = 0: whirl as fast as spin, forward where x leads y in most of the rotor's motion.
+    (K - W^2 (M - j G)) q = 0: whirl as fast as spin; forward, or planar where a support is stiffer one way than the other.
     """
     rotor, held, point = finite_element_rotor(machine), springs(machine), machine.operation.design
     bending = min(_MODES, bending_modes_of(rotor))
@@ -98,9 +100,12 @@ def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
     model = attached_rotor(bare, point, rotor, bending)
     N = model.C[: len(machine.axes)]
     extra = np.repeat([held[b.name][0] for b in machine.bearings], 2) + magnet_coefficients(machine, point)[1]
-    values, vectors = sla.eig(model.stiffness + N.T @ np.diag(extra) @ N, model.mass - 1j * model.gyroscopic)
-    x, y = vectors[0 : 4 + 2 * bending : 2], vectors[1 : 4 + 2 * bending : 2]
-    forward = (np.abs(x + 1j * y) ** 2).sum(axis=0) > (np.abs(x - 1j * y) ** 2).sum(axis=0)
+    planes = np.kron(np.eye(2 + bending), [[0.0, 1.0], [-1.0, 0.0]])
+    apart = _APART * sla.block_diag(planes, np.zeros((model.n - len(planes),) * 2))  # parts what whirls alike either way
+    stiffness = model.stiffness + N.T @ np.diag(extra) @ N
+    values, vectors = sla.eig(stiffness, model.mass - 1j * (model.gyroscopic + apart))
+    names = tuple(f"{k}_{plane}" for k in range(2 + bending) for plane in "xy")
+    forward = whirl_measure(vectors[: len(names)], names) > -PLANAR
     real = np.isfinite(values) & (np.abs(values.imag) < 1e-6 * np.abs(values)) & (values.real > 0)
     return [float(speed) for speed in np.sqrt(np.sort(values[real & forward].real))[:count]]
 
