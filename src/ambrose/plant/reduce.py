@@ -92,7 +92,7 @@ def default_bending_modes(plant: Plant) -> int:
 def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: bool = True) -> Reduction:
     """Split off the slow modes of the rotor on its bearings, seals and couplings: 8 + 4 bending_modes states, and the seals'.
 
-    Two more for every coordinate of a support below the first bending mode that is cut off.
+    One more for every pole of a support that is slower than the first bending mode that is cut off.
 
     Offsets of a perturbed plant are applied to the reduced one; transforms and residual are those of the nominal rotor.
     ``static_correction`` adds the static compliance of all that was cut off as a feedthrough from force to displacement.
@@ -108,20 +108,22 @@ def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: boo
         )
     full = attached_rotor(machine, point, rotor)
     inner = 4 + 2 * min(available, bending_modes + _EXTRA_MODES)  # all other modal coordinates are held at zero
-    base = np.sqrt(foundation(machine).stiffness)
+    base = foundation(machine)
     kept = np.r_[:inner, full.n - len(base) : full.n]
     second_order = project(full, np.eye(full.n)[:, kept])
     small = to_statespace(second_order, point.speed)
     fastest = np.inf if bending_modes == available else free_modes(rotor, bending_modes + 1).frequencies[-1]
-    T_L, T_R, L_res, R_res = split_slow(small.A, 8 + 4 * bending_modes + 2 * int((base < fastest).sum()))
+    own = [np.roots([1.0, d, k]) for d, k in zip(base.damping, base.stiffness, strict=True)]
+    slower = int((np.abs(own) < fastest).sum())
+    T_L, T_R, L_res, R_res = split_slow(small.A, 8 + 4 * bending_modes + slower)
     slow, fast = (
         StateSpace(L @ small.A @ R, L @ small.B, small.C @ R, small.D, small.inputs, small.outputs)
         for L, R in ((T_L, T_R), (L_res, R_res))
     )
     reduced = with_static_correction(slow, full) if static_correction else slow
     lift_L, lift_R = _lift(second_order, full, state_scales(machine, rotor), kept)
-    own = np.eye(seal_states(machine, point))
-    left, right = sla.block_diag(T_L @ lift_L, own), sla.block_diag(lift_R @ T_R, own)
+    held = np.eye(seal_states(machine, point))
+    left, right = sla.block_diag(T_L @ lift_L, held), sla.block_diag(lift_R @ T_R, held)
     reduced = with_seal_states(machine, point, reduced)
     result = with_offsets_of(wire(machine, point, reduced, bending_modes), plant)
     return Reduction(result, left, right, fast, static_correction)
