@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from ambrose.machine.description import Requirements
+from ambrose.plant.separation import allowed_amplification, needed_damping
 from ambrose.verification.checks import Curve
-from ambrose.verification.critical_speeds import critical_speeds
+from ambrose.verification.critical_speeds import critical_speeds, separation_check
 
 
 def response(speeds, *modes):
@@ -53,3 +55,38 @@ def test_a_curve_that_ends_at_its_peak_has_none_and_one_flank_is_taken_twice():
     short = speeds <= 610
     ((_, factor),) = critical_speeds(curve(speeds[short], row[:, short], ("A, in phase",)))
     assert factor == pytest.approx(10, rel=0.1)
+
+
+RUNNING = (900.0, 1000.0)
+
+
+@pytest.mark.parametrize(("factor", "below", "above"), [(2.5, 0.0, 10.0), (5.0, 12.142857, 22.142857), (10.0, 15.0, 25.0)])
+def test_the_allowed_factor_is_the_standards_formula_turned_round(factor, below, above):
+    """17 (1 - 1/(AF - 1.5)) per cent of the lowest speed below, 10 more of the highest above; worked out by hand."""
+    places = np.array([900 * (1 - below / 100), 1000 * (1 + above / 100)])
+    assert allowed_amplification(places, RUNNING) == pytest.approx([factor, factor], rel=1e-5)
+    damping, slope = needed_damping(places, RUNNING)
+    assert damping == pytest.approx([0.5 / factor] * 2, rel=1e-5)
+    steps = [needed_damping(places + h, RUNNING)[0] for h in (-1e-3, 1e-3)]
+    if factor > 2.5:  # a corner of the formula
+        assert slope == pytest.approx((steps[1] - steps[0]) / 2e-3, rel=1e-6)
+
+
+def test_inside_nothing_sharp_is_allowed_and_far_away_anything():
+    assert (allowed_amplification(np.array([900.0, 950.0, 1000.0, 1050.0]), RUNNING) == 2.5).all()
+    assert np.isinf(allowed_amplification(np.array([755.0, 1261.0]), RUNNING)).all()
+    assert (needed_damping(np.array([700.0, 1300.0]), RUNNING)[0] == 0).all()
+
+
+PLACES = [
+    (950, 0.21, True), (950, 0.1, False), (840, 0.05, False), (760, 0.05, True),
+    (1150, 0.15, True), (1150, 0.05, False), (1280, 0.01, True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("at", "damping", "passed"), PLACES)
+def test_a_critical_speed_is_judged_by_its_place(at, damping, passed):
+    speeds = np.linspace(10, 2000, 20000)
+    found = separation_check(speeds, response(speeds, (float(at), damping)), Requirements(), RUNNING)
+    assert found.passed is passed
+    assert {950: "allowed 2.5", 760: "allowed", 1280: "far enough"}.get(at, "") in found.detail or damping == 0.21

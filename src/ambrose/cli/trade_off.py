@@ -9,7 +9,7 @@ import click
 
 from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, say_json
 
-_OVER = ("settling_time", "unbalance_orbit", "max_current", "compliance_peak", "log_decrement", "order")
+_OVER = ("settling_time", "unbalance_orbit", "max_current", "compliance_peak", "control_gain", "log_decrement", "order")
 
 
 @click.command("trade-off")

@@ -90,6 +90,17 @@ LOG_DECREMENT = Criterion(
     relation=">=",
     note="from public code that cites the 9th edition; the annex on magnetic bearings was not seen",
 )
+SEPARATION = Criterion(
+    "api-617.separation-margin",
+    "amplification factor of a critical speed over the one that its place allows (plant/separation.py)",
+    "API 617",
+    "9th edition (2022)",
+    "separation margin",
+    "-",
+    (Limit("", 1.0, False),),
+    relation="<=",
+    note="the formula from public code that cites the 8th edition and API 684; the text was not seen",
+)
 BALANCE_GRADE = Criterion(
     "iso-21940-11.balance-grade",
     "default residual unbalance: speed times eccentricity of the centre of mass",
@@ -147,6 +158,8 @@ RULES: dict[str, Rule] = {
         Rule("gain margin", "gain_margin", relation=">="),
         Rule("phase margin", "phase_margin", relation=">="),
         Rule("current", "max_current"),
+        Rule("control gain", "control_gain"),
+        Rule("separation margin", None, SEPARATION),
         Rule("information"),
     )
 }

@@ -344,6 +344,15 @@ class Requirements(Part):
     phase_margin: Annotated[Angle | None, "smallest phase margin"] = None
     log_decrement: Annotated[Ratio | None, "smallest logarithmic decrement"] = None
     max_current: Annotated[Current | None, "largest control current"] = None
+    control_gain: Annotated[
+        float | None, Quantity("current per displacement"), "largest gain from measurement to current, K S_o"
+    ] = None
+    roll_off: Annotated[Rate | None, "frequency above which control_gain falls by 20 dB per decade"] = None
+    running_speeds: Annotated[
+        Pair | None,
+        PairOf("angular rate", "lowest, highest", scalar=False),
+        "[lowest, highest] running speed, which critical speeds stay away from (API 617)",
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)

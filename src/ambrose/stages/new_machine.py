@@ -299,7 +299,7 @@ def _with_aims(machine: Machine, reasons: dict[str, str]) -> Machine:
     least = unavoidable_sensitivity(assemble(machine, machine.operation.design))[0]
     orbit = rounded(0.3 * bearing.touchdown_gap, 2)
     peak = max(3.0, rounded(1.5 * least, 2))
-    turning = {} if not top else {
+    turning: dict[str, Any] = {} if not top else {
         "balance_grade": _GRADE, "balance_speed": top, "unbalance_orbit": orbit, "unbalance_to": top,
     }  # fmt: skip
     reasons["requirements.sensitivity_peak"] = "zone A of ISO 14839-3" + (", beyond its reach here" if peak > 3 else "")

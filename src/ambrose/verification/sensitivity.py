@@ -8,6 +8,7 @@
 | sensitivity.input.max        | peak of its maximum singular value                                  | -    |
 | complementary.<axis>, .max   | the same of T_o = I - S_o                                           | -    |
 | control.<axis>, .max         | the same of K S_o                                                   | A/m  |
+| control.roll_off             | peak of K S_o times sqrt(1 + (w/w_r)^2), where a roll_off w_r is required | A/m  |
 | compliance.<axis>, .max      | the same of force to displacement at the bearings                   | m/N  |
 
 Each has a curve of the name before the last dot.
@@ -56,7 +57,7 @@ _QUANTITIES = (
         "input sensitivity of an axis", "maximum singular value of the input sensitivity",
     ),
     _Quantity("complementary", "complementary sensitivity", "-", LoopResponse.complementary),
-    _Quantity("control", "control sensitivity K S", "A/m", LoopResponse.control_sensitivity),
+    _Quantity("control", "control sensitivity K S", "A/m", LoopResponse.control_sensitivity, "information", "control gain"),
     _Quantity("compliance", "compliance", "m/N", LoopResponse.compliance, "information", "compliance"),
 )  # fmt: skip
 
@@ -85,7 +86,21 @@ def sensitivity_checks(
                 judge(f"{quantity.name}.{label}", f"Peak {quantity.title}, {what}", peak.value, quantity.unit, wanted, detail)
             )
         curves.append(_curve(quantity, response, values, labels, requirements))
+    if requirements.roll_off is not None:
+        checks.append(_roll_off(response, evaluator, requirements, requirements.roll_off))
     return checks, curves
+
+
+def _roll_off(response: LoopResponse, evaluator: Evaluator, requirements: Requirements, corner: float) -> Check:
+    """Over the whole grid of the response: what lies beyond the range of ISO 14839-3 counts here."""
+
+    def rows(at: LoopResponse) -> np.ndarray:
+        size = np.linalg.norm(at.control_sensitivity(), 2, axis=(1, 2))
+        return np.asarray(size * np.hypot(1, at.omega / corner))[None, :]
+
+    ((peak,),) = peaks_of([rows], response, evaluator)
+    title = f"Control sensitivity with a roll-off from {corner / TWO_PI:.4g} Hz, maximum singular value"
+    return judge("control.roll_off", title, peak.value, "A/m", demand("control gain", requirements), _where(peak))
 
 
 def _where(peak: Peak) -> str:
@@ -111,8 +126,8 @@ def _curve(
     limits: tuple[tuple[str, float], ...] = ()
     if quantity.name.startswith("sensitivity"):
         limits = zone_lines(SENSITIVITY, requirements.sensitivity_peak)
-    elif quantity.name == "compliance" and requirements.compliance_peak is not None:
-        limits = (("required", requirements.compliance_peak),)
+    elif (wanted := demand(quantity.max_rule, requirements).limit) is not None:
+        limits = (("required", wanted),)
     title = quantity.title[0].upper() + quantity.title[1:]
     labels = ("maximum singular value", *labels[1:])
     return Curve(quantity.name, title, "frequency", response.omega, values, labels, "rad/s", quantity.unit, limits)

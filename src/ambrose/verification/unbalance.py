@@ -16,6 +16,8 @@ A rotor of mass m balanced to grade G [m/s] at W_b keeps the unbalance U = m G /
 | unbalance.clearance  | the worst-case orbit over the smallest touchdown (or air) gap (ISO 14839-2) | -    |
 | unbalance.current    | worst-case control current of the axis nearest to its limit              | A    |
 | unbalance.force      | worst-case magnetic force k_i i + k_s q of the axis nearest to its limit | N    |
+| unbalance.voltage    | worst-case voltage w L i of a coil, where the amplifier has a max_voltage | V    |
+| unbalance.separation | amplification factor over the allowed one near the running_speeds (API 617) | -    |
 | unbalance.assembled  | worst-case orbit with the rotor assembled anew at every speed              | m    |
 
 The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled" and "unbalance.current".
@@ -37,8 +39,11 @@ from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.unbalance import Unbalance, residual_unbalance
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import judge
+from ambrose.verification.critical_speeds import separation_check
 from ambrose.verification.loop_response import Evaluator, LoopResponse, loop_at
 from ambrose.verification.peaks import Peak, peaks_of
+
+_NEAR = 1.4  # times the highest running speed: where critical speeds are looked for
 
 
 def orbit(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -71,6 +76,11 @@ def worst_forces(response: LoopResponse, residual: Unbalance, plant: Plant) -> n
     k_i, k_s = magnet_coefficients(plant.machine, plant.point)
     per_force = k_i[:, None] * response.current_per_force() + k_s[:, None] * response.compliance()
     return (np.linalg.norm(per_force, axis=2) * residual.force(response.omega)[:, None]).T
+
+
+def worst_voltages(response: LoopResponse, residual: Unbalance, inductance: float) -> np.ndarray:
+    """Largest voltage w L i of every axis' coil (a, w) [V]: what the virtual rig limits; resistance and motion are left out."""
+    return worst_currents(response, residual) * (inductance * response.omega)
 
 
 def unbalance_checks(
@@ -108,7 +118,13 @@ def unbalance_checks(
         *_clearance(machine, worst, requirements),
         axis_limit_check(plant, "unbalance.current", "Worst-case unbalance current", currents, requirements),
         axis_limit_check(plant, "unbalance.force", "Worst-case magnetic force under unbalance", forces, requirements),
+        *_voltage(plant, response, evaluator, residual, within),
     ]  # fmt: skip
+    running = requirements.running_speeds
+    if running is not None and running[0] <= plant.point.speed * (1 + 1e-9) and plant.point.speed <= running[1] * (1 + 1e-9):
+        near = response.omega <= _NEAR * running[1]
+        turning = np.vstack([case(response)[:, near] for case in cases[1:3]])
+        checks.append(separation_check(response.omega[near], turning, requirements, running))
     shown = response.omega <= max(highest, residual.speed)
     orbits = np.vstack([case(response)[:, shown] for case in cases[:3]])
     omega = response.omega[shown]
@@ -119,6 +135,19 @@ def unbalance_checks(
             response.axes, "rad/s", "A",
         ),
     ]  # fmt: skip
+
+
+def _voltage(
+    plant: Plant, response: LoopResponse, evaluator: Evaluator, residual: Unbalance, within: tuple[float, float]
+) -> list[Check]:
+    amplifier = plant.machine.amplifier
+    most, inductance = amplifier.max_voltage, amplifier.inductance
+    if most is None or inductance is None:
+        return []
+    (peaks,) = peaks_of([lambda r: worst_voltages(r, residual, inductance)], response, evaluator, within)
+    k = int(np.argmax([peak.value for peak in peaks]))
+    wanted, detail = machine_limit(most, "the amplifier's max_voltage"), f"axis {plant.axes[k]} {_at(peaks[k])}"
+    return [judge("unbalance.voltage", "Worst-case coil voltage under unbalance", peaks[k].value, "V", wanted, detail)]
 
 
 def _orbit_curve(machine: Machine, speeds: np.ndarray, orbits: np.ndarray, requirements: Requirements) -> Curve:

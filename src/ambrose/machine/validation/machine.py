@@ -222,6 +222,14 @@ def _requirements(machine: MachineDescription) -> Iterator[str]:
             yield complaint(where, key, f"{least:g}", "at least 1", "it is a factor, not decibels")
     if demanded.phase_margin is not None and demanded.phase_margin >= math.pi:
         yield complaint(where, "phase_margin", f"{demanded.phase_margin:g} rad", "below pi", 'write degrees as "30 deg"')
+    if demanded.roll_off is not None and demanded.control_gain is None:
+        yield f"{where}: roll_off needs control_gain, the gain that falls above it; give both, or neither"
+    if (running := demanded.running_speeds) is not None and min(running) > 0:
+        if running[0] > running[1]:
+            yield complaint(where, "running_speeds", f"[{running[0]:g}, {running[1]:g}]", "[lowest, highest]", "swap the two")
+        elif not any(running[0] <= p.speed * (1 + 1e-9) <= running[1] * (1 + 2e-9) for p in machine.operation.envelope):
+            told = " to ".join(f"{speed * 30 / math.pi:.4g}" for speed in running)
+            yield f"{where}: no operating point runs at running_speeds, {told} rpm; add a [[operation.point]] there"
 
 
 def _weights(machine: MachineDescription) -> Iterator[str]:

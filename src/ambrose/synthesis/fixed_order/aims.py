@@ -23,6 +23,7 @@ _BANDWIDTH, _STIFF = 2.0, 0.01  # assumed: sigma_max(S_o) below 2 rad/s falls to
 _GAIN = 1.5  # assumed: times the largest gain of the controller that tuning starts from
 _GUARD = 0.3  # assumed: of the rotor's modal damping, for modes above the top speed
 _MARGIN = 1.05  # of the log decrement, which is judged on the full plant
+_ROLLED = 8.0  # the grid reaches this many times past the roll-off
 _BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
 
 
@@ -30,10 +31,11 @@ _BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
 class Aims:
     """Limits; None asks for nothing.
 
-    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|. gain [A/m]: of K S_o.
-    unbalance U [kg m] up to ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none). compliance
-    [m/N]. settling [s] after the current pulse. damping [-] of modes below ``damped_to`` [rad/s], guard [-] of those above.
-    highest [rad/s]: end of the grid.
+    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|. gain [A/m]: of K S_o, falling
+    above roll_off [rad/s]. unbalance U [kg m] up to ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N]
+    (nan: none), voltage: (largest [V], inductance [H]) of a coil. compliance [m/N]. settling [s] after the current pulse.
+    damping [-] of modes below ``damped_to`` [rad/s], guard [-] of those above. running [rad/s]: lowest and highest speed, near
+    which modes are damped as API 617's separation margin asks. highest [rad/s]: end of the grid.
     """
 
     sensitivity: float
@@ -51,11 +53,18 @@ class Aims:
     settling: float | None = None
     bandwidth: float = _BANDWIDTH
     stiff: float = _STIFF
+    roll_off: float | None = None
+    running: tuple[float, float] | None = None
+    voltage: tuple[float, float] | None = None
 
     def sensitivity_limit(self, omega: np.ndarray) -> np.ndarray:
         """The limit of sigma_max(S_o) at omega (w,) [rad/s]."""
         s = 1j * omega
         return np.abs((s + self.bandwidth * self.stiff) / (s / self.sensitivity + self.bandwidth))
+
+    def gain_limit(self, omega: np.ndarray) -> np.ndarray:
+        """The limit of sigma_max(K S_o) at omega (w,) [rad/s], (w,) [A/m]."""
+        return self.gain / (np.ones(len(omega)) if self.roll_off is None else np.hypot(1, omega / self.roll_off))
 
 
 def aims_of(machine: Machine, start: StateSpace) -> Aims:
@@ -75,22 +84,26 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
     damping = _MARGIN * decrement / np.hypot(2 * np.pi, decrement)
     bearings = [b for b in machine.bearings for _ in range(2)]
     allowed = [wanted.max_current or b.max_current for b in bearings]
+    coil = machine.amplifier
     bending = free_modes(finite_element_rotor(machine), 1).frequencies[-1]
     return Aims(
         sensitivity=min(margins),
-        gain=_GAIN * float(np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()),
+        gain=wanted.control_gain or _GAIN * float(np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()),
         currents=tuple(np.nan if value is None else float(value) for value in allowed),
         forces=tuple(np.nan if b.max_force is None else float(b.max_force) for b in bearings),
         damping=damping,
         damped_to=max(1.1 * top, 0.5 * float(bending)),
         guard=_GUARD * machine.modal_damping,
-        highest=_BEYOND * highest_verified(machine),
+        highest=max(_BEYOND * highest_verified(machine), _ROLLED * (wanted.roll_off or 0.0)),
         unbalance=0.0 if residual is None else residual.moment,
         unbalance_to=wanted.unbalance_to or top or (0.0 if residual is None else residual.speed),
         orbit=min(orbits, default=None),
         compliance=wanted.compliance_peak,
         settling=wanted.settling_time,
         bandwidth=_BANDWIDTH if wanted.settling_time is None else max(_BANDWIDTH, 1 / wanted.settling_time),
+        roll_off=wanted.roll_off,
+        running=wanted.running_speeds,
+        voltage=None if coil.max_voltage is None or coil.inductance is None else (coil.max_voltage, coil.inductance),
     )
 
 

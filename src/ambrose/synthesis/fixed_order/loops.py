@@ -25,7 +25,7 @@ from ambrose.plant.timing import Timing
 class LoopModel:
     """A, B, C, D: currents u to displacements y in the variable w; form: u, f at the bearings -> y, q at the bearings, i.
 
-    magnet: k_i (a,) [N/A] and k_s (a,) [N/m].
+    magnet: k_i (a,) [N/A] and k_s (a,) [N/m]. speed [rad/s]: of the operating point.
     """
 
     label: str
@@ -36,6 +36,7 @@ class LoopModel:
     form: SchurForm
     magnet: tuple[np.ndarray, np.ndarray]
     timing: Timing | None
+    speed: float
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """u, f -> y, q, i at omega (w,) [rad/s]: (w, 3a, 2a), with hold and delay on u."""
@@ -62,7 +63,8 @@ def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopMode
         [*plant.named("y"), *plant.bearing_named("q"), *plant.named("i")],
     )
     form = schur_form(outer.A, outer.B, outer.C, outer.D)
-    return LoopModel(label or plant.point.label, A, B, C, D, form, magnet_coefficients(plant.machine, plant.point), timing)
+    magnet = magnet_coefficients(plant.machine, plant.point)
+    return LoopModel(label or plant.point.label, A, B, C, D, form, magnet, timing, plant.point.speed)
 
 
 def lateness(omega: np.ndarray, timing: Timing) -> np.ndarray:

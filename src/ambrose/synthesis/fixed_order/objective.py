@@ -13,37 +13,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.criteria import CURRENT_PULSE as PULSE
+from ambrose.plant.separation import needed_damping
 from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.bank import FilterBank
-from ambrose.synthesis.fixed_order.loops import LoopModel, warped
+from ambrose.synthesis.fixed_order.channels import SETTLING_POWER, Channel, Settling, channels_of
+from ambrose.synthesis.fixed_order.loops import LoopModel, unwarped, warped
 from ambrose.synthesis.fixed_order.structure import Structure
 from ambrose.synthesis.weight_tuning import BAND
 
 _IGNORED = 1e-3  # share of the p-norm below which a frequency is left out
 _RINGING = 0.7  # imaginary part over modulus above which a pole is held to a damping ratio
 _WATCHED = 20.0  # times the damping asked for: better damped poles are left out
-_TIMED_TO = 2e4  # rad/s; what is faster than that does not matter for settling
-_SLOW_TO = 2000.0  # rad/s; below it a step of the quadrature turns the latest time by this phase, above it 4 pulse durations:
-_PHASE = 0.15  # rad
 _MATCHED = np.geomspace(max(BAND[0], 2 * np.pi), BAND[1], 30)  # rad/s
 _BARRIER = 0.02  # of the controller's own poles
-_SETTLING_POWER = 0.4  # of the settling ratio: an exponential decay enters about as a rate
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Channel:
-    """A (m, w, r, c), B (m, w, r, a), C (m, w, a, c), rows divided by their limits; at: which frequencies of the grid."""
-
-    name: str
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    at: np.ndarray
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +59,7 @@ class Objective:
     _P: np.ndarray = field(init=False)
     _G: np.ndarray = field(init=False)
     _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
-    _made: tuple[list[_Channel], _Settling | None] | None = field(init=False)  # on first use: stability needs neither
+    _made: tuple[list[Channel], Settling | None] | None = field(init=False)  # on first use: stability needs neither
     _wanted: np.ndarray = field(init=False)  # direct gains of the reference (w, a)
 
     def __post_init__(self) -> None:
@@ -87,11 +72,11 @@ class Objective:
             values = frequency_response(self.reference, _MATCHED).values
             self._wanted = np.abs(np.diagonal(values, axis1=1, axis2=2))
 
-    def _parts(self) -> tuple[list[_Channel], _Settling | None]:
+    def _parts(self) -> tuple[list[Channel], Settling | None]:
         if self._made is None:
             timed = self.aims.settling is not None and len(self.omega) > 20
-            settling = _Settling(self.omega, self.aims.settling or 0.0) if timed else None
-            self._made = _channels(self._P, self._G.shape[-1], self.omega, self.aims, self.models), settling
+            settling = Settling(self.omega, self.aims.settling or 0.0) if timed else None
+            self._made = channels_of(self._P, self._G.shape[-1], self.omega, self.aims, self.models), settling
         return self._made
 
     def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
@@ -106,7 +91,7 @@ class Objective:
         channels, settling = self._parts()
         loops = [channel.A - channel.B @ Q[:, channel.at] @ channel.C for channel in channels]
         sizes = [np.linalg.norm(T, axis=(2, 3)) for T in loops]
-        damping = [_damping(part.values, self.aims) for part in poles]
+        damping = [self._damping(part.values, places) for part, (places, _) in zip(poles, self._stacks, strict=True)]
         top = max(
             *(size.max(initial=0.0) / np.sqrt(T.shape[-1]) for size, T in zip(sizes, loops, strict=True)),
             *(ratio.max() for ratio, _ in damping),
@@ -114,7 +99,7 @@ class Objective:
         timed = None
         if settling is not None:
             timed = settling.ratios(self._G, Q)
-            top = max(top, float(timed[0].max()) ** _SETTLING_POWER)
+            top = max(top, float(timed[0].max()) ** SETTLING_POWER)
         total, Z = 0.0, np.zeros(Q.shape, complex)
         for channel, T, size in zip(channels, loops, sizes, strict=True):
             used = size >= top * _IGNORED ** (1 / power)
@@ -182,12 +167,12 @@ class Objective:
             late, _, _ = settling.ratios(self._G, Q, anew=True)
             worst = late.max(axis=(1, 2, 3))
             found["settling"] = Ratio(
-                float(worst.max()) ** _SETTLING_POWER, self.models[int(worst.argmax())].label, float("nan")
+                float(worst.max()) ** SETTLING_POWER, self.models[int(worst.argmax())].label, float("nan")
             )
         theta = self.structure.theta(x)
         for members, stack in self._stacks:
             values = _loop_poles(theta, stack).values
-            ratio, _ = _damping(values, self.aims)
+            ratio, _ = self._damping(values, members)
             i, j = np.unravel_index(int(ratio.argmax()), ratio.shape)
             here = Ratio(float(ratio[i, j]), self.models[members[i]].label, float(np.abs(values[i, j])))
             found["damping"] = max(here, found.get("damping", here), key=lambda item: item.value)
@@ -218,6 +203,28 @@ class Objective:
             weight = np.where(share > 1e-9, share / np.maximum(ratio, 1e-300), 0.0)
             slope += part.slope(weight * derivative)
         return slope
+
+    def _damping(self, values: np.ndarray, places: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """damping asked for over damping (m, n), 0 where none is asked for, and its derivative by real + j imaginary part.
+
+        values (m, n): the poles of the models at ``places``. Of those at a running speed the separation margin asks as well.
+        """
+        aims = self.aims
+        size = np.maximum(np.abs(values), 1e-9)
+        wanted = np.where(size < aims.damped_to, aims.damping, aims.guard)
+        steeper = np.zeros(values.shape)
+        if aims.running is not None:
+            timing = self.models[0].timing
+            more, slope = needed_damping(unwarped(size, timing), aims.running)
+            slope = slope if timing is None else slope / (1 + (size * timing.sample_time / 2) ** 2)
+            here = np.array([_within(self.models[i].speed, aims.running) for i in places])[:, None] & (more > wanted)
+            wanted, steeper = np.where(here, more, wanted), np.where(here, slope, 0.0)
+        zeta = np.maximum(-values.real / size, 1e-9)
+        held = (np.abs(values.imag) > _RINGING * size) & (zeta < _WATCHED * wanted)
+        ratio = np.where(held, wanted / zeta, 0.0)
+        by_real, by_imaginary = -1 / size + values.real**2 / size**3, values.real * values.imag / size**3
+        outward = np.where(held, steeper / zeta / size, 0.0)
+        return ratio, -ratio / zeta * (by_real + 1j * by_imaginary) + outward * values
 
     def _mismatch(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """rms of ln|k/k_ref| of the direct gains over its limit, and its slope in Theta."""
@@ -278,6 +285,10 @@ def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarra
     return [(places, [np.stack([getattr(models[i], k) for i in places]) for k in "ABCD"]) for places in groups.values()]
 
 
+def _within(speed: float, running: tuple[float, float]) -> bool:
+    return running[0] * (1 - 1e-9) <= speed <= running[1] * (1 + 1e-9)
+
+
 def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
     """The barrier of the controller's own poles, and its slope by A (n, n)."""
     values, V = np.linalg.eig(A)
@@ -287,108 +298,6 @@ def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
         return np.inf, np.zeros_like(A)
     weight = 2 * _BARRIER * values.conj() / fence**2 / room
     return -_BARRIER * float(np.log(room).sum()), np.asarray(((W * weight[:, None]).T @ V.T).real)
-
-
-def _damping(values: np.ndarray, aims: Aims) -> tuple[np.ndarray, np.ndarray]:
-    """damping asked for over damping (m, n), 0 where none is asked for, and its derivative by real + j imaginary part."""
-    size = np.maximum(np.abs(values), 1e-9)
-    wanted = np.where(size < aims.damped_to, aims.damping, aims.guard)
-    zeta = np.maximum(-values.real / size, 1e-9)
-    held = (np.abs(values.imag) > _RINGING * size) & (zeta < _WATCHED * wanted)
-    ratio = np.where(held, wanted / zeta, 0.0)
-    by_real, by_imaginary = -1 / size + values.real**2 / size**3, values.real * values.imag / size**3
-    return ratio, -ratio / zeta * (by_real + 1j * by_imaginary)
-
-
-def _channels(P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Sequence[LoopModel]) -> list[_Channel]:
-    """Sensitivity, gain, compliance, and under unbalance orbit, currents and forces, each over its limit."""
-    u, f = slice(0, a), slice(a, 2 * a)
-    G, G_yf = P[:, :, u, u], P[:, :, u, f]
-    q, i = slice(a, 2 * a), slice(2 * a, None)
-    G_qu, G_qf, G_iu, G_if = P[:, :, q, u], P[:, :, q, f], P[:, :, i, u], P[:, :, i, f]
-    every, eye = np.arange(len(omega)), np.eye(a)[None, None]
-    limit = 1 / aims.sensitivity_limit(omega)[None, :, None, None]
-    found = [
-        _Channel("sensitivity", np.broadcast_to(eye * limit, G.shape), G * limit, eye, every),
-        _Channel("gain", np.zeros((1, 1, a, a)), -eye / aims.gain, eye, every),
-    ]
-    if aims.compliance is not None:
-        found.append(_Channel("compliance", G_qf / aims.compliance, G_qu / aims.compliance, G_yf, every))
-    at = np.flatnonzero(omega <= aims.unbalance_to * (1 + 1e-9))
-    if not aims.unbalance or not len(at):
-        return found
-    force = aims.unbalance * omega[at, None, None] ** 2
-
-    def under_unbalance(name: str, A: np.ndarray, B: np.ndarray, limits: np.ndarray) -> None:
-        rows = np.isfinite(limits)
-        if rows.any():
-            by = force / limits[rows][:, None]
-            found.append(_Channel(name, A[:, at][:, :, rows] * by, B[:, at][:, :, rows] * by, G_yf[:, at], at))
-
-    if aims.orbit is not None:
-        under_unbalance("orbit", G_qf, G_qu, np.full(a, aims.orbit))
-    under_unbalance("current", G_if, G_iu, np.array(aims.currents))
-    k_i, k_s = (np.stack(values)[:, None, :, None] for values in zip(*(model.magnet for model in models), strict=True))
-    under_unbalance("force", k_i * G_if + k_s * G_qf, k_i * G_iu + k_s * G_qu, np.array(aims.forces))
-    return found
-
-
-class _Settling:
-    """|y(t)| after the pulse over the band around zero, from frequency responses by quadrature of a cubic spline."""
-
-    __slots__ = ("at", "early", "late", "peak")
-
-    def __init__(self, omega: np.ndarray, settling: float) -> None:
-        self.peak: np.ndarray | None = None
-        self.at = np.flatnonzero(omega < min(_TIMED_TO, omega[-1] * (1 + 1e-9)))
-        w = omega[self.at]
-        last = PULSE.duration + 8 * settling
-        slow = np.linspace(0, _SLOW_TO, int(np.ceil(_SLOW_TO * last / _PHASE)) + 1)
-        fast = np.linspace(_SLOW_TO, max(w[-1], _SLOW_TO + 1), int(np.ceil(w[-1] * 4 * PULSE.duration / _PHASE)) + 2)
-        fine = np.unique(np.concatenate([slow, fast]))
-        fine = fine[fine <= w[-1]]
-        spline = CubicSpline(w, np.eye(len(w)), bc_type="natural")(np.maximum(fine, w[0]))
-        step = np.gradient(fine)
-        step[[0, -1]] /= 2
-        edge = 0.8 * w[-1]
-        taper = np.where(fine > edge, 0.5 + 0.5 * np.cos(np.pi * (fine - edge) / (w[-1] - edge)), 1.0)
-        jw = 1j * np.maximum(fine, 1e-6)
-
-        def weights(time: np.ndarray) -> np.ndarray:
-            rise = np.exp(jw * time[:, None]) - np.exp(jw * (time - np.minimum(PULSE.duration, time))[:, None])
-            return np.asarray((rise / jw * step * taper / np.pi) @ spline)
-
-        after = settling * np.concatenate([np.linspace(1, 2.2, 16), np.geomspace(2.4, 8, 8)])
-        self.late = weights(PULSE.duration + after)
-        self.early = weights(PULSE.duration * np.linspace(0.1, 2.5, 24))
-
-    def ratios(self, G: np.ndarray, Q: np.ndarray, anew: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """|y| over its band (m, t, axis, pulsed axis), y itself, and the band (m, pulsed axis).
-
-        The peaks that the band is taken of are those of the first call, or computed ``anew``.
-        """
-        G = G[:, self.at]
-        H = G - G @ Q[:, self.at] @ G
-        peak = self.peak
-        if peak is None or anew:
-            peak = np.abs(np.einsum("tw,mwab->mtab", self.early, H, optimize=True).real).max(axis=(1, 2))
-        if self.peak is None:
-            self.peak = peak
-        y = np.einsum("tw,mwab->mtab", self.late, H, optimize=True).real
-        band = PULSE.band * peak
-        return np.abs(y) / band[:, None, None, :], y, band
-
-    def add(
-        self, Z: np.ndarray, G: np.ndarray, timed: tuple[np.ndarray, np.ndarray, np.ndarray], top: float, power: float
-    ) -> float:
-        """Adds the slope to Z; returns the part of the p-norm's sum."""
-        ratio, y, band = timed
-        share = (ratio**_SETTLING_POWER / top) ** power
-        weight = share * _SETTLING_POWER / np.maximum(ratio, 1e-300) * np.sign(y) / band[:, None, None, :]
-        slope = np.einsum("tw,mtab->mwab", self.late.conj(), weight, optimize=True)
-        back = G[:, self.at].conj().swapaxes(2, 3)
-        Z[:, self.at] -= back @ slope @ back
-        return float(share.sum())
 
 
 def _controller_slope(Z: np.ndarray, Q: np.ndarray, G: np.ndarray, S: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:

@@ -32,6 +32,7 @@ TRADED: Mapping[str, str] = {
     "unbalance_orbit": "length",
     "max_current": "current",
     "compliance_peak": "compliance",
+    "control_gain": "current per displacement",
     "log_decrement": "plain number",
     ORDER: "plain number",
 }
@@ -97,7 +98,8 @@ def trade_off(
     rows: list[tuple[float, float, bool, str, Synthesis | None]] = []
     try:
         for value in wanted:
-            demanded = machine.requirements if over == ORDER else replace(machine.requirements, **{over: value})
+            changed: dict[str, Any] = {} if over == ORDER else {over: value}
+            demanded = replace(machine.requirements, **changed)
             job.aims = replace(aims_of(replace(machine, requirements=demanded), start), sensitivity=aim)
             if not again:  # the first one, or the one before has nothing to go on from
                 job.groups = groups
