@@ -287,7 +287,7 @@ TURNED = replace(MACHINE, sensors=tuple(
 
 
 @compiler
-@pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
+@pytest.mark.parametrize("coordinates", ["axes", pytest.param("tilt-translate", marks=pytest.mark.campaign)])
 def test_turned_sensors_are_turned_back_in_the_code(coordinates):
     """The compiled sections hold the rig as the law does, and as with sensors in the magnets' axes."""
     bank, runs = replace(MACHINE.controller, coordinates=coordinates, tilt_gain=1.1), []
@@ -309,3 +309,17 @@ def test_a_cascade_of_turned_sensors_needs_the_machine():
     source = pid_controller(bank, TURNED)
     with pytest.raises(InvalidInput, match=r"would not run; name its file, --machine my.toml, or use the modal form"):
         build_cascade(deploy(source, DT, DT, force=True), bank, None, "rig", 1e-3, CURRENT)
+
+
+@compiler
+def test_four_channels_of_three_bearings_run_as_code():
+    """Between the mixings there are fewer channels than axes."""
+    train = load_machine("three-bearing-train")
+    bank = replace(train.controller, coordinates="tilt-translate", gain=(20e3,))
+    law, dt = pid_controller(bank, train), 5e-5
+    block = build_cascade(deploy(law, dt, dt, force=True), bank, train, "rig", 0.5e-3, 10.0)
+    assert block.into.shape == (4, 6) and block.out.shape == (6, 4)
+    code = CompiledBlock(block, "double", driver.compilers()[0])
+    push = Scenario("push", 0.008, (Pulse("f_MID_zeta", 50.0, 0.002, 0.002),))
+    found, expected = (virtual_rig.run(train, item, push).record["u_MID_zeta"] for item in (code, law))
+    assert np.abs(expected).max() > 0.1 and found == pytest.approx(expected, abs=1e-9)
