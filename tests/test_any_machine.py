@@ -35,7 +35,7 @@ def renamed(name):
     return text
 
 
-@pytest.fixture(scope="module", params=["seal-rig", "turboexpander"])
+@pytest.fixture(scope="module", params=["seal-rig", pytest.param("turboexpander", marks=pytest.mark.study)])
 def pair(request, tmp_path_factory):
     """A bundled machine, and the path of the same under other names."""
     path = tmp_path_factory.mktemp("renamed") / "machine.toml"
@@ -70,7 +70,7 @@ def test_verification_and_designs_do_not_depend_on_names(pair):
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("method", ["hinf", "mu"])
+@pytest.mark.parametrize("method", ["hinf", pytest.param("mu", marks=pytest.mark.study)])
 def test_robust_designs_do_not_depend_on_names(pair, method):
     machine, path = pair
     one, two = (amb.design(item, method) for item in (machine, amb.load_machine(path)))
@@ -79,11 +79,12 @@ def test_robust_designs_do_not_depend_on_names(pair, method):
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-6)
 
 
-QUICK = {"impulse-parallel"}
+CAMPAIGN = {"impulse-parallel", "operating-cycle"}
 
 
 @pytest.mark.parametrize(
-    "name", [item if item in QUICK else pytest.param(item, marks=pytest.mark.campaign) for item in amb.bundled_scenarios()]
+    "name",
+    [pytest.param(n, marks=pytest.mark.campaign if n in CAMPAIGN else pytest.mark.study) for n in amb.bundled_scenarios()],
 )
 def test_every_scenario_runs_alike_under_other_names(pair, name):
     machine, path = pair
@@ -148,6 +149,7 @@ def test_commands_with_other_names(pair, tmp_path):
     done = call("simulate", path, "--controller", controller, "--scenario", "force-step", "--linear", "-o", tmp_path / "r.h5")
     assert done.exit_code in {0, 1} and "Traceback" not in done.output
     wrong = call("verify", machine.name, "--controller", controller)
+    assert wrong.stderr.startswith(f"note: {controller} was made for other numbers of {machine.name};")
     assert wrong.exit_code == 2 and "this controller is for another machine" in wrong.stderr.splitlines()[-1]
     assert json.loads(call("check", path, "--json").stdout)["mass_kg"] > 1
     assert Path(controller).exists()

@@ -24,6 +24,7 @@ from ambrose.synthesis.pid import pid_synthesis
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.result import Status, Synthesis
 from ambrose.verification import nominal
+from coarse import coarse
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +100,7 @@ def test_a_loop_that_is_unstable_as_it_runs_is_never_verified(stating, tmp_path)
 @pytest.mark.campaign
 def test_the_box_goes_around_every_operating_point():
     """One tolerance holds everywhere, one of the seal vanishes without pressure, one is for a single point."""
-    machine = amb.load_machine("seal-rig")
+    machine = coarse("seal-rig")
     tolerances = (
         Tolerance("bearing.A.negative_stiffness", relative=0.1),
         Tolerance("seal.center.k", relative=0.1),
@@ -123,19 +124,20 @@ def test_the_box_goes_around_every_operating_point():
     assert verdict.to_dict()["not_varied"] == list(verdict.not_varied)
 
 
+@pytest.mark.campaign
 def test_a_box_that_fails_at_another_point_fails_the_verification():
     """Around zero pressure the PID bears 30 % of k_s, around the nominal point it does not: the first box alone would pass."""
-    machine = replace(amb.load_machine("seal-rig"), tolerances=(Tolerance("seal.center.k", absolute=1.6e6),))
+    machine = replace(coarse("seal-rig"), tolerances=(Tolerance("seal.center.k", absolute=1.6e6),))
     plants = [reduce(amb.assemble(machine, label), 0) for label in ("zero pressure", "nominal pressure")]
     verdict = verify_controller(plants, pid_synthesis(plants[0]).controller)
     first, second = (box["robust.stability.box"] for box in verdict.boxes)
     assert first.passed and second.passed is False and not verdict.passed
 
 
+@pytest.mark.campaign
 def test_a_schedule_is_judged_as_it_runs_at_every_speed_of_its_grid():
     """At 1 kHz it loses the shaft that it holds continuously; the verification says which loop it judged."""
-    machine = amb.load_machine("turboexpander")
-    machine = replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft), tolerances=())
+    machine = replace(coarse("turboexpander"), tolerances=())
     plant = amb.assemble(machine, "140 Hz")
     K = pid_synthesis(plant).controller
     law = ScheduledSystem([plant.point.speed / 2, plant.point.speed], [K, K])
@@ -154,7 +156,7 @@ def fast(controller, pole):
 
 
 def test_poles_beyond_half_the_rate_are_replaced_and_the_rest_is_certified_anew():
-    plant = reduce(assemble(amb.load_machine("seal-rig")), 0)
+    plant = reduce(assemble(coarse("seal-rig")), 0)
     base, timing = pid_synthesis(plant), Timing(1e-4)
     made = replace(base, controller=fast(base.controller, 7.8e4), gamma=1.0)
     problem = design_plant(plant, uncertain=False)
@@ -166,7 +168,7 @@ def test_poles_beyond_half_the_rate_are_replaced_and_the_rest_is_certified_anew(
 
 
 def test_a_controller_that_is_unstable_by_itself_is_said_at_the_design():
-    plant = reduce(assemble(amb.load_machine("seal-rig")), 0)
+    plant = reduce(assemble(coarse("seal-rig")), 0)
     base = pid_synthesis(plant)
     K = base.controller
     n, m = K.n_states, len(K.inputs)

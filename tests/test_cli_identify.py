@@ -118,6 +118,7 @@ def test_the_youla_residual_from_the_command_line(place, identified, tmp_path):
     assert "Residual system" in text and "Beside the other file" in text and "Identification through the Youla residual" in text
 
 
+@pytest.mark.campaign
 def test_static_loads_from_the_command_line(place, identified, tmp_path):
     """Loads in the middle: K_i within 2 % of what the closed loop gave, in the same file, tables and JSON."""
     lines, time = [], 1.0

@@ -25,6 +25,7 @@ from ambrose.synthesis.result import Synthesis
 from ambrose.verification import nominal
 from ambrose.verification.checks import Check, Checks
 from ambrose.workflow import Study
+from coarse import coarse
 
 LOW, HIGH = 2 * np.pi * 20.0, 2 * np.pi * 140.0
 
@@ -40,11 +41,9 @@ def made(small: Plant) -> Synthesis:
     return pid_synthesis(small)
 
 
-@pytest.fixture(scope="module")
-def coarse():
-    """The turboexpander on a coarse shaft, its operating points at the pressure of its seal."""
-    machine = load_machine("turboexpander")
-    return replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft))
+@pytest.fixture(scope="module", name="coarse")
+def turboexpander():
+    return coarse("turboexpander")
 
 
 @pytest.fixture(scope="module")

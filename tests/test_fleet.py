@@ -50,15 +50,19 @@ KNOWN = {"seal-rig", "seal-rig-k-only", "turboexpander"}  # levitated and verifi
 OTHERS = {
     "flywheel",
     "lalanne-ferraris-rotor",
+    "nelson-mcvaugh-rotor",
     "outboard-sensor-rotor",
+    "overhung-blower",
     "overhung-disc-rotor",
+    "three-bearing-train",
     "vertical-pump",
-}  # two like them stay
+}  # three of other kinds stay
 
 
 def heavy(name):
     large = len(amb.load_machine(name).seals) >= MANY_SEALS or name in OTHERS
-    return pytest.param(name, marks=pytest.mark.campaign) if large or name in KNOWN else name
+    marks = [pytest.mark.study] if name in KNOWN else [pytest.mark.campaign] if large else []
+    return pytest.param(name, marks=marks)
 
 
 @pytest.mark.parametrize("name", [heavy(name) for name in FLEET])

@@ -12,7 +12,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock
 from ambrose.core.mu.bounds import mu_bounds, mu_peak
 from ambrose.core.norms import hinf_norm
-from ambrose.core.presentation import Presented, data_frame, html_table, to_plain
+from ambrose.core.presentation import Presented, data_frame, html_table, to_plain, with_unit
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 
@@ -75,6 +75,10 @@ def test_plain_data():
 
 def test_html_is_escaped():
     assert html_table([("<b>", "&")], "<i>", ("<u>",)).count("&lt;") == 3
+
+
+def test_a_plain_number_has_no_unit():
+    assert (with_unit(9.2331, "-"), with_unit(3.5, "mm")) == ("9.233", "3.5 mm")
 
 
 def test_frame():

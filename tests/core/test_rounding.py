@@ -337,9 +337,12 @@ SLOW = {
 }  # the first two are batches of 8
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.campaign) if name == "mu_of_one_repeated_real_block" else name for name in CASES],
+)
 def test_the_last_bit_decides_nothing(name):
-    for seed in range(1 if name in SLOW | {"mu_of_one_repeated_real_block"} else 5):
+    for seed in range(1 if name in SLOW else 3):
         compare(name, seed)
 
 

@@ -51,6 +51,7 @@ def test_agrees_with_the_block_in_python(parsed_block):
         assert 0.01 < ((status & bit) > 0).mean() < 0.9
 
 
+@pytest.mark.campaign
 def test_track_and_reset(parsed_block):
     fb, block = FunctionBlock(parsed_block), direct_block()
     play(fb, block, *driver.adversarial(block, 200))
@@ -64,7 +65,6 @@ def test_track_and_reset(parsed_block):
     assert fb.v["state"] == fresh.v["state"]
 
 
-@pytest.mark.campaign
 def test_a_gain_without_states():
     block = gain_block()
     fb = FunctionBlock(parsed(generate_structured_text(block)["gain.st"]))

@@ -21,7 +21,7 @@ from ambrose.cli import main
 
 MINUTES = {
     *("how-to/design.md", "how-to/deploy.md", "how-to/identify.md", "how-to/simulate.md", "how-to/start.md"),
-    *("identification.md", "index.md", "records.md"),
+    *("how-to/seals.md", "how-to/verify.md", "identification.md", "integrator.md", "index.md", "records.md"),
 }
 NAMES = [name for name, path in pages().items() if blocks(path.read_text(encoding="utf-8"))]
 

@@ -28,7 +28,9 @@ def exact_gain(A, B, C, D, dt, omega):
     return np.linalg.norm(C @ X + D, 2)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [k if i % 3 == 0 else pytest.param(k, marks=pytest.mark.campaign) for i, k in enumerate(KINDS)]
+)
 def test_norms_agree_or_ours_is_attained(kind):
     """Where the two differ, evaluating G at our frequency must show that the larger norm is ours, and is right."""
     differ = []

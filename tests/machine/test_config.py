@@ -409,7 +409,7 @@ def machines(draw):
 
 
 @given(machines())
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_valid_machine_survives_writing_and_reading(machine):
     again = loads_machine(dumps_machine(machine))
     assert again == machine
@@ -418,7 +418,7 @@ def test_any_valid_machine_survives_writing_and_reading(machine):
 
 
 @given(machines(), machines())
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_file_is_brought_up_to_any_machine(one, other):
     def fail(machine):
         raise AssertionError("written anew")

@@ -31,7 +31,7 @@ with claimed(sys.argv[1], "file"):
 
 @pytest.fixture(scope="module", params=[("stream", "folder"), pytest.param((), id="all", marks=pytest.mark.campaign)])
 def rows(request, tmp_path_factory):
-    """(kind, mode, operation, end, state) of every fault; of these kinds every kill alone, in seconds."""
+    """(kind, mode, operation, end, state) of every fault; of these kinds every third kill alone, in seconds."""
     if not sys.platform.startswith("linux") or not shutil.which("cc"):
         pytest.skip("system calls are intercepted on Linux, with a C compiler")
     folder = tmp_path_factory.mktemp("faults")
@@ -52,8 +52,8 @@ def rows(request, tmp_path_factory):
 def test_every_kind_was_failed_at_many_operations(rows):
     counts = Counter((kind, mode) for kind, mode, *_ in rows)
     least = {"text": 5, "csv": 5, "hdf5": 12, "stream": 30, "new folder": 12, "folder": 25}
-    assert {kind for kind, _ in counts} in ({"stream", "folder"}, set(least))
-    assert all(count > least[kind] for (kind, _), count in counts.items())
+    assert (kinds := {kind for kind, _ in counts}) in ({"stream", "folder"}, set(least))
+    assert all(count > least[kind] / (3 if len(kinds) == 2 else 1) for (kind, _), count in counts.items())
 
 
 def test_old_or_new_is_there_whole(rows):

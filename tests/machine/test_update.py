@@ -1,6 +1,7 @@
 """A machine file brought up to date: what did not change stays to the letter, what did is in the user's place and unit."""
 
 import difflib
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -136,9 +137,9 @@ def test_changes_in_an_odd_file_keep_comments_order_and_units():
         "                       1350000.0 ]       # eta",
         'force_per_current = "210.5 N/A"',
         "[[bearing.measured]]",
-        "bias_current = 4.0",
-        "force_per_current = [250.0, 250.0]",
-        "negative_stiffness = [2000000.0, 2000000.0]",
+        'bias_current = "4 A"',
+        'force_per_current = ["250 N/A", "250 N/A"]',
+        'negative_stiffness = ["2 N/um", "2 N/um"]',
         "force_per_current = [205, 207]",
         "negative_stiffness = 1250000",
         'measured = [{bias_current = 2, force_per_current = 150, negative_stiffness = "0.6 N/um"}]',
@@ -261,3 +262,16 @@ def test_a_list_of_gains_that_gives_way_to_chains_leaves_the_rest_of_the_file_al
     text = machine_text(replace(machine, controller=PidSettings(channels=chains, sample_time=1e-4)))
     assert 'unbalance_orbit = "8 um"' in text and "# Seal test rig" in text and "gain = []" not in text
     assert loads_machine(text).controller.channels == chains and not loads_machine(text).controller.gain
+
+
+def test_chains_leave_nothing_of_an_earlier_controller_and_have_units():
+    """derivative_filter = 0.1 # assumed stayed, and the filters' numbers were bare."""
+    machine = load_machine("seal-rig")
+    chain = Channel(machine.axes, 2e4, (Section("low-pass", frequency=240 * math.pi, damping=0.7),))
+    machine = replace(machine, controller=PidSettings(channels=(chain,), sample_time=1e-4))
+    text = machine_text(machine)
+    table = text.partition("[controller]")[2].partition("[operation")[0]
+    assert loads_machine(text) == machine and "derivative_" not in table
+    assert all(
+        words in table for words in ('sample_time = "100 us"', 'gain = "20 A/mm"', 'frequency = "120 Hz"', "damping = 0.7")
+    )

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import RealBlock, close_uncertainty
@@ -15,13 +14,14 @@ from ambrose.machine.description import Amplifier, SealTable, Tolerance
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import free_mode_reduction, reduce
 from ambrose.plant.uncertainty import perturbed, uncertain
+from coarse import coarse
 
 OMEGA = np.array([1.0, 100.0, 500.0, 3000.0, 12000.0])
 
 
 @pytest.fixture(scope="module")
 def machine():
-    m = load_machine("seal-rig")
+    m = coarse("seal-rig")
     return replace(m, couplings=(replace(m.couplings[0], damping=(100.0, 150.0)),))
 
 
@@ -199,7 +199,7 @@ def test_a_coefficient_and_the_pressure_add_up(machine):
             lambda m: tabulated(m, (0.0, 2e5, 4e5), K=(0.0, 1.0, 3.0), k=(0.0, 2.0, 4.0)).seals[0],
             "not on a straight line over the pressure.*: K; leave",
         ),
-        (lambda m: load_machine("turboexpander").seals[0], "flow of .* is not proportional to the pressure; leave"),
+        (lambda m: coarse("turboexpander").seals[0], "flow of .* is not proportional to the pressure; leave"),
     ],
 )
 def test_a_pressure_that_is_no_straight_line_is_refused(machine, change, reason):

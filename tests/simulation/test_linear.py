@@ -194,6 +194,7 @@ def test_run_up_that_does_not_converge_is_refused(monkeypatch):
         linear.run(gyroscopic, RUN_UP)
 
 
+@pytest.mark.campaign
 def test_loop_between_two_speeds():
     loop_at = ScheduledSystem([50.0, 700.0], [gyroscopic(50.0), gyroscopic(700.0)])
     direct, between = (linear.run(loop, RUN_UP).record["q_A_eta"] for loop in (gyroscopic, loop_at))

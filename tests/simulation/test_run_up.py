@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.scheduled import ScheduledSystem
@@ -22,6 +21,7 @@ from ambrose.simulation.run_up import loops_over_speed, spin_up, steps
 from ambrose.simulation.scenario import Scenario
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 
 RUN_UP = Scenario(
     name="short", duration=0.2, speed=400.0, to_speed=900.0,
@@ -31,7 +31,7 @@ RUN_UP = Scenario(
 
 @pytest.fixture(scope="module")
 def plant():
-    machine = load_machine("turboexpander")
+    machine = coarse("turboexpander")
     point = next(p for p in machine.operation.points if p.label.startswith("140 Hz"))
     return assemble(machine, point)
 
@@ -61,6 +61,7 @@ def test_states_mean_the_same_at_all_speeds(plant, controller):
     np.testing.assert_allclose(loop_at(450.0).C, loop_at(850.0).C, rtol=1e-13)
 
 
+@pytest.mark.campaign
 def test_a_scheduled_controller_is_taken_at_the_speed_of_the_moment(plant, controller):
     """A schedule of equal members is the fixed controller; one that is only wrong where the run never goes does no harm."""
     broken = StateSpace(controller.A, controller.B, -controller.C, -controller.D, controller.inputs, controller.outputs)

@@ -125,6 +125,7 @@ def test_spin_up_of_a_seal_that_changes_with_speed(kind):
     assert error(trace, runge_kutta(kind, 1)) < 1e-3
 
 
+@pytest.mark.study
 def test_full_plants_assembled_at_every_speed_may_be_run_up():
     """All modes of the coarse shaft, no reduction and no interpolation: ``assemble`` itself keeps the states."""
     first = assemble(machine("coarse"), at("coarse", LOW).point)
@@ -144,6 +145,7 @@ def _own_scales(speed):
     return closed_loop(wire(here.machine, here.point, rotor), controller("coarse"))
 
 
+@pytest.mark.study
 def test_states_scaled_by_the_stiffness_of_the_moment_are_refused(monkeypatch):
     with pytest.raises(InvalidInput, match=r"the states of the loop is others at .* than at 60 rad/s .*free_mode_reduction"):
         linear.run(_own_scales, RUN_UP, outputs=OUTPUTS)

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose import load_machine
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
@@ -20,13 +19,14 @@ from ambrose.synthesis.design import provenance
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_synthesis
 from ambrose.synthesis.result import Certificate, Status, Synthesis
+from coarse import coarse
 
 OWN_GAIN = DesignOptions(match_reference=False, rate=1e4)
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return reduce(assemble(load_machine("seal-rig")), 1)  # the full one says the same, later
+    return reduce(assemble(coarse("seal-rig")), 1)  # the full one says the same, later
 
 
 @pytest.fixture(scope="module")
@@ -145,8 +145,7 @@ def test_the_first_run_goes_on_with_what_the_second_will_read(plant, first, tmp_
 
 def test_a_schedule_is_certified_again_at_every_speed(tmp_path, designs):
     """It was taken up as it was; of the fixed ones at least the margins were recomputed."""
-    machine = load_machine("turboexpander")
-    machine = replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft))
+    machine = coarse("turboexpander")
     plant = assemble(machine, machine.operation.design)
     law = pid_synthesis(plant).controller
     schedule = ScheduledSystem([0.9 * plant.point.speed, 1.1 * plant.point.speed], [law, law])

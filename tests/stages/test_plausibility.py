@@ -17,11 +17,12 @@ from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.plant.unavoidable import unavoidable_sensitivity
 from ambrose.stages.plants import facts
 from ambrose.stages.plausibility import critical_speeds, shares
+from coarse import coarse
 
 
 @pytest.fixture(scope="module")
 def rig():
-    return amb.load_machine("seal-rig")
+    return coarse("seal-rig")
 
 
 def doubts(machine):
@@ -136,7 +137,7 @@ def test_loads_of_two_bearings_follow_the_lever_and_of_three_sum_up():
 
 def test_critical_speeds_are_where_a_forward_mode_turns_as_fast_as_the_rotor():
     """Without gyroscopics they are the natural frequencies on the springs: assembled with the magnets as those springs."""
-    machine = amb.load_machine("turboexpander")
+    machine = coarse("turboexpander")
     found = critical_speeds(machine)
     k = read_quantity("60 A/mm", DIMENSIONS["current per displacement"]) * 160 - 2.4e6
     rotor = amb.finite_element_rotor(machine)
@@ -162,7 +163,7 @@ def test_the_limit_holds_for_every_controller_that_was_designed(rig):
 
 def test_a_controller_that_loses_a_point_is_told_and_no_fault():
     """The PID of the seal rig is unstable at twice its nominal pressure, and `check` said nothing of it."""
-    known = facts(amb.load_machine("seal-rig"))
+    known = facts(coarse("seal-rig"))
     (line,) = [text for text in known["remarks"] if "does not hold" in text]
     assert "twice nominal pressure" in line and "zero pressure" not in line
     assert not known["doubts"]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
@@ -17,11 +18,12 @@ from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return reduce(assemble(load_machine("seal-rig")))
+    return reduce(assemble(coarse("seal-rig")))
 
 
 REFUSED = {
@@ -56,7 +58,7 @@ def test_bad_arguments_are_named_in_one_sentence(name, plant):
 
 def test_a_machine_is_no_plant():
     with pytest.raises(InvalidInput, match=r"plant is Machine, but must be a Plant; assemble\(machine, point\) gives one"):
-        design(load_machine("seal-rig"), "pid")
+        design(coarse("seal-rig"), "pid")
 
 
 @pytest.mark.parametrize(
@@ -107,3 +109,5 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
     assert seen["states"] == states + 4 and callable(seen["judge"]) and seen["loss"] == 0.05  # a Pade state per axis
     assert DesignOptions(rate=1e4, delay_samples=2).timing() == Timing(1e-4, 2)
     assert DesignOptions().timing() is None
+    runs = replace(plant, machine=replace(plant.machine, controller=replace(plant.machine.controller, sample_time=1e-4)))
+    assert "1 sample late (machine file)" in design(runs, "pid").certificate.plant  # it was called given

@@ -10,12 +10,13 @@ from ambrose.machine.description import ShaftSection
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.explanation import stiffness_margin, why_none, why_unstable
 from ambrose.synthesis.pid import pid_controller, pid_synthesis
+from coarse import coarse
 
 
 @pytest.fixture(scope="module")
 def slender():
     """The seal rig with a shaft of 60 mm, which bends at 374 Hz; its PID holds the rigid rotor, as long as it is not late."""
-    machine = amb.load_machine("seal-rig")
+    machine = coarse("seal-rig")
     shaft = (ShaftSection(0.0, 0.86, 0.06, elements=16),)
     settings = replace(machine.controller, sample_time=1e-4, delay=0.0, derivative_time=2e-3, gain=(15000.0,))
     points = replace(machine.operation, points=machine.operation.points[1:2])
@@ -45,7 +46,7 @@ def test_a_gain_below_the_negative_stiffness_is_said(slender):
 
 
 def test_what_holds_gets_no_note(slender):
-    machine = amb.load_machine("seal-rig")
+    machine = coarse("seal-rig")
     machine = replace(machine, operation=replace(machine.operation, points=machine.operation.points[1:2]), tolerances=())
     made = amb.design(machine, "pid")
     assert made.status == "verified" and made.notes == () and why_none(amb.assemble(slender), None) == ""

@@ -38,7 +38,7 @@ def make_rig() -> Machine:
     return Machine(
         "rig",
         tuple(
-            ShaftSection(float(s), n, d, mass_diameter=0.15 if i in {2, 6} else None, elements=4)
+            ShaftSection(float(s), n, d, mass_diameter=0.15 if i in {2, 6} else None, elements=1)
             for i, (s, n, d) in enumerate(zip(starts, lengths, outer, strict=True))
         ),
         tuple(

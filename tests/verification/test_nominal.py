@@ -194,6 +194,7 @@ def test_without_a_balancing_speed_a_note_says_what_is_missing(single_masses, pd
     assert "unbalance.orbit" not in {check.name for check in found.checks}
 
 
+@pytest.mark.campaign
 def test_progress_rises_to_one(rig_plants, rig_controller):
     told = []
     nominal.check(rig_plants["zero"], rig_controller, progress=lambda stage, fraction: told.append((stage, fraction)))

@@ -48,7 +48,7 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
     from ambrose.stages.new_machine import NOT_HELD, new_machine
 
     if file.suffix.lower() != ".toml":
-        raise invalid("the machine file", f'"{file}"', "a file *.toml", f'write "{file}.toml"')
+        raise invalid("the machine file", f'"{file}"', "a file *.toml", f'write "{file.with_suffix(".toml")}"')
     if file.exists() and not force:
         raise InvalidInput(f"{file} exists already; choose another name, or replace it with --force")
     claim(machine_file=file)

@@ -8,7 +8,19 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, progress_shown, say, say_json
+from ambrose.cli.terminal import (
+    AS_JSON,
+    DELAY,
+    MACHINE,
+    RATE,
+    claim,
+    kept,
+    load,
+    load_controller,
+    progress_shown,
+    say,
+    say_json,
+)
 
 
 @click.command()
@@ -46,14 +58,13 @@ def simulate(
     """
     from ambrose.evaluation.trial import simulate_scenario
     from ambrose.machine.record.files import check_suffix, write_record
-    from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)
-    controller = read_controller(path)
+    controller = load_controller(path, description)
     check_suffix(output)
     claim(record=output, report=report)
     growing = not linear and output.suffix.lower() != ".csv"
-    options: dict[str, Any] = {} if second is None else {"second": read_controller(second)}
+    options: dict[str, Any] = {} if second is None else {"second": load_controller(second, description)}
     if not linear:
         options |= {"bending_modes": bending_modes, "seed": seed, "path": output if growing else None}
     with progress_shown(as_json) as progress:

@@ -98,6 +98,15 @@ def synthesize(
     from ambrose.synthesis.options import DesignOptions
     from ambrose.synthesis.result import Status
 
+    for option, given, methods in (
+        ("--order", order is not None, ("polish", "tuned")),
+        ("--structure", structure != "free", ("tuned",)),
+        ("--loss", loss is not None, ("pid", "hinf", "mu", "polish", "lpv")),
+        ("--envelope", envelope, ("hinf", "mu")),
+        ("--speeds-hz", speeds_hz is not None, ("lpv",)),
+    ):
+        if given and method not in methods:
+            raise invalid(option, "given", f"left out with --method {method}", f"it goes with {' or '.join(methods)}")
     description = load(machine)
     hertz = 6.283185307179586  # rad/s
     if loss is not None and rate_hz is None and machine_timing(description) is None:

@@ -142,6 +142,19 @@ def load(machine: str) -> Any:
     return load_machine(machine)
 
 
+def load_controller(path: Path, machine: Any) -> Any:
+    """A controller file; that it was made for another machine, or before the machine file was changed, is noted."""
+    from ambrose.machine.file.toml import machine_hash
+    from ambrose.synthesis.controller_file import read_controller
+
+    result = read_controller(path)
+    made = result.provenance
+    if made.machine_hash not in {None, machine_hash(machine)}:
+        other = f"another machine, {made.machine}" if made.machine != machine.name else f"other numbers of {machine.name}"
+        say(f"note: {path} was made for {other}; what is said here is about {machine.name} as it is given", err=True)
+    return result
+
+
 @contextmanager
 def progress_shown(quiet: bool) -> Iterator[Callable[[str], None]]:
     """A spinner with the present stage and its time on a terminal, one line per stage elsewhere; nothing with --json."""

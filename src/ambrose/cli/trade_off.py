@@ -56,8 +56,9 @@ def trade_off(
         keys = ("value", "sensitivity", "met", "binding")
         say_json({"over": over, "unit": result.unit, "rows": [dict(zip(keys, row, strict=True)) for row in rows]})
     else:
+        heading = over if result.unit == "-" else f"{over} [{result.unit}]"
         print_table(
-            f"lowest sensitivity against {over}", (f"{over} [{result.unit}]", "sensitivity", "all else met", "what binds"),
+            f"lowest sensitivity against {over}", (heading, "sensitivity", "all else met", "what binds"),
             [(f"{v:.4g}", f"{s:.3g}", "yes" if m else "no", b) for v, s, m, b in zip(
                 result.values, result.sensitivity, result.met, result.binding, strict=True
             )],

@@ -7,7 +7,19 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import ALL, AS_JSON, DELAY, MACHINE, RATE, load, print_checks, progress_shown, say, say_json
+from ambrose.cli.terminal import (
+    ALL,
+    AS_JSON,
+    DELAY,
+    MACHINE,
+    RATE,
+    load,
+    load_controller,
+    print_checks,
+    progress_shown,
+    say,
+    say_json,
+)
 
 
 @click.command()
@@ -20,10 +32,9 @@ from ambrose.cli.terminal import ALL, AS_JSON, DELAY, MACHINE, RATE, load, print
 def verify(machine: str, path: Path, rate_hz: float | None, delay_samples: int | None, everything: bool, as_json: bool) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
     from ambrose.evaluation.verdict import verify_controller
-    from ambrose.synthesis.controller_file import read_controller
 
     description = load(machine)
-    controller = read_controller(path)
+    controller = load_controller(path, description)
     with progress_shown(as_json) as progress:
         result = verify_controller(description, controller, rate=rate_hz, delay_samples=delay_samples, progress=progress)
     if as_json:

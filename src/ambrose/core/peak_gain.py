@@ -7,6 +7,7 @@ import numpy as np
 from ambrose.core.checks import check_shape
 
 _EXACT = 4096  # samples summed one by one; beyond, blocks of samples are bounded together
+_BATCH = 64
 _DOUBLINGS = 60
 
 
@@ -38,12 +39,15 @@ def _single(increment: float, steps: float) -> float:
 
 def _summed(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
     """The first samples one by one; then S(2K) <= S(K) + |A^K| S(K)."""
-    total, power, response = np.zeros(B.shape), np.eye(len(A)), B
+    total, response = np.zeros(B.shape), B
     count = int(min(_EXACT, steps))
-    for k in range(count):
-        total += np.abs(response)
-        response = A @ response
-        if k % 64 == 63 and np.abs(response).max() < 1e-18 * total.max():
+    powers = [np.eye(len(A))]
+    for _ in range(min(_BATCH, count)):
+        powers.append(A @ powers[-1])
+    for start in range(0, count, _BATCH):
+        total += np.abs(np.stack(powers[: min(_BATCH, count - start)]) @ response).sum(axis=0)
+        response = powers[-1] @ response
+        if np.abs(response).max() < 1e-18 * total.max():
             return total * (1 + 1e-12)
     power = np.linalg.matrix_power(A, count)
     done = float(count)

@@ -13,6 +13,11 @@ from ambrose.core.checks import InvalidInput
 _LONGEST = 190  # characters of a repr
 
 
+def with_unit(value: float, unit: str, digits: int = 4) -> str:
+    """A number and its unit; a plain number, of unit "-", stands alone."""
+    return f"{value:.{digits}g} {'' if unit == '-' else unit}".rstrip()
+
+
 class Presented:
     """A result with a one-line ``repr`` and a table for notebooks, both made from its ``facts``.
 

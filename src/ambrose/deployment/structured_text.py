@@ -84,7 +84,7 @@ def _check_names(block: ControlBlock) -> None:
     """Names that structured text allows: case does not count, no two underscores in a row, no keyword, none of ours."""
     own = frozenset(_OWN.split()) | {d["name"] for d in diagonals(block.increment, block.increment)}
     checked = [("the name of the block", block.name, "give another --name")]
-    checked += [("a signal's name", s, "rename() the controller's signals") for s in (*block.inputs, *block.outputs)]
+    checked += [("a signal's name", s, "give the controller's signals other names") for s in (*block.inputs, *block.outputs)]
     for what, name, remedy in checked:
         if not _IDENTIFIER.fullmatch(name):
             wanted = "an identifier of IEC 61131-3 (letters, digits, single underscores between them)"
@@ -96,7 +96,7 @@ def _check_names(block: ControlBlock) -> None:
     lower = [name.lower() for name in every]
     for name in every:
         if lower.count(name.lower()) > 1:
-            raise invalid("a signal's name", repr(name), "unique, capitals or not", "rename() the controller's signals")
+            raise invalid("a signal's name", repr(name), "unique, capitals or not", "give the controller's signals other names")
 
 
 def _facts(block: ControlBlock, precision: Precision, provenance: Sequence[str]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.identification.validation.simulated_output import simulate_outputs
+from ambrose.identification.validation.suspects import judged, suspects
 from ambrose.identification.youla import identify as youla
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
@@ -82,7 +83,10 @@ def identify_loop(
     checks = tuple(finding for finding in checks if finding.code != Code.FAR_FROM_START)  # no longer relevant
     checks += diagnose_result(machine, result, outputs)
     refuse(checks)
-    if not all(test.passed for test in result.tests) and not any(finding.code == Code.OTHER_DELAY for finding in checks):
+    if result.converged and method == "closed-loop":
+        progress("looking for what the model lacks")
+        result = judged(result, suspects(machine, records, controller, result, options))
+    if not result.adequate and not any(finding.code == Code.OTHER_DELAY for finding in checks):
         checks += _other_delay(machine, records, controller, result, options)
     done = LoopIdentification(
         given=machine, machine=machine, result=result, checks=checks, outputs=outputs, controller=controller,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.presentation import Presented, data_frame, html_table, in_words
+from ambrose.core.presentation import Presented, data_frame, html_table, in_words, with_unit
 from ambrose.identification.findings import Code, Finding
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
@@ -133,7 +133,8 @@ class Identification(Presented, ABC):
         """Where the values are from, as a comment to stand above the machine's file."""
         lines = [*self._heading(), f"Verdict: {self.verdict}", *[f"Warning: {finding}" for finding in self.doubts]]
         lines += [
-            f"  {row.path} = {row.value:.6g} {row.unit}, standard deviation {row.standard_deviation:.2g}, {self._remark(i)}"
+            f"  {row.path} = {with_unit(row.value, row.unit, 6)}, standard deviation {row.standard_deviation:.2g}, "
+            f"{self._remark(i)}"
             for i, row in enumerate(self.parameters)
         ]
         appendix = self._appendix()

@@ -73,8 +73,10 @@ def axis_order(controller: StateSpace, side: Literal["inputs", "outputs"], axes:
         return list(range(len(axes)))
     own = [next((axis for axis in axes if name == axis or name.endswith(f"_{axis}")), None) for name in names]
     if sorted(map(str, own)) != sorted(axes):
-        remedy = f"this controller is for another machine: design one for {machine or 'this'}, or rename() its signals"
-        raise invalid(f"the controller's {side}", ", ".join(names), ", ".join(prefix + axis for axis in axes), remedy)
+        remedy = f"this controller is for another machine: design one for {machine or 'this'}, or give its signals these names"
+        raise invalid(
+            f"the list of the controller's {side}", ", ".join(names), ", ".join(prefix + axis for axis in axes), remedy
+        )
     return [own.index(axis) for axis in axes]
 
 

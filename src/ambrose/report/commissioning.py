@@ -63,7 +63,7 @@ def commissioning_section(
 
 
 def _verdict(checked: LoopIdentification) -> Table:
-    mark = "pass" if all(test.passed for test in checked.result.tests) else "fail"
+    mark = "pass" if checked.result.adequate else "fail"
     fits = [percent for _, _, percent in checked.result.fit]
     rows = ((Cell(checked.result.verdict, mark), Cell(f"{min(fits):.1f} to {max(fits):.1f} %", "number")),)
     return Table("The identification", ("Residual tests", "Fit of the displacements"), rows)

@@ -32,7 +32,7 @@ from ambrose.plant.assemble import assemble, attached_rotor, bending_modes_of, m
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.ports import measured_ports, sensor_turn
-from ambrose.plant.reduce import reduce_from
+from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.timing import machine_timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
@@ -277,14 +277,16 @@ def _not_held(machine: Machine) -> Iterator[str]:
         return
     law, timing = pid_controller(machine.reference, machine), machine_timing(machine)
     runs = law if timing is None else timing.in_loop(law)
-    plants: list[Plant] = []
+    lost = []
     for point in machine.operation.envelope[:_POINTS]:
         try:
-            plants.append(assemble(machine, point))
+            plant = assemble(machine, point)
         except InvalidInput as error:  # outside a seal's table, or of the measured bias currents
             yield f"operating point {point.label} has no model: {error}"
-    modes = bending_modes_for(plants[0], law, timing) if plants else 0
-    lost = [p.point.label for p in plants if spectral_abscissa(closed_loop(reduce_from(p, modes), runs)) >= 0]
+            continue
+        modes = min(bending_modes_of(plant.rotor_model), bending_modes_for(plant) + _MODES)
+        if spectral_abscissa(closed_loop(free_mode_reduction(plant, modes), runs)) >= 0:
+            lost.append(point.label)
     if lost:
         yield f"the [controller] does not hold {', '.join(lost)}: tuned may start from it, method pid cannot be used there"
 

@@ -223,7 +223,9 @@ def _signals(names: Sequence[str], side: str) -> list[dict[str, str]]:
     prefix, unit = _UNITS[side]
     for name in names:
         if not name.startswith(prefix):
-            raise invalid(f"one of the controller's {side}", repr(name), f"{prefix}<axis> [{unit}]", "rename() its signals")
+            raise invalid(
+                f"one of the controller's {side}", repr(name), f"{prefix}<axis> [{unit}]", "give the signals such names"
+            )
     return [{"name": name, "unit": unit} for name in names]
 
 
@@ -268,6 +270,9 @@ def _content(text: str) -> Any:
     try:
         return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
+        if re.search(r"^\[\[?[a-z_.]+\]", text, re.MULTILINE):
+            given = "a machine file, or another in TOML"
+            raise invalid("it", given, "a controller file in JSON", "make one with `ambrose synthesize -o`") from error
         where = f"line {error.lineno}, column {error.colno}"
         raise InvalidInput(f"is not complete JSON ({error.msg} at {where}); {_AGAIN}, it may be truncated") from error
     except (RecursionError, ValueError) as error:

@@ -98,27 +98,25 @@ def design(
         raise invalid("envelope", True, f"False for method {method!r}", "'hinf' and 'mu' can span it; 'tuned' always does")
     if options.speeds is not None and method != "lpv":
         raise invalid("speeds", options.speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
-    options = options.on(plant.machine)
+    timing, options = options.timing(plant.machine), options.on(plant.machine)
     try:
-        result = _designed(plant, method, options, progress)
+        result = pid_synthesis(plant, timing=timing) if method == "pid" else _designed(plant, method, options, progress)
     except NumericalFailure as error:
-        if why := why_none(plant, options.timing()):
+        if why := why_none(plant, timing):
             raise NumericalFailure(f"{error}; {why}") from error
         raise
     if options.loss is not None:
         progress("lowering the order")
         result = reduce_order(plant, result, options, progress)
     if method != "pid":
-        result = certify_as_it_runs(plant, result, options.timing())
-    result = certify_envelope(envelope_of(plant), result, options.timing())
+        result = certify_as_it_runs(plant, result, timing)
+    result = certify_envelope(envelope_of(plant), result, timing)
     modes = int(result.certificate.margins.get("bending_modes", options.bending_modes or 0))
-    result = explained(plant, result, options.timing(), modes)
+    result = explained(plant, result, timing, modes)
     return replace(result, provenance=provenance(plant, method, options))
 
 
 def _designed(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:
-    if method == "pid":
-        return pid_synthesis(plant, timing=options.timing())
     if method == "lpv":
         grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
         return design_over_speed(plant, grid, bending_modes=options.bending_modes or 0, progress=progress)

@@ -118,7 +118,7 @@ def reduce_order(plant: Plant, result: Synthesis, options: DesignOptions, progre
     before, after = result.controller.n_states, lowest.controller.n_states
     note = (
         f"lowered from {before} to {after} states: worst sampled sensitivity {lowest.reference:.3g} -> {lowest.measure:.3g} "
-        f"over the tolerances, {timing}"
+        f"over the tolerances at {timing.rate:.6g} Hz"
     )
     margins = {"sampled_sensitivity": lowest.measure, "sampled_sensitivity_given": lowest.reference}
     certificate = generalized_certificate(design_plant(small, weights, uncertain=False), lowest.controller)

@@ -133,12 +133,13 @@ class Synthesis(Presented):
         """The status in words: at which operating points, and with an early end."""
         envelope = self.certificate.envelope
         lost = [label for label, abscissa in envelope.items() if not abscissa < 0]
-        words = str(self.status)
+        missed = self.method == "tuned" and self.gamma > 1
+        words = "certified as stable" if missed and self.status is Status.VERIFIED else str(self.status)
         if self.status is Status.VERIFIED and lost:
             words += f" at {len(envelope) - len(lost)} of {len(envelope)} operating points, unstable at {', '.join(lost)}"
         elif self.status is Status.VERIFIED and len(envelope) > 1:
             words += f" at all {len(envelope)} operating points"
-        if self.method == "tuned" and self.gamma > 1:
+        if missed:
             words += ", but not every requirement is met"
         return words if self.stopped_early is None else f"{words}, but stopped early: {self.stopped_early}"
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.presentation import Presented, data_frame, html_table, in_words
+from ambrose.core.presentation import Presented, data_frame, html_table, in_words, with_unit
 
 _COLUMNS = ("value", "unit", "relation", "limit", "passed", "zone", "detail")
 
@@ -39,7 +39,7 @@ class Check(Presented):
         limit = {} if self.limit is None else {"limit": f"{self.relation} {self.limit:.4g}", "passed": self.passed}
         zone = {} if self.zone is None else {"zone": self.zone}
         where = {} if not self.detail else {"detail": self.detail}
-        return {"name": self.name, "value": f"{self.value:.4g} {self.unit}", **limit, **zone, **where}
+        return {"name": self.name, "value": with_unit(self.value, self.unit), **limit, **zone, **where}
 
     @property
     def ratio(self) -> float | None:
@@ -155,7 +155,7 @@ def checks_table(checks: Sequence[Check], caption: str) -> str:
     rows = [
         (
             check.title,
-            f"{check.value:.4g} {check.unit}",
+            with_unit(check.value, check.unit),
             "" if check.limit is None else f"{check.relation} {check.limit:.4g}",
             "" if check.passed is None else in_words(check.passed),
             check.zone or "",

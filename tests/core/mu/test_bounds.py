@@ -124,7 +124,7 @@ def test_scaling_of_units_changes_nothing():
         assert mu_bounds(factor * M, MIXED).upper == pytest.approx(factor * plain.upper, rel=1e-3)
 
 
-@pytest.mark.parametrize("exponent", [9, 12])
+@pytest.mark.parametrize("exponent", [9, pytest.param(12, marks=pytest.mark.campaign)])
 def test_entries_over_eighteen_decades(exponent):
     """Independent entries from 1e-9 to 1e9 (nothing to balance): finite, ordered bounds."""
     rng = np.random.default_rng(exponent)
@@ -272,6 +272,7 @@ def test_proofs_of_random_systems_agree_with_a_fine_grid():
         assert proved_below(system, blocks, max(peak.upper, bounds.upper.max()) * 1.01)
 
 
+@pytest.mark.campaign
 def test_a_proof_gives_up_within_its_intervals():
     peak = mu_peak(resonant(), BLOCKS, np.geomspace(1, 100, 40), lower=False)
     assert not proved_below(resonant(), BLOCKS, peak.upper * 1.002, max_intervals=1)

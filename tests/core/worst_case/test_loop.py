@@ -61,7 +61,7 @@ def eigenvalue_count(loop, delta: np.ndarray) -> np.ndarray:
 def test_unstable_poles_equal_the_eigenvalues(direct):
     rng = np.random.default_rng(4)
     seen: list[int] = []
-    for _ in range(40):
+    for _ in range(15):
         loop = random_loop(rng, int(rng.integers(1, 5)), direct=direct)
         delta = np.vstack([corners(loop.parameters), samples(loop.parameters, 20), 2.5 * samples(loop.parameters, 10)])
         expected = eigenvalue_count(loop, delta)

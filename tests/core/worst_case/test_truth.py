@@ -29,6 +29,7 @@ def test_between_search_and_bound_lies_the_truth(seed, monkeypatch):
     assert np.isfinite(row.bound)
 
 
+@pytest.mark.campaign
 def test_a_member_whose_pole_is_sharper_than_the_nominal_ones():
     """One parameter. A grid made from the nominal poles found 20.5 here and "bounded" it by 32.2; the truth is 68.4."""
     loop = worst_case_truth.loop_of(34)

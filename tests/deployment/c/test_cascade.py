@@ -97,7 +97,16 @@ def test_prewarping_reaches_the_sections():
 
 
 @compiler
-@pytest.mark.parametrize("arithmetic", ["double", "float", "fixed32", "fixed16"])
+@pytest.mark.parametrize("blocks", [pytest.param("axes", marks=pytest.mark.campaign), "tilt-translate"], indirect=True)
+@pytest.mark.parametrize(
+    "arithmetic",
+    [
+        "double",
+        pytest.param("float", marks=pytest.mark.campaign),
+        "fixed32",
+        pytest.param("fixed16", marks=pytest.mark.campaign),
+    ],
+)
 def test_code_agrees_with_python(blocks, arithmetic, tmp_path):
     """Under the sanitizers, to the last digits; words exactly."""
     block = blocks[0].single() if arithmetic == "float" else blocks[0]
@@ -120,6 +129,7 @@ def test_code_agrees_with_python(blocks, arithmetic, tmp_path):
 
 
 @compiler
+@pytest.mark.parametrize("blocks", ["axes", pytest.param("tilt-translate", marks=pytest.mark.campaign)], indirect=True)
 @pytest.mark.parametrize("arithmetic", ["double", "fixed32"])
 def test_self_test_passes_and_finds_a_wrong_section(blocks, arithmetic, tmp_path):
     files = generate(blocks[0], arithmetic)
@@ -137,6 +147,7 @@ def test_self_test_passes_and_finds_a_wrong_section(blocks, arithmetic, tmp_path
 
 
 @compiler
+@pytest.mark.parametrize("blocks", ["axes", pytest.param("tilt-translate", marks=pytest.mark.campaign)], indirect=True)
 @pytest.mark.parametrize(("arithmetic", "digits"), [("double", 1e-12), ("float", 1e-5), ("fixed32", 1e-6)])
 def test_law_read_back_and_transfer(blocks, arithmetic, digits):
     """What verification would see is the law; a transfer continues with the current given."""

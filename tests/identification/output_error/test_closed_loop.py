@@ -174,7 +174,7 @@ def test_several_records_other_signals_and_a_seal():
     np.testing.assert_allclose(result.values / scale, nominal / scale, atol=1e-6)
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_predicted_deviation_against_monte_carlo():
     machine, _, controller, _ = rig()
     y = clean(1500)

@@ -154,7 +154,7 @@ def test_a_mistimed_excitation_is_found(late):
     np.testing.assert_allclose(found.values[:-1], nominal_values(plant, KNOWN), rtol=1e-6)
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_deviation_of_the_delay_against_monte_carlo():
     machine, _, controller, _ = rig()
     clean = record(sequences(1200), 1.3)

@@ -82,7 +82,7 @@ def test_agrees_with_time_domain():
     assert all(test.passed for test in lines.tests) and len(lines.tests) == 4
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_predicted_deviation_against_monte_carlo():
     machine, _, controller, _ = rig()
     values, predicted = [], []

@@ -102,6 +102,7 @@ def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each(
     assert not any(item.code == Code.HARDLY_VISIBLE for item in fit.warnings if item.what.startswith("at 0 Pa"))
 
 
+@pytest.mark.campaign
 def test_a_table_follows_the_curve_and_survives_its_file():
     done = replace(found(), provenance=Provenance(("here",))).updated()
     made = loads_machine(dumps_machine(done.machine))

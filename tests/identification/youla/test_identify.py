@@ -139,6 +139,7 @@ def test_recovery_without_noise(theta):
     assert result.estimate.converged and not result.estimate.warnings and result.controller_error < 1e-9
 
 
+@pytest.mark.campaign
 def test_initial_state_offset_several_records_and_other_parameters():
     later = record(2500, skip=700)
     values = later.values.copy()
@@ -154,6 +155,7 @@ def test_initial_state_offset_several_records_and_other_parameters():
     assert update_machine(machine(), result.estimate).name == "turboexpander"
 
 
+@pytest.mark.campaign
 def test_several_starts_find_the_same():
     nominal = nominal_values(plant(), [PATH])[0]
     for factor in (1.3, 1.1, 0.7, 0.4, 0.0, -0.5):
@@ -161,7 +163,7 @@ def test_several_starts_find_the_same():
         assert share(result) == pytest.approx(0.5, abs=1e-6), factor
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method():
     """0.3 A, 1 um of white sensor noise; P1's own experiment has its Monte Carlo study in tests/literature/test_p1.py."""
     nominal = nominal_values(plant(), [PATH])[0]
@@ -175,6 +177,7 @@ def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method
     assert other.standard_deviations[0] / nominal > 1.5 * scatter
 
 
+@pytest.mark.campaign
 def test_sensors_of_different_noise_are_weighted():
     sizes = np.array([[2e-6], [2e-6], [2e-7], [2e-7]])
     quiet = simulate(select(loop(), E, Y + U), sequences(3000))

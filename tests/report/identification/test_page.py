@@ -202,6 +202,7 @@ def test_another_methods_values_stand_beside(done):
     assert table.cells[-1][4].text == "the other states no interval"  # of the seal's k: the file states the pressure's
 
 
+@pytest.mark.campaign
 def test_not_converged_is_not_sure(done):
     _, checked = done
     warning = Finding(Code.NOT_CONVERGED, "warning", "not converged after 2 steps")

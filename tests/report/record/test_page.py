@@ -222,6 +222,7 @@ def test_the_page_of_a_trace():
     assert len(page) < 7e6
 
 
+@pytest.mark.campaign
 def test_the_page_of_an_interrupted_measurement():
     record = whirling(kind="y", count=900)
     report = record_report(replace(record, notes=(("complete", "false"), ("operator", "J. Doe"))), MACHINE)

@@ -29,11 +29,13 @@ def check_identifiers(name: str, inputs: Sequence[str], outputs: Sequence[str]) 
     check_identifier(name, "the name of the block", "choose letters, digits and underscores")
     for side, signals in (("input", inputs), ("output", outputs)):
         for signal in signals:
-            check_identifier(signal, f"the {side} signal", "rename the bearing in the machine file, or rename() the signals")
+            check_identifier(
+                signal, f"the {side} signal", "rename the bearing in the machine file, or give the signals other names"
+            )
     upper = [signal.upper() for signal in (*inputs, *outputs)]
     for signal in upper:
         if upper.count(signal) > 1:
-            raise invalid("a signal's name", signal, "unique in capitals", "rename() the controller's signals")
+            raise invalid("a signal's name", signal, "unique in capitals", "give the controller's signals other names")
 
 
 def check_identifier(name: str, what: str, remedy: str) -> str:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive, invalid
-from ambrose.core.presentation import Presented, to_plain
+from ambrose.core.presentation import Presented, to_plain, with_unit
 from ambrose.core.sampling import Method, delayed
 from ambrose.core.scheduled import ScheduledSystem, interval_points
 from ambrose.core.statespace import StateSpace, as_statespace, poles, spectral_abscissa
@@ -283,7 +283,8 @@ def unmet_limits(deployment: Deployment | ScheduledDeployment) -> tuple[str, ...
             if check.passed is not False or check.limit is None:
                 continue
             excess = check.limit - check.value if check.relation == ">=" else check.value - check.limit
-            text = f"{checks.label}: {check.title} {check.value:.4g} {check.unit} (limit {check.relation} {check.limit:.4g})"
+            value = with_unit(check.value, check.unit)
+            text = f"{checks.label}: {check.title} {value} (limit {check.relation} {check.limit:.4g})"
             key = check.name if scheduled else text
             most, worst_text, count = worst.get(key, (-np.inf, "", 0))
             worst[key] = (excess, text, count + 1) if excess > most else (most, worst_text, count + 1)

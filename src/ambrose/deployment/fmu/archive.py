@@ -107,7 +107,9 @@ def _check_names(block: ControlBlock) -> None:
     names = [v.name for v in variables(block)]
     for name in names:
         if names.count(name) > 1:
-            raise invalid("a signal's name", repr(name), "unlike the FMU's own variables", "rename() the controller's signals")
+            raise invalid(
+                "a signal's name", repr(name), "unlike the FMU's own variables", "give the controller's signals other names"
+            )
     if block.name in _OWN:
         raise invalid("the name of the block", repr(block.name), "unlike the FMU's own files and words", "give another --name")
     check_identifier(block.name, "the name of the block", "choose letters, digits and underscores")

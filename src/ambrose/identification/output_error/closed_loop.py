@@ -17,7 +17,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
-from ambrose.identification.findings import Finding
+from ambrose.identification.findings import Code, Finding
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.lagged_products import coloured_products
 from ambrose.identification.output_error.levenberg_marquardt import Linearised, Minimum, minimise
@@ -85,6 +85,11 @@ class ParameterEstimate:
     @property
     def standard_deviations(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def adequate(self) -> bool:
+        """Whether what the residuals still hold of the excitation leaves the values as they are, or nearly so."""
+        return all(finding.code != Code.RESIDUALS for finding in self.warnings)
 
     def widened(self, least: np.ndarray) -> ParameterEstimate:
         """The same with standard deviations of at least ``least`` (q,); correlations stay."""

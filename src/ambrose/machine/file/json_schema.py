@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.machine.description import SCHEMA_VERSION
-from ambrose.machine.file.tables import MachineFile
 from ambrose.machine.kinds import PLACEHOLDER, quantity_schemas
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -17,6 +16,8 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 def machine_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a machine file, for editors: every table and key with its meaning, form and default."""
+    from ambrose.machine.file.tables import MachineFile  # whoever reads a record needs no tables of machines
+
     made: dict[str, Any] = tidy_schema(MachineFile.model_json_schema(by_alias=True))
     tables: dict[str, Any] = made.pop("$defs")
     head = {

@@ -45,12 +45,15 @@ def is_ross(document: Mapping[str, Any]) -> bool:
     return any(str(key).startswith("ShaftElement") for key in document)
 
 
+GIVE = "a machine file is made of what Rotor.save of ROSS wrote (*.toml, *.json) or of a table of stations (*.csv)"
+
+
 def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
     """The rotor in a ROSS document; ``name`` stands in messages. Raises InvalidInput."""
     rows = [(str(key), row) for key, row in document.items() if isinstance(row, Mapping) and key != "parameters"]
     layers = [_layer(name, key, row) for key, row in rows if key.startswith("ShaftElement")]
     if not layers:
-        raise InvalidInput(f"{name}: it has no ShaftElement, so that it is no rotor of ROSS; give what Rotor.save wrote")
+        raise InvalidInput(f"{name}: it has no ShaftElement, so that it is no rotor of ROSS; {GIVE}")
     layers.sort(key=lambda layer: layer["n"])
     assumed: dict[str, str] = {}
     sections: list[ShaftSection] = []

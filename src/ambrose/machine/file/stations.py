@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Disc, Material, ShaftSection
-from ambrose.machine.file.ross import merged, parse_ross, rotor_of_ross
+from ambrose.machine.file.ross import GIVE, merged, parse_ross, rotor_of_ross
 from ambrose.machine.limits import NAME, TOML_BYTES
 from ambrose.machine.messages import one_line, suggestion
 from ambrose.machine.ordinary_file import read_text
@@ -46,9 +46,11 @@ def rotor_of_stations(text: str, name: str) -> RotorModel:
     """The rotor in the text of a CSV file; ``name`` stands in messages. Raises InvalidInput."""
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if len(lines) < 2:
-        raise InvalidInput(f"{name}: it has no stations; give a row of names (length [mm], od [mm], ...) and a row per station")
+        raise InvalidInput(f"{name}: it has no stations, a row of names (length [mm], od [mm], ...) and a row for each; {GIVE}")
     mark = max(";\t,", key=lines[0].count)
     header, *rows = csv.reader(lines, delimiter=mark)
+    if not any(_kind_of(cell)[0] for cell in header):
+        raise InvalidInput(f"{name}: its first row names no column of a table of stations, such as length [mm]; {GIVE}")
     columns = [_column(name, cell) for cell in header]
     kinds = [kind for kind, _ in columns]
     for kind in ("length", "od"):
@@ -92,14 +94,19 @@ def rotor_of_stations(text: str, name: str) -> RotorModel:
     )
 
 
-def _column(name: str, cell: str) -> tuple[str, str]:
-    """What a column holds, and its unit."""
+def _kind_of(cell: str) -> tuple[str, str, str]:
+    """What a column holds ("": unknown), its unit, and the word that stands there."""
     found = re.fullmatch(r"\s*([^\[(]*?)\s*(?:[\[(](.*)[\])])?\s*", cell)
     word = "" if found is None else found[1].lower()
-    for kind, (_, others) in _COLUMNS.items():
-        if word == kind or word in others:
-            return kind, (found[2] or "").strip() if found else ""
-    raise InvalidInput(f'{name}: the column "{cell.strip()}" is unknown; {suggestion(word, _COLUMNS)}')
+    kind = next((kind for kind, (_, others) in _COLUMNS.items() if word == kind or word in others), "")
+    return kind, (found[2] or "").strip() if found else "", word
+
+
+def _column(name: str, cell: str) -> tuple[str, str]:
+    kind, unit, word = _kind_of(cell)
+    if not kind:
+        raise InvalidInput(f'{name}: the column "{cell.strip()}" is unknown; {suggestion(word, _COLUMNS)}')
+    return kind, unit
 
 
 def _read(where: str, kind: str, cell: str, unit: str, mark: str) -> float:

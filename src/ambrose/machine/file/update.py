@@ -14,6 +14,7 @@ from tomlkit.items import AoT, Array, InlineTable, Item, String, Table
 
 from ambrose.core.checks import invalid
 from ambrose.machine.atomic_write import write_text
+from ambrose.machine.file.annotated import in_everyday_unit
 from ambrose.machine.file.parse import named_materials
 from ambrose.machine.file.tables import MachineFile, ToleranceTable, table_below
 from ambrose.machine.file.tables import Table as Model
@@ -40,7 +41,8 @@ def update_machine_file(text_or_path: str | os.PathLike[str], machine: Machine) 
 
     text_or_path: the file's text, or its path (or the name of a bundled machine). Only entries whose value differs change, and
     are written in the unit that stands there; comments, order and all other text stay, and what stands above a table goes
-    with it. New keys and tables follow those of their kind, in SI numbers. Raises InvalidInput where the file is no machine.
+    with it. New keys and tables follow those of their kind, with the units that ``annotated_machine`` writes. Raises
+    InvalidInput where the file is no machine.
     """
     is_text = isinstance(text_or_path, str) and "\n" in text_or_path
     text = str(text_or_path if is_text else read_machine_text(text_or_path)).replace("\r\n", "\n")
@@ -75,6 +77,9 @@ def save_machine(machine: Machine, path: str | os.PathLike[str]) -> Path:
 def _update_document(document: tomlkit.TOMLDocument, machine: Machine) -> None:
     whole, given = machine.to_dict(defaults=True), machine.to_dict()
     whole.setdefault("material", {})  # those that no section names stay
+    if "channel" in given.get("controller", {}) and "channel" not in document.get("controller", {}):
+        # chains replace all else: of an earlier controller no default stays
+        whole["controller"] = {key: value for key, value in whole["controller"].items() if key in given["controller"]}
     _update_assumed(document["machine"], machine.assumed)
     used = zip(machine.shaft, given["shaft"], strict=True)
     named = {table["material"]: section.material for section, table in used if "material" in table}
@@ -114,13 +119,14 @@ def _update_table(table: Any, model: type[Model], whole: _Plain, given: _Plain) 
                 if entry in table.get(key, {}):
                     _update_table(table[key][entry], below, whole[key][entry], values)
                 else:
-                    _add(table.setdefault(key, tomlkit.table(is_super_table=True)), entry, values, inline=dotted)
+                    new = _in_units(below, values)
+                    _add(table.setdefault(key, tomlkit.table(is_super_table=True)), entry, new, inline=dotted)
         elif str(field.annotation).startswith("list"):
             _update_entries(table, key, below, whole[key], given.get(key, ()))
         elif key in table:
             _update_table(table[key], below, whole[key], given.get(key, {}))
         elif key in given:
-            _add(table, key, given[key])
+            _add(table, key, _in_units(below, given[key]))
 
 
 def _dimension(model: type[Model], name: str, values: _Plain) -> str:
@@ -133,7 +139,7 @@ def _dimension(model: type[Model], name: str, values: _Plain) -> str:
 def _update_value(table: Any, key: str, dimension: str, value: Any, wanted: bool) -> None:
     if key not in table:
         if wanted:
-            table[key] = value
+            table[key] = _worded(value, dimension, key)
         return
     if value == [] and not (wanted and isinstance(table[key], Array)):  # there are none any more, which is the default
         table.remove(key)
@@ -141,6 +147,25 @@ def _update_value(table: Any, key: str, dimension: str, value: Any, wanted: bool
     updated = _rewritten(table[key], value, dimension)
     if updated is not table[key]:
         table[key] = updated
+
+
+def _in_units(model: type[Model], values: _Plain) -> dict[str, Any]:
+    """A new table, its numbers with the units that people write."""
+    told = dict(values)
+    for name, field in model.model_fields.items():
+        key, below = field.alias or name, table_below(model, name)
+        if key in told and below is None:
+            told[key] = _worded(told[key], _dimension(model, name, values), key)
+        elif below is not None and key in told and not str(field.annotation).startswith("dict"):
+            several = isinstance(told[key], list)
+            told[key] = [_in_units(below, item) for item in told[key]] if several else _in_units(below, told[key])
+    return told
+
+
+def _worded(value: Any, dimension: str, key: str) -> Any:
+    if isinstance(value, list):
+        return [_worded(item, dimension, key) for item in value]
+    return in_everyday_unit(value, dimension, key) if dimension and isinstance(value, float) else value
 
 
 def _rewritten(old: Any, value: Any, dimension: str) -> Any:
@@ -194,9 +219,9 @@ def _update_entries(table: Any, key: str, model: type[Model], whole: Sequence[_P
     if not whole:
         table.remove(key)
     elif not entries:
-        _add(table, key, list(given))
+        _add(table, key, [_in_units(model, values) for values in given])
     else:
-        _reorder(table[key], entries, wanted, given)
+        _reorder(table[key], entries, wanted, [_in_units(model, values) for values in given])
 
 
 def _identities(entries: Sequence[Any], model: type[Model], key: str) -> Iterator[tuple[Any, int]]:

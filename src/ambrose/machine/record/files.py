@@ -17,6 +17,7 @@ from ambrose.machine.atomic_write import draft_of
 from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.record.record import Record
 
+_SUFFIXES = (".h5", ".hdf5", ".csv")
 _FOREIGN = {".mat", ".tdms", ".txt", ".dat", ".asc", ".uff", ".unv"}
 
 
@@ -56,7 +57,7 @@ def write_record(record: Record, path: str | Path) -> Path:
 
 def check_suffix(path: Path) -> None:
     """Refuses a name that write_record would refuse. Raises InvalidInput."""
-    _by_suffix(path, dict.fromkeys((".h5", ".hdf5", ".csv"), read_record))
+    _by_suffix(path, dict.fromkeys(_SUFFIXES, read_record))
 
 
 def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
@@ -64,5 +65,5 @@ def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callabl
         foreign = path.suffix.lower() in _FOREIGN
         remedy = "read it with a column map (ambrose convert --columns), or export it as a kind that has one"
         remedy = f"{remedy if foreign else 'export it as one of them, or as one that a column map reads'}: see docs/records.md"
-        raise invalid(f"the suffix of {path.name}", repr(path.suffix), f"one of {', '.join(choices)}", remedy)
+        raise invalid(f"the suffix of {path.name}", repr(path.suffix), f"one of {', '.join(_SUFFIXES)}", remedy)
     return choices[path.suffix.lower()]

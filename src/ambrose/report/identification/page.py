@@ -143,7 +143,7 @@ def _residual_section(residual: ResidualIdentification) -> Section:
 
 def _verdicts(checked: LoopIdentification, seal: SealFit | None = None) -> tuple[Verdict, ...]:
     result = checked.result
-    passed = all(test.passed for test in result.tests)
+    passed = result.adequate
     worst = max(zip(result.paths, result.values, result.standard_deviations, strict=True), key=_relative)
     least = min(percent for _, _, percent in result.fit)
     sure = _relative(worst) < 0.15 and result.converged

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
-from ambrose.core.presentation import Presented, data_frame
+from ambrose.core.presentation import Presented, data_frame, with_unit
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
@@ -61,7 +61,7 @@ class TradeOff(Presented):
     def facts(self) -> Mapping[str, Any]:
         """The lowest sensitivity at every value."""
         rows = zip(self.values, self.sensitivity, self.met, strict=True)
-        told = [f"{value:.4g} {self.unit}: {peak:.3g}{'' if met else ' (not met)'}" for value, peak, met in rows]
+        told = [f"{with_unit(value, self.unit)}: {peak:.3g}{'' if met else ' (not met)'}" for value, peak, met in rows]
         return {"over": self.over, "lowest_sensitivity": told}
 
     def to_frame(self) -> Any:

@@ -1,0 +1,140 @@
+"""What a model may lack, and what that would do to its values: one more unknown at a time, by one step from the optimum.
+
+With a further parameter c the normal equations of a fit grow by a column; eliminating the others leaves
+S_c = H_cc - H_cp H_pp^-1 H_pc and g_c: the best step is d = g_c / S_c (Gauss-Newton), the cost falls by g_c^2 / S_c, and
+the fitted values would move by -H_pp^-1 H_pc d. The score, |g_c| over its standard deviation under the colour of the residuals,
+says how sure that is (a score test; Rao 1948): it sees what the correlation of residuals and excitation, spread over a hundred
+lags, does not. And residuals that follow the excitation say only that something is missing, the move how much it matters. What
+is missing need not be one of the suspects: the largest move is a measure of the effect, no bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import AmbroseError
+from ambrose.identification.findings import WARNING, Code, Finding
+from ambrose.identification.output_error.closed_loop import LeastSquares, ParameterEstimate
+from ambrose.identification.output_error.lagged_products import coloured_products
+from ambrose.identification.output_error.normal_equations import jacobian_pieces, normal_equations
+from ambrose.identification.output_error.problem import Experiment, FitOptions, build_experiment
+from ambrose.identification.output_error.residual_analysis import residual_scores
+from ambrose.identification.parameters import unit_of
+from ambrose.machine.description import AMPLIFIER_PARAMETERS
+from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import TIMING, parse_parameter
+from ambrose.machine.record.record import Record
+
+_CERTAIN = 4.0  # standard deviations of a step, below which noise may make it
+_HARMLESS = 0.02  # of a value; assumed: less than a tolerance of a magnet's coefficients ever is
+_OWN, _SAMPLES = 0.5, 3.0  # of a parameter, of a delay in samples: a longer step is no correction, but another machine
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """One more unknown: by how much it would change (``step``, SI) and how surely (``score`` standard deviations), which part
+    of the residuals' energy that explains, and by how much the fitted values (q,) would move (``shift``, SI)."""
+
+    path: str
+    step: float
+    score: float
+    explains: float
+    shift: np.ndarray
+
+
+def suspects(
+    machine: Machine, records: Sequence[Record], controller: Any, result: ParameterEstimate, options: FitOptions
+) -> tuple[Suspect, ...]:
+    """The suspects that noise cannot make, the best explanation first; none where no further unknown can be tried.
+
+    Tried are the delays of controller and excitation, the amplifier's other parameters, gains and stiffnesses of bearings and
+    couplings, and the seals' coefficients that the fit took as known.
+    """
+    options = replace(options, period=None)
+    paths = [path for path in (*TIMING, *_others(machine)) if not _known(path, result.paths)]
+    timing, rest = [path for path in paths if path in TIMING], [path for path in paths if path not in TIMING]
+
+    def scored(extra: list[str]) -> list[Suspect]:
+        if not extra:
+            return []
+        try:
+            return _scores(build_experiment(machine, records, controller, (*result.paths, *extra), options), result)
+        except AmbroseError:  # one of them cannot be an unknown here
+            half = len(extra) // 2
+            return [] if not half else scored(extra[:half]) + scored(extra[half:])
+
+    return tuple(sorted(scored(timing) + scored(rest), key=lambda item: -item.explains))
+
+
+def judged(result: ParameterEstimate, found: Sequence[Suspect]) -> ParameterEstimate:
+    """The result with intervals that hold the largest move that a suspect would make; the verdict names cause and effect.
+
+    Where no value would move by more than 2 %, what the residuals hold is no doubt about the values: the warning goes.
+    """
+    if not found:
+        return result
+    moves = np.abs([item.shift for item in found])
+    relative = moves / np.abs(np.where(result.values == 0, np.inf, result.values))
+    k = int(relative.max(axis=0).argmax())
+    effect = float(relative[:, k].max())
+    named = ", ".join(f"{item.path} {item.step:+.3g} {unit_of(item.path)} ({100 * item.explains:.2g} %)" for item in found[:3])
+    moved = f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals hold"
+    start = result.verdict.partition("; the model lacks something")[0].partition(": the model explains")[0]
+    verdict = f"{start}; one more unknown would explain a part of what is left: {named}; with it {moved}"
+    warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]
+    if effect > _HARMLESS:
+        warnings.append(Finding(Code.RESIDUALS, WARNING, verdict))
+    wider = result.widened(np.hypot(result.standard_deviations, moves.max(axis=0)))
+    return replace(wider, verdict=verdict, warnings=tuple(warnings))
+
+
+def _others(machine: Machine) -> list[str]:
+    paths = [f"amplifier.{name}" for name in AMPLIFIER_PARAMETERS[machine.amplifier.order]]
+    paths += [
+        f"bearing.{item.name}.{quantity}.{axis}"
+        for quantity in ("force_per_current", "negative_stiffness")
+        for item in machine.bearings
+        for axis in ("zeta", "eta")
+    ]
+    paths += [f"coupling.{item.name}.stiffness.{axis}" for item in machine.couplings for axis in ("zeta", "eta")]
+    plain = [item for item in machine.seals if item.geometry is None and item.table is None]
+    return paths + [f"seal.{item.name}.{letter}" for item in plain for letter in "kKC"]
+
+
+def _known(path: str, paths: Sequence[str]) -> bool:
+    return path in paths or any(
+        path not in TIMING and other not in TIMING and parse_parameter(path).overlaps(parse_parameter(other)) for other in paths
+    )
+
+
+def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
+    theta, own = experiment.nominal.copy(), [experiment.paths.index(path) for path in result.paths]
+    theta[own] = result.values
+    loops = LeastSquares(experiment, normal_equations).loops(theta)
+    H, middle, g, cost = np.zeros((len(theta), len(theta))), np.zeros((len(theta), len(theta))), np.zeros(len(theta)), 0.0
+    for task in experiment.tasks:
+        loop, directions = loops[task.place]
+        part = normal_equations(loop, directions, task)
+        covariance = residual_scores(loop, task, part, ["e"] * len(task.e), experiment.signals, 1).covariance
+        middle += coloured_products(jacobian_pieces(loop, directions, task, part), covariance)
+        H, g, cost = H + part.equations.H, g + part.equations.g, cost + part.equations.cost
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    H, g, middle = H / size / size[:, None], g / size, middle / size / size[:, None]
+    found = []
+    for c in (i for i in range(len(theta)) if i not in own):
+        x = np.linalg.solve(H[np.ix_(own, own)], H[own, c])
+        left, slope = H[c, c] - H[c, own] @ x, g[c] - g[own] @ x
+        if left <= 1e-9:  # no record tells it from the others
+            continue
+        weights = np.append(-x, 1.0)
+        spread = float(weights @ middle[np.ix_([*own, c], [*own, c])] @ weights)
+        step, score = slope / left, abs(slope) / np.sqrt(max(spread, 1e-300))
+        most = _SAMPLES if experiment.paths[c] in TIMING else _OWN
+        if score > _CERTAIN and abs(step) / size[c] < most * max(experiment.scale[c], abs(theta[c])):
+            shift = -x * step / size[own]
+            found.append(Suspect(experiment.paths[c], step / size[c], float(score), float(slope**2 / left / cost), shift))
+    return found
