@@ -81,7 +81,7 @@ def judged(result: ParameterEstimate, found: Sequence[Suspect]) -> ParameterEsti
     relative = moves / np.abs(np.where(result.values == 0, np.inf, result.values))
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
-    named = ", ".join(f"{item.path} {item.step:+.3g} {unit_of(item.path)} ({100 * item.explains:.2g} %)" for item in found[:3])
+    named = ", ".join(f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in found[:3])
     moved = f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals hold"
     start = result.verdict.partition("; the model lacks something")[0].partition(": the model explains")[0]
     verdict = f"{start}; one more unknown would explain a part of what is left: {named}; with it {moved}"
@@ -90,6 +90,10 @@ def judged(result: ParameterEstimate, found: Sequence[Suspect]) -> ParameterEsti
         warnings.append(Finding(Code.RESIDUALS, WARNING, verdict))
     wider = result.widened(np.hypot(result.standard_deviations, moves.max(axis=0)))
     return replace(wider, verdict=verdict, warnings=tuple(warnings))
+
+
+def _sized(item: Suspect) -> str:
+    return f"{1e6 * item.step:+.3g} us" if item.path in TIMING else f"{item.step:+.3g} {unit_of(item.path)}"
 
 
 def _others(machine: Machine) -> list[str]:

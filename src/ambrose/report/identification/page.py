@@ -103,7 +103,9 @@ def identification_report(
     sections.append(Section("Can it be believed?", "", tuple(pictures), (residual_tests_table(result),), folded=True))
     verdicts = _verdicts(checked, seal)
     failed = [verdict.label.lower() for verdict in verdicts if verdict.passed is False]
-    words = f"to be doubted: {', '.join(failed)}" if failed else "identified, and nothing speaks against it"
+    traced = any(not test.passed for test in result.tests)
+    good = "identified; what the model lacks hardly moves the values" if traced else "identified, and nothing speaks against it"
+    words = f"to be doubted: {', '.join(failed)}" if failed else good
     return Report(
         title or _TITLES[checked.method], machine, tuple(sections), verdicts,
         _facts(checked), date, result=Verdict("Result", not failed, words),
