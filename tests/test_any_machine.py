@@ -11,7 +11,12 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import main
-from ambrose.machine.file.toml import read_machine_text
+from ambrose.core.frequency import frequency_response
+from ambrose.machine.description import CasingMode, Support
+from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop
+from ambrose.synthesis.pid import pid_controller
 
 NAMES = {"A": "DE", "B": "NDE", "center": "balance", "piston": "drum", "coupling": "quill"}
 SAME = 1e-9
@@ -148,3 +153,105 @@ def test_commands_with_other_names(pair, tmp_path):
     assert wrong.exit_code == 2 and "this controller is for another machine" in wrong.stderr.splitlines()[-1]
     assert json.loads(call("check", path, "--json").stdout)["mass_kg"] > 1
     assert Path(controller).exists()
+
+
+def real(machine):
+    """With what real machines have: two sensor pairs per bearing at angles of their own, supports, a mode of the casing."""
+    pairs = tuple(
+        replace(s, position=s.position + side * 0.01, angle=0.4 + 0.3 * side, weight=2.0 + side)
+        for s in machine.sensors for side in (1, -1)
+    )  # fmt: skip
+    first, last = machine.bearings[0].name, machine.bearings[-1].name
+    supports = (
+        Support(first, (80.0, 95.0), (6e7, 9e7), (6e4, 8e4), seals=(machine.seals[0].name,)),
+        Support(last, (120.0, 120.0), (2e8, 1.2e8), (9e4, 9e4), angle=0.3, sensor="ground"),
+    )
+    casing = (CasingMode(900.0, 900.0, (first, machine.seals[0].name), (1.0, 0.5), (0.0, 0.3), 0.05),)
+    return replace(machine, sensors=pairs, supports=supports, casing_modes=casing)
+
+
+def responses(machine, point, names=None):
+    """The full loop's responses under the reference PID, by signal; names: this machine's names -> those to call them by."""
+    loop = closed_loop(assemble(machine, point), pid_controller(machine.controller, machine))
+    values = frequency_response(loop, np.geomspace(2.0, 3e3, 12)).values
+
+    def called(signal):
+        return re.sub(r"(?<=_)(\w+)(?=_\w+$)", lambda m: (names or {}).get(m[1], m[1]), signal)
+
+    inputs, outputs = ([called(name) for name in side] for side in (loop.inputs, loop.outputs))
+    return {(o, i): values[:, k, j] for k, o in enumerate(outputs) for j, i in enumerate(inputs)}
+
+
+def largest_difference(one, two):
+    """Of every kind of response (y over f, ...) relative to the largest of its kind."""
+    assert one.keys() == two.keys()
+    worst = {}
+    for (o, i), values in one.items():
+        kind = (o.split("_")[0], i.split("_")[0])
+        size, gap = worst.get(kind, (0.0, 0.0))
+        worst[kind] = max(size, np.abs(values).max()), max(gap, np.abs(values - two[o, i]).max())
+    return max(gap / size for size, gap in worst.values() if size)
+
+
+def test_the_real_machine_does_not_depend_on_names_order_or_the_end_counted_from(tmp_path):
+    machine = real(amb.load_machine("seal-rig"))
+    point = machine.operation.points[0]
+    base = responses(machine, point)
+    text = dumps_machine(machine)
+    for old, new in (("A", "DE"), ("B", "NDE"), ("center", "balance")):
+        text = re.sub(rf'"{old}"', f'"{new}"', text)
+        text = re.sub(rf'"(bearing|seal|coupling|sensor)\.{old}\.', rf'"\1.{new}.', text)
+    back = {"DE": "A", "NDE": "B", "balance": "center"}
+    assert largest_difference(base, responses(loads_machine(text), point, back)) < SAME
+    still = replace(point, speed=0.0, seal_pressure=0.0)
+    turned = replace(machine, supports=machine.supports[::-1])
+    assert largest_difference(base, responses(turned, point)) < SAME
+    # counted from the other end the second pair of every bearing comes first, along which y_ then is; currents and motion stay
+    one, two = ({key: v for key, v in responses(m, still).items() if key[0][0] in "uiq" and key[1][0] in "ef"}
+                for m in (machine, mirrored(machine)))  # fmt: skip
+    assert largest_difference(one, two) < 1e-7
+    units = dumps_machine(machine).replace("mass = [80.0, 95.0]", 'mass = ["80 kg", "95000 g"]')
+    units = units.replace("stiffness = [60000000.0, 90000000.0]", 'stiffness = ["60 N/um", "90 kN/mm"]')
+    assert units.count("95000 g") == units.count("90 kN/mm") == 1
+    assert largest_difference(base, responses(loads_machine(units), point)) < SAME
+
+
+def test_turning_all_that_is_around_the_rotor_turns_nothing_at_rest():
+    """Bearings, sensors, supports, couplings by one angle: in their own axes, the same (the seal is alike all round)."""
+    machine = real(amb.load_machine("seal-rig"))
+    machine = replace(machine, casing_modes=(), supports=machine.supports[:1])
+    by = 0.7
+    turned = replace(
+        machine,
+        bearings=tuple(replace(b, angle=b.angle + by) for b in machine.bearings),
+        sensors=tuple(replace(s, angle=s.angle + by) for s in machine.sensors),
+        couplings=tuple(replace(c, angle=c.angle + by) for c in machine.couplings),
+        supports=tuple(replace(s, angle=s.angle + by) for s in machine.supports),
+    )
+    point = machine.operation.points[0]
+    one, two = (responses(item, point) for item in (machine, turned))
+    axes = {key: value for key, value in one.items() if all(name.endswith(("_zeta", "_eta")) for name in key)}
+    assert largest_difference(axes, {key: two[key] for key in axes}) < 1e-8
+
+
+@pytest.mark.campaign
+def test_commands_on_a_real_machine(tmp_path):
+    path, controller, record = tmp_path / "real.toml", tmp_path / "pid.json", tmp_path / "run.h5"
+    path.write_text(dumps_machine(real(amb.load_machine("seal-rig"))), encoding="utf-8")
+    checked = call("check", path)
+    assert checked.exit_code == 0 and "sensors of A, B at another angle" in checked.output
+    assert call("synthesize", path, "--method", "pid", "-o", controller).exit_code == 0
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(
+        'name = "short"\nduration = "1.2 s"\n'
+        + "".join(
+            f'[[prbs]]\nsignal = "e_every_{axis}"\namplitude = "0.2 A"\nbit_time = "1 ms"\nseed = {seed}\n'
+            for axis, seed in (("zeta", 0), ("eta", 1))
+        )
+    )
+    done = call("simulate", path, "--controller", controller, "--scenario", scenario, "-o", record)
+    assert done.exit_code == 0, done.output
+    machine = amb.load_machine(path)
+    found = amb.identify(machine, amb.read_record(record), amb.read_controller(controller))
+    values = {item.path: item.value / item.start for item in found.parameters if "force_per_current" in item.path}
+    assert len(values) == 4 and all(0.95 < ratio < 1.02 for ratio in values.values())

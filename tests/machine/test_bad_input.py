@@ -74,7 +74,11 @@ SLIPS = {
     "unknown material": ('material = "titanium"', 'material = "titanum"', "[[shaft]] 2", '"titanum" is unknown', 'did you mean "titanium"?'),
     "material without table": ('[material.titanium]\ndensity = "4.43 g/cm^3"\nyoungs_modulus = "114 GPa"\npoisson_ratio = 0.34\n', "", "[[shaft]] 2", '"titanium"', "add [material.titanium]"),
     "unknown bearing of a sensor": ('bearing = "A"', 'bearing = "C"', "[[sensor]] C", '"C" is unknown', "known: A, B", "[[bearing]] A: no [[sensor]]"),
-    "two sensors for a bearing": ('bearing = "B"', 'bearing = "A"', "[[sensor]] A", "already", "one sensor pair per bearing"),
+    "no sensor for a bearing": ('bearing = "B"', 'bearing = "A"', "[[bearing]] B", "no [[sensor]] serves it", "add one with bearing"),
+    "sensor angle in no unit of angles": ('angle = "35 deg"', 'angle = "left"', "[[sensor]] A", 'angle is "left"'),
+    "weights of zero": ("weight = 2", "weight = 0", "[[sensor]] A", "weight is 0", "leave it out for equal shares"),
+    "support of an unknown bearing": ('bearing = "A"\nmass', 'bearing = "C"\nmass', "[[support]] C", '"C" is unknown', "known: A, B"),
+    "support without mass": ('mass = "300 kg"', "mass = 0", "[[support]] A", "mass (x) is 0 kg", "must be positive"),
     # the shaft
     "empty shaft": (re.compile(r"\[\[shaft\]\]\nlabel.*?(?=\n\[\[disc)", re.DOTALL), "", "[[shaft]] is missing", "length, outer_diameter"),
     "negative length": ("length = 0.4", "length = -0.4", "[[shaft]] 2", "length is -0.4 m", "must be positive"),

@@ -76,7 +76,9 @@ def test_every_value_of_the_small_machine():
             d.MagneticBearing("B", 0.5, 4.0, geometry=d.MagnetGeometry(36.0, 480e-6, 0.5e-3, 22.5 * deg)),
         ),
         sensors=(
-            d.Sensor("A", 0.12, (1.0, 0.98), 1e4 * hz, 0.2e-6, (5e-6, 0.0), 0.1e-6, (d.Runout(2, 2e-6, 25 * deg),)),
+            d.Sensor(
+                "A", 0.12, (1.0, 0.98), 1e4 * hz, 0.2e-6, (5e-6, 0.0), 0.1e-6, (d.Runout(2, 2e-6, 25 * deg),), 35 * deg, 2.0
+            ),
             d.Sensor("B", 0.53),
         ),
         amplifier=d.Amplifier("twice-first", 1500 * hz, 3000 * hz, max_voltage=150.0, inductance=20e-3),
@@ -85,6 +87,8 @@ def test_every_value_of_the_small_machine():
             d.Seal("balance", 0.35, reference_pressure=2e5, geometry=geometry, frequency_dependence="states", poles=2),
         ),
         couplings=(d.Coupling("coupling", 0.0, (0.40e6, 0.42e6), (10.0, 10.0), 45 * deg),),
+        supports=(d.Support("A", (300.0, 300.0), (80e6, 120e6), (40e3, 40e3), 10 * deg, "ground", ("center",)),),
+        casing_modes=(d.CasingMode(140 * hz, 900.0, ("A", "balance"), (1.0, 0.7), (0.0, 0.1), 0.02, "ground"),),
         controller=d.PidSettings(
             (18e3,), 0.2, 3.5e-3, 0.1, (d.Notch(550 * hz, 0.5, 0.05),), (100 * hz, 500 * hz), 2e3 * hz, 0.7,
             "tilt-translate", 1.2, 1e-4, 1e-4, (d.Channel(("tilt_x", "tilt_y"), 22e3, (
@@ -475,7 +479,9 @@ class TestHash:
         changed = [
             replace(machine, modal_damping=np.nextafter(0.01, 1)),
             replace(machine, shaft=(replace(machine.shaft[0], outer_diameter=0.0600000001), machine.shaft[1])),
-            replace(machine, seals=(replace(machine.seals[0], C=2001.0),)),
+            replace(machine, seals=(replace(machine.seals[0], C=2001.0), machine.seals[1])),
+            replace(machine, supports=(replace(machine.supports[0], mass=(300.0, 301.0)),)),
+            replace(machine, casing_modes=(replace(machine.casing_modes[0], x=(1.0, 0.71)),)),
             replace(machine, tolerances=machine.tolerances[:1]),
             replace(machine, bearings=machine.bearings[::-1]),
             replace(machine, requirements=replace(machine.requirements, gain_margin=2.5)),

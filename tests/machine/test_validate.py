@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Amplifier, MagnetIron, Runout, SealTable, ShaftSection, Tolerance, Touchdown
+from ambrose.machine.description import (
+    Amplifier,
+    Channel,
+    MagnetIron,
+    PidSettings,
+    Runout,
+    SealTable,
+    ShaftSection,
+    Tolerance,
+    Touchdown,
+)
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.validation.machine import InvalidMachine, check_machine, problems
@@ -126,10 +136,11 @@ def test_tolerances_must_not_name_the_same_number():
 
 def test_a_tolerance_goes_with_its_seal():
     """What belongs together is replaced together."""
-    (found,) = refused(lambda: replace(SMALL, seals=()))
+    alone = replace(SMALL, supports=(), casing_modes=())
+    (found,) = refused(lambda: replace(alone, seals=()))
     assert found.startswith("[[tolerance]] 1: ")
     assert 'names the unknown seal "center"; the machine has no [[seal]]' in found
-    assert replace(SMALL, seals=(), tolerances=()).seals == ()
+    assert replace(alone, seals=(), tolerances=()).seals == ()
 
 
 def test_the_added_mass_takes_no_tolerance():
@@ -144,8 +155,14 @@ def test_a_bearing_goes_with_its_sensor():
 
 
 def test_tilting_needs_two_bearings():
-    found = refused(lambda: replace(SMALL, bearings=SMALL.bearings[:1], sensors=SMALL.sensors[:1]))
-    assert any("tilting needs two bearings, there are 1" in line for line in found)
+    """One bearing translates; three and more bend, which needs no chain."""
+    one = {"bearings": SMALL.bearings[:1], "sensors": SMALL.sensors[:1], "tolerances": ()}
+    found = refused(lambda: replace(SMALL, **one, controller=replace(SMALL.controller, tilt_gain=1.5)))
+    assert any("tilt_gain is 1.5, but must be left out; one bearing cannot tilt the rotor, add a second" in x for x in found)
+    tilting = PidSettings(channels=(Channel(("translate_x", "translate_y", "tilt_x"), 1e4),), coordinates="tilt-translate")
+    found = refused(lambda: replace(SMALL, **one, controller=tilting))
+    wrong = 'names holds "tilt_x", but one bearing cannot tilt the rotor; leave it out, or add a bearing'
+    assert list(found) == [f"[[controller.channel]] 1: {wrong}"]
 
 
 def test_the_exception_lists_all_of_it():

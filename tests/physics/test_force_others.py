@@ -68,7 +68,7 @@ class TestSensor:
 
     @pytest.mark.parametrize("direction", ["zeta", "eta"])
     def test_small_signals_are_the_linear_view(self, direction):
-        p = sensor.parameters(self.ITEM, direction)
+        p = sensor.parameters(self.ITEM, ("zeta", "eta").index(direction))
         system = sensor.linearised([self.ITEM], ["A_zeta", "A_eta"])
         k = ("zeta", "eta").index(direction)
         slope = (sensor.indicated(1e-6, p) - sensor.indicated(-1e-6, p)) / 2e-6
@@ -78,7 +78,7 @@ class TestSensor:
 
     def test_runout_is_one_surface_seen_from_two_sides(self):
         profile = sensor.harmonics(self.ITEM)
-        zeta, eta = (sensor.parameters(self.ITEM, d) for d in ("zeta", "eta"))
+        zeta, eta = (sensor.parameters(self.ITEM, d) for d in (0, 1))
         for angle in np.linspace(0, 7, 15):
             assert sensor.runout(angle, profile, zeta) == pytest.approx(sensor.runout(angle + np.pi / 2, profile, eta))
         assert sensor.runout(0.0, profile, zeta) == pytest.approx(2e-6 * math.cos(0.4) + 1e-6)
@@ -87,18 +87,18 @@ class TestSensor:
         """A bent track turns with the rotor: eta lags zeta by a quarter turn."""
         item = Sensor("A", 0.1, runout=(Runout(1, 2e-6),))
         profile = sensor.harmonics(item)
-        at = [sensor.runout(0.7, profile, sensor.parameters(item, d)) for d in ("zeta", "eta")]
+        at = [sensor.runout(0.7, profile, sensor.parameters(item, d)) for d in (0, 1)]
         assert at == pytest.approx([2e-6 * math.cos(0.7), 2e-6 * math.sin(0.7)])
 
     @given(physical(-1e-3, 1e-3))
     def test_quantisation_is_the_nearest_step(self, value):
-        p = sensor.parameters(self.ITEM, "zeta")
+        p = sensor.parameters(self.ITEM, 0)
         found = sensor.sampled(value, p)
         assert abs(found - value) <= 0.25e-6 * (1 + 1e-9)
         assert found / 0.5e-6 == pytest.approx(round(found / 0.5e-6), abs=1e-6)
 
     def test_a_perfect_sensor_changes_nothing(self):
-        p = sensor.parameters(Sensor("A", 0.1), "eta")
+        p = sensor.parameters(Sensor("A", 0.1), 1)
         assert sensor.harmonics(Sensor("A", 0.1)).shape == (0, 3)
         assert sensor.runout(1.0, np.zeros((0, 3)), p) == 0.0
         assert sensor.sampled(sensor.indicated(1.234e-6, p), p) == 1.234e-6
@@ -129,7 +129,7 @@ def test_every_force_function_compiles_as_it_stands():
 
     bearing = replace(RIG.bearings[0], cross_coupling=0.02)
     item = TestSensor.ITEM
-    amp, sens = parameters_of = (amplifier.parameters(RIG.amplifier, 4.0), sensor.parameters(item, "eta"))
+    amp, sens = parameters_of = (amplifier.parameters(RIG.amplifier, 4.0), sensor.parameters(item, 1))
     assert all(isinstance(value, float) for p in parameters_of for value in p)
     cases = [
         (magnet.force, (0.3, -0.2, 1e-5, 2e-5, magnet.parameters(bearing))),

@@ -342,3 +342,14 @@ def test_a_negative_speed_is_refused(key):
     given = {"speed": 100.0, "to_speed": 200.0, key: -1.0}
     with pytest.raises(InvalidInput, match=f"{key} is -1.*a rotor turns one way"):
         Scenario("back", 1.0, **given)
+
+
+@pytest.mark.parametrize("name", ["impulse-parallel", "impulse-train", "chirp-parallel", "static-loads-both", "seal-sines"])
+def test_parallel_excitation_reaches_every_bearing_of_any_machine(name):
+    """Of three bearings the middle one, too; of one bearing each direction once."""
+    train = load_machine("three-bearing-train")
+    for machine in (train, load_machine("flywheel"), load_machine("seal-rig")):
+        windows = load_scenario(name).on(machine).all_windows
+        driven = {item.signal.partition("_")[2].rpartition("_")[0] for item in windows}
+        assert driven == {bearing.name for bearing in machine.bearings}
+    assert len({(item.signal, item.start, item.amplitude) for item in windows}) == len(windows)

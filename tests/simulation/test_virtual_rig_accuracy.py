@@ -7,7 +7,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.sampling import c2d
-from ambrose.machine.description import Amplifier, Coupling, OperatingPoint, PidSettings
+from ambrose.machine.description import Amplifier, CasingMode, Coupling, OperatingPoint, PidSettings, Support
 from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
@@ -103,6 +103,18 @@ def test_energy_without_damping_is_kept():
     assert drift[1] < 2e-5 and 24 < drift[0] / drift[1] < 40
 
 
+_PAIRS = tuple(
+    replace(s, position=s.position + side * 0.01, angle=0.2 * side + 0.5, weight=2.0 + side)
+    for s in WEIGHTLESS.sensors for side in (1, -1)
+)  # fmt: skip
+_SUPPORTS = (
+    Support("A", (80.0, 95.0), (6e7, 9e7), (3e3, 4e3), seals=("center",)),
+    Support("B", (120.0, 120.0), (2e8, 1.2e8), (5e3, 5e3), angle=0.3, sensor="ground"),
+)
+_CASING = CasingMode(450.0, 200.0, ("A", "B"), (1.0, 0.5), (0.0, 0.3))
+STOOD = replace(
+    WEIGHTLESS, sensors=_PAIRS, supports=_SUPPORTS, casing_modes=(_CASING,), seals=(replace(RIG.seals[0], M=4.0),)
+)  # fmt: skip
 CASES = {
     "seal rig, nominal pressure": (WEIGHTLESS, None, 1),
     "two bending modes, no pressure": (WEIGHTLESS, OperatingPoint(), 2),
@@ -113,6 +125,7 @@ CASES = {
     "its seal with states": (
         replace(EXPANDER, seals=(replace(EXPANDER.seals[0], frequency_dependence="states"),)), EXPANDER.operation.points[4], 1,
     ),
+    "turned sensors in pairs, on supports": (STOOD, OperatingPoint(speed=300.0, seal_pressure=1e5), 1),
 }  # fmt: skip
 
 

@@ -7,16 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
+from ambrose.machine.controller import Channel
 from ambrose.machine.description import Amplifier, MagneticBearing, Notch, PidSettings, Sensor, ShaftSection
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.stages.plausibility import springs
 from ambrose.synthesis.filters import chain, lead_lag, low_pass, notch, section_matrix
 from ambrose.synthesis.pid import common_sections, modes, pid_controller, pid_synthesis, theta_system
 from eigenvalue_margins import loop_margins, opened
@@ -332,5 +335,57 @@ def test_tilt_translate_needs_two_planes():
     item = machine()
     with pytest.raises(InvalidInput, match="sensor positions"):
         pid_controller(settings, machine(sensors=(0.4, 0.4)))
-    with pytest.raises(InvalidInput, match="number of bearings is 1"):
-        pid_controller(settings, replace(item, bearings=item.bearings[:1], sensors=item.sensors[:1]))
+    one = replace(item, bearings=item.bearings[:1], sensors=item.sensors[:1])
+    parallel = pid_controller(replace(settings, coordinates="axes"), one)  # there is nothing but translation
+    np.testing.assert_allclose(pid_controller(settings, one).D, parallel.D, rtol=0, atol=1e-8)
+
+
+TRAIN = load_machine("three-bearing-train")
+MODAL = PidSettings(gain=(2e4,), derivative_time=2e-3, coordinates="tilt-translate", tilt_gain=1.3)
+
+
+def rigid(machine, places, directions):
+    """What a unit translation and a unit tilt about the middle bearing show at places along directions, (2 n, 4)."""
+    lever = np.array(places) - machine.bearings[1].position
+    rows = []
+    for z, angle in zip(lever, directions, strict=True):
+        c, s = np.cos(angle), np.sin(angle)
+        rows += [[c, s, z * c, z * s], [-s, c, -z * s, z * c]]
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4])
+def test_three_bearings_answer_a_rigid_motion_as_axes_do(turn):
+    """Also with sensors off the bearings and turned; the forces are the least that answer it."""
+    sensors = tuple(replace(s, angle=b.angle + turn) for s, b in zip(TRAIN.sensors, TRAIN.bearings, strict=True))
+    train = replace(TRAIN, sensors=sensors)
+    seen = rigid(train, [s.position for s in train.sensors], [s.angle for s in train.sensors])
+    moved = rigid(train, [b.position for b in train.bearings], [b.angle for b in train.bearings])
+    K = pid_controller(replace(MODAL, tilt_gain=1.0), train).D
+    np.testing.assert_allclose(K @ seen, gain_of(MODAL) * moved, rtol=0, atol=1e-6 * gain_of(MODAL))
+    assert np.linalg.matrix_rank(K, tol=1e-6 * gain_of(MODAL)) == 4
+    bent = Channel(("bend_1_x", "bend_1_y"), MODAL.gain[0], common_sections(MODAL))
+    both = pid_controller(replace(MODAL, tilt_gain=1.0, channels=(bent,)), train).D
+    assert np.linalg.matrix_rank(both, tol=1e-6 * gain_of(MODAL)) == 6
+
+
+def gain_of(settings):
+    """K_p with the derivative's share at high frequency."""
+    return settings.gain[0] * (1 + 1 / settings.derivative_filter)
+
+
+def test_sensors_at_three_bearings_and_equal_chains_are_axes():
+    train = replace(TRAIN, sensors=tuple(
+        replace(s, position=b.position) for s, b in zip(TRAIN.sensors, TRAIN.bearings, strict=True)
+    ))  # fmt: skip
+    bent = Channel(("bend_1_x", "bend_1_y"), MODAL.gain[0], common_sections(MODAL))
+    whole = pid_controller(replace(MODAL, tilt_gain=1.0, channels=(bent,)), train).D
+    np.testing.assert_allclose(whole, gain_of(MODAL) * np.eye(6), rtol=0, atol=1e-9 * gain_of(MODAL))
+    assert springs(replace(train, controller=replace(MODAL, tilt_gain=1.0, channels=(bent,)))).keys() == {"DE", "MID", "NDE"}
+
+
+def test_the_train_is_held_in_translation_and_tilt():
+    """The shaft holds what is left, better than the PID of the axes: three bearings, four channels."""
+    settings = replace(TRAIN.controller, coordinates="tilt-translate", gain=(20e3,))
+    closed = closed_loop(assemble(TRAIN), pid_controller(settings, TRAIN))
+    assert spectral_abscissa(closed) < -10

@@ -83,9 +83,12 @@ def _convert_machine(
         machine = load_machine(source)
         claim(rotor_model=output)
         write_text(output, ross_text(machine, springs(machine)), "rotor model")
-        told: dict[str, object] = {"rotor_model": str(output), "left_out": [seal.name for seal in machine.seals]}
-        left = ", ".join([*(seal.name for seal in machine.seals), *(item.name for item in machine.couplings)])
-        words = f"{output}: a model of ROSS, bearings as springs of the reference controller; left out: {left or 'nothing'}"
+        left = [*(seal.name for seal in machine.seals), *(item.name for item in machine.couplings)]
+        left += [f"support of {item.bearing}" for item in machine.supports]
+        left += [f"{len(machine.casing_modes)} casing modes"] * bool(machine.casing_modes)
+        told: dict[str, object] = {"rotor_model": str(output), "left_out": left}
+        springy = "a model of ROSS, bearings as springs of the reference controller"
+        words = f"{output}: {springy}; left out: {', '.join(left) or 'nothing'}"
     else:
         if output.exists() and output.samefile(source):
             raise InvalidInput(f"{output} is what is read; give the machine file another name with -o")

@@ -1,7 +1,7 @@
 """The controller as vendors ship it: settings of a PID for all axes, or for every channel a chain of filter sections.
 
-A channel is a bearing axis ("A_zeta"), or with coordinates "tilt-translate" a translation or a tilt (``MODES``). Formulas and
-state-space forms of the sections are in ``synthesis/filters.py``.
+A channel is a bearing axis ("A_zeta"), or with coordinates "tilt-translate" a translation, a tilt or a bending
+(``modal_channels``). Formulas and state-space forms of the sections are in ``synthesis/filters.py``.
 """
 
 from __future__ import annotations
@@ -17,6 +17,14 @@ Pair = tuple[float, float]
 
 CONTROLLER_COORDINATES = ("axes", "tilt-translate")
 MODES = ("translate_x", "translate_y", "tilt_x", "tilt_y")
+
+
+def modal_channels(bearings: int) -> tuple[str, ...]:
+    """The channels of "tilt-translate" for so many bearings: one cannot tilt, three and more bend as well."""
+    bent = tuple(f"bend_{k}_{plane}" for k in range(1, bearings - 1) for plane in "xy")
+    return (MODES if bearings > 1 else MODES[:2]) + bent
+
+
 SECTIONS: Mapping[str, tuple[str, ...]] = {  # the keys of every kind; of a PID's those in use
     "pid": ("integral_time", "derivative_time", "derivative_filter"),
     "notch": ("zero_frequency", "zero_damping", "pole_frequency", "pole_damping"),
@@ -55,7 +63,8 @@ class Section(Part):
 class Channel(Part):
     """A chain of filter sections, for the channels that it names; it replaces all that [controller] says for them.
 
-    Names are those of the axes, or with coordinates "tilt-translate" translate_x, translate_y, tilt_x, tilt_y.
+    Names are those of the axes, or with coordinates "tilt-translate" translate_x, translate_y, tilt_x, tilt_y; of three
+    bearings and more bend_1_x, bend_1_y and so on, which do nothing without a chain.
     """
 
     names: Annotated[tuple[str, ...], Texts(), "channels that it is for"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 from ambrose.core.checks import invalid
@@ -49,6 +49,10 @@ from ambrose.machine.seals import SEAL_COEFFICIENTS as SEAL_COEFFICIENTS  # noqa
 from ambrose.machine.seals import GasSealGeometry as GasSealGeometry  # noqa: PLC0414
 from ambrose.machine.seals import Seal as Seal  # noqa: PLC0414
 from ambrose.machine.seals import SealTable as SealTable  # noqa: PLC0414
+from ambrose.machine.stator import CasingMode as CasingMode  # noqa: PLC0414
+from ambrose.machine.stator import Runout as Runout  # noqa: PLC0414
+from ambrose.machine.stator import Sensor as Sensor  # noqa: PLC0414
+from ambrose.machine.stator import Support as Support  # noqa: PLC0414
 
 Pair = tuple[float, float]  # (zeta, eta)
 
@@ -201,29 +205,6 @@ class MagneticBearing(Part):
         0.0,
         0.0,
     )
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Runout(Part):
-    """One harmonic of the sensor track's profile: amplitude cos(order (spin angle - axis angle) + phase)."""
-
-    order: Annotated[int, Count(), "periods per revolution"]
-    amplitude: Annotated[Length, "amplitude, zero to peak"]
-    phase: Annotated[Angle, "phase"] = 0.0
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Sensor(Part):
-    """The pair of displacement sensors that serves a bearing, in that bearing's axes; a calibrated one has gain 1."""
-
-    bearing: Annotated[str, Text("the name of a [[bearing]]"), "name of the bearing"]
-    position: Annotated[Length, "axial position, from the left end"]
-    gain: Annotated[Pair, PairOf("ratio"), "indicated per true displacement"] = (1.0, 1.0)
-    bandwidth: Annotated[Rate | None, "corner frequency of a first-order lag; default: no lag"] = None
-    noise: Annotated[Length, "root mean square of the noise in every sample; for the virtual rig"] = 0.0
-    offset: Annotated[Pair, PairOf("length"), "indicated at zero displacement; for the virtual rig"] = (0.0, 0.0)
-    resolution: Annotated[Length, "step of the converter, 0 for none; for the virtual rig"] = 0.0
-    runout: Annotated[tuple[Runout, ...], "harmonics of the sensor track's run-out"] = ()
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -408,13 +389,17 @@ class MachineDescription(Part):
     name: Annotated[Name, "name of the machine"]
     shaft: Annotated[tuple[ShaftSection, ...], "shaft sections from the left end to the right"]
     bearings: Annotated[tuple[MagneticBearing, ...], "radial magnetic bearings"] = field(metadata={"key": "bearing"})
-    sensors: Annotated[tuple[Sensor, ...], "displacement sensors, one pair per bearing"] = field(metadata={"key": "sensor"})
+    sensors: Annotated[tuple[Sensor, ...], "displacement sensors, a pair or more per bearing"] = field(
+        metadata={"key": "sensor"}
+    )
     amplifier: Annotated[Amplifier, "amplifier and coil of every axis"] = field(
         default_factory=Amplifier, metadata={"required": True}
     )
     discs: Annotated[tuple[Disc, ...], "rigid discs"] = field(default=(), metadata={"key": "disc"})
     seals: Annotated[tuple[Seal, ...], "annular seals"] = field(default=(), metadata={"key": "seal"})
     couplings: Annotated[tuple[Coupling, ...], "flexible couplings to ground"] = field(default=(), metadata={"key": "coupling"})
+    supports: Annotated[tuple[Support, ...], "supports under bearings"] = field(default=(), metadata={"key": "support"})
+    casing_modes: Annotated[tuple[CasingMode, ...], "modes of the casing"] = field(default=(), metadata={"key": "casing_mode"})
     controller: Annotated[PidSettings | None, "the reference controller"] = None
     operation: Annotated[Operation, "operating points and speed range"] = field(default_factory=Operation)
     tolerances: Annotated[tuple[Tolerance, ...], "uncertain parameters"] = field(default=(), metadata={"key": "tolerance"})
@@ -439,6 +424,17 @@ class MachineDescription(Part):
     def reference(self) -> PidSettings | None:
         """The reference controller; None where there is none, or [controller] states only when controllers run."""
         return self.controller if self.controller is not None and (self.controller.gain or self.controller.channels) else None
+
+    @property
+    def sensor_pairs(self) -> tuple[Sensor, ...]:
+        """The sensors in the order of the bearings, each with its angle [rad], and its share in the mean as weight."""
+        found: list[Sensor] = []
+        for bearing in self.bearings:
+            own = [sensor for sensor in self.sensors if sensor.bearing == bearing.name]
+            total = sum(sensor.weight for sensor in own)
+            angles = [bearing.angle if sensor.angle is None else sensor.angle for sensor in own]
+            found += [replace(s, angle=angle, weight=s.weight / total) for s, angle in zip(own, angles, strict=True)]
+        return tuple(found)
 
     @property
     def axes(self) -> tuple[str, ...]:

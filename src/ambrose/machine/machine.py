@@ -42,6 +42,8 @@ class Machine(MachineDescription):
             ("discs", ", ".join(f"{disc.name} at {disc.position:.4g} m, {disc.mass:.4g} kg" for disc in self.discs)),
             ("seals", _places(self.seals)),
             ("couplings", _places(self.couplings)),
+            ("supports", ", ".join(f"of {item.bearing}, {item.mass[0]:.4g} kg" for item in self.supports)),
+            ("casing modes", ", ".join(f"{item.frequency:.4g} rad/s" for item in self.casing_modes)),
             ("operating points", "; ".join(_point_in_words(point) for point in self.operation.envelope)),
             ("tolerances", "; ".join(_tolerance_in_words(item) for item in self.tolerances)),
         ]
@@ -62,7 +64,7 @@ class Machine(MachineDescription):
             table.pop("material", None)
             if section.material in materials:
                 table["material"] = materials[section.material]
-        several = ("disc", "bearing", "sensor", "seal", "coupling", "tolerance")
+        several = ("disc", "bearing", "sensor", "seal", "coupling", "support", "casing_mode", "tolerance")
         document.update({key: given[key] for key in several if key in given})
         document["amplifier"] = {"order": self.amplifier.order, **given.get("amplifier", {})}  # a file must name the order
         document.update({key: given[key] for key in ("controller", "weights", "operation", "requirements") if key in given})

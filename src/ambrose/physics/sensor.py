@@ -16,45 +16,74 @@ from ambrose.machine.description import Sensor
 
 
 def linearised(sensors: Sequence[Sensor], axes: Sequence[str]) -> StateSpace:
-    """Gains and first-order lags: inputs ``s_<axis>`` [m] at the sensors' positions, outputs ``y_<axis>`` [m].
+    """Gains, first-order lags and means: inputs ``s_<channel>`` [m] at the sensors (``channels``), outputs ``y_<axis>`` [m].
 
-    axes: ``<bearing>_zeta`` and ``<bearing>_eta`` in the order of the signals, as in Machine.axes. Every lag's state is its
-    output. Raises InvalidInput for an axis without a sensor or with two, and for a bandwidth that is not positive.
+    axes: ``<bearing>_zeta`` and ``<bearing>_eta`` in the order of the signals, as in Machine.axes; sensors as in
+    Machine.sensor_pairs. Every lag has its state. Raises InvalidInput for an axis without a sensor, and for a bandwidth that
+    is not positive.
     """
-    gains, lags = [], []
-    for axis in axes:
-        bearing, _, direction = axis.rpartition("_")
-        serving = [sensor for sensor in sensors if sensor.bearing == bearing]
-        if len(serving) != 1 or direction not in _INDEX:
-            raise InvalidInput(
-                f"axis {axis!r} has {len(serving)} sensors, but must have one; give each bearing one sensor (axes zeta, eta)"
-            )
-        sensor = serving[0]
-        gains.append(float(check_finite(sensor.gain[_INDEX[direction]], f"the sensor gain of axis {axis}")))
+    gains, lags, found = [], [], channels(sensors, axes)
+    for name, sensor, axis in found:
+        gains.append(float(check_finite(sensor.gain[axis], f"the sensor gain of axis {name}")))
         if sensor.bandwidth is not None:
-            name = f"the sensor bandwidth [rad/s] of bearing {bearing}"
-            lags.append(check_positive(sensor.bandwidth, name, "leave it out for a sensor without lag"))
+            place = f"the sensor bandwidth [rad/s] of bearing {sensor.bearing}"
+            lags.append(check_positive(sensor.bandwidth, place, "leave it out for a sensor without lag"))
         else:
             lags.append(np.inf)
-    gain, lag = np.array(gains), np.array(lags)
+    gain, lag, mean = np.array(gains), np.array(lags), means(sensors, axes)
     slow = np.isfinite(lag)
-    states = np.eye(len(axes))[slow]
+    states = np.eye(len(found))[slow]
     return StateSpace(
-        np.diag(-lag[slow]), states * np.where(slow, lag * gain, 0.0), states.T, np.diag(np.where(slow, 0.0, gain)),
-        [f"s_{axis}" for axis in axes], [f"y_{axis}" for axis in axes],
+        np.diag(-lag[slow]), states * np.where(slow, lag * gain, 0.0), mean @ states.T, mean * np.where(slow, 0.0, gain),
+        [f"s_{name}" for name, *_ in found], [f"y_{axis}" for axis in axes],
     )  # fmt: skip
+
+
+def channels(sensors: Sequence[Sensor], axes: Sequence[str]) -> tuple[tuple[str, Sensor, int], ...]:
+    """Name, pair and direction (0: at the pair's angle, 1: a quarter turn on) of every single sensor, in the order of ``axes``.
+
+    The first pair's are named after the axes, those of the second A_zeta.2 and A_eta.2. Raises InvalidInput.
+    """
+    found: list[tuple[str, Sensor, int]] = []
+    for bearing in dict.fromkeys(axis.rpartition("_")[0] for axis in axes):
+        own = [axis for axis in axes if axis.rpartition("_")[0] == bearing]
+        serving = [sensor for sensor in sensors if sensor.bearing == bearing]
+        for axis in own:
+            if not serving or axis.rpartition("_")[2] not in _INDEX:
+                raise InvalidInput(f"axis {axis!r} has no sensor; give each bearing a [[sensor]] (axes zeta, eta)")
+        for k, sensor in enumerate(serving):
+            found += [(axis + (f".{k + 1}" if k else ""), sensor, _INDEX[axis.rpartition("_")[2]]) for axis in own]
+    return tuple(found)
+
+
+def means(sensors: Sequence[Sensor], axes: Sequence[str]) -> np.ndarray:
+    """The controller's signals from the single sensors', (axes, channels): by weight, turned to each bearing's first pair."""
+    found = channels(sensors, axes)
+    result = np.zeros((len(axes), len(found)))
+    for i, axis in enumerate(axes):
+        own = [(j, item, way) for j, (_, item, way) in enumerate(found) if item.bearing == axis.rpartition("_")[0]]
+        total = sum(item.weight for _, item, way in own if way == own[0][2])
+        for j, item, way in own:
+            turned = (item.angle or 0.0) - (own[0][1].angle or 0.0)
+            result[i, j] = item.weight / total * rotation(turned)[_INDEX[axis.rpartition("_")[2]], way]
+    return result
+
+
+def rotation(angle: float) -> np.ndarray:
+    """(2, 2): components along two directions from those along directions that are turned by ``angle`` [rad] from them."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s], [s, c]])
 
 
 _INDEX = {"zeta": 0, "eta": 1}
 
 
-def parameters(sensor: Sensor, direction: str) -> tuple[float, ...]:
-    """What the functions below need of one axis, "zeta" or "eta".
+def parameters(sensor: Sensor, axis: int) -> tuple[float, ...]:
+    """What the functions below need of one sensor of the pair, 0 or 1.
 
     (gain [-], offset [m], bandwidth [rad/s] or 0 for none, resolution [m] or 0 for none, noise [m] rms, angle of the axis
-    from zeta [rad]).
+    from the pair's first one [rad]).
     """
-    axis = _INDEX[direction]
     bandwidth = 0.0 if sensor.bandwidth is None else sensor.bandwidth
     return (sensor.gain[axis], sensor.offset[axis], bandwidth, sensor.resolution, sensor.noise, axis * math.pi / 2)
 
@@ -65,7 +94,7 @@ def harmonics(sensor: Sensor) -> np.ndarray:
 
 
 def runout(angle: float, profile: np.ndarray, p: tuple[float, ...]) -> float:
-    """Run-out [m] that an axis sees at a spin angle [rad] measured from its bearing's zeta; profile from ``harmonics``.
+    """Run-out [m] that an axis sees at a spin angle [rad] measured from its pair's angle; profile from ``harmonics``.
 
     An axis a quarter turn ahead sees the same surface a quarter turn later. Compiles with numba as it stands.
     """

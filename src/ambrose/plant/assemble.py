@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
@@ -24,8 +25,9 @@ from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes
 from ambrose.physics.seal_rational import has_states
+from ambrose.physics.support import foundation
 from ambrose.plant.model import Plant
-from ambrose.plant.ports import ports, sensor_ports
+from ambrose.plant.ports import ports, sensor_ports, supported_ports
 
 _RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state: the pace of a levitated rotor
 
@@ -48,14 +50,15 @@ def attached_statespace(machine: Machine, point: OperatingPoint, rotor: Rotor, b
     bearing moves them.
     """
     attached = attached_rotor(machine, point, rotor, bending_modes)
-    scales = state_scales(rotor, bending_modes)
+    scales = state_scales(machine, rotor, bending_modes)
     return with_seal_states(machine, point, to_common_statespace(attached, point.speed, scales))
 
 
-def state_scales(rotor: Rotor, bending_modes: int | None = None) -> np.ndarray:
-    """The scale s (n,) [rad/s] of each velocity state: the free mode's frequency, 300 rad/s for the four rigid ones."""
+def state_scales(machine: Machine, rotor: Rotor, bending_modes: int | None = None) -> np.ndarray:
+    """The scale s (n,) [rad/s] of each velocity state: the free mode's or support's frequency, 300 rad/s at least."""
     count = bending_modes_of(rotor) if bending_modes is None else bending_modes
-    return np.maximum(free_modes(rotor, count).frequencies, _RIGID_SCALE)
+    own = np.concatenate([free_modes(rotor, count).frequencies, np.sqrt(foundation(machine).stiffness)])
+    return np.maximum(own, _RIGID_SCALE)
 
 
 def bending_modes_of(rotor: Rotor) -> int:
@@ -71,18 +74,31 @@ def bending_modes_of(rotor: Rotor) -> int:
 def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None) -> SecondOrder:
     """The rotor plus bearing stiffness, seals, couplings and modal damping, in free-rotor modes, with all ports.
 
-    Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency (None: all of the mesh).
-    Inputs f_<port> [N]; outputs q_<port> and s_<axis> [m]; velocity outputs qdot_<port> [m/s]. A free bending mode that a
-    tolerance names has ports too, bending_<k>_x and _y: the force on its mass-orthonormal coordinate, and the coordinate.
+    Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency (None: all of the mesh), then
+    those of the supports (``physics.support``). Inputs f_<port> [N], which act between rotor and stator as q_<port> is
+    measured, and o_<port> [N] on the rotor alone where the stator can move; outputs q_<port> and s_<channel> [m]
+    (``sensor_ports``); velocity outputs qdot_<port> [m/s]. A free bending mode that a tolerance names has ports too,
+    bending_<k>_x and _y: the force on its mass-orthonormal coordinate, and the coordinate.
     """
     modes = free_modes(rotor, bending_modes_of(rotor) if bending_modes is None else bending_modes)
     places, sensed = ports(machine), sensor_ports(machine)
     N = np.array([displacement_row(rotor, p.position, p.direction) for p in places]) @ modes.shapes
     S = np.array([displacement_row(rotor, p.position, p.direction) for p in sensed]) @ modes.shapes
+    base, count = foundation(machine), len(modes.frequencies)
+    on = supported_ports(machine)
+    alone = np.hstack([N[[p.name in on for p in places]], np.zeros((len(on), len(base)))])
+    stators, fixed = (
+        np.einsum("pd,pdm->pm", np.column_stack([np.cos(angles), np.sin(angles)]), rows)
+        for angles, rows in (
+            ([p.direction for p in places], base.stator_rows([p.name.rpartition("_")[0] for p in places])),
+            ([p.direction for p in sensed], base.sensor_rows([p.name.rpartition("_")[0] for p in sensed])),
+        )
+    )
+    N, S = np.hstack([N, -stators]), np.hstack([S, -fixed])
     rows = {p.name: row for p, row in zip(places, N, strict=True)}
-    mass = np.eye(len(modes.frequencies))
-    damping = np.diag(2 * machine.modal_damping * modes.frequencies)
-    stiffness = np.diag(modes.frequencies**2)
+    mass = np.eye(count + len(base))
+    damping = np.diag([*2 * machine.modal_damping * modes.frequencies, *base.damping])
+    stiffness = np.diag([*modes.frequencies**2, *base.stiffness])
     for bearing in machine.bearings:
         pair = np.array([rows[f"{bearing.name}_zeta"], rows[f"{bearing.name}_eta"]])
         stiffness -= pair.T @ np.diag(magnet.linearised(bearing, point.bias_current).negative_stiffness) @ pair
@@ -98,19 +114,19 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
         mass += pair.T @ m @ pair
-    own = np.eye(max(bending_modes_of(rotor) * 2 + 4, len(mass)))[:, : len(mass)]
+    own = np.eye(max(bending_modes_of(rotor) * 2 + 4, count), len(mass)) * (np.arange(len(mass)) < count)
     N = np.vstack([N, *(own[2 + 2 * k : 4 + 2 * k] for k in uncertain_modes(machine))])
     names = [*(p.name for p in places), *mode_ports(machine)]
     return SecondOrder(
         mass,
         damping,
-        gyroscopic_of(rotor, modes.shapes),
+        block_diag(gyroscopic_of(rotor, modes.shapes), np.zeros((len(base), len(base)))),
         stiffness,
-        N.T,
+        np.vstack([N, alone]).T,
         np.vstack([N, S]),
         N,
-        tuple(f"f_{name}" for name in names),
-        tuple(f"q_{name}" for name in names) + tuple(f"s_{axis}" for axis in machine.axes),
+        tuple(f"f_{name}" for name in names) + tuple(f"o_{name}" for name in on),
+        tuple(f"q_{name}" for name in names) + tuple(f"s_{p.name}" for p in sensed),
         tuple(f"qdot_{name}" for name in names),
     )
 
@@ -182,14 +198,14 @@ def wire(
     names = tuple(p.name for p in ports(machine))
     system = connect(
         [
-            rename(rotor, [f"F_{name}" for name in (*names, *mode_ports(machine))]),
+            rename(rotor, rotor_inputs(machine)),
             amplifier.linearised(machine.amplifier, machine.axes),
             magnets(machine, point),
-            sensor.linearised(machine.sensors, machine.axes),
+            sensor.linearised(machine.sensor_pairs, machine.axes),
         ],
         inputs=plant_inputs(machine.axes, names),
         outputs=plant_outputs(machine.axes, names),
-        sums={**force_sums(machine.axes, names), **{f"F_{name}": [] for name in mode_ports(machine)}},
+        sums={**force_sums(machine), **{f"F_{name}": [] for name in mode_ports(machine)}},
     )
     return Plant(machine, point, system, rotor, names, bending_modes)
 
@@ -204,9 +220,19 @@ def plant_outputs(axes: Sequence[str], names: Sequence[str]) -> list[str]:
     return [f"{kind}_{a}" for kind in "yi" for a in axes] + [f"{kind}_{n}" for kind in ("q", "qdot") for n in names]
 
 
-def force_sums(axes: Sequence[str], names: Sequence[str]) -> dict[str, list[str]]:
-    """The rotor's force F_<port> is the external force, at a bearing plus the magnet's current force m_<axis>."""
-    return {f"F_{name}": [f"f_{name}", f"m_{name}"] if name in axes else [f"f_{name}"] for name in names}
+def rotor_inputs(machine: Machine) -> list[str]:
+    """Names of a rotor's inputs within the plant: F_<port>, and the external f_<port> where it acts on the rotor alone."""
+    own = [f"F_{name}" for name in (*(p.name for p in ports(machine)), *mode_ports(machine))]
+    return own + [f"f_{name}" for name in supported_ports(machine)]
+
+
+def force_sums(machine: Machine) -> dict[str, list[str]]:
+    """The rotor's force F_<port> is the external force, at a bearing plus the magnet's current force m_<axis>.
+
+    Where the stator can move F_<port> acts on it, too, and the external force has an input of its own (``rotor_inputs``).
+    """
+    names, on = [p.name for p in ports(machine)], supported_ports(machine)
+    return {f"F_{n}": [f"f_{n}"] * (n not in on) + [f"m_{n}"] * (n in machine.axes) for n in names}
 
 
 def magnet_coefficients(machine: Machine, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:

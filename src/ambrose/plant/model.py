@@ -22,13 +22,14 @@ class Plant(Presented):
         u_<axis> [A]      current command into the amplifier, axis in machine.axes order (A_zeta, A_eta, B_zeta, B_eta)
         f_<port> [N]      external force on the rotor at a bearing or coupling (zeta, eta), seal or disc (x, y)
     and the outputs
-        y_<axis> [m]      measured displacement
+        y_<axis> [m]      measured displacement, along the sensors (``ports.measured_ports``)
         i_<axis> [A]      control current in the coil
         q_<port> [m], qdot_<port> [m/s]   rotor displacement and velocity at the same ports as the forces.
     ``rotor`` is its mechanical part alone (bearing stiffness, seals and couplings closed), from forces f_<port> to q_<port>,
-    qdot_<port> and the displacements s_<axis> [m] at the sensors. ``bending_modes`` is None for the full finite-element
-    model, else the number of bending modes kept (per plane). ``offsets``: tolerances and where within them (-1..1) the
-    parameters of ``system`` stand, see ``plant.uncertainty.perturbed``; ``machine`` and ``rotor`` are the nominal ones.
+    qdot_<port> and the displacements s_<channel> [m] at the sensors (``ports.sensor_ports``). ``bending_modes`` is None for
+    the full finite-element model, else the number of bending modes kept (per plane). ``offsets``: tolerances and where within
+    them (-1..1) the parameters of ``system`` stand, see ``plant.uncertainty.perturbed``; ``machine`` and ``rotor`` are the
+    nominal ones.
     """
 
     machine: Machine

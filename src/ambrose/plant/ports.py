@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ambrose.machine.machine import Machine
+from ambrose.physics import sensor
 
 QUARTER = np.pi / 2
 
@@ -34,11 +36,33 @@ def ports(machine: Machine) -> tuple[Port, ...]:
     )
 
 
+def supported_ports(machine: Machine) -> tuple[str, ...]:
+    """The ports at which the stator is on a support or a casing that moves: forces of bearing and seal act on both."""
+    moved = {name for support in machine.supports for name in (support.bearing, *support.seals)}
+    moved |= {name for mode in machine.casing_modes for name in mode.at}
+    return tuple(port.name for port in ports(machine) if port.name.rpartition("_")[0] in moved)
+
+
 def sensor_ports(machine: Machine) -> tuple[Port, ...]:
-    """The places of the displacement sensors, one per control axis, in the order of the axes."""
-    sensors = {sensor.bearing: sensor for sensor in machine.sensors}
+    """The places of the single displacement sensors, in the order of ``physics.sensor.channels``."""
     return tuple(
-        Port(f"{bearing.name}_{axis}", sensors[bearing.name].position, bearing.angle + turn)
-        for bearing in machine.bearings
-        for axis, turn in (("zeta", 0.0), ("eta", QUARTER))
+        Port(name, pair.position, (pair.angle or 0.0) + way * QUARTER)
+        for name, pair, way in sensor.channels(machine.sensor_pairs, machine.axes)
     )
+
+
+def measured_ports(machine: Machine) -> tuple[Port, ...]:
+    """Where and along what the measured signals y_<axis> read: the mean place of a bearing's sensors, the first one's angle."""
+    found = []
+    for bearing in machine.bearings:
+        own = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
+        place, angle = sum(pair.weight * pair.position for pair in own), own[0].angle or 0.0
+        found += [Port(f"{bearing.name}_{axis}", place, angle + turn) for axis, turn in (("zeta", 0.0), ("eta", QUARTER))]
+    return tuple(found)
+
+
+def sensor_turn(machine: Machine) -> np.ndarray:
+    """(axes, axes): displacements along the actuators' axes from the measured ones; the identity for sensors at their angle."""
+    read = measured_ports(machine)[0::2]
+    turned = [sensor.rotation(port.direction - b.angle) for port, b in zip(read, machine.bearings, strict=True)]
+    return np.asarray(block_diag(*turned))

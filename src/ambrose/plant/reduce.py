@@ -17,6 +17,7 @@ from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_fa
 from ambrose.core.mechanical import SecondOrder, project, to_statespace, velocity_scales
 from ambrose.core.statespace import StateSpace, balance
 from ambrose.physics.rotor import free_modes
+from ambrose.physics.support import foundation
 from ambrose.plant.assemble import (
     attached_rotor,
     attached_statespace,
@@ -91,6 +92,8 @@ def default_bending_modes(plant: Plant) -> int:
 def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: bool = True) -> Reduction:
     """Split off the slow modes of the rotor on its bearings, seals and couplings: 8 + 4 bending_modes states, and the seals'.
 
+    One more for every pole of a support that is slower than the first bending mode that is cut off.
+
     Offsets of a perturbed plant are applied to the reduced one; transforms and residual are those of the nominal rotor.
     ``static_correction`` adds the static compliance of all that was cut off as a feedthrough from force to displacement.
     Raises InvalidInput for more bending modes than the mesh has, NumericalFailure when the poles to keep are not
@@ -104,18 +107,23 @@ def modal_reduction(plant: Plant, bending_modes: int = 0, static_correction: boo
             "bending_modes", bending_modes, f"a whole number from 0 to {available}", "refine the mesh or keep fewer modes"
         )
     full = attached_rotor(machine, point, rotor)
-    kept = 4 + 2 * min(available, bending_modes + _EXTRA_MODES)  # all other modal coordinates are held at zero
-    second_order = project(full, np.eye(full.n)[:, :kept])
+    inner = 4 + 2 * min(available, bending_modes + _EXTRA_MODES)  # all other modal coordinates are held at zero
+    base = foundation(machine)
+    kept = np.r_[:inner, full.n - len(base) : full.n]
+    second_order = project(full, np.eye(full.n)[:, kept])
     small = to_statespace(second_order, point.speed)
-    T_L, T_R, L_res, R_res = split_slow(small.A, 8 + 4 * bending_modes)
+    fastest = np.inf if bending_modes == available else free_modes(rotor, bending_modes + 1).frequencies[-1]
+    own = [np.roots([1.0, d, k]) for d, k in zip(base.damping, base.stiffness, strict=True)]
+    slower = int((np.abs(own) < fastest).sum())
+    T_L, T_R, L_res, R_res = split_slow(small.A, 8 + 4 * bending_modes + slower)
     slow, fast = (
         StateSpace(L @ small.A @ R, L @ small.B, small.C @ R, small.D, small.inputs, small.outputs)
         for L, R in ((T_L, T_R), (L_res, R_res))
     )
     reduced = with_static_correction(slow, full) if static_correction else slow
-    lift_L, lift_R = _lift(second_order, full, state_scales(rotor))
-    own = np.eye(seal_states(machine, point))
-    left, right = sla.block_diag(T_L @ lift_L, own), sla.block_diag(lift_R @ T_R, own)
+    lift_L, lift_R = _lift(second_order, full, state_scales(machine, rotor), kept)
+    held = np.eye(seal_states(machine, point))
+    left, right = sla.block_diag(T_L @ lift_L, held), sla.block_diag(lift_R @ T_R, held)
     reduced = with_seal_states(machine, point, reduced)
     result = with_offsets_of(wire(machine, point, reduced, bending_modes), plant)
     return Reduction(result, left, right, fast, static_correction)
@@ -164,17 +172,17 @@ def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return (T_L / s[:, None]) / t, (T_R * s) * t[:, None], L_res / t, R_res * t[:, None]
 
 
-def _lift(small: SecondOrder, full: SecondOrder, scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _lift(small: SecondOrder, full: SecondOrder, scales: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """From ``assemble``'s rotor state (q, q'/s) with scales s (n,) to the state of ``to_statespace(small)``, and back.
 
-    The latter is z = L^T q of the k leading coordinates, M = L L^T, and z' in scales of its own. Orthogonal in the full mass.
+    The latter is z = L^T q of the k coordinates kept, M = L L^T, and z' in scales of its own. Orthogonal in the full mass.
     """
     k, n = small.n, full.n
     L = sla.cholesky(small.mass, lower=True)
     K = sla.solve_triangular(L, sla.solve_triangular(L, small.stiffness, lower=True).T, lower=True)
     own = velocity_scales(K)[:, None]
-    up, down = np.zeros((n, k)), sla.solve_triangular(L, full.mass[:k], lower=True)
-    up[:k] = sla.solve_triangular(L, np.eye(k), lower=True).T
+    up, down = np.zeros((n, k)), sla.solve_triangular(L, full.mass[kept], lower=True)
+    up[kept] = sla.solve_triangular(L, np.eye(k), lower=True).T
     return (
         sla.block_diag(down, down * scales / own),
         sla.block_diag(up, up * own.T / scales[:, None]),

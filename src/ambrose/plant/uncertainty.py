@@ -21,7 +21,16 @@ from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
 from ambrose.physics import magnet, seal_rational, sensor
 from ambrose.physics.rotor import free_modes
 from ambrose.physics.seal_rational import has_states
-from ambrose.plant.assemble import force_sums, magnets, mode_ports, plant_inputs, plant_outputs, seal_coefficients, seal_model
+from ambrose.plant.assemble import (
+    force_sums,
+    magnets,
+    mode_ports,
+    plant_inputs,
+    plant_outputs,
+    rotor_inputs,
+    seal_coefficients,
+    seal_model,
+)
 from ambrose.plant.model import Plant
 
 NEXT = "next"
@@ -51,7 +60,7 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     tolerances = machine.tolerances if tolerances is None else tuple(tolerances)
     if not tolerances:
         raise InvalidInput(f"machine {machine.name!r} has no tolerance; add a [[tolerance]] with parameter and relative")
-    rows, sums = [], force_sums(machine.axes, plant.ports)
+    rows, sums = [], force_sums(machine)
     moved: list[RealBlock] = []
     blocks: list[RealBlock] = []
     members = [(offset, f"offset {offset.parameter}", moved) for offset, _ in plant.offsets]
@@ -70,10 +79,10 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     idle = [*(name for name in drive.inputs if name.startswith("x_")), *(f"F_{name}" for name in mode_ports(machine))]
     unused: dict[str, list[str]] = {name: [] for name in idle if name not in sums}
     inner = [
-        rename(plant.rotor, [f"F_{name}" for name in (*plant.ports, *mode_ports(machine))]),
+        rename(plant.rotor, rotor_inputs(machine)),
         drive,
         magnets(machine, plant.point),
-        sensor.linearised(machine.sensors, machine.axes),
+        sensor.linearised(machine.sensor_pairs, machine.axes),
     ]
     u, y = plant_inputs(machine.axes, plant.ports), plant_outputs(machine.axes, plant.ports)
     gain = _rows_as_gain(rows)

@@ -151,7 +151,10 @@ def stations_table(machine: Machine) -> Table:
         rows.append((bearing.position, f"bearing {bearing.name}", ", ".join(words)))
     for sensor in machine.sensors:
         lag = "no lag" if sensor.bandwidth is None else f"bandwidth {units.quantity(sensor.bandwidth, 'rad/s')}"
-        rows.append((sensor.position, f"sensor {sensor.bearing}", ", ".join([*_pair_of("gain", sensor.gain, ""), lag])))
+        words = [*_pair_of("gain", sensor.gain, ""), lag]
+        words += [] if sensor.angle is None else [f"at {units.quantity(sensor.angle, 'rad')}"]
+        words += [] if sensor.weight == 1 else [f"weight {units.number(sensor.weight)}"]
+        rows.append((sensor.position, f"sensor {sensor.bearing}", ", ".join(words)))
     for seal in machine.seals:
         values = (
             (c, getattr(seal, c), u) for c, u in (("K", "N/m"), ("k", "N/m"), ("C", "N s/m"), ("c", "N s/m"), ("M", "kg"))
@@ -166,6 +169,12 @@ def stations_table(machine: Machine) -> Table:
         words = _pair_of("stiffness", coupling.stiffness, "N/m")
         words += _pair_of("damping", coupling.damping, "N s/m") if any(coupling.damping) else []
         rows.append((coupling.position, _titled("coupling", coupling.name), ", ".join(words)))
+    for support in machine.supports:
+        place = next(bearing.position for bearing in machine.bearings if bearing.name == support.bearing)
+        pairs = (("mass", support.mass, "kg"), ("stiffness", support.stiffness, "N/m"), ("damping", support.damping, "N s/m"))
+        words = [f"{name} {' and '.join(units.quantity(v, u) for v in dict.fromkeys(pair))}" for name, pair, u in pairs]
+        words += [f"with seal {name}" for name in support.seals] + ["sensors on the ground"] * (support.sensor == "ground")
+        rows.append((place, f"support {support.bearing}", ", ".join(words)))
     for disc in machine.discs:
         inertias = (("polar", disc.polar_inertia), ("diametral", disc.diametral_inertia))
         words = [f"{name} inertia {units.quantity(value, 'kg m2')}" for name, value in inertias if value]

@@ -166,7 +166,7 @@ def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
         z, _, u = levitated_state(rig, drive, law)
     except NumericalFailure:
         u = np.zeros(len(rig.axes))
-        z = state_at_rest(rig, np.zeros(2 * rig.modes), u)
+        z = state_at_rest(rig, np.zeros(rig.coordinates), u)
     A, B = linear_view(rig, drive, z, u)
     used = (A != 0).any(axis=0) | (A != 0).any(axis=1)  # an amplifier or sensor may need fewer states than it has
     poles = closed_loop_poles(A[np.ix_(used, used)], B[used], measurement(rig)[:, used], law, laws.sample)

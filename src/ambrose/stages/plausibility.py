@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.statespace import spectral_abscissa
 from ambrose.machine.criteria import demand
-from ambrose.machine.description import MagneticBearing
+from ambrose.machine.description import MagneticBearing, Seal
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import (
     STANDARD_GRAVITY,
@@ -28,15 +28,17 @@ from ambrose.physics.rotor import (
     mass_properties,
     plane_rows,
 )
-from ambrose.plant.assemble import assemble, bending_modes_of, magnet_coefficients
+from ambrose.plant.assemble import assemble, attached_rotor, bending_modes_of, magnet_coefficients
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant, top_speed
+from ambrose.plant.ports import measured_ports, sensor_turn
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.timing import machine_timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
 from ambrose.synthesis.fixed_order.tuning import bending_modes_for
-from ambrose.synthesis.pid import channel_chains, first_settings, pid_controller
+from ambrose.synthesis.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
+from ambrose.verification.rotor_modes import PLANAR, whirl_measure
 
 HERTZ = 2 * math.pi
 _MASS, _LENGTH, _DIAMETER = (1e-3, 5e3), (0.02, 12.0), (1e-3, 2.0)  # [kg], [m], [m] of rotors on magnetic bearings
@@ -46,6 +48,7 @@ _NODE = 0.05  # of a mode's largest deflection
 _SHORT = 3.0  # diameters of length that one bearing may hold
 _MARGIN = 1.2  # K_p k_i / k_s below which stiffness is left to chance
 _MODES = 12
+_APART = 1e-9  # of the squared critical speeds: no figure shows it
 _POINTS = 8  # at most, at which the reference controller is looked at
 
 
@@ -76,26 +79,35 @@ def springs(machine: Machine) -> dict[str, tuple[float, float]]:
     Without one under ``first_settings``. Raises InvalidInput where that has no answer.
     """
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
-    chains = channel_chains(machine.reference or first_settings(machine), machine.axes)
-    gains = np.array([gain for gain, _ in chains])
+    settings = machine.reference or first_settings(machine)
+    chains = channel_chains(settings, machine.axes)
+    into, out = axes_mixings(settings, machine.axes, mixings(settings, machine))
     times = np.array([sum(item.derivative_time or 0.0 for item in sections) for _, sections in chains])
-    k, c = ((part.reshape(-1, 2)).mean(axis=1) for part in (gains * k_i - k_s, gains * k_i * times))
+    terms = np.array([[gain for gain, _ in chains], times * [gain for gain, _ in chains]])
+    own = np.einsum("ic,tc,ci->ti", out, terms, into @ sensor_turn(machine).T)  # of every axis over its own displacement
+    k, c = ((part.reshape(-1, 2)).mean(axis=1) for part in (own[0] * k_i - k_s, own[1] * k_i))
     return {bearing.name: (float(a), float(b)) for bearing, a, b in zip(machine.bearings, k, c, strict=True)}
 
 
 def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
-    """The lowest undamped critical speeds [rad/s], forward, of the rotor on ``springs`` and couplings, without seals."""
-    rotor, held = finite_element_rotor(machine), springs(machine)
-    modes = free_modes(rotor, min(_MODES, bending_modes_of(rotor)))
-    plane = _plane(modes.shapes)
-    places = [*((b.position, held[b.name][0]) for b in machine.bearings)]
-    places += [(item.position, float(np.mean(item.stiffness))) for item in machine.couplings]
-    w = plane_rows(rotor, [place for place, _ in places])[0] @ plane
-    K = np.diag(modes.frequencies[0::2] ** 2) + w.T @ np.diag([k for _, k in places]) @ w
-    G = plane.T @ rotor.plane_gyroscopic @ plane
-    values = sla.eigvals(K, np.eye(len(K)) - G)  # (K - W^2 (M - G)) z = 0: whirl as fast as spin
-    squares = values.real[np.isfinite(values) & (np.abs(values.imag) < 1e-6 * np.abs(values)) & (values.real > 0)]
-    return [float(speed) for speed in np.sqrt(np.sort(squares))[:count]]
+    """The lowest undamped critical speeds [rad/s], forward, of the rotor on ``springs``, couplings and supports, without seals.
+
+    (K - W^2 (M - j G)) q = 0: whirl as fast as spin; forward, or planar where a support is stiffer one way than the other.
+    """
+    rotor, held, point = finite_element_rotor(machine), springs(machine), machine.operation.design
+    bending = min(_MODES, bending_modes_of(rotor))
+    bare = replace(machine, seals=tuple(Seal(item.name, item.position) for item in machine.seals), tolerances=())
+    model = attached_rotor(bare, point, rotor, bending)
+    N = model.C[: len(machine.axes)]
+    extra = np.repeat([held[b.name][0] for b in machine.bearings], 2) + magnet_coefficients(machine, point)[1]
+    planes = np.kron(np.eye(2 + bending), [[0.0, 1.0], [-1.0, 0.0]])
+    apart = _APART * sla.block_diag(planes, np.zeros((model.n - len(planes),) * 2))  # parts what whirls alike either way
+    stiffness = model.stiffness + N.T @ np.diag(extra) @ N
+    values, vectors = sla.eig(stiffness, model.mass - 1j * (model.gyroscopic + apart))
+    names = tuple(f"{k}_{plane}" for k in range(2 + bending) for plane in "xy")
+    forward = whirl_measure(vectors[: len(names)], names) > -PLANAR
+    real = np.isfinite(values) & (np.abs(values.imag) < 1e-6 * np.abs(values)) & (values.real > 0)
+    return [float(speed) for speed in np.sqrt(np.sort(values[real & forward].real))[:count]]
 
 
 def _plane(shapes: np.ndarray) -> np.ndarray:
@@ -221,9 +233,10 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
         return
     largest = float(np.abs(shape[0::2]).max())
     what = f"the first bending mode ({modes.frequencies[-1] / HERTZ:.4g} Hz)"
-    sensed = {sensor.bearing: sensor.position for sensor in machine.sensors}
     for bearing in machine.bearings:
-        at, read = (plane_rows(rotor, [bearing.position, sensed[bearing.name]])[0] @ shape)[:, 0] / largest
+        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
+        at, *each = (plane_rows(rotor, [bearing.position, *(pair.position for pair in pairs)])[0] @ shape)[:, 0] / largest
+        read = sum(pair.weight * value for pair, value in zip(pairs, each, strict=True))
         if abs(read) < _NODE:
             yield f"the sensor of bearing {bearing.name} is at a node of {what} and hardly sees it; move it along the shaft"
         elif at * read < 0 and abs(at) > _NODE:
@@ -292,5 +305,9 @@ def _remarks(machine: Machine) -> Iterator[str]:
         yield "no gravity_direction: the rotor has no weight on the rig"
     if machine.operation.speed_range[1] == 0 and top_speed(machine) > 0:
         yield "no speed_range: nothing is judged between the operating points"
+    turned = [p for p, b in zip(measured_ports(machine)[0::2], machine.bearings, strict=True) if p.direction != b.angle]
+    if turned:
+        names = ", ".join(port.name.removesuffix("_zeta") for port in turned)
+        yield f"sensors of {names} at another angle than the magnets: y_ is along the sensors, a PID turns it to the magnets"
     if not machine.tolerances:
         yield "no [[tolerance]]: what is verified holds for these very numbers"

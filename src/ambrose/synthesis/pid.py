@@ -6,19 +6,21 @@ pulls the rotor back: it must exceed k_s / k_i before the loop has any stiffness
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid, named_failure
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.controller import CONTROLLER_COORDINATES, MODES, PidSettings, Section
-from ambrose.machine.description import MagneticBearing
+from ambrose.machine.controller import CONTROLLER_COORDINATES, MODES, PidSettings, Section, modal_channels
 from ambrose.machine.machine import Machine
 from ambrose.machine.validation.controller import channel_problems
+from ambrose.physics import sensor
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.model import Plant
+from ambrose.plant.ports import measured_ports, sensor_turn
 from ambrose.plant.timing import Timing, machine_timing
 from ambrose.synthesis.as_it_runs import certify_as_it_runs
 from ambrose.synthesis.certificate import certify
@@ -49,9 +51,9 @@ def pid_synthesis(plant: Plant, settings: PidSettings | None = None, timing: Tim
 def pid_controller(settings: PidSettings, machine: Machine) -> StateSpace:
     """The continuous controller: inputs err_<axis> [m], outputs u_<axis> [A], axes in the machine's order.
 
-    Coordinates "axes" treat every axis alone; "tilt-translate" splits the displacements into those of the parallel and of the
-    conical mode first and scales the conical part by tilt_gain (``modes``). Channels with a chain of their own run that
-    instead. Raises InvalidInput.
+    Coordinates "axes" treat every actuator's axis alone, its displacement from the sensors at their angle; "tilt-translate"
+    splits the displacements into those of the parallel and of the conical mode first and scales the conical part by tilt_gain
+    (``modes``). Channels with a chain of their own run that instead. Raises InvalidInput.
     """
     if settings.coordinates not in CONTROLLER_COORDINATES:
         raise invalid("coordinates", repr(settings.coordinates), " or ".join(CONTROLLER_COORDINATES), "choose one of them")
@@ -59,9 +61,16 @@ def pid_controller(settings: PidSettings, machine: Machine) -> StateSpace:
 
 
 def mixings(settings: PidSettings, machine: Machine) -> tuple[np.ndarray, np.ndarray]:
-    """From displacements to channels, and from channels to currents, (4, 4) [-] (``modes``); axes: the identity twice."""
-    one = np.eye(len(machine.axes))
-    return (one, one) if settings.coordinates == "axes" else modes(machine)
+    """From measured displacements to channels, and from channels to currents, [-] (``modes``).
+
+    Axes: sensors' directions are turned to the actuators' (``sensor_turn``), which is the identity where they are the same.
+    """
+    if settings.coordinates == "axes":
+        return sensor_turn(machine), np.eye(len(machine.axes))
+    into, out = modes(machine)
+    known = modal_channels(len(machine.bearings))
+    used = [known.index(name) for name in channel_names(settings, machine.axes)]
+    return into[used], out[:, used]
 
 
 def first_settings(machine: Machine) -> PidSettings:
@@ -116,15 +125,18 @@ def channel_chains(settings: PidSettings, axes: tuple[str, ...]) -> list[tuple[f
     own = {name: (item.gain, item.sections) for item in settings.channels for name in item.names}
     if modal:
         gain = settings.gain[0] if len(settings.gain) == 1 else 1.0
-        gains = [gain, gain, settings.tilt_gain * gain, settings.tilt_gain * gain]
+        gains = [gain, gain, *[settings.tilt_gain * gain] * len(axes)]
     else:
         gains = list(settings.gain) * (1 if len(settings.gain) == len(axes) else len(axes))
     return [own[name] if name in own else (gains[i], common) for i, name in enumerate(channel_names(settings, axes))]
 
 
 def channel_names(settings: PidSettings, axes: tuple[str, ...]) -> tuple[str, ...]:
-    """The channels in their order."""
-    return MODES if settings.coordinates == "tilt-translate" else axes
+    """The channels in their order; those of bending only where they have a chain of their own."""
+    if settings.coordinates != "tilt-translate":
+        return axes
+    own = {name for item in settings.channels for name in item.names}
+    return tuple(name for name in modal_channels(len(axes) // 2) if name in MODES or name in own)
 
 
 def common_sections(settings: PidSettings) -> tuple[Section, ...]:
@@ -145,28 +157,29 @@ def common_sections(settings: PidSettings) -> tuple[Section, ...]:
 
 
 def modes(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
-    """S^-1 and V, (4, 4) [-]: from sensor displacements to rigid-body coordinates (``MODES``), and from these to currents.
+    """From measured displacements to the rotor's coordinates, (c, 2 n) [-], and from these to currents, (2 n, c) [-].
 
-    The rigid rotor's coordinates are the translation of the point midway between the bearings, (t_x, t_y) [m], and the
-    displacement at the bearings that its tilting causes, (p_x, p_y) [m]. S maps them to the sensors' readings, from the
-    sensors' positions; V gives both bearings equal currents for t and opposite ones for p. With sensors at the bearings
-    V S^-1 is the identity. Raises InvalidInput unless the machine has two bearings and two sensor planes.
+    In the order of ``modal_channels``, n bearings: the translation of the point midway between the outermost bearings, (t_x,
+    t_y) [m], and the displacement at these that tilting causes, (p_x, p_y) [m]. S maps them to the sensors' readings; its
+    pseudo-inverse gives the rigid motion nearest to what is measured. V gives all bearings equal currents for t, and for p in
+    proportion to their lever. Of three bearings and more each further channel bend_k is what is left, along the k-th of the
+    orthonormal polynomials of degree two and more over the places. All channels together, with sensors at the bearings, are
+    the identity; tilt and translate alone are exact for every rigid motion. Raises InvalidInput for bearings at one place.
     """
-    if len(machine.bearings) != 2:
-        raise invalid("the number of bearings", len(machine.bearings), "2 for tilt-translate coordinates", "use 'axes'")
     places = np.array([bearing.position for bearing in machine.bearings])
-    readings = np.array([next(s.position for s in machine.sensors if s.bearing == b.name) for b in machine.bearings])
+    read = measured_ports(machine)[0::2]
+    readings = np.array([port.position for port in read])
     for what, values in (("bearing", places), ("sensor", readings)):
-        if abs(values[1] - values[0]) < 1e-6:
+        if (np.diff(np.sort(values)) < 1e-6).any():
             raise invalid(f"the {what} positions", values.tolist(), "apart from each other", "use coordinates 'axes'")
-    middle, half = places.mean(), (places[1] - places[0]) / 2
-    directions = [_directions(bearing) for bearing in machine.bearings]
-    S = np.vstack([np.hstack([d, d * (z - middle) / half]) for d, z in zip(directions, readings, strict=True)])
-    V = np.vstack([np.hstack([d, d * (z - middle) / half]) for d, z in zip(directions, places, strict=True)])
-    return np.linalg.inv(S), V
+    middle, half = (places.max() + places.min()) / 2, np.ptp(places) / 2 * (1 if places[-1] >= places[0] else -1)
 
+    def shapes(at: np.ndarray, angles: Sequence[float]) -> np.ndarray:
+        lever = (at - middle) / (half or 1.0)
+        rigid = np.column_stack([np.ones(len(at)), lever])[:, : len(at)]
+        bent, R = np.linalg.qr(np.vander(lever, len(at), increasing=True))
+        whole = np.hstack([rigid, (bent * np.sign(np.diag(R)))[:, 2:]])
+        return np.vstack([np.kron(row, sensor.rotation(-angle)) for row, angle in zip(whole, angles, strict=True)])
 
-def _directions(bearing: MagneticBearing) -> np.ndarray:
-    """The unit vectors of zeta and eta as rows, in x and y."""
-    c, s = np.cos(bearing.angle), np.sin(bearing.angle)
-    return np.array([[c, s], [-s, c]])
+    S = shapes(readings, [port.direction for port in read])
+    return np.linalg.inv(S), shapes(places, [bearing.angle for bearing in machine.bearings])

@@ -19,6 +19,9 @@ from ambrose.deployment.c.compiled import CompiledBlock, read_law
 from ambrose.deployment.discretisation.deployment import deploy
 from ambrose.deployment.pipeline import ExportOptions, export
 from ambrose.machine.controller import MODES, Channel, PidSettings, Section
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.disturbances import Pulse
+from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 from ambrose.synthesis.result import Synthesis
 
@@ -287,3 +290,47 @@ def test_bound_on_floating_point():
     share = 2e-6 / block.error_limit.max()
     assert (off <= share * cascade_error(block, 24, 1000)).all()
     assert (off > 1e-4 * share * cascade_error(block, 24, 1000)).all()
+
+
+TURNED = replace(MACHINE, sensors=tuple(
+    replace(s, angle=b.angle + turn) for s, b, turn in zip(MACHINE.sensors, MACHINE.bearings, (0.4, -1.1), strict=True)
+))  # fmt: skip
+
+
+@compiler
+@pytest.mark.parametrize("coordinates", ["axes", pytest.param("tilt-translate", marks=pytest.mark.campaign)])
+def test_turned_sensors_are_turned_back_in_the_code(coordinates):
+    """The compiled sections hold the rig as the law does, and as with sensors in the magnets' axes."""
+    bank, runs = replace(MACHINE.controller, coordinates=coordinates, tilt_gain=1.1), []
+    push = Scenario("push", 0.02, (Pulse("f_A_zeta", 50.0, 0.004, 0.002),))
+    for machine in (MACHINE, TURNED):
+        law = pid_controller(bank, machine)
+        block = build_cascade(deploy(law, DT, DT, force=True), bank, machine, "rig", 0.5e-3, CURRENT)
+        code = CompiledBlock(block, "double", driver.compilers()[0])
+        quiet = replace(machine, sensors=tuple(replace(s, noise=0.0) for s in machine.sensors))
+        runs.append(virtual_rig.run(quiet, code, push).record)
+        assert runs[-1]["u_A_eta"] == pytest.approx(virtual_rig.run(quiet, law, push).record["u_A_eta"], abs=1e-9)
+    for axis in MACHINE.axes:
+        assert runs[1][f"u_{axis}"] == pytest.approx(runs[0][f"u_{axis}"], abs=1e-6 * np.abs(runs[0][f"u_{axis}"]).max())
+    assert np.abs(runs[1]["y_A_zeta"] - runs[0]["y_A_zeta"]).max() > 0.1 * np.abs(runs[0]["y_A_zeta"]).max()
+
+
+def test_a_cascade_of_turned_sensors_needs_the_machine():
+    bank = settings()
+    source = pid_controller(bank, TURNED)
+    with pytest.raises(InvalidInput, match=r"would not run; name its file, --machine my.toml, or use the modal form"):
+        build_cascade(deploy(source, DT, DT, force=True), bank, None, "rig", 1e-3, CURRENT)
+
+
+@compiler
+def test_four_channels_of_three_bearings_run_as_code():
+    """Between the mixings there are fewer channels than axes."""
+    train = load_machine("three-bearing-train")
+    bank = replace(train.controller, coordinates="tilt-translate", gain=(20e3,))
+    law, dt = pid_controller(bank, train), 5e-5
+    block = build_cascade(deploy(law, dt, dt, force=True), bank, train, "rig", 0.5e-3, 10.0)
+    assert block.into.shape == (4, 6) and block.out.shape == (6, 4)
+    code = CompiledBlock(block, "double", driver.compilers()[0])
+    push = Scenario("push", 0.008, (Pulse("f_MID_zeta", 50.0, 0.002, 0.002),))
+    found, expected = (virtual_rig.run(train, item, push).record["u_MID_zeta"] for item in (code, law))
+    assert np.abs(expected).max() > 0.1 and found == pytest.approx(expected, abs=1e-9)

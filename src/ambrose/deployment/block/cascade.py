@@ -141,7 +141,8 @@ def build_cascade(
     if not response_error(exact, law, FLOOR) <= _SAME:
         raise InvalidInput(
             "the controller is not the one that its filters give on this machine, so that what was verified would not run; "
-            "design it again (without --loss), or use the modal form"
+            + ("name its file, --machine my.toml, " if machine is None else "design it again (without --loss), ")
+            + "or use the modal form"
         )
     block = ControlBlock(
         name=name, inputs=K.inputs, outputs=K.outputs, sample_time=dt, delay=deployment.delay, increment=E, B=B, C=C, D=D,

@@ -145,14 +145,15 @@ class _Model:
         bare = replace(machine, seals=seals, tolerances=())
         plant = assemble(bare, point)
         b, s = [f"f_{a}" for a in machine.axes], [f"f_{name}_x", f"f_{name}_y"]
-        sensed, moved = [f"s_{a}" for a in machine.axes], [f"q_{name}_x", f"q_{name}_y"]
+        sensed_by = sensor.linearised(machine.sensor_pairs, machine.axes)
+        sensed, moved = sensed_by.inputs, [f"q_{name}_x", f"q_{name}_y"]
         H = frequency_response(select(plant.rotor, [*b, *s], [*sensed, *moved]), omega).values
-        lag = frequency_response(sensor.linearised(machine.sensors, machine.axes), omega).values
-        n = len(b)
+        lag = frequency_response(sensed_by, omega).values
+        n, c = len(b), len(sensed)
         self.omega, self.axes = omega, machine.axes
-        self.measured_by_force = lag @ H[:, :n, :n]
-        self.measured_by_seal = lag @ H[:, :n, n:]
-        self.moved_by_force, self.moved_by_seal = H[:, n:, :n], H[:, n:, n:]
+        self.measured_by_force = lag @ H[:, :c, :n]
+        self.measured_by_seal = lag @ H[:, :c, n:]
+        self.moved_by_force, self.moved_by_seal = H[:, c:, :n], H[:, c:, n:]
         self.k_i = np.concatenate([magnet.linearised(item, point.bias_current).force_per_current for item in machine.bearings])
         hold = (1 - np.exp(-1j * omega * dt)) / (1j * omega * dt)
         drive: StateSpace = amplifier.linearised(machine.amplifier, machine.axes)

@@ -24,9 +24,10 @@ from ambrose.identification.static_load.levels import Levels, steady_levels
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
+from ambrose.physics import magnet, sensor
 from ambrose.physics.rotor import finite_element_rotor
 from ambrose.plant.assemble import attached_rotor, bending_modes_of
+from ambrose.plant.ports import sensor_ports
 
 _BENDING = 20  # modes per plane that make the rotor's static flexibility; more change nothing
 _MOVED = 0.05  # share of the magnet's force that comes from displacement, above which K_s must be well known
@@ -137,8 +138,10 @@ def bearing_forces(machine: Machine, point: OperatingPoint, levels: Levels) -> t
         if f"f_{port}" not in system.inputs:
             known = ", ".join(name.removeprefix("f_") for name in system.inputs)
             raise invalid("a load's port", repr(port), f"one of {known}", "name the signal f_<port>, or add a disc there")
-    N_b, N_f = system.B[:, at], system.B[:, [system.inputs.index(f"f_{port}") for port in levels.ports]]
-    S = system.C[[system.outputs.index(f"s_{axis}") for axis in axes]]
+    outside = [f"o_{port}" if f"o_{port}" in system.inputs else f"f_{port}" for port in levels.ports]  # on the rotor alone
+    N_b, N_f = system.B[:, at], system.B[:, [system.inputs.index(name) for name in outside]]
+    seen = [system.outputs.index(f"s_{port.name}") for port in sensor_ports(machine)]
+    S = sensor.means(machine.sensor_pairs, axes) @ system.C[seen]
     K = system.stiffness + N_b @ np.diag(_stiffness(machine, point, None)) @ N_b.T  # takes the magnets out again
     size = np.sqrt(np.maximum(np.abs(np.diag(K)), np.abs(N_b).max() ** 2 * 1e6))  # of the rows: rigid modes have no stiffness
     matrix = np.block([[K / size / size[:, None], -N_b / size[:, None]], [S / size, np.zeros((len(axes), len(axes)))]])

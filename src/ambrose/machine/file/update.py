@@ -29,7 +29,7 @@ from ambrose.machine.units import DIMENSIONS, rewrite_quantity
 _Plain = Mapping[str, Any]
 _IDENTITIES = {  # the key whose value tells the entries of a list apart; of other lists their order does
     **dict.fromkeys(("disc", "bearing", "seal", "coupling"), "name"),
-    "sensor": "bearing",
+    **dict.fromkeys(("sensor", "support"), "bearing"),
     "measured": "bias_current",
     "point": "label",
     "tolerance": "parameter",

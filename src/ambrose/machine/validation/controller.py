@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ambrose.machine.controller import CONTROLLER_COORDINATES, MODES, SECTIONS, PidSettings, Section
+from ambrose.machine.controller import CONTROLLER_COORDINATES, MODES, SECTIONS, PidSettings, Section, modal_channels
 from ambrose.machine.description import MachineDescription
 from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME
 from ambrose.machine.messages import complaint, number, shown, suggestion
@@ -36,10 +36,8 @@ def controller(machine: MachineDescription) -> Iterator[str]:
         known = f"one of {', '.join(CONTROLLER_COORDINATES)}"
         yield complaint(where, "coordinates", shown(pid.coordinates), known, "choose one of them")
         return
-    if pid.coordinates == "tilt-translate" and len(machine.bearings) != 2:
-        remedy = f"tilting needs two bearings, there are {len(machine.bearings)}"
-        yield complaint(where, "coordinates", shown(pid.coordinates), '"axes"', remedy)
-        return
+    if pid.coordinates == "tilt-translate" and len(machine.bearings) == 1 and pid.tilt_gain != 1:
+        yield complaint(where, "tilt_gain", f"{pid.tilt_gain:g}", "left out", "one bearing cannot tilt the rotor, add a second")
     if pid.to_dict().keys() - {"sample_time", "delay"}:  # which may stand alone: when controllers run, and no reference
         yield from channel_problems(pid, machine.axes)
 
@@ -47,21 +45,23 @@ def controller(machine: MachineDescription) -> Iterator[str]:
 def channel_problems(pid: PidSettings, axes: tuple[str, ...]) -> Iterator[str]:
     """Whether every channel has its chain, [controller]'s or one of its own, and what is wrong with the sections of these."""
     where, modes = "[controller]", pid.coordinates == "tilt-translate"
-    known, seen = MODES if modes else axes, dict[str, int]()
+    known, seen = modal_channels(len(axes) // 2) if modes else axes, dict[str, int]()
     for i, channel in enumerate(pid.channels):
         inside = f"[[controller.channel]] {i + 1}"
         yield from not_positive(inside, channel, "give K_p in A/m", "gain")
         if not channel.names:
             yield complaint(inside, "names", "empty", "one channel at least", f"known: {', '.join(known)}")
         for name in channel.names:
-            if name not in known:
+            if modes and name in MODES and name not in known:
+                yield f'{inside}: names holds "{name}", but one bearing cannot tilt the rotor; leave it out, or add a bearing'
+            elif name not in known:
                 yield f'{inside}: names holds "{name}", which is no channel of {pid.coordinates}; {suggestion(name, known)}'
             elif name in seen:
                 yield f'{inside}: "{name}" has its chain in entry {seen[name]} already; name every channel once'
             seen.setdefault(name, i + 1)
         for j, section in enumerate(channel.sections):
             yield from section_problems(f"{inside}, [[controller.channel.section]] {j + 1}", section)
-    left = [name for name in known if name not in seen]
+    left = [name for name in known if name not in seen and not (modes and name not in MODES)]
     if left and not pid.gain:
         remedy = "give one value or one per axis" + (f", or a chain for {', '.join(left)}" if pid.channels else "")
         yield f"{where}: gain (K_p in A/m) is missing; {remedy}"

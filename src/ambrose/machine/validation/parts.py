@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, BiasPoint, MachineDescription, MagneticBearing, ShaftSection
 from ambrose.machine.limits import ELEMENTS
 from ambrose.machine.messages import complaint, number, shown, suggestion
+from ambrose.machine.stator import SENSORS_ON, CasingMode, Support
 from ambrose.machine.validation.signs import not_positive
 
 JOINT = 1e-9  # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
@@ -159,13 +160,14 @@ def sensors(machine: MachineDescription) -> Iterator[str]:
         if sensor.bearing not in names:
             remedy = suggestion(sensor.bearing, names, "there is no [[bearing]]")
             yield f'{where}: bearing "{sensor.bearing}" is unknown; {remedy}'
-        elif sensor.bearing in served[:i]:
-            yield f'{where}: bearing "{sensor.bearing}" has a [[sensor]] already; give one sensor pair per bearing'
+        elif sensor.bearing not in served[:i] and sum(s.weight for s in machine.sensors if s.bearing == sensor.bearing) == 0:
+            yield complaint(where, "weight", 0, "positive for one pair of the bearing", "leave it out for equal shares")
         yield from not_positive(where, sensor, "leave it out for a sensor without lag", "bandwidth")
         for axis, gain in zip(("zeta", "eta"), sensor.gain, strict=True):
             if gain == 0:
                 yield complaint(where, f"gain ({axis})", 0, "different from zero", "1 is a calibrated sensor")
         yield from not_positive(where, sensor, "leave it out for a sensor without", "noise", "resolution", zero=True)
+        yield from not_positive(where, sensor, "1 is an equal share in the mean", "weight", zero=True)
         for k, harmonic in enumerate(sensor.runout):
             inside = f"{where}, [[sensor.runout]] {k + 1}"
             yield from not_positive(inside, harmonic, "periods per revolution; an offset is the key offset", "order")
@@ -199,6 +201,48 @@ def amplifier(machine: MachineDescription) -> Iterator[str]:
         yield f"[amplifier]: {missing} is missing; {there} limits the slope of the current only together with it"
     elif amplifier.max_voltage is not None and amplifier.order == "none":
         yield '[amplifier]: max_voltage limits the slope of the current, which order "none" does not have; choose "first"'
+
+
+def supports(machine: MachineDescription) -> Iterator[str]:
+    bearings, seals = ([item.name for item in items] for items in (machine.bearings, machine.seals))
+    seen: set[str] = set()
+    for support in machine.supports:
+        where = f"[[support]] {support.bearing}"
+        yield from _named(where, "bearing", (support.bearing,), bearings)
+        yield from _named(where, "seals", support.seals, seals)
+        for name in (support.bearing, *support.seals):
+            if name in seen:
+                yield f'{where}: "{name}" stands on an earlier [[support]] already; merge the two, or add a [[casing_mode]]'
+            seen.add(name)
+        yield from not_positive(where, support, "leave the support out for a rigid one", "mass", "stiffness")
+        yield from not_positive(where, support, "a support takes energy and gives none", "damping", zero=True)
+        yield from _sensor_on(where, support)
+    for i, mode in enumerate(machine.casing_modes):
+        where = f"[[casing_mode]] {i + 1}"
+        yield from _named(where, "at", mode.at, [*bearings, *seals])
+        yield from not_positive(where, mode, "a mode of a casing that stands somewhere", "frequency", "mass")
+        yield from not_positive(where, mode, "a casing takes energy and gives none", "damping", zero=True)
+        for key in ("x", "y"):
+            given = getattr(mode, key)
+            if given and len(given) != len(mode.at):
+                wanted = f"a list of {len(mode.at)}, one per name in at"
+                yield complaint(where, key, f"a list of {len(given)}", wanted, "0 where it does not move")
+        if not any((*mode.x, *mode.y)):
+            yield f"{where}: x and y are zero or missing, so that it moves nothing; give the deflections, or leave the mode out"
+        yield from _sensor_on(where, mode)
+
+
+def _named(where: str, key: str, names: tuple[str, ...], known: list[str]) -> Iterator[str]:
+    for i, name in enumerate(names):
+        if name not in known:
+            yield f'{where}: {key} "{name}" is unknown; {suggestion(name, known, "there is none")}'
+        elif name in names[:i]:
+            yield f'{where}: {key} names "{name}" twice; name it once'
+
+
+def _sensor_on(where: str, part: Support | CasingMode) -> Iterator[str]:
+    if part.sensor not in SENSORS_ON:
+        yield complaint(where, "sensor", shown(part.sensor), f"one of {', '.join(SENSORS_ON)}", "choose one of them")
 
 
 def couplings(machine: MachineDescription) -> Iterator[str]:

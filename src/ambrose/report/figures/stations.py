@@ -9,7 +9,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
-from ambrose.plant.ports import Port, ports, sensor_ports
+from ambrose.plant.ports import Port, measured_ports, ports
 from ambrose.report import theme, units
 from ambrose.simulation.scenario import Scenario
 
@@ -54,7 +54,7 @@ def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
     gaps = {bearing.name: bearing.touchdown_gap for bearing in machine.bearings}
     places = [(pair, "q", False) for pair in _pairs(ports(machine))]
     if not any(f"q_{port.name}" in record.signals for (port, _), _, _ in places if _name(port) in gaps):
-        places = [(pair, "y", True) for pair in _pairs(sensor_ports(machine))] + places
+        places = [(pair, "y", True) for pair in _pairs(measured_ports(machine))] + places
     result = []
     for (first, second), kind, sensor in places:
         names = (f"{kind}_{first.name}", f"{kind}_{second.name}")

@@ -26,40 +26,47 @@ def slope(rig: Rig, drive: Drive, z: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def measurement(rig: Rig) -> np.ndarray:
     """Matrix (a, n): what the sensors show of the state, without offset and run-out."""
-    k, C = rig.constants, np.zeros((len(rig.axes), rig.states))
-    for a in range(len(rig.axes)):
-        if k.sensor[a, 2] > 0:
-            C[a, 4 * rig.modes + 3 * len(rig.axes) + a] = 1.0
+    k, C = rig.constants, np.zeros((len(rig.constants.sensor), rig.states))
+    for c in range(len(C)):
+        if k.sensor[c, 2] > 0:
+            C[c, rig.sensed.start + c] = 1.0
         else:
-            C[a, : 2 * rig.modes] = _seen(rig, a)
-    return C
+            C[c, : rig.coordinates] = _seen(rig, c)
+    return np.asarray(k.mean @ C)
 
 
 def state_at_rest(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """The state at rest at modal displacements q (2 p,) with all currents settled at u (a,)."""
-    p, a = rig.modes, len(rig.axes)
+    """The state at rest at displacements q (n,) with all currents settled at u (a,)."""
+    n, a = rig.coordinates, len(rig.axes)
     z = np.zeros(rig.states)
-    z[: 2 * p] = q
-    currents = z[4 * p : 4 * p + 2 * a].reshape(a, 2)
+    z[:n] = q
+    currents = z[2 * n : 2 * n + 2 * a].reshape(a, 2)
     currents[:, 0] = u
     if rig.machine.amplifier.order == "twice-first":
         currents[:, 1] = u
     z[rig.bias] = np.repeat(rig.constants.magnet[:, 0], 2)
-    z[4 * p + 3 * a : 4 * p + 4 * a] = [_seen(rig, i) @ q + rig.constants.sensor[i, 1] for i in range(a)]
+    z[rig.sensed] = [_seen(rig, c) @ q + value for c, value in enumerate(rig.constants.sensor[:, 1])]
     first = len(rig.machine.bearings) + len(rig.machine.couplings)
-    places = rig.constants.shape[first : first + len(rig.machine.seals)] @ q.reshape(-1, 2)
+    places = _places(rig, q)[first : first + len(rig.machine.seals)]
     lags = rig.constants.seal_lags
     settled = -np.linalg.solve(lags[..., :-1], lags[..., -1:]) if lags.size else lags[..., -1:]  # states per displacement
-    z[4 * p + 4 * a :] = (settled * places[:, None]).ravel()
+    z[rig.sensed.stop :] = (settled * places[:, None]).ravel()
     return z
 
 
 def _seen(rig: Rig, a: int) -> np.ndarray:
-    """Row (2 p,): an axis' sensor over the modal displacements, with gain."""
+    """Row (n,): a single sensor over the displacements, with gain."""
     k = rig.constants
-    c, s = k.direction[a // 2]
-    weights = (c, s) if a % 2 == 0 else (-s, c)
-    return np.asarray(k.sensor[a, 0] * np.kron(k.sensor_shape[a // 2], weights))
+    c, s = np.cos(k.sensor_angle[a // 2]), np.sin(k.sensor_angle[a // 2])
+    weights = np.array([c, s] if a % 2 == 0 else [-s, c])
+    moved = np.concatenate([np.kron(k.sensor_shape[a // 2], weights), -(weights @ k.sensor_support[a // 2])])
+    return np.asarray(k.sensor[a, 0] * moved)
+
+
+def _places(rig: Rig, q: np.ndarray) -> np.ndarray:
+    """Displacements (S, 2) of the stations, relative to what they stand on, at displacements q (n,)."""
+    k, n = rig.constants, 2 * rig.modes
+    return np.asarray(k.shape @ q[:n].reshape(-1, 2) - k.support_shape @ q[n:])
 
 
 def levitated_state(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -68,9 +75,10 @@ def levitated_state(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray
     Newton's method on the rig's own forces; run-out and what turns are left out. Raises NumericalFailure where weight and loads
     need more current than there is.
     """
-    n, m = 2 * rig.modes, len(law.A)
-    S = np.array([_seen(rig, a) for a in range(len(rig.axes))])
-    aim = -rig.constants.sensor[:, 1]
+    n, m = rig.coordinates, len(law.A)
+    mean = rig.constants.mean
+    S = mean @ np.array([_seen(rig, c) for c in range(mean.shape[1])])
+    aim = -mean @ rig.constants.sensor[:, 1]
     q, x = np.zeros(n), np.zeros(m)
 
     def force(q: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -115,21 +123,22 @@ def _displaced(rig: Rig, distance: np.ndarray, direction: list[float]) -> np.nda
     """The state at rest without current, moved rigidly by distances (b,) [m] at the bearings in a direction (2,)."""
     plane = np.zeros(rig.modes)
     plane[:2] = np.linalg.lstsq(rig.constants.shape[: len(distance), :2], distance, rcond=None)[0]
-    return state_at_rest(rig, np.kron(plane, direction), np.zeros(len(rig.axes)))
+    q = np.concatenate([np.kron(plane, direction), np.zeros(len(rig.constants.support))])
+    return state_at_rest(rig, q, np.zeros(len(rig.axes)))
 
 
 def _penetration(rig: Rig, q: np.ndarray) -> float:
     """How far [m] the rotor is inside the touchdown bearing where it is farthest; negative: free everywhere."""
     k, b = rig.constants, len(rig.machine.bearings)
-    place = k.shape[:b] @ q.reshape(-1, 2)
+    place = _places(rig, q)[:b]
     return float((np.hypot(place[:, 0], place[:, 1]) - k.touchdown[:, 0]).max())
 
 
 def linear_view(rig: Rig, drive: Drive, z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A = d(dz/dt)/dz (n, n) and B = d(dz/dt)/du (n, a) by central differences."""
-    p, a = rig.modes, len(rig.axes)
+    n, a = rig.coordinates, len(rig.axes)
     size = np.concatenate(
-        [np.full(2 * p, 1e-8), np.full(2 * p, 1e-5), np.full(3 * a, 1e-5), np.full(rig.states - 4 * p - 3 * a, 1e-8)]
+        [np.full(n, 1e-8), np.full(n, 1e-5), np.full(3 * a, 1e-5), np.full(rig.states - rig.sensed.start, 1e-8)]
     )
     A = _differences(lambda z: slope(rig, drive, z, u), z, size)
     return A, _differences(lambda u: slope(rig, drive, z, u), u, 1e-5)
@@ -149,7 +158,7 @@ def _differences(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, s
 def fastest_pole(rig: Rig, drives: list[Drive]) -> float:
     """The largest modulus [rad/s] of a pole of the rig, free and touching the touchdown bearings, in all of the drives."""
     gaps, u = rig.constants.touchdown[:, 0], np.zeros(len(rig.axes))
-    states = [state_at_rest(rig, np.zeros(2 * rig.modes), u)]
+    states = [state_at_rest(rig, np.zeros(rig.coordinates), u)]
     if np.isfinite(gaps).all():
         states.append(_displaced(rig, 1.05 * gaps, [1.0, 0.0]))
     found = [np.abs(np.linalg.eigvals(linear_view(rig, drive, z, u)[0])).max() for drive in drives for z in states]

@@ -34,7 +34,7 @@ class Drive(NamedTuple):
     excitation: np.ndarray  # (a, K) [A]
     reference: np.ndarray  # (a, K) [m]
     disturbance: np.ndarray  # (a, K) of the measurement [m]
-    noise: np.ndarray  # (a, K) [m]
+    noise: np.ndarray  # (c, K) at the single sensors [m], with the disturbance that they would have to see
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +104,6 @@ def plan(rig: Rig, scenario: Scenario, dt: float, seed: int) -> Plan:
 def stretch(plan: Plan, first: int, count: int) -> Drive:
     """The control samples first .. first + count - 1; call them in order, for the noise's sake. Raises InvalidInput."""
     rig, scenario, dt = plan.rig, plan.scenario, plan.dt
-    a = len(rig.axes)
     nodes = np.arange(first, first + count + 1) * dt
     speed = plan.speeds(nodes)
     names, c = waveforms(replace(scenario, unbalances=()), plan.inputs, dt, count, first=first)
@@ -114,16 +113,23 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
         return np.array([rows[f"{kind}_{axis}"][0] if f"{kind}_{axis}" in rows else np.zeros(count) for axis in rig.axes])
 
     forces = [i for i, port in enumerate(rig.port_names) if f"f_{port}" in rows]
-    sigma = rig.constants.sensor[:, 4]
-    noise = plan.noise.standard_normal((count, a)).T * sigma[:, None] if sigma.any() else np.zeros((a, count))
+    sigma, disturbance = rig.constants.sensor[:, 4], held("d")
+    noise = plan.noise.standard_normal((count, len(sigma))).T * sigma[:, None] if sigma.any() else np.zeros((len(sigma), count))
+    noise += _spread(rig.constants.mean) @ disturbance
     coefficients = _seals(plan, nodes, speed)
     return Drive(
         dt, speed, plan.angles(nodes), coefficients, _mass_inverse(rig, coefficients), _unbalance(plan),
         np.ascontiguousarray(np.stack([rows[f"f_{rig.port_names[i]}"] for i in forces], axis=1))
         if forces else np.zeros((4, 0, count)),
         np.array([divmod(i, 2) for i in forces], dtype=np.int64).reshape(-1, 2),
-        _powered(plan, first, count), held("e"), held("r"), held("d"), np.ascontiguousarray(noise),
+        _powered(plan, first, count), held("e"), held("r"), disturbance, np.ascontiguousarray(noise),
     )  # fmt: skip
+
+
+def _spread(mean: np.ndarray) -> np.ndarray:
+    """(c, a): what every sensor sees of a disturbance of the measurement, so that the mean sees it whole."""
+    weight = np.linalg.norm(mean, axis=0)
+    return np.asarray((mean / np.where(weight > 0, weight, 1.0)).T)
 
 
 def sample(drive: Drive, k: int) -> Drive:
@@ -195,7 +201,10 @@ def _coefficients(item: Seal, poles: np.ndarray, pressure: float, speed: float, 
 
 
 def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
-    """(I + sum M phi phi^T)^-1 in the middle of every sample; M the seals' added masses."""
+    """(I + sum M phi phi^T)^-1 in the middle of every sample; M the seals' added masses.
+
+    Of one plane, (p, p); where such a seal is on a support of all coordinates, (n, n).
+    """
     p = rig.modes
     added = coefficients[:, :, 4]
     if not added.any():
@@ -203,4 +212,9 @@ def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
     first = len(rig.machine.bearings) + len(rig.machine.couplings)
     shape = rig.constants.shape[first : first + added.shape[1]]
     middle = added if len(added) == 1 else (added[1:] + added[:-1]) / 2
+    on = rig.constants.support_shape[first : first + added.shape[1]]
+    if on[added.any(axis=0)].any():
+        rows = np.concatenate([np.einsum("sp,de->sdpe", shape, np.eye(2)).reshape(len(shape), 2, 2 * p), -on], axis=2)
+        whole = np.einsum("ks,sdi,sdj->kij", middle, rows, rows)
+        return np.ascontiguousarray(np.linalg.inv(np.eye(rows.shape[2]) + whole))
     return np.ascontiguousarray(np.linalg.inv(np.eye(p) + np.einsum("ks,sp,sq->kpq", middle, shape, shape)))

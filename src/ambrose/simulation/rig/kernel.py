@@ -1,9 +1,9 @@
 """The virtual rig's compiled part: one function per stage of the machine, and a fixed-step Runge-Kutta method around them.
 
-State z (n,): modal displacements, then modal velocities, x and y in turn (q_1x, q_1y, q_2x, ...), then two amplifier states
-[A] per axis, the bias currents [A], the sensors' lagged signals [m], the seals' lagged displacements x, y [m]. The forces are
-those of ``physics``, compiled as they stand. This module imports numba: import it only inside functions. What the arrays hold
-is said in rig/state.py and rig/inputs.py.
+State z (n,): displacements - the rotor's modal ones, x and y in turn (q_1x, q_1y, q_2x, ...), then those of the supports -,
+their velocities, then two amplifier states [A] per axis, the bias currents [A], the sensors' lagged signals [m], the seals'
+lagged displacements x, y [m]. The forces are those of ``physics``, compiled as they stand. This module imports numba: import
+it only inside functions. What the arrays hold is said in rig/state.py and rig/inputs.py.
 """
 
 from __future__ import annotations
@@ -48,17 +48,27 @@ _converted = _compiled(sensor.sampled)
 
 
 @_compiled
+def _coordinates(rig: Any) -> int:
+    """How many displacements the state has: of the rotor's modes in both planes and of the supports."""
+    return 2 * rig.stiffness.shape[0] + rig.support.shape[0]
+
+
+@_compiled
 def _move(rig: Any, work: Any, z: Any) -> None:
-    """Displacements and velocities of the stations."""
-    p = rig.stiffness.shape[0]
+    """Displacements and velocities of the stations, relative to what they stand on."""
+    p, n = rig.stiffness.shape[0], _coordinates(rig)
     for s in range(work.place.shape[0]):
         x, y, vx, vy = 0.0, 0.0, 0.0, 0.0
         for j in range(p):
             shape = rig.shape[s, j]
             x += shape * z[2 * j]
             y += shape * z[2 * j + 1]
-            vx += shape * z[2 * (p + j)]
-            vy += shape * z[2 * (p + j) + 1]
+            vx += shape * z[n + 2 * j]
+            vy += shape * z[n + 2 * j + 1]
+        for i in range(rig.support.shape[0]):
+            a, b = rig.support_shape[s, 0, i], rig.support_shape[s, 1, i]
+            x, y = x - a * z[2 * p + i], y - b * z[2 * p + i]
+            vx, vy = vx - a * z[n + 2 * p + i], vy - b * z[n + 2 * p + i]
         work.place[s, 0], work.place[s, 1] = x, y
         work.velocity[s, 0], work.velocity[s, 1] = vx, vy
         work.force[s, 0] = work.force[s, 1] = 0.0
@@ -67,7 +77,7 @@ def _move(rig: Any, work: Any, z: Any) -> None:
 @_compiled
 def _magnetise(rig: Any, work: Any, z: Any) -> None:
     """Magnet forces in the bearings' axes, from the currents that make force."""
-    amp = 4 * rig.stiffness.shape[0]
+    amp = 2 * _coordinates(rig)
     bias = amp + 2 * rig.amplifier.shape[0]
     for b in range(rig.magnet.shape[0]):
         c, s, p = rig.direction[b, 0], rig.direction[b, 1], rig.magnet[b]
@@ -112,7 +122,7 @@ def _couple(rig: Any, work: Any) -> None:
 @_compiled
 def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any) -> None:
     """Seals and their lags, coefficients linear within a sample; their added mass is in the mass matrix."""
-    lag = 4 * rig.stiffness.shape[0] + 4 * rig.sensor.shape[0]
+    lag = 2 * _coordinates(rig) + 3 * rig.amplifier.shape[0] + rig.sensor.shape[0]
     first = rig.magnet.shape[0] + rig.coupling.shape[0]
     varying = drive.seal.shape[0] > 1
     for i in range(drive.seal.shape[1]):
@@ -146,15 +156,17 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
 
 @_compiled
 def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) -> None:
-    """The scenario's forces at their stations; weight and unbalance on the modes."""
+    """The scenario's forces, weight and unbalance, on the rotor alone."""
+    for j in range(rig.weight.shape[0]):
+        work.modal[j] = rig.weight[j]
     for m in range(drive.force_at.shape[0]):
         value = drive.force[0, m, k] + tau * (drive.force[1, m, k] + tau * (drive.force[2, m, k] + tau * drive.force[3, m, k]))
         s, axis = drive.force_at[m, 0], drive.force_at[m, 1]
         c, d = rig.direction[s, 0], rig.direction[s, 1]
-        work.force[s, 0] += value * (c if axis == 0 else -d)
-        work.force[s, 1] += value * (d if axis == 0 else c)
-    for j in range(work.modal.shape[0]):
-        work.modal[j] = rig.weight[j]
+        fx, fy = value * (c if axis == 0 else -d), value * (d if axis == 0 else c)
+        for j in range(rig.stiffness.shape[0]):
+            work.modal[2 * j] += rig.shape[s, j] * fx
+            work.modal[2 * j + 1] += rig.shape[s, j] * fy
     acceleration = (drive.speed[k + 1] - drive.speed[k]) / drive.dt
     if drive.unbalance.shape[0] and (speed != 0.0 or acceleration != 0.0):
         angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
@@ -167,42 +179,55 @@ def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) 
 
 @_compiled
 def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, dz: Any) -> None:
-    """The rotor: modal accelerations from modal and station forces, gyroscopic moments, added mass."""
-    p = rig.stiffness.shape[0]
+    """Rotor and supports: accelerations from modal and station forces, gyroscopic moments, added mass."""
+    p, n = rig.stiffness.shape[0], _coordinates(rig)
     for j in range(p):
         fx, fy = work.modal[2 * j], work.modal[2 * j + 1]
         for s in range(work.force.shape[0]):
             fx += rig.shape[s, j] * work.force[s, 0]
             fy += rig.shape[s, j] * work.force[s, 1]
-        vx, vy = z[2 * (p + j)], z[2 * (p + j) + 1]
+        vx, vy = z[n + 2 * j], z[n + 2 * j + 1]
         dz[2 * j], dz[2 * j + 1] = vx, vy
-        dz[2 * (p + j)] = fx - rig.stiffness[j] * z[2 * j] - rig.damping[j] * vx
-        dz[2 * (p + j) + 1] = fy - rig.stiffness[j] * z[2 * j + 1] - rig.damping[j] * vy
+        dz[n + 2 * j] = fx - rig.stiffness[j] * z[2 * j] - rig.damping[j] * vx
+        dz[n + 2 * j + 1] = fy - rig.stiffness[j] * z[2 * j + 1] - rig.damping[j] * vy
+    for i in range(rig.support.shape[0]):
+        f, v = 0.0, z[n + 2 * p + i]
+        for s in range(work.force.shape[0]):
+            f -= rig.support_shape[s, 0, i] * work.force[s, 0] + rig.support_shape[s, 1, i] * work.force[s, 1]
+        dz[2 * p + i] = v
+        dz[n + 2 * p + i] = f - rig.support[i, 0] * z[2 * p + i] - rig.support[i, 1] * v
     if speed != 0.0:
         for j in range(p):
             gx, gy = 0.0, 0.0
             for m in range(p):
-                gx += rig.gyroscopic[j, m] * z[2 * (p + m)]
-                gy += rig.gyroscopic[j, m] * z[2 * (p + m) + 1]
-            dz[2 * (p + j)] -= speed * gy
-            dz[2 * (p + j) + 1] += speed * gx
+                gx += rig.gyroscopic[j, m] * z[n + 2 * m]
+                gy += rig.gyroscopic[j, m] * z[n + 2 * m + 1]
+            dz[n + 2 * j] -= speed * gy
+            dz[n + 2 * j + 1] += speed * gx
     if drive.mass_inverse.shape[0]:
         inverse = drive.mass_inverse[k if drive.mass_inverse.shape[0] > 1 else 0]
-        for j in range(2 * p):
-            work.modal[j] = dz[2 * p + j]
+        for j in range(n):
+            work.modal[j] = dz[n + j]
+        if inverse.shape[0] == n:  # a seal with added mass on a support
+            for j in range(n):
+                total = 0.0
+                for m in range(n):
+                    total += inverse[j, m] * work.modal[m]
+                dz[n + j] = total
+            return
         for j in range(p):
             ax, ay = 0.0, 0.0
             for m in range(p):
                 ax += inverse[j, m] * work.modal[2 * m]
                 ay += inverse[j, m] * work.modal[2 * m + 1]
-            dz[2 * (p + j)], dz[2 * (p + j) + 1] = ax, ay
+            dz[n + 2 * j], dz[n + 2 * j + 1] = ax, ay
 
 
 @_compiled
 def _amplify(rig: Any, work: Any, drive: Any, k: int, z: Any, dz: Any) -> None:
     """Amplifiers and bias currents, both within the slope that the voltage allows."""
     count = rig.amplifier.shape[0]
-    amp = 4 * rig.stiffness.shape[0]
+    amp = 2 * _coordinates(rig)
     for a in range(count):
         i, j, p = amp + 2 * a, amp + 2 * count + a, rig.amplifier[a]
         dz[i], dz[i + 1] = _amplifier_derivative(work.command[a], z[i], z[i + 1], p)
@@ -212,26 +237,28 @@ def _amplify(rig: Any, work: Any, drive: Any, k: int, z: Any, dz: Any) -> None:
 
 @_compiled
 def _signal(rig: Any, z: Any, a: int, angle: float) -> float:
-    """The sensor's signal [m] of an axis before its lag."""
+    """The signal [m] of sensor a before its lag."""
     b = a // 2
-    c, s = rig.direction[b, 0], rig.direction[b, 1]
-    x, y = 0.0, 0.0
-    for j in range(rig.stiffness.shape[0]):
+    c, s = rig.sensor_direction[b, 0], rig.sensor_direction[b, 1]
+    x, y, p = 0.0, 0.0, rig.stiffness.shape[0]
+    for j in range(p):
         x += rig.sensor_shape[b, j] * z[2 * j]
         y += rig.sensor_shape[b, j] * z[2 * j + 1]
+    for i in range(rig.support.shape[0]):
+        x -= rig.sensor_support[b, 0, i] * z[2 * p + i]
+        y -= rig.sensor_support[b, 1, i] * z[2 * p + i]
     value = c * x + s * y if a % 2 == 0 else c * y - s * x
     track = rig.runout[rig.runout_start[b] : rig.runout_start[b + 1]]
     if track.shape[0]:
-        value += _runout(angle - rig.angle[b], track, rig.sensor[a])
+        value += _runout(angle - rig.sensor_angle[b], track, rig.sensor[a])
     return _indicated(value, rig.sensor[a])
 
 
 @_compiled
 def _sense(rig: Any, drive: Any, k: int, tau: float, speed: float, z: Any, dz: Any) -> None:
     """Lags of the sensors."""
-    count = rig.sensor.shape[0]
-    start = 4 * rig.stiffness.shape[0] + 3 * count
-    for a in range(count):
+    start = 2 * _coordinates(rig) + 3 * rig.amplifier.shape[0]
+    for a in range(rig.sensor.shape[0]):
         dz[start + a] = 0.0
         if rig.sensor[a, 2] > 0.0:
             angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
@@ -290,11 +317,14 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
 @_compiled
 def _measure(rig: Any, drive: Any, k: int, z: Any, y: Any) -> None:
     """What the controller reads at the start of sample k."""
-    count = y.shape[0]
-    start = 4 * rig.stiffness.shape[0] + 3 * count
-    for a in range(count):
-        value = z[start + a] if rig.sensor[a, 2] > 0.0 else _signal(rig, z, a, drive.angle[k])
-        y[a] = _converted(value + drive.noise[a, k] + drive.disturbance[a, k], rig.sensor[a])
+    start = 2 * _coordinates(rig) + 3 * rig.amplifier.shape[0]
+    for a in range(y.shape[0]):
+        y[a] = 0.0
+    for c in range(rig.sensor.shape[0]):
+        value = z[start + c] if rig.sensor[c, 2] > 0.0 else _signal(rig, z, c, drive.angle[k])
+        value = _converted(value + drive.noise[c, k], rig.sensor[c])
+        for a in range(y.shape[0]):
+            y[a] += rig.mean[a, c] * value
 
 
 @_compiled
@@ -336,7 +366,7 @@ def _command(drive: Any, work: Any, k: int, u: Any) -> None:
 def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
     """One row: y, u, coil currents, magnet forces (axes), displacements of the stations in their axes."""
     count = y.shape[0]
-    amp = 4 * rig.stiffness.shape[0]
+    amp = 2 * _coordinates(rig)
     _move(rig, work, z)
     _magnetise(rig, work, z)
     for a in range(count):

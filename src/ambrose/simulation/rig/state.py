@@ -19,6 +19,7 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes, gravity_load
+from ambrose.physics.support import foundation
 from ambrose.plant.assemble import bending_modes_of, gyroscopic_of, seal_model
 from ambrose.plant.ports import ports, sensor_ports
 
@@ -32,7 +33,10 @@ class Constants(NamedTuple):
     damping: np.ndarray  # (p,) 2 zeta omega [rad/s]
     gyroscopic: np.ndarray  # (p, p) g in G = g (x) [[0, 1], [-1, 0]] [-]
     shape: np.ndarray  # (S, p) modal deflection at the stations [1/sqrt(kg)]
-    sensor_shape: np.ndarray  # (b, p)
+    sensor_shape: np.ndarray  # (c / 2, p) of every sensor pair; c sensors
+    sensor_direction: np.ndarray  # (c / 2, 2) cosine and sine of the angle from x to its first sensor
+    sensor_angle: np.ndarray  # (c / 2,) that angle [rad]
+    mean: np.ndarray  # (a, c) measurement from the single sensors
     direction: np.ndarray  # (S, 2) cosine and sine of the angle from x to a station's first axis
     angle: np.ndarray  # (S,) that angle [rad]
     magnet: np.ndarray  # (b, 10) physics.magnet.parameters
@@ -40,11 +44,14 @@ class Constants(NamedTuple):
     coupling: np.ndarray  # (couplings, 4) physics.coupling.parameters
     amplifier: np.ndarray  # (a, 5) physics.amplifier.parameters
     bias_rate: float  # [rad/s] at which the bias current follows
-    sensor: np.ndarray  # (a, 6) physics.sensor.parameters
-    runout: np.ndarray  # (h, 3) physics.sensor.harmonics, bearing after bearing
-    runout_start: np.ndarray  # (b + 1,)
+    sensor: np.ndarray  # (c, 6) physics.sensor.parameters
+    runout: np.ndarray  # (h, 3) physics.sensor.harmonics, pair after pair
+    runout_start: np.ndarray  # (c / 2 + 1,)
     seal_lags: np.ndarray  # (seals, l, l + 1) A with b beside it of the seals with states; idle where a seal has fewer
     weight: np.ndarray  # (2 p,) modal force
+    support: np.ndarray  # (m, 2) squared frequency [rad2/s2] and damping [rad/s] of every coordinate of the supports
+    support_shape: np.ndarray  # (S, 2, m) how far in x and y what a station acts against moves with it [1/sqrt(kg)]
+    sensor_support: np.ndarray  # (c / 2, 2, m) the same of the sensors
 
 
 class Work(NamedTuple):
@@ -53,7 +60,7 @@ class Work(NamedTuple):
     place: np.ndarray  # (S, 2) displacement of the stations in x and y [m]
     velocity: np.ndarray  # (S, 2) [m/s]
     force: np.ndarray  # (S, 2) [N]
-    modal: np.ndarray  # (2 p,)
+    modal: np.ndarray  # (2 p + m,)
     command: np.ndarray  # (a,) what the amplifiers are told [A]
     magnet: np.ndarray  # (a,) forces [N]
     slopes: np.ndarray  # (3, n)
@@ -81,20 +88,30 @@ class Rig:
         return len(self.constants.stiffness)
 
     @property
+    def coordinates(self) -> int:
+        """Displacements in the state: modes in both planes, and supports."""
+        return 2 * self.modes + len(self.constants.support)
+
+    @property
     def states(self) -> int:
         """Length of the state: displacements and velocities, amplifiers, bias currents, sensors, seals."""
-        return 4 * self.modes + 4 * len(self.axes) + 2 * self.constants.seal_lags[..., 0].size
+        return self.sensed.stop + 2 * self.constants.seal_lags[..., 0].size
 
     @property
     def bias(self) -> slice:
         """Where the bias currents are in the state."""
-        start = 4 * self.modes + 2 * len(self.axes)
+        start = 2 * self.coordinates + 2 * len(self.axes)
         return slice(start, start + len(self.axes))
+
+    @property
+    def sensed(self) -> slice:
+        """Where the sensors' lagged signals are in the state."""
+        return slice(self.bias.stop, self.bias.stop + len(self.constants.sensor))
 
     def work(self, controller_states: int = 0) -> Work:
         """Fresh scratch arrays."""
         stations, a = len(self.constants.shape), len(self.axes)
-        shapes: list[tuple[int, ...]] = [(stations, 2)] * 3 + [(2 * self.modes,), (a,), (a,), (3, self.states), (2, a)]
+        shapes: list[tuple[int, ...]] = [(stations, 2)] * 3 + [(self.coordinates,), (a,), (a,), (3, self.states), (2, a)]
         return Work(*(np.zeros(shape) for shape in [*shapes, (controller_states,)]))
 
 
@@ -114,14 +131,18 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
     angles = np.array([port.direction for port in places[0::2]])
     bearings = machine.bearings
     rates = [w for w in (machine.amplifier.bandwidth, machine.amplifier.natural_frequency) if w is not None]
-    served = {item.bearing: item for item in machine.sensors}
-    tracks = [sensor.harmonics(served[b.name]) for b in bearings]
+    single = sensor.channels(machine.sensor_pairs, machine.axes)
+    tracks = [sensor.harmonics(pair) for pair in machine.sensor_pairs]
+    base = foundation(machine)
     constants = Constants(
         stiffness=frequencies**2,
         damping=2 * machine.modal_damping * frequencies,
         gyroscopic=np.ascontiguousarray(gyroscopic_of(rotor, modes.shapes)[0::2, 1::2]),
         shape=_deflections(rotor, [port.position for port in places[0::2]], modes.shapes),
         sensor_shape=_deflections(rotor, [port.position for port in sensed[0::2]], modes.shapes),
+        sensor_direction=np.array([[np.cos(port.direction), np.sin(port.direction)] for port in sensed[0::2]]),
+        sensor_angle=np.array([port.direction for port in sensed[0::2]]),
+        mean=sensor.means(machine.sensor_pairs, machine.axes),
         direction=np.column_stack([np.cos(angles), np.sin(angles)]),
         angle=angles,
         magnet=np.array([magnet.parameters(b, point.bias_current) for b in bearings]),
@@ -129,11 +150,14 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
         coupling=np.array([coupling.parameters(c) for c in machine.couplings]).reshape(-1, 4),
         amplifier=np.array([amplifier.parameters(machine.amplifier, b.max_current) for b in bearings for _ in "zh"]),
         bias_rate=rates[0] if machine.amplifier.order != "none" and rates else _NO_BIAS_LAG,
-        sensor=np.array([sensor.parameters(served[b.name], axis) for b in bearings for axis in ("zeta", "eta")], dtype=float),
+        sensor=np.array([sensor.parameters(pair, way) for _, pair, way in single], dtype=float),
         runout=np.vstack(tracks),
         runout_start=np.cumsum([0, *(len(track) for track in tracks)]),
         seal_lags=_seal_lags(machine, point),
         weight=modes.shapes.T @ gravity_load(rotor, machine.gravity_direction),
+        support=np.column_stack([base.stiffness, base.damping]),
+        support_shape=base.stator_rows([port.name.rpartition("_")[0] for port in places[0::2]]),
+        sensor_support=base.sensor_rows([port.name.rpartition("_")[0] for port in sensed[0::2]]),
     )
     translation = modes.shapes[:, 0]
     return Rig(machine, point, constants, tuple(port.name for port in places), float(1 / np.abs(translation).max() ** 2))

@@ -15,11 +15,11 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.controller import MODES, SECTIONS, Channel, PidSettings, Section
+from ambrose.machine.controller import SECTIONS, Channel, PidSettings, Section
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
 from ambrose.synthesis.filters import DERIVATIVE_FILTER, bank, chain, embedded, section_matrix, section_text
-from ambrose.synthesis.pid import channel_chains, first_settings, mixings, theta_system
+from ambrose.synthesis.pid import channel_chains, channel_names, first_settings, mixings, theta_system
 
 _STEP = 1e-30  # of a complex derivative
 _FAR = 40.0  # of a logarithm: farther steps of a search stay finite
@@ -201,7 +201,7 @@ def first_bank(settings: PidSettings, machine: Machine, structure: str, order: i
     structure "filters" adds notches that do nothing yet, at the bending modes, until the order is reached (None: one per
     channel). Sections that the settings have besides stay. Raises InvalidInput for an order that the structure does not have.
     """
-    names = MODES if settings.coordinates == "tilt-translate" else machine.axes
+    names = channel_names(settings, machine.axes)
     whole = [_completed(sections, machine, fastest) for _, sections in channel_chains(settings, machine.axes)]
     gains = [gain for gain, _ in channel_chains(settings, machine.axes)]
     if len(settings.gain) > 1 and settings.coordinates != "axes":  # of the axes: no bank has them

@@ -20,6 +20,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.realisation.modal_form import modal_form
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.machine import Machine
+from ambrose.plant.ports import measured_ports
 
 _SLOWEST = 1.0  # rad/s; an integrator is a state of this rate, else descent could never move it
 _ZERO = 1e-9  # of the largest entry: couples nothing
@@ -57,11 +58,11 @@ class Structure:
 
 
 def axis_groups(machine: Machine, kind: str) -> Groups:
-    """Which axes share a part of the controller: the planes of bearings at one angle, each axis alone, or all of them."""
+    """Which axes share a part of the controller: the planes where all stands at one angle, each axis alone, or all of them."""
     n = len(machine.axes)
     if kind == "axis":
         return tuple((i,) for i in range(n))
-    angles = np.array([bearing.angle for bearing in machine.bearings])
+    angles = np.array([*(b.angle for b in machine.bearings), *(port.direction for port in measured_ports(machine)[0::2])])
     if kind == "plane" and np.abs(np.sin(angles - angles[0])).max() < 1e-6:
         return tuple(range(0, n, 2)), tuple(range(1, n, 2))
     return (tuple(range(n)),)
