@@ -12,6 +12,7 @@ import json
 import tempfile
 import time
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 from click.testing import CliRunner
@@ -22,6 +23,7 @@ from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies
 
 STORED = Path(__file__).with_name("fleet.json")
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "machines.md"
+_WORDS = 260  # characters on the page; the whole text is in fleet.json
 OUTCOMES = {0: "passed", 1: "fails a check", 2: "**refused**"}
 
 
@@ -106,7 +108,10 @@ def page(results):
         for name, found in results.items()
     )
     odd = "\n".join(
-        f"| `{name}` | {what} | {text} |" for name, found in results.items() for what, (_, _, text) in found.items() if text
+        f"| `{name}` | {what} | {shorten(text, _WORDS, placeholder=' ...')} |"
+        for name, found in results.items()
+        for what, (_, _, text) in found.items()
+        if text
     )
     return f"""# Bundled machines
 
