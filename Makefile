@@ -29,7 +29,7 @@ demo: $(BIN)/.installed  ## the main job, and what `make` does: machine file -> 
 test: $(BIN)/.installed  ## the tests, below five minutes on two idle processors
 	$(PYTEST) -m 'not campaign and not study'
 
-campaigns: $(BIN)/.installed  ## the long tests that `make test` leaves out, about ten minutes
+campaigns: $(BIN)/.installed  ## the long tests that `make test` leaves out, a quarter of an hour
 	$(PYTEST) -m 'campaign and not study'
 
 studies: $(BIN)/.installed  ## the papers' figures, and hundreds of random cases: half an hour, outside of CI
