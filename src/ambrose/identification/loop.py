@@ -85,7 +85,7 @@ def identify_loop(
     refuse(checks)
     if result.converged and method == "closed-loop":
         progress("looking for what the model lacks")
-        result = judged(result, suspects(machine, records, controller, result, options))
+        result = judged(result, suspects(machine, records, controller, result, options), records[0].dt)
     if not result.adequate and not any(finding.code == Code.OTHER_DELAY for finding in checks):
         checks += _other_delay(machine, records, controller, result, options)
     done = LoopIdentification(

@@ -11,12 +11,12 @@ from ambrose import load_machine
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.identification.loop import identify_loop
-from ambrose.identification.output_error.closed_loop import identify
+from ambrose.identification.output_error.closed_loop import ParameterEstimate, identify
 from ambrose.identification.output_error.delays import timed
 from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import nominal_values
-from ambrose.identification.validation.suspects import suspects
+from ambrose.identification.validation.suspects import Suspect, judged, suspects
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import match_controller
@@ -93,3 +93,15 @@ def test_what_cannot_be_tried_is_left_out():
     without = replace(record(1.05), values=record(1.05).values.copy())
     found = suspects(machine, [without], controller, given, FitOptions(bending_modes=0, initial_state=False))
     assert {item.path for item in found}.isdisjoint({"excitation.delay"})  # needs an initial state
+
+
+def test_a_value_near_zero_is_not_judged_by_its_own_size():
+    """An excitation that is not late has a delay of zero: any move is many times of it, and a fraction of a sample."""
+    result = ParameterEstimate(
+        "m", None, ("excitation.delay", "seal.center.k"), np.array([1e-12, 1.0]), np.zeros(2), np.diag([1e-14, 1e4]), np.eye(2),
+        np.eye(2), (), (), 1.0, True, 1, (), "",
+    )  # fmt: skip
+    found = (Suspect("seal.center.C", 1.0, 9.0, 0.1, np.array([1e-6, 50.0])),)
+    assert judged(result, found, DT).adequate
+    late = (Suspect("seal.center.C", 1.0, 9.0, 0.1, np.array([1e-5, 50.0])),)
+    assert not judged(result, late, DT).adequate

@@ -70,20 +70,25 @@ def suspects(
     return tuple(sorted(scored(timing) + scored(rest), key=lambda item: -item.explains))
 
 
-def judged(result: ParameterEstimate, found: Sequence[Suspect]) -> ParameterEstimate:
+def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> ParameterEstimate:
     """The result with intervals that hold the largest move that a suspect would make; the verdict names cause and effect.
 
-    Where no value would move by more than 2 %, what the residuals hold is no doubt about the values: the warning goes.
+    Where no value would move by more than 2 % (a delay: of a sample ``dt`` [s]) and more than its standard deviation, what the
+    residuals hold is no doubt about the values: the warning goes.
     """
     if not found:
         return result
     moves = np.abs([item.shift for item in found])
-    relative = moves / np.abs(np.where(result.values == 0, np.inf, result.values))
+    sizes = [dt if path in TIMING else abs(value) for path, value in zip(result.paths, result.values, strict=True)]
+    seen = moves > result.standard_deviations  # what noise hides is in the interval, whatever it is of a value near zero
+    relative = np.where(seen, moves / np.maximum(sizes, 1e-300), 0.0)
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
     named = ", ".join(f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in found[:3])
     moved = f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals hold"
-    start = result.verdict.partition("; the model lacks something")[0].partition(": the model explains")[0]
+    start = result.verdict.partition("; the model lacks something")[0]
+    start = start.replace("the residuals hold no trace of the excitation: the model explains all that the records tell (99 %)",
+                          "no residual test fails")  # fmt: skip
     verdict = f"{start}; one more unknown would explain a part of what is left: {named}; with it {moved}"
     warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]
     if effect > _HARMLESS:
