@@ -17,6 +17,11 @@ _OFFSET, _SPAN = 1.5, 0.17
 _BELOW, _ABOVE = (0.0, 0.16), (0.10, 0.26)  # margin from which more than 2.5 is allowed, and from which anything is
 
 
+def runs_within(speed: float, running: tuple[float, float]) -> bool:
+    """Whether an operating point's speed lies within the running speeds, all [rad/s]."""
+    return running[0] * (1 - 1e-9) <= speed <= running[1] * (1 + 1e-9)
+
+
 def allowed_amplification(omega: np.ndarray, running: tuple[float, float], capped: bool = True) -> np.ndarray:
     """The largest amplification factor allowed of a critical speed at omega (n,) [rad/s]; inf far from ``running`` [rad/s].
 

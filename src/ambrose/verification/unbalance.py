@@ -36,6 +36,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.loop import Law
 from ambrose.plant.model import Plant, top_speed
+from ambrose.plant.separation import runs_within
 from ambrose.plant.unbalance import Unbalance, residual_unbalance
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import judge
@@ -121,7 +122,7 @@ def unbalance_checks(
         *_voltage(plant, response, evaluator, residual, within),
     ]  # fmt: skip
     running = requirements.running_speeds
-    if running is not None and running[0] <= plant.point.speed * (1 + 1e-9) and plant.point.speed <= running[1] * (1 + 1e-9):
+    if running is not None and runs_within(plant.point.speed, running):
         near = response.omega <= _NEAR * running[1]
         turning = np.vstack([case(response)[:, near] for case in cases[1:3]])
         checks.append(separation_check(response.omega[near], turning, requirements, running))

@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
-from ambrose.plant.separation import needed_damping
+from ambrose.plant.separation import needed_damping, runs_within
 from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.bank import FilterBank
 from ambrose.synthesis.fixed_order.channels import SETTLING_POWER, Channel, Settling, channels_of
@@ -217,7 +217,7 @@ class Objective:
             timing = self.models[0].timing
             more, slope = needed_damping(unwarped(size, timing), aims.running)
             slope = slope if timing is None else slope / (1 + (size * timing.sample_time / 2) ** 2)
-            here = np.array([_within(self.models[i].speed, aims.running) for i in places])[:, None] & (more > wanted)
+            here = np.array([runs_within(self.models[i].speed, aims.running) for i in places])[:, None] & (more > wanted)
             wanted, steeper = np.where(here, more, wanted), np.where(here, slope, 0.0)
         zeta = np.maximum(-values.real / size, 1e-9)
         held = (np.abs(values.imag) > _RINGING * size) & (zeta < _WATCHED * wanted)
@@ -283,10 +283,6 @@ def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarra
     for i, model in enumerate(models):
         groups.setdefault(len(model.A), []).append(i)
     return [(places, [np.stack([getattr(models[i], k) for i in places]) for k in "ABCD"]) for places in groups.values()]
-
-
-def _within(speed: float, running: tuple[float, float]) -> bool:
-    return running[0] * (1 - 1e-9) <= speed <= running[1] * (1 + 1e-9)
 
 
 def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
