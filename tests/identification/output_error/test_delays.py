@@ -1,14 +1,12 @@
 """Delays that are no whole number of samples: their model, its derivative, and what records tell about them."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 import scipy.linalg as sla
 from benchmarks import waveforms
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
@@ -19,24 +17,10 @@ from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
 from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis.pid import pid_synthesis
+from linear_rig import AXES, DT, E, Y, rig
 from whole_records import simulate_derivative
 
-DT = 1e-4
-AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
-Y, E = tuple(f"y_{a}" for a in AXES), tuple(f"e_{a}" for a in AXES)
 KNOWN = ("bearing.A.negative_stiffness.zeta", "seal.center.k", "amplifier.natural_frequency")
-
-
-@cache
-def rig():
-    machine = load_machine("seal-rig")
-    plant = free_mode_reduction(assemble(machine), 0)
-    controller = pid_synthesis(plant).controller
-    return machine, plant, controller, match_controller(c2d(controller, DT, "tustin"), plant)
 
 
 def model(paths, delay, unknown):

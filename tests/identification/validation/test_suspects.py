@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from benchmarks import waveforms
 
-from ambrose import load_machine
 from ambrose.core.response import simulate
-from ambrose.core.sampling import c2d
 from ambrose.identification.loop import identify_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate, identify
 from ambrose.identification.output_error.delays import timed
@@ -18,37 +16,20 @@ from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import nominal_values
 from ambrose.identification.validation.suspects import Suspect, judged, suspects
 from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.synthesis.pid import pid_synthesis
+from linear_rig import DT, E, Y, rig
 
-DT, SAMPLES = 1e-4, 3000
-AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
+SAMPLES = 3000
 KNOWN = ("bearing.A.negative_stiffness.zeta", "bearing.A.force_per_current.zeta", "seal.center.k")
-
-
-@cache
-def rig():
-    machine = load_machine("seal-rig")
-    plant = free_mode_reduction(assemble(machine), 0)
-    controller = pid_synthesis(plant).controller
-    return machine, plant, controller, match_controller(c2d(controller, DT, "tustin"), plant)
 
 
 @cache
 def record(delay, noise=2e-8):
     """The linear loop with a command ``delay`` samples late."""
     _, plant, _, law = rig()
-    loop, _ = timed(loop_model(plant, law, (), np.zeros(0), *names()), delay, ()).loop(np.zeros(0))
+    loop, _ = timed(loop_model(plant, law, (), np.zeros(0), E, Y), delay, ()).loop(np.zeros(0))
     e = np.stack([0.1 * waveforms.prbs(9, 10, SAMPLES, shift=127 * i) for i in range(4)])
     y = simulate(loop, e)[:4] + noise * np.random.default_rng(0).standard_normal((4, SAMPLES))
-    shown, driven = names()[::-1]
-    return Record("seal-rig", 1 / DT, (*shown, *driven), ("m",) * 4 + ("A",) * 4, np.vstack([y, e]), plant.point)
-
-
-def names():
-    return tuple(f"e_{axis}" for axis in AXES), tuple(f"y_{axis}" for axis in AXES)
+    return Record("seal-rig", 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, np.vstack([y, e]), plant.point)
 
 
 @pytest.mark.parametrize("off", [0.02, -0.04])
