@@ -19,10 +19,10 @@ from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
 from ambrose.plant.uncertainty import perturbed, tolerances_around
 from ambrose.synthesis.fixed_order.aims import aims_of
+from ambrose.synthesis.fixed_order.job import bending_modes_for, with_states
 from ambrose.synthesis.fixed_order.loops import loop_model
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
-from ambrose.synthesis.fixed_order.tuning import bending_modes_for, with_states
 from ambrose.synthesis.pid import pid_controller
 
 COMPRESSOR = Path(__file__).parent.parent / "tests" / "synthesis" / "fixed_order" / "flexible_compressor.toml"

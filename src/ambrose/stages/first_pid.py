@@ -18,8 +18,8 @@ from ambrose.plant.assemble import assemble, magnet_coefficients
 from ambrose.plant.reduce import reduce_from
 from ambrose.plant.timing import machine_timing
 from ambrose.synthesis.certificate import certify
+from ambrose.synthesis.fixed_order.job import bending_modes_for
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
-from ambrose.synthesis.fixed_order.tuning import bending_modes_for
 from ambrose.synthesis.pid import first_settings, pid_controller
 from ambrose.synthesis.time_limit import TimeLimit
 

@@ -36,7 +36,7 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.timing import machine_timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
-from ambrose.synthesis.fixed_order.tuning import bending_modes_for
+from ambrose.synthesis.fixed_order.job import bending_modes_for
 from ambrose.synthesis.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
 from ambrose.verification.rotor_modes import PLANAR, whirl_measure
 

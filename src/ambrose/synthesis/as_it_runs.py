@@ -53,7 +53,7 @@ def sampled_margins(plant: Plant, law: StateSpace | ScheduledSystem, timing: Tim
     found = []
     for speed in speeds:
         place = plant if speed == plant.point.speed else assemble(plant.machine, replace(plant.point, speed=speed))
-        found.append(certify(place, timing.in_loop(law_at(law, speed))))
+        found.append(certify(place, timing.in_loop(law_at(law, speed)), margins=False))
     return {
         "sampled_spectral_abscissa": max(item.spectral_abscissa for item in found),
         "sampled_sensitivity_peak": max(item.closed_loop_norm for item in found),

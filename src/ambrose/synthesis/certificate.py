@@ -35,7 +35,7 @@ _SAME = 1e-5  # relative; margins recomputed elsewhere differ by rounding
 
 
 @named_failure("the certificate")
-def certify(plant: Plant | StateSpace, controller: Any) -> Certificate:
+def certify(plant: Plant | StateSpace, controller: Any, margins: bool = True) -> Certificate:
     """Stability, output sensitivity and margins of the loop of core/lft.py, recomputed from plant and controller.
 
     plant: a Plant, or a StateSpace from currents u [A] to displacements y [m] (its signals matched to the controller's by
@@ -46,6 +46,7 @@ def certify(plant: Plant | StateSpace, controller: Any) -> Certificate:
     - ``disk_gain_margin``, ``disk_gain_reduction`` [-], ``disk_phase_margin_rad``: what every axis at once may change, each
       by its own factor, the better of the bounds M_S/(M_S-1), M_S/(M_S+1), 2 asin(1/2M_S) and 1+1/M_T, 1-1/M_T,
       2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981). Margins of single axes: verification/margins.py.
+      Without ``margins`` they are left out, and the norm of T_o, which takes as long as that of S_o, is not computed.
 
     An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises InvalidInput when sizes do not fit.
     """
@@ -58,9 +59,11 @@ def certify(plant: Plant | StateSpace, controller: Any) -> Certificate:
         return Certificate(False, abscissa, float("inf"), fastest, {}, label)
     loop = continuous_equivalent(loop)  # margins and norms do not change under the bilinear map
     peak = float(hinf_norm(feedback(static_gain(identity), loop)).value)
-    complementary = float(hinf_norm(feedback(loop, static_gain(identity))).value)
-    margins = {"sensitivity_peak": peak, "complementary_peak": complementary, **disk_margins(peak, complementary)}
-    return Certificate(True, abscissa, peak, fastest, margins, label)
+    found = {"sensitivity_peak": peak}
+    if margins:
+        complementary = float(hinf_norm(feedback(loop, static_gain(identity))).value)
+        found |= {"complementary_peak": complementary, **disk_margins(peak, complementary)}
+    return Certificate(True, abscissa, peak, fastest, found, label)
 
 
 def certify_envelope(plants: Sequence[Plant], result: Synthesis, timing: Timing | None) -> Synthesis:
@@ -102,11 +105,11 @@ def full_plant_margins(plant: Plant, law: StateSpace | ScheduledSystem) -> tuple
     "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the speeds, and "worst_speed" [rad/s].
     """
     if not isinstance(law, ScheduledSystem):
-        found = certify(plant, law)
+        found = certify(plant, law, margins=False)
         margins = {"full_spectral_abscissa": found.spectral_abscissa, "full_sensitivity_peak": found.closed_loop_norm}
         return found.stable, margins, found.plant
     machine, speeds = plant.machine, [float(speed) for speed in law.grid]
-    results = [certify(assemble(machine, replace(plant.point, speed=speed)), law.at(speed)) for speed in speeds]
+    results = [certify(assemble(machine, replace(plant.point, speed=speed)), law.at(speed), False) for speed in speeds]
     worst = int(np.argmax([item.closed_loop_norm for item in results]))
     margins = {
         "full_spectral_abscissa": max(item.spectral_abscissa for item in results),

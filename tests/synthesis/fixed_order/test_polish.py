@@ -109,6 +109,24 @@ def test_descent_solves_rosenbrock_and_respects_the_fence():
     assert rosen(x) < rosen(start)
     same, used = descend(lambda v: (rosen(v), rosen_der(v)), lambda v: True, start, 300, 0.0, lambda: False)
     np.testing.assert_array_equal(same, start)
+    near, _ = descend(lambda v: (rosen(v), rosen_der(v)), lambda v: True, start, 300, 0.0, lambda: True, least=1.0)
+    assert 1e-3 < rosen(near) < 1.0  # no further than asked for
+
+
+def test_a_cost_that_is_renewed_on_the_way_is_asked_again():
+    """Every ten steps it may change: a value that jumps then is no reason to end."""
+    calls = []
+
+    def renew(x):
+        calls.append(np.array(x))
+
+    def cost(v):
+        return rosen(v) + 10.0 * len(calls), rosen_der(v)
+
+    start = np.array([-1.2, 1.0, -0.5, 0.8])
+    x, used = descend(cost, lambda v: True, start, 300, 1e-12, lambda: True, renew)
+    np.testing.assert_allclose(x, 1.0, atol=1e-4)
+    assert len(calls) == 1 + used // 10 and (calls[0] == start).all()
 
 
 def test_reduction_keeps_the_gain_at_zero_and_cuts_no_pair(plant, start):

@@ -109,5 +109,5 @@ def test_each_controller_settles_as_asked_and_a_harder_demand_costs_more(tmp_pat
         verdict = amb.verify(machine, found, tolerances=False)
         assert verdict.worst["sensitivity.output.max"].value <= 1.01 * peak
         if met:
-            assert verdict.worst["transient.settling"].value <= 1.02 * value
+            assert verdict.worst["impulse.settling"].value <= 1.02 * value
     json.dumps(result.to_frame().to_dict())

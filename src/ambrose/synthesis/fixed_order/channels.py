@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_banded
+from scipy.sparse import csr_array
 
 from ambrose.machine.criteria import CURRENT_PULSE as PULSE
 from ambrose.synthesis.fixed_order.aims import Aims
@@ -72,10 +73,9 @@ def channels_of(P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Se
 class Settling:
     """|y(t)| after the pulse over the band around zero, from frequency responses by quadrature of a cubic spline."""
 
-    __slots__ = ("at", "early", "late", "peak")
+    __slots__ = ("at", "early", "late")
 
     def __init__(self, omega: np.ndarray, settling: float) -> None:
-        self.peak: np.ndarray | None = None
         self.at = np.flatnonzero(omega < min(_TIMED_TO, omega[-1] * (1 + 1e-9)))
         w = omega[self.at]
         last = PULSE.duration + 8 * settling
@@ -83,7 +83,6 @@ class Settling:
         fast = np.linspace(_SLOW_TO, max(w[-1], _SLOW_TO + 1), int(np.ceil(w[-1] * 4 * PULSE.duration / _PHASE)) + 2)
         fine = np.unique(np.concatenate([slow, fast]))
         fine = fine[fine <= w[-1]]
-        spline = CubicSpline(w, np.eye(len(w)), bc_type="natural")(np.maximum(fine, w[0]))
         step = np.gradient(fine)
         step[[0, -1]] /= 2
         edge = 0.8 * w[-1]
@@ -92,36 +91,53 @@ class Settling:
 
         def weights(time: np.ndarray) -> np.ndarray:
             rise = np.exp(jw * time[:, None]) - np.exp(jw * (time - np.minimum(PULSE.duration, time))[:, None])
-            return np.asarray((rise / jw * step * taper / np.pi) @ spline)
+            return _by_samples(rise / jw * step * taper / np.pi, fine, w)
 
         after = settling * np.concatenate([np.linspace(1, 2.2, 16), np.geomspace(2.4, 8, 8)])
         self.late = weights(PULSE.duration + after)
         self.early = weights(PULSE.duration * np.linspace(0.1, 2.5, 24))
 
-    def ratios(self, G: np.ndarray, Q: np.ndarray, anew: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """|y| over its band (m, t, axis, pulsed axis), y itself, and the band (m, pulsed axis).
+    def ratios(
+        self, G: np.ndarray, Q: np.ndarray, peak: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """|y| over its band (m, t, axis, pulsed axis), y itself, the band (m, pulsed axis), and the peaks it is taken of.
 
-        The peaks that the band is taken of are those of the first call, or computed ``anew``.
+        G, Q (m, w, a, a): at the frequencies ``at``. peak (m, pulsed axis): None takes those of the response itself.
         """
-        G = G[:, self.at]
-        H = G - G @ Q[:, self.at] @ G
-        peak = self.peak
-        if peak is None or anew:
+        H = G - G @ Q @ G
+        if peak is None:
             peak = np.abs(np.einsum("tw,mwab->mtab", self.early, H, optimize=True).real).max(axis=(1, 2))
-        if self.peak is None:
-            self.peak = peak
         y = np.einsum("tw,mwab->mtab", self.late, H, optimize=True).real
         band = PULSE.band * peak
-        return np.abs(y) / band[:, None, None, :], y, band
+        return np.abs(y) / band[:, None, None, :], y, band, peak
 
-    def add(
-        self, Z: np.ndarray, G: np.ndarray, timed: tuple[np.ndarray, np.ndarray, np.ndarray], top: float, power: float
-    ) -> float:
-        """Adds the slope to Z; returns the part of the p-norm's sum."""
-        ratio, y, band = timed
+    def slope(self, G: np.ndarray, timed: tuple[np.ndarray, ...], top: float, power: float) -> tuple[float, np.ndarray]:
+        """The part of the p-norm's sum, and its slope by Q (m, w, a, a); timed: what ``ratios`` returned for G."""
+        ratio, y, band, _ = timed
         share = (ratio**SETTLING_POWER / top) ** power
         weight = share * SETTLING_POWER / np.maximum(ratio, 1e-300) * np.sign(y) / band[:, None, None, :]
         slope = np.einsum("tw,mtab->mwab", self.late.conj(), weight, optimize=True)
-        back = G[:, self.at].conj().swapaxes(2, 3)
-        Z[:, self.at] -= back @ slope @ back
-        return float(share.sum())
+        back = G.conj().swapaxes(2, 3)
+        return float(share.sum()), -(back @ slope @ back)
+
+
+def _by_samples(weights: np.ndarray, fine: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """The weights (t, n) at the knots w (n,) of a quadrature (t, f) at fine (f,) of their natural cubic spline."""
+    i = np.clip(np.searchsorted(w, fine, side="right") - 1, 0, len(w) - 2)
+    h, at = np.diff(w), np.maximum(fine, w[0])
+    left, right = (w[i + 1] - at) / h[i], (at - w[i]) / h[i]
+    rows, size = np.arange(len(fine)), (len(fine), len(w))
+
+    def spread(on_left: np.ndarray, on_right: np.ndarray) -> np.ndarray:
+        places = np.concatenate([rows, rows]), np.concatenate([i, i + 1])
+        return np.asarray((csr_array((np.concatenate([on_left, on_right]), places), size).T @ weights.T).T)
+
+    by_values = spread(left, right)
+    bend = h[i] ** 2 / 6
+    by_bends = spread(bend * (left**3 - left), bend * (right**3 - right))[:, 1:-1]
+    banded = np.array([np.append(0, h[1:-1]), 2 * (h[1:] + h[:-1]), np.append(h[1:-1], 0)])  # bends (n-2,) from values
+    inner = solve_banded((1, 1), banded, by_bends.T).T * 6
+    by_values[:, :-2] += inner / h[:-1]
+    by_values[:, 1:-1] -= inner * (1 / h[:-1] + 1 / h[1:])
+    by_values[:, 2:] += inner / h[1:]
+    return by_values

@@ -8,6 +8,7 @@ import numpy as np
 
 _MEMORY = 25
 _HALVINGS = 25
+_RENEWED = 10  # steps between two calls of ``renew``
 
 
 def descend(
@@ -17,11 +18,16 @@ def descend(
     iterations: int,
     tolerance: float,
     proceed: Callable[[], bool],
+    renew: Callable[[np.ndarray], None] | None = None,
+    least: float = -np.inf,
 ) -> tuple[np.ndarray, int]:
     """x (k,) with a lower cost, reached through allowed points only, and the iterations used.
 
-    x (k,): allowed. Ends after ``iterations``, when ten of them gain less than ``tolerance``, or when ``proceed`` says no.
+    x (k,): allowed. Ends after ``iterations``, when ten of them gain less than ``tolerance``, when the cost is below ``least``,
+    or when ``proceed`` says no. renew: called with x at the start and every ten steps, it may change what the cost leaves out.
     """
+    if renew is not None:
+        renew(x)
     value, g = cost(x)
     pairs: list[tuple[np.ndarray, np.ndarray]] = []
     values = [value]
@@ -30,6 +36,11 @@ def descend(
         used += 1
         if not proceed():
             break
+        if renew is not None and used % _RENEWED == 0:
+            renew(x)
+            before = value
+            value, g = cost(x)
+            values = [item + value - before for item in values]
         direction = _direction(g, pairs)
         slope = float(g @ direction)
         if slope >= 0:
@@ -52,7 +63,7 @@ def descend(
             pairs = [*pairs[-_MEMORY + 1 :], (s, y)]
         x, value, g = trial, new, g_new
         values.append(value)
-        if len(values) > 10 and values[-11] - value < tolerance:
+        if value < least or (len(values) > 10 and values[-11] - value < tolerance):
             break
     return x, used
 

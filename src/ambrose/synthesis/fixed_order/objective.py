@@ -17,6 +17,7 @@ import numpy as np
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
 from ambrose.plant.separation import needed_damping, runs_within
+from ambrose.synthesis.fixed_order.active import Active, active
 from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.bank import FilterBank
 from ambrose.synthesis.fixed_order.channels import SETTLING_POWER, Channel, Settling, channels_of
@@ -24,7 +25,9 @@ from ambrose.synthesis.fixed_order.loops import LoopModel, unwarped, warped
 from ambrose.synthesis.fixed_order.structure import Structure
 from ambrose.synthesis.weight_tuning import BAND
 
-_IGNORED = 1e-3  # share of the p-norm below which a frequency is left out
+_IGNORED = 1e-8  # share of the p-norm below which a frequency of a model is left out
+_NOTHING = 1e-5  # and a pole
+_APART = 1e6  # condition number of eigenvectors that divide no more than a few digits away
 _RINGING = 0.7  # imaginary part over modulus above which a pole is held to a damping ratio
 _WATCHED = 20.0  # times the damping asked for: better damped poles are left out
 _MATCHED = np.geomspace(max(BAND[0], 2 * np.pi), BAND[1], 30)  # rad/s
@@ -60,6 +63,8 @@ class Objective:
     _G: np.ndarray = field(init=False)
     _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
     _made: tuple[list[Channel], Settling | None] | None = field(init=False)  # on first use: stability needs neither
+    _active: Active | None = field(init=False)  # None: everything
+    _peak: np.ndarray | None = field(init=False)  # of the pulse responses, which the settling band is taken of
     _wanted: np.ndarray = field(init=False)  # direct gains of the reference (w, a)
 
     def __post_init__(self) -> None:
@@ -67,7 +72,7 @@ class Objective:
         a = self._P.shape[-1] // 2
         self._G = self._P[..., :a, :a]
         self._stacks = _stacks(self.models)
-        self._made = None
+        self._made = self._active = self._peak = None
         if self.reference is not None:
             values = frequency_response(self.reference, _MATCHED).values
             self._wanted = np.abs(np.diagonal(values, axis1=1, axis2=2))
@@ -79,43 +84,68 @@ class Objective:
             self._made = channels_of(self._P, self._G.shape[-1], self.omega, self.aims, self.models), settling
         return self._made
 
-    def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
-        """ln of the p-norm, and its gradient (k,); inf where a model is unstable."""
-        theta = self.structure.theta(x)
-        poles = [_loop_poles(theta, stack, slopes=True) for _, stack in self._stacks]
-        if max(part.values.real.max() for part in poles) >= -1e-6:
-            return np.inf, np.zeros(len(x))
-        K, X, Y = self._controller(x)
-        S = np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
-        Q = K @ S
+    def narrow(self, x: np.ndarray, power: float) -> None:
+        """From now on only what counts near x: models and frequencies whose share of the p-norm is above a millionth or so.
+
+        All poles still count. A descent calls this every few steps, so that what has grown joins.
+        """
         channels, settling = self._parts()
-        loops = [channel.A - channel.B @ Q[:, channel.at] @ channel.C for channel in channels]
-        sizes = [np.linalg.norm(T, axis=(2, 3)) for T in loops]
-        damping = [self._damping(part.values, places) for part, (places, _) in zip(poles, self._stacks, strict=True)]
+        K, _, _ = self._controller(x)
+        Q = K @ np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
+        sizes = [frobenius(channel.A - channel.B @ Q[:, channel.at] @ channel.C) for channel in channels]
+        ratios = [size / np.sqrt(channel.C.shape[-1]) for size, channel in zip(sizes, channels, strict=True)]
+        top = max(float(ratio.max(initial=0.0)) for ratio in ratios)
+        slow = np.zeros(0, int)
+        if settling is not None:
+            late, _, _, self._peak = settling.ratios(self._G[:, settling.at], Q[:, settling.at], self._peak)
+            late = late.max(axis=(1, 2, 3)) ** SETTLING_POWER
+            top = max(top, float(late.max()))
+            slow = np.flatnonzero(late >= top * _IGNORED ** (1 / power))
+        masks = [size >= top * _IGNORED ** (1 / power) for size in sizes]
+        self._active = active(self._G, channels, masks, settling, slow)
+
+    def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
+        """ln of the p-norm, for an even power, and its gradient (k,); inf where a model is unstable."""
+        if power % 2:
+            raise ValueError(f"power is {power}, but must be even: powers of T* T stand for those of singular values")
+        theta = self.structure.theta(x)
+        closed = [_loops(theta, stack) for _, stack in self._stacks]
+        poles = [loops.poles() for loops in closed]
+        if max(values.real.max() for values in poles) >= -1e-6:
+            return np.inf, np.zeros(len(x))
+        channels, settling = self._parts()
+        if self._active is None:
+            masks = [np.ones((len(self.models), len(channel.at)), bool) for channel in channels]
+            self._active = active(self._G, channels, masks, settling, np.arange(0 if settling is None else len(self.models)))
+        kept = self._active
+        K, X, Y = self._controller(x)
+        K = K[kept.omega]
+        S = np.linalg.inv(np.eye(K.shape[-1]) + kept.G @ K)
+        Q = K @ S
+        loops = [part.A - part.B @ Q[part.pairs] @ part.C for part in kept.parts]
+        damping = [self._damping(values, places)[0] for values, (places, _) in zip(poles, self._stacks, strict=True)]
         top = max(
-            *(size.max(initial=0.0) / np.sqrt(T.shape[-1]) for size, T in zip(sizes, loops, strict=True)),
-            *(ratio.max() for ratio, _ in damping),
+            [float(frobenius(T).max(initial=0.0)) / np.sqrt(T.shape[-1]) for T in loops]
+            + [float(ratio.max()) for ratio in damping]
         )
         timed = None
-        if settling is not None:
-            timed = settling.ratios(self._G, Q)
+        if settling is not None and len(kept.slow):
+            if self._peak is None:  # everything counts
+                self._peak = settling.ratios(kept.G[kept.timed], Q[kept.timed])[3]
+            timed = settling.ratios(kept.G[kept.timed], Q[kept.timed], self._peak[kept.slow])
             top = max(top, float(timed[0].max()) ** SETTLING_POWER)
         total, Z = 0.0, np.zeros(Q.shape, complex)
-        for channel, T, size in zip(channels, loops, sizes, strict=True):
-            used = size >= top * _IGNORED ** (1 / power)
-            if not used.any():
-                continue
-            U, s, Vh = np.linalg.svd(T[used], full_matrices=False)
-            share = (s / top) ** power
-            total += share.sum()
-            slope = (U * (share / np.maximum(s, 1e-300))[:, None, :]) @ Vh
-            i, j = np.nonzero(used)
-            B, C = (np.broadcast_to(M, (*used.shape, *M.shape[2:]))[used] for M in (channel.B, channel.C))
-            Z[i, channel.at[j]] -= B.conj().swapaxes(1, 2) @ slope @ C.conj().swapaxes(1, 2)
+        for part, T in zip(kept.parts, (T / top for T in loops), strict=True):
+            gram = T.conj().swapaxes(1, 2) @ T
+            slope = np.linalg.matrix_power(gram, int(power) // 2 - 1)  # T slope is U diag(s^(p-1)) Vh
+            total += float(np.einsum("pij,pji->", slope, gram).real)
+            Z[part.pairs] -= part.B_h @ (T @ slope / top) @ part.C_h
         if timed is not None and settling is not None:
-            total += settling.add(Z, self._G, timed, top, power)
-        slope_theta = self._poles_slope(theta, poles, damping, top, power)
-        total += sum(float(((ratio / top) ** power).sum()) for ratio, _ in damping)
+            late, slope = settling.slope(kept.G[kept.timed], timed, top, power)
+            total += late
+            Z[kept.timed] += slope
+        slope_theta = self._poles_slope(theta, closed, damping, top, power)
+        total += sum(float(((ratio / top) ** power).sum()) for ratio in damping)
         extra = np.zeros_like(theta)
         if self.reference is not None:
             ratio, more = self._mismatch(x)
@@ -126,13 +156,17 @@ class Objective:
         if self.fence is not None:
             barrier, slope = _barrier(self.structure.matrices(x)[0], self.fence)
             extra[len(extra) - len(slope) :, extra.shape[1] - len(slope) :] += total * slope
-        gradient = self.structure.gradient(x, _controller_slope(Z, Q, self._G, S, X, Y) + slope_theta + extra)
+        S_i = np.eye(Q.shape[-1]) - Q @ kept.G  # dQ = S_i dK S_o
+        psi = S_i.conj().swapaxes(1, 2) @ Z @ S.conj().swapaxes(1, 2)
+        psi = np.add.reduceat(psi, kept.starts, axis=0)
+        slope = _theta_slope(psi, X[kept.distinct], Y[kept.distinct])
+        gradient = self.structure.gradient(x, slope + slope_theta + extra)
         return float(np.log(top) + np.log(total) / power) + barrier, gradient / total
 
     def unstable(self, x: np.ndarray, power: float = 20.0, scale: float = 100.0) -> tuple[float, np.ndarray]:
         """A soft maximum of the poles' real parts [100 rad/s], with its gradient: for a start that does not hold all models."""
         theta = self.structure.theta(x)
-        parts = [_loop_poles(theta, stack, slopes=True) for _, stack in self._stacks]
+        parts = [_loops(theta, stack).eigen() for _, stack in self._stacks]
         top = max(part.values.real.max() for part in parts)
         total, slope = 0.0, np.zeros_like(theta)
         for part in parts:
@@ -144,12 +178,12 @@ class Objective:
     def abscissa(self, x: np.ndarray) -> float:
         """The largest real part of any model's closed-loop pole (in w) [rad/s]."""
         theta = self.structure.theta(x)
-        return max(float(_loop_poles(theta, stack).values.real.max()) for _, stack in self._stacks)
+        return max(float(_loops(theta, stack).poles().real.max()) for _, stack in self._stacks)
 
     def poles(self, x: np.ndarray) -> np.ndarray:
         """All models' closed-loop poles, in w [rad/s]."""
         theta = self.structure.theta(x)
-        return np.concatenate([_loop_poles(theta, stack).values.ravel() for _, stack in self._stacks])
+        return np.concatenate([_loops(theta, stack).poles().ravel() for _, stack in self._stacks])
 
     def ratios(self, x: np.ndarray) -> dict[str, Ratio]:
         """By channel: the largest ratio over models and grid, and where it is."""
@@ -158,20 +192,19 @@ class Objective:
         found: dict[str, Ratio] = {}
         channels, settling = self._parts()
         for channel in channels:
-            T = channel.A - channel.B @ Q[:, channel.at] @ channel.C
-            size = np.linalg.norm(T, 2, axis=(2, 3))
+            size = largest_gains(channel.A - channel.B @ Q[:, channel.at] @ channel.C)
             if size.size:
                 i, j = np.unravel_index(int(size.argmax()), size.shape)
                 found[channel.name] = Ratio(float(size[i, j]), self.models[int(i)].label, float(self.omega[channel.at[j]]))
         if settling is not None:
-            late, _, _ = settling.ratios(self._G, Q, anew=True)
+            late, _, _, _ = settling.ratios(self._G[:, settling.at], Q[:, settling.at])
             worst = late.max(axis=(1, 2, 3))
             found["settling"] = Ratio(
                 float(worst.max()) ** SETTLING_POWER, self.models[int(worst.argmax())].label, float("nan")
             )
         theta = self.structure.theta(x)
         for members, stack in self._stacks:
-            values = _loop_poles(theta, stack).values
+            values = _loops(theta, stack).poles()
             ratio, _ = self._damping(values, members)
             i, j = np.unravel_index(int(ratio.argmax()), ratio.shape)
             here = Ratio(float(ratio[i, j]), self.models[members[i]].label, float(np.abs(values[i, j])))
@@ -190,17 +223,22 @@ class Objective:
         """K (w, a, a), X = (sI - A)^-1 B (w, n, a), Y = C (sI - A)^-1 (w, a, n)."""
         A, B, C, D = self.structure.matrices(x)
         s = 1j * warped(self.omega, self.models[0].timing)
-        inverse = np.linalg.inv(s[:, None, None] * np.eye(len(A)) - A)
-        X = inverse @ B
-        return C @ X + D, X, C @ inverse
+        X, Y = _resolvent(A, B, C, s)
+        return C @ X + D, X, Y
 
     def _poles_slope(
-        self, theta: np.ndarray, poles: list[_LoopPoles], damping: list[tuple[np.ndarray, np.ndarray]], top: float, power: float
+        self, theta: np.ndarray, closed: list[_Loops], damping: list[np.ndarray], top: float, power: float
     ) -> np.ndarray:
+        """Of those models only of which a pole counts."""
         slope = np.zeros_like(theta)
-        for part, (ratio, derivative) in zip(poles, damping, strict=True):
-            share = np.where(ratio > 0, (ratio / top) ** power, 0.0)
-            weight = np.where(share > 1e-9, share / np.maximum(ratio, 1e-300), 0.0)
+        for loops, ratio, (places, _) in zip(closed, damping, self._stacks, strict=True):
+            rows = np.flatnonzero((ratio / top).max(axis=1) ** power > _NOTHING)
+            if not len(rows):
+                continue
+            part = loops.eigen(rows)
+            held, derivative = self._damping(part.values, [places[i] for i in rows])
+            share = np.where(held > 0, (held / top) ** power, 0.0)
+            weight = np.where(share > _NOTHING, share / np.maximum(held, 1e-300), 0.0)
             slope += part.slope(weight * derivative)
         return slope
 
@@ -229,8 +267,7 @@ class Objective:
     def _mismatch(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """rms of ln|k/k_ref| of the direct gains over its limit, and its slope in Theta."""
         A, B, C, D = self.structure.matrices(x)
-        inverse = np.linalg.inv(1j * _MATCHED[:, None, None] * np.eye(len(A)) - A)
-        X, Y = inverse @ B, C @ inverse
+        X, Y = _resolvent(A, B, C, 1j * _MATCHED)
         k = np.diagonal(C @ X + D, axis1=1, axis2=2)
         error = np.log(np.abs(k) / self._wanted)
         ratio = float(np.sqrt((error**2).mean())) / self.match
@@ -257,7 +294,26 @@ class _LoopPoles:
         return np.asarray(((self.left[i, j] * w[:, None]).T @ self.right[i, :, j]).real)
 
 
-def _loop_poles(theta: np.ndarray, stack: list[np.ndarray], slopes: bool = False) -> _LoopPoles:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Loops:
+    """Closed loops A (m, N, N) of models with one controller; dA = into dTheta out, into (m, N, a+k), out (m, a+k, N)."""
+
+    A: np.ndarray
+    into: np.ndarray
+    out: np.ndarray
+
+    def poles(self) -> np.ndarray:
+        """(m, N)."""
+        return np.asarray(np.linalg.eigvals(self.A))
+
+    def eigen(self, rows: np.ndarray | slice = slice(None)) -> _LoopPoles:
+        """The poles with their slopes, of some of the models."""
+        values, V = np.linalg.eig(self.A[rows])
+        W = np.linalg.pinv(V) if np.linalg.cond(V).max() > 1e14 else np.linalg.inv(V)
+        return _LoopPoles(values, W @ self.into[rows], self.out[rows] @ V)
+
+
+def _loops(theta: np.ndarray, stack: list[np.ndarray]) -> _Loops:
     A, B, C, D = stack
     count, N, a = B.shape
     n = len(theta) - a
@@ -269,12 +325,33 @@ def _loop_poles(theta: np.ndarray, stack: list[np.ndarray], slopes: bool = False
     out[:, :a, :N], out[:, a:, N:] = -C, np.eye(n)
     loop = into @ (inner @ theta) @ out
     loop[:, :N, :N] += A
-    if not slopes:
-        return _LoopPoles(np.linalg.eigvals(loop), np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
-    values, V = np.linalg.eig(loop)
-    W = np.linalg.pinv(V) if np.linalg.cond(V).max() > 1e14 else np.linalg.inv(V)
-    back = np.linalg.inv(np.eye(a + n) - outer @ theta)
-    return _LoopPoles(values, W @ (into @ inner), (back @ out) @ V)
+    back = np.eye(a + n) + outer @ inner @ theta  # (I - outer Theta)^-1
+    return _Loops(loop, into @ inner, back @ out)
+
+
+def _resolvent(A: np.ndarray, B: np.ndarray, C: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """X = (sI - A)^-1 B (w, n, p) and Y = C (sI - A)^-1 (w, m, n) at s (w,), by the eigenvectors of A where they are apart."""
+    values, V = np.linalg.eig(A)
+    if len(A) and np.linalg.cond(V) < _APART:
+        W = np.linalg.inv(V)
+        share = (1 / (s[:, None] - values))[:, None, :]
+        return (V * share) @ (W @ B), (C @ V * share) @ W
+    inverse = np.linalg.inv(s[:, None, None] * np.eye(len(A)) - A)
+    return inverse @ B, C @ inverse
+
+
+def frobenius(T: np.ndarray) -> np.ndarray:
+    """The Frobenius norm of every matrix (..., r, c), between its largest singular value and sqrt(c) times that."""
+    return np.sqrt(np.einsum("...ij,...ij->...", T.real, T.real) + np.einsum("...ij,...ij->...", T.imag, T.imag))
+
+
+def largest_gains(T: np.ndarray) -> np.ndarray:
+    """The largest singular value of every matrix (..., r, c) that can be the largest of all; of the others, a lower bound."""
+    size = frobenius(T)
+    bound = size / np.sqrt(min(T.shape[-2:]))
+    held = size >= bound.max(initial=0.0)
+    bound[held] = np.linalg.norm(T[held], 2, axis=(1, 2))
+    return np.asarray(bound)
 
 
 def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarray]]]:
@@ -294,16 +371,6 @@ def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
         return np.inf, np.zeros_like(A)
     weight = 2 * _BARRIER * values.conj() / fence**2 / room
     return -_BARRIER * float(np.log(room).sum()), np.asarray(((W * weight[:, None]).T @ V.T).real)
-
-
-def _controller_slope(Z: np.ndarray, Q: np.ndarray, G: np.ndarray, S: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """df/dTheta from df/dQ (m, w, a, a): dQ = S_i dK S_o, S_i = I - Q G."""
-    used = np.abs(Z).sum(axis=(2, 3)) > 0
-    psi = np.zeros(X.shape[:1] + Q.shape[-2:], complex)
-    if used.any():
-        S_i = np.eye(Q.shape[-1]) - Q[used] @ G[used]
-        np.add.at(psi, np.nonzero(used)[1], S_i.conj().swapaxes(1, 2) @ Z[used] @ S[used].conj().swapaxes(1, 2))
-    return _theta_slope(psi, X, Y)
 
 
 def _theta_slope(psi: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:

@@ -19,7 +19,8 @@ from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.envelope.plants import envelope_of
 from ambrose.synthesis.fixed_order.aims import aims_of
-from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, Job, Law, first_law, prepare, tuned, with_states
+from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
+from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import first_settings, pid_controller
 from ambrose.synthesis.result import Synthesis
@@ -93,6 +94,7 @@ def trade_off(
     plants = envelope_of(assemble(machine, machine.operation.design))
     order = int(wanted[0]) if over == ORDER else options.order
     job = prepare(plants, start, options.timing(), order, options.structure, options.bending_modes, None, time_limit, None)
+    job.most_states = None  # every value at one order
     groups, usual = job.groups, job.aims.sensitivity
     law, aim, again = first_law(job, start, order, options.structure), usual, False
     rows: list[tuple[float, float, bool, str, Synthesis | None]] = []
@@ -100,7 +102,9 @@ def trade_off(
         for value in wanted:
             changed: dict[str, Any] = {} if over == ORDER else {over: value}
             demanded = replace(machine.requirements, **changed)
-            job.aims = replace(aims_of(replace(machine, requirements=demanded), start), sensitivity=aim)
+            job.aims = replace(
+                aims_of(replace(machine, requirements=demanded), start), sensitivity=aim, highest=job.aims.highest
+            )
             if not again:  # the first one, or the one before has nothing to go on from
                 job.groups = groups
                 law = first_law(job, start, int(value) if over == ORDER else order, options.structure)

@@ -11,80 +11,50 @@ that were found by the end, and the best is returned.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg as sla
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, named_failure
-from ambrose.core.frequency import frequency_response
+from ambrose.core.checks import NumericalFailure, named_failure
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import PidSettings
-from ambrose.machine.limits import STATES
-from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import assemble, bending_modes_of
+from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce, reduce_from
+from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
 from ambrose.plant.uncertainty import perturbed, tolerances_around, with_offsets_of
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.envelope.between import search
-from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
-from ambrose.synthesis.fixed_order.bank import BANKS, FilterBank, advice, at_limits, filter_bank, first_bank
+from ambrose.synthesis.fixed_order.bank import FilterBank, advice, at_limits, filter_bank
 from ambrose.synthesis.fixed_order.descent import descend
-from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
+from ambrose.synthesis.fixed_order.job import FASTEST, Job, Law, as_system, first_law, prepare, with_states
+from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped
 from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
-from ambrose.synthesis.fixed_order.structure import Groups, Structure, axis_groups, structured
-from ambrose.synthesis.pid import pid_controller
+from ambrose.synthesis.fixed_order.structure import Structure, axis_groups, structured
 from ambrose.synthesis.result import Certificate, Status, Synthesis
-from ambrose.synthesis.time_limit import TimeLimit
 
-_POWERS = (10.0, 25.0, 60.0, 120.0, 120.0)
+_POWERS = (10, 24, 60, 120, 120)  # even
 INTERRUPTED = "interrupted"
-_AGAIN = 2  # the first of these rounds for a law that was tuned before
-_ITERATIONS = 200  # of L-BFGS, a round
+_SHARP, _ROOM = 60, 0.9  # no round follows one of this power after which all, new members too, meet all with this room
+_AGAIN, _GROWN = 2, 1  # the first of these rounds for a law that was tuned before, and for one with more states
+_ITERATIONS, _GAIN = 200, 1e-4  # steps of L-BFGS, a round, and what ten of them gain at least
 _HOLDING = 60  # of L-BFGS, towards a controller that holds all models; so many times at most:
 _TRIES = 20
 _DECAY = 5.0  # rad/s; slowest pole asked for before the first round
 _LOWEST = 1.0  # rad/s, start of the grid
 _TUNED, _JUDGED = 22, 80  # points per decade
-_AROUND = 15  # points around a peak that is judged
-_LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
-_WEAK = 1e-3  # of the start's gain: states that are added to reach the order
-_FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
-_STATES_PER_AXIS = 3
+_APART, _SAME = 2e-3, 2e-4  # relative distances of two points, and of two known peaks
+_AROUND, _HIGH = 15, 0.9  # points around a peak that is judged, which are those so high beside the model's highest
 _ROUNDING, _DRIFT = 1e-9, 0.1  # rad/s; of an integrator that is set back
 _BEYOND = 1.02  # of the fastest pole allowed: where its barrier is infinite
-_HEARD, _LISTENED = 0.15, 12  # loop gain of a mode that is kept; modes above the others that are looked at
-_BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
-Law = StateSpace | PidSettings  # what is tuned: matrices, or the chains of a filter bank
-
-
-@dataclass(slots=True, eq=False)
-class Job:
-    """What is tuned, and the models it has collected so far."""
-
-    full: tuple[Plant, ...]
-    small: tuple[Plant, ...]
-    timing: Timing | None
-    aims: Aims
-    groups: Groups
-    models: list[LoopModel]
-    clock: TimeLimit
-    say: Callable[[str], None]
-    reference: StateSpace | None
-    fastest: float  # pole of a filter bank [rad/s]
-    structure: str
-    extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
-    members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
     law: Law
     ratios: Mapping[str, Ratio]  # on the models, or on the full plants
+    models: int = 0  # how many
 
     @property
     def worst(self) -> float:
@@ -128,22 +98,17 @@ def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthes
     reason: str | None = None
     rounds: list[_Round] = []
     history: list[dict[str, float]] = []
+    best: _Round | None = None
     try:
         law = _holding(job, law)
         if again:
             rounds.append(_judged(job, law, job.models))
-        for number, power in enumerate(powers, 1):
-            if number > 1 or again:  # fewer unknowns first
-                job.groups = axis_groups(job.full[0].machine, structure)
-            law, used = _descended(job, law, power)
-            rounds.append(_judged(job, law, job.models))
-            history.append(_row(job, number, power, used, rounds[-1]))
-            job.say(f"round {number}: {used} steps at p = {power:g}, {len(job.models)} models; {_in_words(rounds[-1])}")
-            if job.clock.left <= 0:
-                reason = job.clock.reached
-                break
-            if number < len(powers):
-                law = _add_members(job, law)
+        while best is None:
+            reason = _improve(job, law, structure, powers, rounds, history)
+            best = _best(job, rounds)
+            grown = None if reason else _grown(job, best, rounds)
+            if grown is not None:
+                best, law, powers = None, _add_members(job, grown), _POWERS[_GROWN:]
     except KeyboardInterrupt:
         if not rounds:
             raise
@@ -152,41 +117,31 @@ def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthes
         if not rounds:
             raise
         reason = str(error)
-    return _result(job, _best(job, rounds), tuple(history), reason)
+    return _result(job, best or _best(job, rounds), tuple(history), reason)
 
 
-def prepare(
-    plants: Sequence[Plant], start: Law, timing: Timing | None, order: int | None, structure: str,
-    bending_modes: int | None, reference: StateSpace | None, time_limit: float, progress: Callable[[str], None] | None,
-) -> Job:  # fmt: skip
-    """What is tuned; arguments as of ``tune_controller``. Raises InvalidInput."""
-    full = tuple(plants)
-    if not full or any(plant.machine is not full[0].machine for plant in full):
-        raise InvalidInput("tuning needs plants of one machine at its operating points; assemble them from the same machine")
-    if structure in BANKS and not isinstance(start, PidSettings):
-        raise invalid("start", type(start).__name__, f"PidSettings with structure {structure!r}", "give the [controller] table")
-    machine = full[0].machine
-    start = _system(start, machine)
-    if start.dt is not None:
-        raise invalid("the start's dt", start.dt, "None (continuous)", "give the continuous controller and the timing")
-    if order is not None and (isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 1):
-        raise invalid("order", repr(order), "a whole number, at least 1", "leave the default")
-    if order is not None and order > STATES:
-        raise invalid("order", order, f"at most {STATES}, as in a controller file", "three per axis are the default")
-    modes = max(bending_modes_for(plant, start, timing) for plant in full) if bending_modes is None else bending_modes
-    reduced = reduce_from if bending_modes is None else reduce
-    small = tuple(reduced(plant, modes) if plant.bending_modes is None else plant for plant in full)
-    aims = aims_of(machine, start)
-    fastest = _FASTEST * max(fastest_pole(start), aims.highest) if timing is None else _BELOW * np.pi / timing.sample_time
-    return Job(
-        full, small, timing, aims, axis_groups(machine, "plane" if structure == "free" else structure),
-        [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference, fastest,
-        structure,
-    )  # fmt: skip
-
-
-def _system(law: Law, machine: Machine) -> StateSpace:
-    return pid_controller(law, machine) if isinstance(law, PidSettings) else law
+def _improve(
+    job: Job, law: Law, structure: str, powers: Sequence[int], rounds: list[_Round], history: list[dict[str, float]]
+) -> str | None:
+    """Rounds of these powers from a law on, added to rounds and history; why they ended early, None where they did not."""
+    for place, power in enumerate(powers):
+        if rounds:  # fewer unknowns first
+            job.groups = axis_groups(job.full[0].machine, structure)
+        law, used = _descended(job, law, power)
+        rounds.append(_judged(job, law, job.models))
+        number = len(history) + 1
+        history.append(_row(job, number, power, used, rounds[-1]))
+        job.say(f"round {number}: {used} steps at p = {power:g}, {len(job.models)} models; {_in_words(rounds[-1])}")
+        if job.clock.left <= 0:
+            return job.clock.reached
+        if place == len(powers) - 1:
+            break
+        law = _add_members(job, law)
+        if power >= _SHARP and rounds[-1].worst <= _ROOM:
+            rounds[-1] = _judged(job, rounds[-1].law, job.models)
+            if rounds[-1].worst <= _ROOM:
+                break
+    return None
 
 
 def _unknowns(job: Job, law: Law) -> tuple[Structure | FilterBank, np.ndarray]:
@@ -200,76 +155,21 @@ def _law(structure: Structure | FilterBank, x: np.ndarray) -> Law:
     return structure.settings(x) if isinstance(structure, FilterBank) else structure.controller(x)
 
 
-def bending_modes_for(plant: Plant, start: StateSpace | None = None, timing: Timing | None = None) -> int:
-    """How many bending modes per plane a model needs to be tuned on: all that the sensitivity is judged at, and one more.
-
-    With a controller to start from also all at whose resonances sigma_max(G K) reaches ``_HEARD``: what is left out is excited.
-    """
-    available = bending_modes_of(plant.rotor_model)
-    frequencies = free_modes(plant.rotor_model, available).frequencies[4::2]
-    judged = min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
-    top = np.inf if timing is None else np.pi / timing.sample_time
-    above = np.flatnonzero(frequencies[judged:] < top)[:_LISTENED]
-    if start is None or not len(above):
-        return judged
-    near = (frequencies[judged:][above][:, None] * np.linspace(0.99, 1.01, 9)).ravel()
-    G = loop_model(plant, timing).response(near)[:, : len(plant.axes), : len(plant.axes)]
-    gain = np.linalg.norm(G @ frequency_response(start, warped(near, timing)).values, 2, axis=(1, 2)).reshape(len(above), -1)
-    heard = np.flatnonzero(gain.max(axis=1) >= _HEARD)
-    return judged + (int(above[heard[-1]]) + 1 if len(heard) else 0)
-
-
-def first_law(job: Job, start: Law, order: int | None, structure: str) -> Law:
-    """The start with a lag where its sample rate cannot show its poles, and with weak states, or filters, up to the order."""
-    if structure in BANKS and isinstance(start, PidSettings):
-        return first_bank(start, job.full[0].machine, structure, order, job.fastest)
-    start = _system(start, job.full[0].machine)
-    m, n = start.D.shape[0], start.n_states
-    late = job.timing is not None and fastest_pole(start) * job.timing.sample_time > 0.5 * np.pi
-    if late and (order is None or n + m <= order):
-        A = np.block([[start.A, np.zeros((n, m))], [_LAG * start.C, -_LAG * np.eye(m)]])
-        B, C = np.vstack([start.B, _LAG * start.D]), np.hstack([np.zeros((m, n)), np.eye(m)])
-        start = StateSpace(A, B, C, np.zeros((m, m)), start.inputs, start.outputs)
-    wanted = max(_STATES_PER_AXIS * len(start.inputs), start.n_states) if order is None else order
-    if wanted < start.n_states:
-        raise invalid("order", wanted, f"{start.n_states} or more, as the start has", "simplify the [controller], or give more")
-    return with_states(start, wanted - start.n_states, job.groups)
-
-
-def with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
-    """The controller with ``extra`` weakly coupled, well damped states, shared by the groups."""
-    rng = np.random.default_rng(0)
-    m = K.D.shape[0]
-    gain = float(np.abs(frequency_response(K, np.geomspace(1.0, 1e5, 30)).values).max())
-    A, B, C = [K.A], [K.B], [K.C]
-    for k, axes in enumerate(groups):
-        size = extra // len(groups) + (k < extra % len(groups))
-        if not size:
-            continue
-        rates = np.geomspace(100.0, 6000.0, size)
-        block = -np.diag(rates)
-        for j in range(0, size - 1, 2):
-            block[j : j + 2, j : j + 2] = rates[j] * np.array([[-0.5, 0.87], [-0.87, -0.5]])
-        root, into, out = np.sqrt(np.abs(np.diag(block))), np.zeros((size, m)), np.zeros((m, size))
-        into[:, list(axes)] = rng.normal(size=(size, len(axes))) * root[:, None]
-        out[list(axes)] = _WEAK * gain * rng.normal(size=(len(axes), size)) * root
-        A, B, C = [*A, block], [*B, into], [*C, out]
-    return StateSpace(sla.block_diag(*A), np.vstack(B), np.hstack(C), K.D, K.inputs, K.outputs)
-
-
 def _holding(job: Job, law: Law) -> Law:
     """A controller that holds all models, with some decay, by descent on the poles' real parts alone."""
+    before = np.inf
     for attempt in range(_TRIES + 1):
         structure, x = _unknowns(job, law)
         cost = Objective(structure, job.models, np.array([100.0]), job.aims)
         abscissa = cost.abscissa(x)
         if abscissa < (-0.5 if attempt == 0 else -_DECAY):
             return law
-        if attempt == _TRIES or job.clock.left <= 0:
+        if attempt == _TRIES or job.clock.left <= 0 or 1.1 * before < abscissa < 0:  # holds, and gains little more
             break
+        before = abscissa
         if attempt == 0:
             job.say(f"the start does not hold every model ({abscissa:+.3g} rad/s): looking for one that does")
-        x, _ = descend(cost.unstable, lambda trial: True, x, _HOLDING, 1e-6, lambda: job.clock.left > 0)
+        x, _ = descend(cost.unstable, lambda trial: True, x, _HOLDING, 1e-6, lambda: job.clock.left > 0, least=-_DECAY / 100)
         law = _law(structure, x)
     if abscissa < 0:
         return law
@@ -288,23 +188,36 @@ def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarr
     at, half = unwarped(poles.imag, job.timing), np.abs(poles.real)
     light = half < 0.06 * at
     more = np.concatenate([at, (at + half)[light], (at - half)[light], np.array(job.extra)])
-    grid = np.unique(np.concatenate([grid, more[(more >= _LOWEST) & (more <= top)]]))
-    kept = [grid[0]]
-    for omega in grid[1:]:
-        if omega > 1.002 * kept[-1]:
+    apart = np.concatenate([half, half[light], half[light], 4 * _SAME * np.array(job.extra)])
+    inside = (more >= _LOWEST) & (more <= top)
+    points = np.concatenate([grid, more[inside]])
+    radius = _APART * points  # of a light resonance less, or its peak would fall between two points
+    radius[len(grid) :] = np.minimum(radius[len(grid) :], 0.25 * apart[inside])
+    kept, last = [], (0.0, 0.0)
+    for omega, own in sorted(zip(points.tolist(), radius.tolist(), strict=True)):
+        if omega - last[0] > min(own, last[1]):
             kept.append(omega)
+            last = omega, own
     if job.timing is None:
         kept += [3 * top, 10 * top, 100 * top]
     return np.array(kept)
 
 
-def _descended(job: Job, law: Law, power: float) -> tuple[Law, int]:
+def _peaks(cost: Objective, x: np.ndarray) -> np.ndarray:
+    """Where any model's sigma_max(S_o) over its limit has a maximum near its highest: places in the grid (k,)."""
+    ratio = np.pad(cost.sensitivity(x), ((0, 0), (1, 1)))
+    here = ratio[:, 1:-1]
+    found = (here >= ratio[:, :-2]) & (here >= ratio[:, 2:]) & (here >= _HIGH * here.max(axis=1, keepdims=True))
+    return np.flatnonzero(found.any(axis=0))
+
+
+def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
     """One descent; true peaks of a denser grid are kept for the next."""
     structure, x = _unknowns(job, law)
     controller = structure.controller(x)
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
     cost = Objective(structure, job.models, _grid(job, rough, x, _TUNED), job.aims, job.reference)
-    fastest = _FASTEST * max(fastest_pole(controller), job.aims.highest)
+    fastest = FASTEST * max(fastest_pole(controller), job.aims.highest)
     if isinstance(structure, FilterBank):  # whose poles end at their limit softly
         fastest = max(fastest, job.fastest)
     if job.timing is not None:  # export refuses poles beyond half the rate
@@ -315,14 +228,32 @@ def _descended(job: Job, law: Law, power: float) -> tuple[Law, int]:
 
     if not isinstance(structure, FilterBank):
         cost.fence = _BEYOND * fastest
-    x, used = descend(lambda v: cost(v, power), allowed, x, _ITERATIONS, 1e-4, lambda: job.clock.left > 0)
+    x, used = descend(
+        lambda v: cost(v, power), allowed, x, _ITERATIONS, _GAIN, lambda: job.clock.left > 0, lambda v: cost.narrow(v, power)
+    )
     law = _law(structure, x)
     if isinstance(law, StateSpace) and (settled := without_drift(law)) is not law:
         law, (structure, x) = settled, _unknowns(job, settled)
         cost = Objective(structure, job.models, cost.omega, job.aims, job.reference)
     dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
-    job.extra += [float(dense.omega[i]) for i in set(dense.sensitivity(x).argmax(axis=1))]
+    job.extra += dense.omega[_peaks(dense, x)].tolist()
     return law, used
+
+
+def _grown(job: Job, best: _Round, rounds: list[_Round]) -> StateSpace | None:
+    """The best controller with one more weak state per axis, or None.
+
+    None where all is met, where more are not allowed, and where a round with more states was not better: they did not help.
+    """
+    if job.most_states is None or best.worst <= 1 or not isinstance(best.law, StateSpace):
+        return None
+    more = len(best.law.inputs)
+    if best.law.n_states + more > job.most_states:
+        return None
+    if any(item.law.n_states > best.law.n_states for item in rounds if isinstance(item.law, StateSpace)):
+        return None
+    job.say(f"not met with {best.law.n_states} states ({best.worst:.3f}): {more} more")
+    return with_states(best.law, more, job.groups)
 
 
 def without_drift(law: StateSpace) -> StateSpace:
@@ -344,12 +275,12 @@ def _best(job: Job, rounds: list[_Round]) -> _Round:
     for known in sorted(rounds, key=lambda item: item.worst):
         if known.worst >= best.worst:
             break  # more models, and the full plants, can only be worse
-        item = _judged(job, known.law, job.models)
+        item = known if known.models == len(job.models) else _judged(job, known.law, job.models)
         if item.worst < best.worst:
             best = min(best, _both(item, _judged(job, item.law, full)), key=lambda item: item.worst)
     if not np.isfinite(best.worst):
         raise NumericalFailure(
-            f"no controller of order {_system(best.law, job.full[0].machine).n_states} that holds the full plant at all "
+            f"no controller of order {as_system(best.law, job.full[0].machine).n_states} that holds the full plant at all "
             f"{len(job.full)} operating points was found; {advice(job.structure)}, allow more bending modes, or drop a point"
         )
     return best
@@ -369,18 +300,18 @@ def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
     structure, x = _unknowns(job, law)
     rough = Objective(structure, models, np.array([100.0]), job.aims)
     if rough.abscissa(x) >= 0:
-        return _Round(law, {})
+        return _Round(law, {}, len(models))
     grid = _grid(job, rough, x, _JUDGED)
-    peaks = np.unique(Objective(structure, models, grid, job.aims).sensitivity(x).argmax(axis=1))
+    peaks = _peaks(Objective(structure, models, grid, job.aims), x)
     near = [np.geomspace(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)], _AROUND) for i in peaks]
     cost = Objective(structure, models, np.unique(np.concatenate([grid, *near])), job.aims, job.reference)
-    return _Round(law, cost.ratios(x))
+    return _Round(law, cost.ratios(x), len(models))
 
 
 def _add_members(job: Job, law: Law) -> Law:
     """The worst corner of the tolerances around every point, and the worst point of every range, join the models; the
     controller brought to hold them all."""
-    controller = _system(law, job.full[0].machine)
+    controller = as_system(law, job.full[0].machine)
     for plant in job.small:
         found = worst_member(plant, controller, job.timing, job.aims)
         key = (plant.point.label, tuple(sorted(found.items())))
@@ -421,9 +352,9 @@ def _result(job: Job, best: _Round, history: tuple[dict[str, float], ...], reaso
 
     Tuning leaves the sampled plant's aliases out of its frequency responses: where the norm says more, it is the ratio.
     """
-    controller = _system(best.law, job.full[0].machine)
+    controller = as_system(best.law, job.full[0].machine)
     runs = controller if job.timing is None else job.timing.in_loop(controller)
-    found = [certify(plant, runs) for plant in job.full]
+    found = [certify(plant, runs, margins=False) for plant in job.full]
     worst = max(range(len(found)), key=lambda k: found[k].closed_loop_norm)
     machine, ratios = job.full[0].machine, dict(best.ratios)
     exact = Ratio(found[worst].closed_loop_norm / job.aims.sensitivity, job.full[worst].point.label, np.nan)
@@ -440,7 +371,12 @@ def _result(job: Job, best: _Round, history: tuple[dict[str, float], ...], reaso
     notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
     missed = [f"{name} ({ratio.value:.3f})" for name, ratio in ratios.items() if ratio.value > 1]
     if missed:
-        notes.append(f"not met: {', '.join(missed)}; {advice(job.structure)}, or relax a requirement")
+        remedy = f"{advice(job.structure)}, or relax a requirement"
+        notes.append(f"not met with {controller.n_states} states: {', '.join(missed)}; {remedy}")
+    if ratios["gain"].value > 1 and machine.requirements.control_gain is None:
+        notes.append(
+            "the limit of the gain is a guard, 1.5 times the largest of the start: a control_gain of the file replaces it"
+        )
     if isinstance(best.law, PidSettings) and (ends := at_limits(best.law, machine, job.fastest)):
         notes.append(f"at a limit of the search: {'; '.join(ends)}")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
