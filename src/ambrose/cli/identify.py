@@ -21,7 +21,8 @@ METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, whic
 @click.option(
     "--unknown", multiple=True, metavar="PATH",
     help='What to identify, "*" for every name or axis: bearing.*.negative_stiffness.* (repeatable). '
-    "Default: what the machine file marks as uncertain, K_i and K_s of every axis, and the amplifier's lag.",
+    "Default: what the machine file marks as uncertain, K_i and K_s of every axis, and the amplifier's lag; "
+    "a delay alone adds to these.",
 )  # fmt: skip
 @click.option("--start", multiple=True, metavar="PATH=VALUE", help="SI value to begin at; default: the machine's (repeatable).")
 @click.option("--signals", multiple=True, metavar="NAME", help="Signals to fit, y_, u_ or i_<axis>; default: every y_<axis>.")
@@ -29,7 +30,9 @@ METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, whic
     "--delay-samples", "computing_delay", type=float, default=1, show_default=True,
     help="From measured errors to acting currents.",
 )  # fmt: skip
-@click.option("--bending-modes", type=int, default=1, show_default=True, help="Bending modes per plane in the model.")
+@click.option("--bending-modes", type=int, default=3, show_default=True, help="Bending modes per plane in the model.")
+@click.option("--harmonics", type=int, default=3, show_default=True, help="Multiples of the speed that unbalance may hold.")
+@click.option("--tone", "tones", type=float, multiple=True, metavar="HZ", help="Another tone, as of the mains (repeatable).")
 @click.option(
     "--seal-fit", "seal_form", type=click.Choice(("line", "table")), help="The seal pressure by pressure, and how kept."
 )
@@ -128,6 +131,8 @@ def _print(done: Any, compared: Any) -> None:
         _table(tables.repeats_table(done.repeats))
     if done.method != "static":
         _table(tables.fit_table(done.result))
+        if done.result.turning:
+            _table(tables.turning_table(done.result))
         if not all(test.passed for test in done.result.tests):
             _table(tables.residual_tests_table(done.result), only_failed=True)
         if done.seal is not None:

@@ -45,6 +45,7 @@ class Code(StrEnum):
     FAR_FROM_FILE = "far-from-file"  # a value far from the machine file's
     COMMON_FACTOR = "common-factor"  # every K_i and K_s moved alike: a wrong mass
     MISSING_RESPONSE = "missing-response"  # what the model cannot reproduce at any parameter values
+    TONE = "tone"  # most of what the model leaves of a signal is one frequency, which is not excited
     BURST = "burst"  # a short time in which a signal leaves the model
     # Static loads (static_load/identify.py)
     ONE_SIDED = "one-sided-load"

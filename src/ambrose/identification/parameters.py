@@ -12,7 +12,7 @@ from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, QUANTITIES, TIMING, find_uncertain, parse_parameter
 from ambrose.machine.units import DIMENSIONS
-from ambrose.plant.assemble import assemble
+from ambrose.plant.assemble import assemble, bending_modes_of
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import channels, perturbed
@@ -120,12 +120,17 @@ def nominal_values(plant: Plant, paths: Sequence[str]) -> np.ndarray:
     return np.array(values)
 
 
-def plant_at(machine: Machine, point: OperatingPoint, values: Mapping[str, float], bending_modes: int = 1) -> Plant:
+def reduced_plant(plant: Plant, bending_modes: int) -> Plant:
+    """The plant with the rotor's free modes, ``bending_modes`` per plane or as many as the mesh has."""
+    return free_mode_reduction(plant, min(bending_modes, bending_modes_of(plant.rotor_model)))
+
+
+def plant_at(machine: Machine, point: OperatingPoint, values: Mapping[str, float], bending_modes: int = 3) -> Plant:
     """The reduced plant at an operating point with these values, SI, at these paths but those of delays.
 
     Raises InvalidInput.
     """
-    plant = free_mode_reduction(assemble(machine, point), bending_modes)
+    plant = reduced_plant(assemble(machine, point), bending_modes)
     moves = {path: value - channels(plant, path)[0].nominal for path, value in values.items() if path not in TIMING}
     moves = {path: move for path, move in moves.items() if move}
     if not moves:

@@ -31,6 +31,7 @@ from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import TIMING
 from ambrose.machine.record.files import read_record
 from ambrose.machine.record.record import Record
 
@@ -77,8 +78,9 @@ def identify(
     controller is checked, too. controller: the one that ran, a StateSpace, a Synthesis or anything with A, B, C, D.
     method: "closed-loop"; "youla" (needs every u_<axis>); "static" (loads f_<port> and currents give K_i, no controller).
     unknown: paths such as "bearing.*.negative_stiffness.*" (none: what the machine marks as uncertain, K_i and K_s of every
-    axis, the amplifier's lag); start: path -> SI value to begin at. repeats: the records repeat one experiment. seal_form:
-    "line" or "table", the seal at every pressure of the records; seal: which one. provenance: the names of the files.
+    axis, the amplifier's lag; delays alone are added to these); start: path -> SI value to begin at. repeats: the records
+    repeat one experiment. seal_form: "line" or "table", the seal at every pressure of the records; seal: which one.
+    provenance: the names of the files.
     options: those of FitOptions (output_error/problem.py), and for static loads average and drift
     (static_load/identify.py). Raises InvalidInput with every reason why no number can be trusted.
     """
@@ -103,8 +105,8 @@ def identify(
         done = _identify_static(machine, measured, repeats, progress, options)
     else:
         law, how = _law(controller), FitOptions(**options)
-        if not unknown:
-            unknown = usual_unknowns(machine, measured)
+        if set(unknown) <= {"delay", *TIMING}:  # delays alone: beside what is usual
+            unknown = (*usual_unknowns(machine, measured), *unknown)
             progress(f"unknown: {', '.join(path for kind in split_timing(machine, unknown) for path in kind)}")
         pressures = {record.point.seal_pressure for record in measured}
         if seal_form is None and method == "closed-loop" and machine.seals and len(pressures) > 2:

@@ -238,6 +238,7 @@ class LoopIdentification(Identification):
             "column_cosine": result.column_cosine.tolist(),
             "fit_percent": [{"record": n, "signal": name, "fit": float(fit)} for n, name, fit in result.fit],
             "residual_tests": [asdict(test) for test in result.tests],
+            "turning": [asdict(wave) for wave in result.turning],
             "converged": result.converged,
             "iterations": result.iterations,
             "controller_error": error,

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from ambrose.identification.data_quality.signals import flat_tops
 from ambrose.identification.findings import Code, Finding, refuse
 from ambrose.identification.loop import identify_loop, usual_unknowns
 from ambrose.identification.output_error.closed_loop import identify
+from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.machine.description import SealTable, Tolerance
 from ambrose.machine.record.record import Record
@@ -34,6 +35,7 @@ from ambrose.simulation.disturbances import Prbs, Pulse
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
+run = partial(pipeline.identify, bending_modes=1)  # as the loops have that made the records
 pytestmark = pytest.mark.campaign  # minutes
 
 DT, K, LIMIT = 1e-4, 12000, 0.5
@@ -389,7 +391,7 @@ def test_a_response_far_from_the_start_values_is_only_a_warning():
     found = only(findings(synthetic(0.35)), "warning", "responds otherwise")
     assert "power unexplained" in found.evidence
     machine, _, controller = setting()
-    result = pipeline.identify(machine, [synthetic(0.35)], controller, unknown=NINE).result
+    result = run(machine, [synthetic(0.35)], controller, unknown=NINE).result
     np.testing.assert_allclose(result.values[0] / result.start[0], 1.35, rtol=0.01)
 
 
@@ -406,7 +408,7 @@ def test_a_wrong_mass_that_no_record_can_tell():
     values = np.vstack([simulate(loop, e), e])
     values[:4] += 1e-8 * np.random.default_rng(0).standard_normal((4, 10000))
     record = Record(machine.name, 1 / DT, tuple(names("yue")), ("m",) * 4 + ("A",) * 8, values, plant.point)
-    checked = pipeline.identify(replace(machine, shaft=heavier(machine, 1.2)), [record], controller, unknown=NINE[:2])
+    checked = run(replace(machine, shaft=heavier(machine, 1.2)), [record], controller, unknown=NINE[:2])
     found = next(item for item in checked.findings if "same factor" in item.what)
     assert found.evidence.startswith("1.19") or (found.evidence.startswith("1.2") and "weigh the rotor" in found.remedy)
 
@@ -414,22 +416,20 @@ def test_a_wrong_mass_that_no_record_can_tell():
 def test_wrong_machine_and_wrong_mass():
     machine, _, controller = setting()
     with pytest.raises(InvalidInput, match="machine of record 1 is 'turboexpander'"):
-        pipeline.identify(machine, [replace(synthetic(), machine="turboexpander")], controller, unknown=NINE)
+        run(machine, [replace(synthetic(), machine="turboexpander")], controller, unknown=NINE)
     fat = replace(machine, shaft=heavier(machine, 1.2))
-    assert not pipeline.identify(
-        fat, [synthetic(0.0)], controller, unknown=NINE
-    ).passed  # the seal's known stiffness betrays it
+    assert not run(fat, [synthetic(0.0)], controller, unknown=NINE).passed  # the seal's known stiffness betrays it
     short = replace(
         machine,
         sensors=tuple(replace(s, position=860e-3 - s.position) for s in machine.sensors),  # sensors of A and B exchanged
     )
     with pytest.raises(InvalidInput, match=r"mixed up|no values of these parameters|unstable"):
-        pipeline.identify(short, [synthetic(0.0)], controller, unknown=NINE)
+        run(short, [synthetic(0.0)], controller, unknown=NINE)
 
 
 def test_impossible_values_are_refused_and_distant_ones_doubted():
     machine, _, controller = setting()
-    checked = pipeline.identify(machine, [synthetic()], controller, unknown=NINE)
+    checked = run(machine, [synthetic()], controller, unknown=NINE)
     assert not checked.findings and checked.passed
     result = checked.result
     turned = replace(result, values=np.r_[-result.values[:1], result.values[1:]])
@@ -448,7 +448,7 @@ def test_a_knock_during_the_record_is_found_in_the_residual():
     machine, _, controller = setting()
     seen = [name for name in synthetic().signals if name[0] in "ye"]  # without u nothing shows it before
     record = with_values(synthetic(), "y_A_zeta", knocked).select(seen)
-    checked = pipeline.identify(machine, [record], controller, unknown=NINE)
+    checked = run(machine, [record], controller, unknown=NINE)
     assert any("y_A_zeta leaves the model" in item.what and "0.69" in item.evidence for item in checked.findings)
 
 
@@ -457,7 +457,7 @@ def test_a_wrong_delay_without_controller_outputs_is_found_after_the_fit(given):
     """The true one is a sample; it is found as an unknown, with its deviation, and the right one is not complained about."""
     machine, _, controller = setting()
     record = synthetic().select([name for name in synthetic().signals if name[0] in "ye"])
-    checked = pipeline.identify(machine, [record], controller, unknown=NINE, computing_delay=given)
+    checked = run(machine, [record], controller, unknown=NINE, computing_delay=given)
     found = next(item for item in checked.findings if "computing delay of" in item.what)
     count = float(re.search(rf"delay of (\S+) instead of {given} samples", found.what)[1])
     deviation = float(re.search(r"standard deviation (\S+) samples", found.evidence)[1])
@@ -487,7 +487,7 @@ def test_where_the_delay_cannot_be_an_unknown_whole_ones_are_tried():
 
 def test_an_unknown_delay_is_found_and_not_complained_about():
     machine, _, controller = setting()
-    whole = pipeline.identify(machine, [synthetic()], controller, unknown=(*NINE, "delay"), computing_delay=0)
+    whole = run(machine, [synthetic()], controller, unknown=(*NINE, "delay"), computing_delay=0)
     assert whole.result.values[-1] == pytest.approx(DT, rel=0.01)
     assert not any("follows the controller after" in item.what for item in whole.findings)
     rows = identification_report(whole).sections[0].tables[0].cells
@@ -495,7 +495,7 @@ def test_an_unknown_delay_is_found_and_not_complained_about():
     assert len(whole.outputs[0].residual[0]) == K and np.std(whole.outputs[0].residual) < 0.05 * np.std(
         whole.outputs[0].measured
     )
-    late = pipeline.identify(machine, [synthetic()], controller, unknown=(*NINE, "excitation.delay"))
+    late = run(machine, [synthetic()], controller, unknown=(*NINE, "excitation.delay"))
     assert late.outputs[0].residual.shape == late.outputs[0].record.select(names("y")).values.shape
     assert abs(late.result.values[-1]) < 0.05 * DT
 
@@ -505,17 +505,17 @@ def test_an_unknown_that_is_not_excited_is_doubted_or_refused():
     values = synthetic().values.copy()
     record = replace(synthetic(), values=values)
     unknown = (*NINE, "coupling.coupling.damping.zeta", "coupling.coupling.damping.eta", "seal.center.C", "seal.center.c")
-    checked = identify_loop(machine, [record], controller, unknown)
+    checked = identify_loop(machine, [record], controller, unknown, options=FitOptions(bending_modes=1))
     assert not checked.passed and any(finding.code == Code.HARDLY_VISIBLE for finding in checked.findings)
     with pytest.raises(InvalidInput, match=r"damping \(zeta\) is -.*must be zero or positive"):  # no machine has such values
-        pipeline.identify(machine, [record], controller, unknown=unknown)
+        run(machine, [record], controller, unknown=unknown)
     assert plant.axes == AXES
 
 
 def test_a_start_at_which_the_loop_is_unstable_is_refused():
     machine, _, controller = setting()
     with pytest.raises(InvalidInput, match="the loop at the start values is unstable"):
-        pipeline.identify(
+        run(
             machine, [synthetic()], controller, unknown=NINE, start={"bearing.A.negative_stiffness.zeta": 9e6}
         )  # fmt: skip
 

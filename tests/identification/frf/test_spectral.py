@@ -1,5 +1,6 @@
 """Measured frequency responses against exact ones, against scipy's estimator, and their variance against Monte Carlo."""
 
+import tracemalloc
 from dataclasses import replace
 from functools import cache
 
@@ -137,6 +138,28 @@ def test_few_segments_cost_degrees_of_freedom():
         inside.append(error < found.radius()[:, 0, 0])
     assert found.freedom == pytest.approx(3)
     assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
+
+
+@pytest.mark.parametrize("method", [frf.h1, frf.closed_loop])
+def test_blocks_of_segments_change_nothing_and_bound_the_memory(method, monkeypatch):
+    """Segments that overlap across two blocks count once, those of two records never; three records take no more than one."""
+    rng = np.random.default_rng(0)
+    records = []
+    for _ in range(3):
+        u = rng.normal(size=20_000)
+        records.append(record(u_a=u, y_a=filtered(u) + 0.1 * rng.normal(size=20_000), e_a=u))
+    whole = method(records, "u_a", "y_a", segment=0.1)
+    monkeypatch.setattr(frf, "_BLOCK", 5000)
+    cut = method(records, "u_a", "y_a", segment=0.1)
+    for name in ("values", "variance", "coherence", "input_coherence"):
+        np.testing.assert_allclose(getattr(cut, name), getattr(whole, name), rtol=1e-9, atol=1e-14)
+    peaks = []
+    for given in (records[:1], records):
+        tracemalloc.start()
+        method(given, "u_a", "y_a", segment=0.1)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
 
 
 def test_two_inputs_from_two_records_or_from_two_sequences_in_one():

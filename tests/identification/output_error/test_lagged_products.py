@@ -62,7 +62,7 @@ def test_scores_are_those_of_the_whole_record():
     y = simulate(system, e, x0=rng.standard_normal(7)) + np.cumsum(0.01 * rng.standard_normal((2, k)), axis=1) + 3.0
     task = Task(e, np.eye(2), y, True, True)
     found = normal_equations(system, directions, task)
-    residual = y - simulate(system, e, x0=found.x0) - found.b[:, None]
+    residual = y - simulate(system, e, x0=found.x0) - found.b
     assert found.equations.cost == pytest.approx(np.sum(residual**2), rel=1e-9)
     scores = residual_scores(system, task, found, ["a", "b"], ["y1", "y2"], 4)
     for i in range(2):

@@ -58,7 +58,7 @@ def done():
              (("A", machine.bearings[0].force_per_current), ("B", machine.bearings[1].force_per_current))
              for a, v in zip(("zeta", "eta"), pair, strict=True)}  # fmt: skip
     source = Provenance(("run.h5",), "pid.json")
-    return machine, identify(machine, [record], controller, unknown=FIVE, start=start, provenance=source)
+    return machine, identify(machine, [record], controller, unknown=FIVE, start=start, provenance=source, bending_modes=1)
 
 
 def test_the_page_carries_verdict_parameters_and_pictures(done):

@@ -50,7 +50,7 @@ def diagnose_records(
     controller: Any,
     *,
     start: Mapping[str, float] | None = None,
-    bending_modes: int = 1,
+    bending_modes: int = 3,
     computing_delay: float = 1,
 ) -> tuple[Finding, ...]:
     """What is wrong or doubtful about these records, errors first; () where nothing is. Arguments as ``identify``.

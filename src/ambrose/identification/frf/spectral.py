@@ -8,7 +8,7 @@ G = T_y T_u^-1; H1 is the case e = u. Pintelon & Schoukens (2012), ch. 2; Bendat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,10 +19,12 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.core.statespace import Names, index_of
 from ambrose.identification.excitation import signal_rows
+from ambrose.identification.output_error.synchronous import without_synchronous
 from ambrose.machine.record.record import Record
 
 WINDOWS = ("hann", "boxcar")
 _EXCITED = 1e-4  # of the strongest line's power: weaker lines are left out
+_BLOCK = 500_000  # samples of all signals cut at once
 _INDEPENDENT = 1e-6  # least eigenvalue of the excitations' coherence matrix: below, they cannot be told apart
 
 
@@ -103,13 +105,15 @@ def closed_loop(
     overlap: float = 0.75,
     window: str = "hann",
     band: tuple[float, float] | None = None,
+    harmonics: int = 3,
 ) -> Frf:
     """The response of ``outputs`` to ``inputs`` inside the loop, S_ye S_ue^-1: free of the bias that feedback gives H1.
 
     excitations: as many as inputs (None: those with the inputs' axes, e_A_zeta for v_A_zeta, u_A_zeta or i_A_zeta). The plant
     is closed_loop(records, ["v_A_zeta", ...], ["y_A_zeta", ...]). segment [s]: its length, 1/segment the distance of the lines;
     overlap: share of a segment that it has in common with the next; window "hann" or "boxcar" (periodic records only); band
-    [rad/s]: lines kept (None: all that are excited). Several inputs need several records, or excitations that differ over the
+    [rad/s]: lines kept (None: all that are excited). harmonics: multiples of the record's speed up to which unbalance and
+    run-out are taken out of every signal. Several inputs need several records, or excitations that differ over the
     segments. A name v_<axis> [A] stands for u + e, the amplifier's command, where the record lacks it. Raises InvalidInput.
     """
     u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
@@ -117,34 +121,42 @@ def closed_loop(
     if excitations is not None:
         e = (excitations,) if isinstance(excitations, str) else tuple(excitations)
     records = (records,) if isinstance(records, Record) else tuple(records)
-    frames = _frames(records, segment, overlap, window)
+    frames = _frames(tuple(without_synchronous(record, harmonics) for record in records), segment, overlap, window)
     if not e or not y or len(e) != len(u):
         raise invalid("the number of excitations and inputs", (len(e), len(u)), "equal, with an output", "one per input")
-    E = frames.spectra(e)
-    kept = _excited(E, frames.omega, band, e)
-    E = E[:, :, kept]
-    omega = frames.omega[kept]
-    signals = frames.spectra((*u, *y))[:, :, kept] if u != e else np.concatenate([E, frames.spectra(y)[:, :, kept]])
-    P = _inverse(np.einsum("akw,bkw->wab", E, E.conj()), omega, e)
-    T = np.einsum("skw,akw->wsa", signals, E.conj()) @ P
     m = len(u)
+    names = (*e, *y) if u == e else (*e, *u, *y)
+    powers, products, N = frames.sums(names, m)  # of all lines
+    kept = _excited(powers[:m], frames.omega, band, e)
+    omega, powers, products, N = frames.omega[kept], powers[:, kept], products[kept], N[kept]
+    P = _inverse(products[:, :m], omega, e)
+    T = products @ P
+    T, total = (T, powers) if u == e else (T[:, m:], powers[m:])  # e alone: its response to itself is one
     Tu, Ty = T[:, :m], T[:, m:]
     back = np.linalg.inv(Tu) if u != e else np.broadcast_to(np.eye(m), Tu.shape)
     G = Ty @ back
-    K, left = E.shape[1], signals - np.einsum("wsa,akw->skw", T, E)
-    N = frames.overlapping(E, omega)
+    K = sum(len(start) for start in frames.starts)
+    missed, power = np.zeros(total.shape), np.zeros((len(y), len(omega)))
+    for _, block in frames.blocks(names):  # once more: the difference of sums of squares would lose clean records
+        Z = block[:, :, kept].transpose(2, 0, 1)  # (w, signals, segments)
+        left = (Z if u == e else Z[:, m:]) - T @ Z[:, :m]
+        missed += _squares(left)
+        power += _squares(left[:, m:] - G @ left[:, :m])  # what is left of y - G u
     lost = np.einsum("wab,wab->w", P, N).real
-    noise = left[m:] - np.einsum("wpm,mkw->pkw", G, left[:m])  # what is left of y - G u
-    power = np.sum(np.abs(noise) ** 2, axis=1).T / np.maximum(K - lost, 1e-9 * K)[:, None]
+    power = power.T / np.maximum(K - lost, 1e-9 * K)[:, None]
     Q = P @ back  # the segments' weights, seen from the inputs
     share = np.einsum("wai,wab,wbi->wi", Q, N, Q.conj()).real
-    total = np.sum(np.abs(signals) ** 2, axis=1).T
-    coherence = 1 - np.sum(np.abs(left) ** 2, axis=1).T / np.where(total > 0, total, 1.0)
-    coherence = np.clip(np.where(total > 0, coherence, 0.0), 0.0, 1.0)
+    coherence = 1 - missed.T / np.where(total.T > 0, total.T, 1.0)
+    coherence = np.clip(np.where(total.T > 0, coherence, 0.0), 0.0, 1.0)
     return Frf(
         G, omega, u, y, power[:, :, None] * np.maximum(share, 0.0)[:, None, :], coherence[:, m:], coherence[:, :m],
         max(frames.independent - m, 1.0), records[0].dt,
     )  # fmt: skip
+
+
+def _squares(values: np.ndarray) -> np.ndarray:
+    """sum over the segments of |values|^2 (w, signals, segments), as (signals, w)."""
+    return np.asarray(np.einsum("wsk,wsk->sw", values.real, values.real) + np.einsum("wsk,wsk->sw", values.imag, values.imag))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,31 +189,46 @@ class _Frames:
             total += K**2 / (K + 2 * sum((K - d) * rho[d] ** 2 for d in range(1, min(len(rho), K))))
         return total
 
-    def spectra(self, names: Sequence[str]) -> np.ndarray:
-        """The windowed spectra (signals, segments, lines) of all records; the mean over a record is taken out first."""
-        rows = []
-        for name in names:
-            parts = []
-            for record, starts in zip(self.records, self.starts, strict=True):
-                signal = _signal(record, name)
-                cut = np.lib.stride_tricks.sliding_window_view(signal - signal.mean(), len(self.window))[starts]
-                parts.append(scipy.fft.rfft(cut * self.window, axis=1))
-            rows.append(np.concatenate(parts))
-        return np.stack(rows)
+    def blocks(self, names: Sequence[str]) -> Iterator[tuple[bool, np.ndarray]]:
+        """The windowed spectra (signals, segments, lines), some segments of one record at a time, and whether it is a new one.
 
-    def overlapping(self, E: np.ndarray, omega: np.ndarray) -> np.ndarray:
-        """sum over segments j, k of R_jk conj(E_j) E_k' (w, m, m); R: correlation of white noise in segments j and k."""
-        N = np.einsum("akw,bkw->wab", E.conj(), E)
-        begin = 0
-        for start in self.starts:
-            part = E[:, begin : begin + len(start)]
-            begin += len(start)
-            for d, rho in enumerate(self.likeness[: len(start)]):
-                if d and rho > 0:
-                    turn = np.exp(-1j * omega * d * self.step * self.dt)  # t_j - t_k with k later by d steps
-                    pair = rho * np.einsum("akw,bkw,w->wab", part[:, :-d].conj(), part[:, d:], turn)
-                    N = N + pair + pair.conj().swapaxes(1, 2)
-        return N
+        The mean over a record is taken out first.
+        """
+        L = len(self.window)
+        count = max(1, _BLOCK // (len(names) * L))
+        for record, starts in zip(self.records, self.starts, strict=True):
+            rows = [_signal(record, name) for name in names]
+            means = [row.mean() for row in rows]
+            for first in range(0, len(starts), count):
+                chosen = starts[first : first + count]
+                block = np.empty((len(names), len(chosen), L // 2 + 1), complex)
+                for part, row, mean in zip(block, rows, means, strict=True):
+                    cut = np.lib.stride_tricks.sliding_window_view(row, L)[chosen]
+                    part[:] = scipy.fft.rfft((cut - mean) * self.window, axis=1)
+                yield first == 0, block
+
+    def sums(self, names: Sequence[str], m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Over all segments, at every line: powers (signals, w), products with the first m signals (w, signals, m), and
+        sum over segments j, k of R_jk conj(E_j) E_k' (w, m, m) of these; R: correlation of white noise in segments j and k."""
+        lines, n, rho = len(self.omega), len(names), self.likeness
+        powers, products, N = np.zeros((n, lines)), np.zeros((lines, n, m), complex), np.zeros((lines, m, m), complex)
+        last: list[np.ndarray] = []  # the segments before, (w, m) each
+        for new, block in self.blocks(names):
+            Z = np.ascontiguousarray(block.transpose(2, 0, 1))
+            powers += _squares(Z)
+            E = Z[:, :m]
+            products += Z @ E.conj().swapaxes(1, 2)
+            N += E.conj() @ E.swapaxes(1, 2)
+            last = [] if new else last
+            E = np.concatenate([*(item[:, :, None] for item in last), E], axis=2)
+            for d in range(1, min(len(rho), E.shape[2])):
+                if rho[d] > 0:
+                    later = max(len(last), d)  # pairs whose later one is in this block
+                    pair = E[:, :, later - d : E.shape[2] - d].conj() @ E[:, :, later:].swapaxes(1, 2)
+                    pair *= (rho[d] * np.exp(-1j * self.omega * d * self.step * self.dt))[:, None, None]  # t_j - t_k
+                    N += pair + pair.conj().swapaxes(1, 2)
+            last = [E[:, :, k] for k in range(max(0, E.shape[2] - len(rho) + 1), E.shape[2])]
+        return powers, products, N
 
 
 def _frames(records: tuple[Record, ...], segment: float, overlap: float, window: str) -> _Frames:
@@ -236,9 +263,8 @@ def _signal(record: Record, name: str) -> np.ndarray:
     return signal_rows(record, [name])[0]
 
 
-def _excited(E: np.ndarray, omega: np.ndarray, band: tuple[float, float] | None, names: tuple[str, ...]) -> np.ndarray:
-    """The lines (w,) bool that every excitation reaches, within the band."""
-    power = np.sum(np.abs(E) ** 2, axis=1)
+def _excited(power: np.ndarray, omega: np.ndarray, band: tuple[float, float] | None, names: tuple[str, ...]) -> np.ndarray:
+    """The lines (w,) bool that every excitation, of power (m, w), reaches within the band."""
     for name, row in zip(names, power, strict=True):
         if not row.any():
             raise InvalidInput(f"the excitation {name} never changes in these records; excite it, or leave its input out")

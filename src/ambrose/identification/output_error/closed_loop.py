@@ -22,7 +22,13 @@ from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.lagged_products import coloured_products
 from ambrose.identification.output_error.levenberg_marquardt import Linearised, Minimum, minimise
 from ambrose.identification.output_error.loop_model import ParametricModel, over_weights
-from ambrose.identification.output_error.normal_equations import Task, jacobian_pieces, normal_equations
+from ambrose.identification.output_error.normal_equations import (
+    Task,
+    jacobian_pieces,
+    normal_equations,
+    synchronised,
+    turned,
+)
 from ambrose.identification.output_error.periodic import (
     Lines,
     line_equations,
@@ -50,6 +56,7 @@ from ambrose.machine.record.record import Record
 _EARLY = 5000  # samples on which a good start is found
 _NEGLIGIBLE = 1e-4  # a gain of this many variances of the noise: steps of 0.01 standard deviations need no second look
 _NEAR = 10.0  # the same for the start, which all samples improve on
+_TURNS = 6  # times the rotor's angle is looked for
 _FEW = 150  # lines on which a good start is found
 _EXACT = 1e-24  # of the squared signals: a sum of squared residuals below it is rounding
 
@@ -63,7 +70,8 @@ class ParameterEstimate:
     covariance (q, q): under the colour of the residuals (sandwich); standard_deviations (q,). correlation (q, q): of the
     parameters, from (J'J)^-1; column_cosine (q, q): between the columns of J, which is no correlation and mostly has the
     other sign. fit: (record number, signal, NRMSE percent). tests: does a residual still follow an excitation. condition [-]
-    of J'J scaled to a unit diagonal. warnings: what makes the result doubtful; verdict: one sentence.
+    of J'J scaled to a unit diagonal. warnings: what makes the result doubtful; verdict: one sentence. turning: what every
+    fitted signal holds at multiples of the speed and at the tones, whatever the excitation does.
     """
 
     machine: str
@@ -81,6 +89,7 @@ class ParameterEstimate:
     iterations: int
     warnings: tuple[Finding, ...]
     verdict: str
+    turning: tuple[statistics.TurningWave, ...] = ()
 
     @property
     def standard_deviations(self) -> np.ndarray:
@@ -142,6 +151,14 @@ class LeastSquares:
             self._last = key, [over_weights(model, theta, given.sizes) for model in given.models]
         return self._last[1]
 
+    def synchronised(self, minimum: Minimum, tasks: Sequence[Task], by_step: bool = False) -> tuple[Task, ...]:
+        """The tasks with the rotor's angle by what the model leaves at a minimum; by_step: near it, together with theta."""
+        loops = self.loops(minimum.x)
+        if not by_step:
+            return tuple(synchronised(loops[task.place][0], task) for task in tasks)
+        H = np.sum([part.equations.H for part in minimum.parts], axis=0)
+        return tuple(turned(*loops[task.place], task, H) for task in tasks)
+
     def minimise(self, items: Sequence[Task] | Sequence[Lines], begin: np.ndarray, **limits: float) -> Minimum:
         given = self.experiment
 
@@ -186,18 +203,38 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
     total = sum(float(np.vdot(y, y)) for task in tasks for y in (task.measured(i, 0, task.samples) for i in range(len(task.y))))
     small = _NEGLIGIBLE / sum(task.samples * len(task.y) for task in tasks)
     minimum = problem.minimise(tasks, start, floor=_EXACT * total, negligible=small)
+    for turns in range(_TURNS):  # the rotor's angle, by what is left; nothing to do at standstill
+        further = problem.synchronised(minimum, tasks, by_step=turns > 0)
+        if not any(one.differs(other) for one, other in zip(further, tasks, strict=True)):
+            break
+        tasks, begun = further, begun + minimum.iterations
+        minimum = problem.minimise(tasks, minimum.x, floor=_EXACT * total, negligible=small)
     loops, signals, models = problem.loops(minimum.x), experiment.models[0].signals, experiment.models
     middle = np.zeros_like(minimum.parts[0].equations.H)
     fits: list[tuple[int, str, float]] = []
     tests: list[statistics.ResidualTest] = []
+    turning: list[statistics.TurningWave] = []
+    unused: list[str] = []
     count = sum(len(signals) * len(task.e) for task in tasks)
     for number, (task, part) in enumerate(zip(tasks, minimum.parts, strict=True), 1):
         loop, directions = loops[task.place]
-        scores = residual_scores(loop, task, part, [_names(models[task.place], mix) for mix in task.mix.T], signals, count)
+        names = [_names(models[task.place], mix) for mix in task.mix.T]
+        scores = residual_scores(loop, task, part, names, signals, count)
         middle += coloured_products(jacobian_pieces(loop, directions, task, part), scores.covariance)
         fits += [(number, name, percent) for name, percent in zip(signals, scores.fit, strict=True)]
         tests += scores.tests
-    return _estimate(experiment, begin, replace(minimum, iterations=minimum.iterations + begun), middle, fits, tests)
+        if task.synchronous is not None:
+            hertz = task.synchronous.frequencies(task.samples) / (2 * np.pi * experiment.dt)
+            b = part.b[:, int(task.offset) :] * experiment.sizes[:, None]
+            noise = scores.covariance * experiment.sizes[:, None, None] ** 2
+            turning += statistics.turning_waves(
+                number, signals, (hertz, task.synchronous.orders), b, noise, task.samples, experiment.dt
+            )
+            for wave, name in zip(task.e, names, strict=True):
+                unused += [f"{name} at {hertz[n - 1]:.4g} Hz, {n} x the speed" for n in task.synchronous.coinciding(wave)]
+    done = _estimate(experiment, begin, replace(minimum, iterations=minimum.iterations + begun), middle, fits, tests)
+    said = f"; not used, for the rotor turns with it: {', '.join(dict.fromkeys(unused))}" if unused else ""
+    return replace(done, turning=tuple(turning), verdict=done.verdict + said)
 
 
 def _check_driven(problem: LeastSquares, begin: np.ndarray, early: Sequence[Task]) -> None:
@@ -221,8 +258,8 @@ def _check_driven(problem: LeastSquares, begin: np.ndarray, early: Sequence[Task
 def _fit_lines(experiment: Experiment, begin: np.ndarray, period: float | str) -> ParameterEstimate:
     """The same from the spectrum of a periodic excitation (output_error/periodic.py)."""
     problem = LeastSquares(experiment, line_equations)
-    every = [lines_of(task, period_of(task, period, experiment.dt)) for task in experiment.tasks]
-    start, begun, chosen = begin, 0, every
+    start, begun, tasks = begin, 0, experiment.tasks
+    every = chosen = [lines_of(task, period_of(task, period, experiment.dt)) for task in tasks]
     few = [one.only(slice(None, None, max(len(one.z) // _FEW, 1))) for one in every]
     near = problem.approach(few, begin, _NEAR / sum(2 * one.Y.size for one in few))
     if near is not None:  # a good start, and where the lines begin to tell nothing
@@ -232,12 +269,21 @@ def _fit_lines(experiment: Experiment, begin: np.ndarray, period: float | str) -
     total = sum(one.weight * float(np.vdot(one.Y, one.Y).real) for one in chosen)
     negligible = _NEGLIGIBLE / sum(2 * one.Y.size for one in chosen)
     minimum = problem.minimise(chosen, start, floor=_EXACT * total, negligible=negligible)
+    for turns in range(_TURNS):
+        further = problem.synchronised(minimum, tasks, by_step=turns > 0)
+        if not any(one.differs(other) for one, other in zip(further, tasks, strict=True)):
+            break
+        tasks = further
+        every = [lines_of(task, old.length) for task, old in zip(further, every, strict=True)]
+        chosen = [one.only(slice(len(old.z))) for one, old in zip(every, chosen, strict=True)]
+        begun += minimum.iterations
+        minimum = problem.minimise(chosen, minimum.x, floor=_EXACT * total, negligible=negligible)
     middle = np.zeros_like(minimum.parts[0].equations.H)
     fits: list[tuple[int, str, float]] = []
     tests: list[statistics.ResidualTest] = []
     for number, (one, used, part) in enumerate(zip(every, chosen, minimum.parts, strict=True), 1):
         middle += line_middle(part, used)
-        residual = line_residual(problem.loops(minimum.x)[one.task.place][0], one, part.d)
+        residual = line_residual(problem.loops(minimum.x)[one.task.place][0], one, part)
         percent, line_tests = line_scores(residual, one, experiment.signals, "the periodic excitation")
         fits += [(number, name, value) for name, value in zip(experiment.signals, percent, strict=True)]
         tests += line_tests

@@ -54,6 +54,11 @@ class TimedLoop:
         """How many states hold commands that were computed earlier."""
         return self.longest[0] * len(self.inner.controller.outputs)
 
+    @property
+    def skipped(self) -> int:
+        """How many samples at the record's beginning are not fitted."""
+        return self.longest[1] - AHEAD if self.longest[1] else 0
+
     def aligned(
         self, waves: Sequence[np.ndarray], measured: Sequence[np.ndarray]
     ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
@@ -62,10 +67,9 @@ class TimedLoop:
         late = self.longest[1]
         if not late:
             return list(waves), list(measured), np.zeros(0)
-        skipped = late - AHEAD
         tail = np.concatenate([[wave[late - i] for wave in waves] for i in range(1, late + 1)])
         stop = len(measured[0]) - AHEAD
-        return [wave[late:] for wave in waves], [y[skipped:stop] for y in measured], tail
+        return [wave[late:] for wave in waves], [y[self.skipped : stop] for y in measured], tail
 
     def delays(self, theta: np.ndarray) -> np.ndarray:
         """tau (2,) [s] at theta (q,)."""

@@ -1,9 +1,9 @@
-"""The output error of one record: residual, normal equations and scores, with initial state and offsets eliminated.
+"""The output error of one record: residual and normal equations, with initial state, offsets and synchronous waves eliminated.
 
-Both enter linearly, y = y(theta, u) + O(theta) x0 + b, O = [C; C A; C A^2; ...], so they are eliminated at every theta
-(variable projection, Golub & Pereyra 1973, in Kaufman's form): what is left is a problem in theta alone. O is never formed for
-the whole record: O'O follows from doubling, O' times a signal from blocks. Records are only looked at in pieces: the memory
-does not grow with their length.
+All enter linearly, y = y(theta, u) + O(theta) x0 + b W, O = [C; C A; C A^2; ...] and W the rows of waves, a constant among
+them, so they are eliminated at every theta (variable projection, Golub & Pereyra 1973, in Kaufman's form): what is left is a
+problem in theta alone. O is never formed for the whole record: O'O follows from doubling, O' times a signal from blocks.
+Records are only looked at in pieces: the memory does not grow with their length.
 """
 
 from __future__ import annotations
@@ -17,9 +17,13 @@ from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.levenberg_marquardt import Linearised
 from ambrose.identification.output_error.lifted import BLOCK, Lifted, blocks, lift, powers_of, stream
+from ambrose.identification.output_error.synchronous import Synchronous
 
 _INVISIBLE = 1e-10  # directions of the initial state seen weaker than this (squared) are left at zero: rounding rules there
 _BLIND = 1e-9  # part of a parameter's effect (squared) that must remain beside them
+_GONE = 1e-24  # of a unit state: what is left of it later counts no more
+_STEPS = 8  # towards the rotor's angle, at most
+_ROWS = 256  # blocks of the waves at a time
 _LONG = 12_288  # samples at a time, about, where pieces are compared with each other
 
 
@@ -28,7 +32,8 @@ class Task:
     """A record: the r distinct excitations e, each (k,), and mix (m, r) of them; the p measured signals y, each (k,), and what
     else is estimated. unit (p,): what y is still to be divided by to stand over its weights (None: it does already). place:
     which of several models made the record. tail: the loop's last states, as far as they are known; alike: how many before them
-    are old commands, of one size, some of which may hardly be seen. e and y may be views of the record: only looked at."""
+    are old commands, of one size, some of which may hardly be seen. synchronous: what turns with the rotor, eliminated
+    from every signal (None: nothing). e and y may be views of the record: only looked at."""
 
     e: Sequence[np.ndarray] | np.ndarray
     mix: np.ndarray
@@ -39,6 +44,7 @@ class Task:
     place: int = 0
     tail: np.ndarray = field(default_factory=lambda: np.zeros(0))
     alike: int = 0
+    synchronous: Synchronous | None = None
 
     @property
     def samples(self) -> int:
@@ -49,6 +55,24 @@ class Task:
         part = np.asarray(self.y[i][start:stop])
         return part if self.unit is None else part / self.unit[i]
 
+    @property
+    def waves(self) -> int:
+        """How many waves every signal may hold: a constant, and those that turn with the rotor."""
+        return int(self.offset) + (0 if self.synchronous is None else self.synchronous.count)
+
+    def waves_at(self, start: int, stop: int) -> np.ndarray:
+        """Samples of them (waves, length)."""
+        rows = [np.ones((int(self.offset), stop - start))]
+        if self.synchronous is not None:
+            rows.append(self.synchronous.waves(start, stop))
+        return np.vstack(rows)
+
+    def differs(self, other: Task) -> bool:
+        """Whether the rotor's angle is another, by more than what a signal shows."""
+        if self.synchronous is None or other.synchronous is None or self.synchronous is other.synchronous:
+            return False
+        return self.synchronous.differs(other.synchronous, self.samples)
+
     def first(self, samples: int) -> Task:
         """The same record, ended after ``samples``."""
         return replace(self, e=[x[:samples] for x in self.e], y=[x[:samples] for x in self.y])
@@ -56,8 +80,8 @@ class Task:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordSolution:
-    """The normal equations of a record at one theta, with the initial state x0 (n,) and the offsets b (p,) over the weights
-    that fit best, and how they would follow a parameter: dx0 (q, n), db (q, p)."""
+    """The normal equations of a record at one theta, with the initial state x0 (n,) and the waves' amplitudes b (p, waves) over
+    the weights that fit best, and how they would follow a parameter: dx0 (q, n), db (q, p, waves)."""
 
     equations: Linearised
     x0: np.ndarray
@@ -95,69 +119,137 @@ def _driven(system: StateSpace, directions: list[SystemDerivative], task: Task) 
 
 
 def fit(system: StateSpace, task: Task) -> tuple[np.ndarray, RecordSolution]:
-    """The residual (p, k) of a whole record with the best initial state and offsets, and those; ``system`` as in
+    """The residual (p, k) of a whole record with the best initial state, offsets and waves, and those; ``system`` as in
     ``normal_equations``."""
     best = normal_equations(system, [], task)
     pieces = [piece[: len(system.outputs)] for piece in residual_pieces(system, task, best)]
     return np.concatenate(pieces, axis=1), best
 
 
-def normal_equations(system: StateSpace, directions: list[SystemDerivative], task: Task) -> RecordSolution:
-    """r'r, J'J and J'r of the record for theta alone; ``system`` from all excitations to outputs over their weights.
+def synchronised(system: StateSpace, task: Task) -> Task:
+    """The record with the rotor's angle under which most of what ``system`` leaves of the signals turns with it."""
+    if task.synchronous is None:
+        return task
+    best, p = normal_equations(system, [], task), len(system.outputs)
+    still = replace(best, b=best.b * (np.arange(task.waves) < int(task.offset)))
+    refined = task.synchronous.refined((piece[:p] for piece in residual_pieces(system, task, still)), task.samples)
+    if refined is None:
+        return task
+    task = replace(task, synchronous=refined)
+    for _ in range(_STEPS):
+        before, task = task, turned(system, [], task, np.zeros((0, 0)))
+        if not task.differs(before):
+            break
+    return task
 
-    Two passes: the first finds initial state and offsets, on which the derivatives depend.
+
+def turned(system: StateSpace, directions: list[SystemDerivative], task: Task, H: np.ndarray) -> Task:
+    """The record with the rotor's angle one step of Gauss and Newton further, as if the parameters, of which H (q, q) = J'J is
+    left of all records, went along."""
+    if task.synchronous is None:
+        return task
+    best = normal_equations(system, directions, task, with_angle=True)
+    H_all, g, q = best.equations.H.copy(), best.equations.g, len(H)
+    H_all[:q, :q] = H
+    size = np.sqrt(np.maximum(np.diag(H_all), 1e-300))
+    step = np.linalg.lstsq(H_all / size / size[:, None], g / size)[0] / size
+    return replace(task, synchronous=task.synchronous.turned(step[q:], task.samples))
+
+
+def normal_equations(
+    system: StateSpace, directions: list[SystemDerivative], task: Task, with_angle: bool = False
+) -> RecordSolution:
+    """r'r, J'J and J'r of the record for theta alone; ``system`` from all excitations to outputs over their weights.
+    with_angle: and for the two coefficients of the rotor's angle, which come last.
+
+    Two passes: the first finds initial state and waves, on which the derivatives depend.
     """
     system, directions = _driven(system, directions, task)
-    n, p = system.n_states, len(system.outputs)
-    basis = _nuisance_basis(system, task)
-    x0, b = np.concatenate([np.zeros(n - len(task.tail)), task.tail]), np.zeros(p)
+    n, p, q, still = system.n_states, len(system.outputs), len(directions), lift(system, [])
+    basis = _nuisance_basis(system, still, task)
+    x0, b = np.concatenate([np.zeros(n - len(task.tail)), task.tail]), np.zeros((p, task.waves))
     if basis.size:
-        _, N = _products(lift(system, []), system.A, task, x0, b, with_nuisance=True)
+        _, N = _products(still, task, x0, b, with_nuisance=True)
         best = basis @ (basis.T @ N[:, 0])
-        x0, b = x0 + best[:n], best[n:]
-    G, N = _products(lift(system, directions), system.A, task, x0, b, with_nuisance=bool(basis.size))
+        x0, b = x0 + best[:n], best[n:].reshape(b.shape)
+    q += 2 * with_angle
+    G, N = _products(lift(system, directions), task, x0, b, with_nuisance=bool(basis.size), with_angle=with_angle)
     M = basis.T @ N
-    shift = (basis @ M).T
+    shift = -(basis @ M).T[1:]
     H, g = G[1:, 1:] - M[:, 1:].T @ M[:, 1:], G[1:, 0]
-    blind = np.diag(H) <= _BLIND * np.diag(G)[1:]  # what is left is rounding: initial state and offsets explain it all
+    blind = np.diag(H) <= _BLIND * np.diag(G)[1:]  # what is left is rounding: the nuisances explain it all
     H[blind], H[:, blind], g[blind] = 0.0, 0.0, 0.0
-    return RecordSolution(Linearised(float(G[0, 0]), H, g), x0, b, -shift[1:, :n], -shift[1:, n:])
+    return RecordSolution(Linearised(float(G[0, 0]), H, g), x0, b, shift[:, :n], shift[:, n:].reshape(q, *b.shape))
 
 
 def _products(
-    lifted: Lifted, A: np.ndarray, task: Task, x0: np.ndarray, b: np.ndarray, with_nuisance: bool
+    lifted: Lifted, task: Task, x0: np.ndarray, b: np.ndarray, with_nuisance: bool, with_angle: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """F F' (1 + q, 1 + q) and [O, 1]' F' (n + p, 1 + q) of F = [r, J], summed over the record."""
-    n, p, q1 = len(A), len(task.y), len(lifted.maps)
-    G, N = np.zeros((q1, q1)), np.zeros((q1, n + p))
-    powers, ahead = np.zeros((0, n, n)), np.eye(n)
-    ones = np.repeat(np.eye(p), lifted.shown.shape[1] // p, axis=0)
-    seen_by = np.hstack([lifted.shown.T, ones])  # what a block says of the state at its start, and of the offsets
+    """F F' (1 + q, 1 + q) and [O, W]' F' (n + p waves, 1 + q) of F = [r, J], summed over the record."""
+    q1 = len(lifted.maps) + 2 * with_angle
+    early = _Early(lifted, q1)
+    G, N = np.zeros((q1, q1)), np.zeros((q1, *b.shape))
     for start, F in stream(lifted, list(task.e), x0):
-        _measured_less(F, task, start, b)
+        W = _measured_less(F, task, start, b)
+        if with_angle:
+            F = np.concatenate([F, _slopes(F, task, start, b)])  # noqa: PLW2901
         flat = F.reshape(q1, -1)
         G += flat @ flat.T
-        if not with_nuisance:
-            continue
-        count = F.shape[1]
-        if count > len(powers):
-            powers = powers_of(lifted.powers[1].T, count + 1)
-        both = (F.reshape(q1 * count, -1) @ seen_by).reshape(q1, count, n + p)
-        N[:, n:] += both[:, :, n:].sum(axis=1)
-        N[:, :n] += both[:, :, :n].reshape(q1, count * n) @ powers[:count].reshape(count * n, n) @ ahead
-        ahead = powers[count] @ ahead
-    return G, N.T
+        if with_nuisance:
+            for i in range(len(b)):
+                N[:, i] += F[:, :, i].reshape(q1, -1) @ W.T
+            early.add(F)
+    return G, np.hstack([early.total, N.reshape(q1, -1)]).T
 
 
-def _measured_less(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> None:
-    """Turn the simulated outputs F[0] (count, p, L) of a piece into the residual; nothing counts past the record's end."""
+class _Early:
+    """O' times signals, piece by piece: total (c, n), until what is left of an initial state is rounding."""
+
+    def __init__(self, lifted: Lifted, count: int) -> None:
+        n = len(lifted.shown)
+        self.lifted, self.total = lifted, np.zeros((count, n))
+        self.powers, self.ahead = np.zeros((0, n, n)), np.eye(n)
+
+    def add(self, F: np.ndarray) -> None:
+        """The next pieces F (c, count, p, L) of the signals."""
+        c, count, _, _ = F.shape
+        if self.ahead.any():
+            self.add_seen(F.reshape(c * count, -1) @ self.lifted.shown.T, count)
+
+    def add_seen(self, seen: np.ndarray, count: int) -> None:
+        """The same from what every block says of the state at its start (c * count, n)."""
+        n = len(self.ahead)
+        if count >= len(self.powers):
+            self.powers = powers_of(self.lifted.powers[1].T, count + 1)
+        self.total += seen.reshape(-1, count * n) @ self.powers[:count].reshape(count * n, n) @ self.ahead
+        self.ahead = self.powers[count] @ self.ahead
+        if np.abs(self.ahead).max() < _GONE:
+            self.ahead = np.zeros_like(self.ahead)
+
+
+def _measured_less(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> np.ndarray:
+    """Turn the simulated outputs F[0] (count, p, L) of a piece into the residual; nothing counts past the record's end.
+
+    Returns the waves there (waves, count L), zero past the end."""
     _, count, _, L = F.shape
     stop = min(start + count * L, task.samples)
-    for i in range(len(task.y)):
-        F[0, :, i] = blocks(task.measured(i, start, stop), L) - F[0, :, i] - b[i]
     rest = count * L - (stop - start)
+    W = np.pad(task.waves_at(start, stop), ((0, 0), (0, rest)))
+    for i in range(len(task.y)):
+        F[0, :, i] = blocks(task.measured(i, start, stop), L) - F[0, :, i] - (b[i] @ W).reshape(count, L)
     if rest:
         F[:, -1, :, L - rest :] = 0.0
+    return W
+
+
+def _slopes(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> np.ndarray:
+    """The derivatives (2, count, p, L) of a piece F by the coefficients of the rotor's angle."""
+    _, count, p, L = F.shape
+    stop = min(start + count * L, task.samples)
+    assert task.synchronous is not None
+    rows = task.synchronous.slopes(start, stop, b[:, int(task.offset) :], task.samples)
+    padded = np.pad(rows, ((0, 0), (0, 0), (0, count * L - (stop - start))))
+    return padded.reshape(2, p, count, L).transpose(0, 2, 1, 3)
 
 
 def residual_pieces(system: StateSpace, task: Task, solution: RecordSolution) -> Iterator[np.ndarray]:
@@ -172,11 +264,11 @@ def residual_pieces(system: StateSpace, task: Task, solution: RecordSolution) ->
 def jacobian_pieces(
     system: StateSpace, directions: list[SystemDerivative], task: Task, solution: RecordSolution
 ) -> Iterator[np.ndarray]:
-    """J (q, p, length) piece by piece, without the part that initial state and offsets could explain."""
+    """J (q, p, length) piece by piece, without the part that initial state and waves could explain."""
     loop, directions = _driven(system, directions, task)
     for start, F in stream(lift(loop, directions), list(task.e), solution.x0, solution.dx0, _long(task)):
         piece = _in_time(F[1:], min(F.shape[1] * F.shape[3], task.samples - start))
-        piece += solution.db[:, :, None]
+        piece += solution.db @ task.waves_at(start, start + piece.shape[2])
         yield piece
 
 
@@ -192,31 +284,40 @@ def _in_time(F: np.ndarray, length: int) -> np.ndarray:
     return F.transpose(0, 2, 1, 3).reshape(c, p, count * L)[:, :, :length]
 
 
-def _nuisance_basis(system: StateSpace, task: Task) -> np.ndarray:
-    """(n + p, r) such that [O, 1] basis has orthonormal columns, which span all that x0 and b can explain; rows of what is not
-    estimated are zero."""
-    n, p, k = system.n_states, len(system.outputs), task.samples
-    if not (task.initial_state or task.offset):
-        return np.zeros((n + p, 0))
-    Q, F, _ = _sums(system.A, system.C, k)
-    G = np.block([[Q, F], [F.T, k * np.eye(p)]])
+def _nuisance_basis(system: StateSpace, still: Lifted, task: Task) -> np.ndarray:
+    """(n + p waves, r) such that [O, W] basis has orthonormal columns, which span all that x0 and b can explain; rows of what
+    is not estimated are zero."""
+    n, p, k, w = system.n_states, len(system.outputs), task.samples, task.waves
+    if not (task.initial_state or w):
+        return np.zeros((n + p * w, 0))
+    early, WW, L = _Early(still, p * w), np.zeros((w, w)), still.shown.shape[1] // p
+    for start in range(0, k, BLOCK * _ROWS):
+        W = task.waves_at(start, min(start + BLOCK * _ROWS, k))
+        WW += W @ W.T
+        if not early.ahead.any():
+            continue
+        rows = np.array([blocks(row, L) for row in W]).reshape(w, -1, L)
+        seen = rows @ still.shown.reshape(n, p, L).transpose(1, 2, 0)[:, None]  # (p, w, count, n)
+        early.add_seen(seen.reshape(-1, n), rows.shape[1])
+    Q, F = _gramian(system.A, system.C, k)[0], early.total.T
+    G = np.block([[Q, F], [F.T, np.kron(np.eye(p), WW)]])
     known = len(task.tail)
-    free = np.r_[np.full(n - known, task.initial_state), np.full(known, False), np.full(p, task.offset)]
-    seen = np.diag(G).copy()
+    free = np.r_[np.full(n - known, task.initial_state), np.full(known, False), np.full(p * w, True)]
+    seen_by = np.diag(G).copy()
     old = slice(n - known - task.alike, n - known)
-    seen[old] = seen[old].max(initial=0.0)
-    used = free & (seen > 0)
-    size = np.sqrt(np.where(used, seen, 1.0))
+    seen_by[old] = seen_by[old].max(initial=0.0)
+    used = free & (seen_by > 0)
+    size = np.sqrt(np.where(used, seen_by, 1.0))
     scaled = np.where(used[:, None] & used, G / size / size[:, None], 0.0)
     values, V = np.linalg.eigh(scaled)
     keep = values > _INVISIBLE * values[-1]
     return V[:, keep] / np.sqrt(values[keep]) / size[:, None]
 
 
-def _sums(A: np.ndarray, C: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """sum A'^t C'C A^t, sum A'^t C' over t = 0..k - 1, and A^k, by doubling."""
+def _gramian(A: np.ndarray, C: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """sum A'^t C'C A^t over t = 0..k - 1, and A^k, by doubling."""
     if k == 1:
-        return C.T @ C, C.T.copy(), A
-    Q, F, P = _sums(A, C, k // 2)
-    Q, F, P = Q + P.T @ Q @ P, F + P.T @ F, P @ P
-    return (Q + P.T @ C.T @ C @ P, F + P.T @ C.T, P @ A) if k % 2 else (Q, F, P)
+        return C.T @ C, A
+    Q, P = _gramian(A, C, k // 2)
+    Q, P = Q + P.T @ Q @ P, P @ P
+    return (Q + P.T @ C.T @ C @ P, P @ A) if k % 2 else (Q, P)

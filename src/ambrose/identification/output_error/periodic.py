@@ -32,7 +32,8 @@ _SURE = 3.0  # normal quantile: 99.5 % for four signals
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
     """A record at its excited lines z (l,): the distinct excitations U (r, l), the mean period's outputs Y (p, l) over their
-    weights, and by how much the single periods deviate from it, scatter (M', p, l).
+    weights, and by how much the single periods deviate from it, scatter (M', p, l); the mean period's waves W (waves, l) that
+    turn with the rotor, which the scatter does not hold.
 
     periods: M; length: P samples; task: the record.
     """
@@ -41,6 +42,7 @@ class Lines:
     U: np.ndarray
     Y: np.ndarray
     scatter: np.ndarray
+    W: np.ndarray
     periods: int
     length: int
     task: Task
@@ -52,17 +54,21 @@ class Lines:
 
     def only(self, kept: slice) -> Lines:
         """Some of the lines only."""
-        return replace(self, z=self.z[kept], U=self.U[:, kept], Y=self.Y[:, kept], scatter=self.scatter[:, :, kept])
+        return replace(
+            self, z=self.z[kept], U=self.U[:, kept], Y=self.Y[:, kept], scatter=self.scatter[:, :, kept], W=self.W[:, kept]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineFit:
-    """The normal equations at the lines, the residual R (p, l) and J (l, p, q) they come from, transient taken out; d (n,)."""
+    """The normal equations at the lines, the residual R (p, l) and J (l, p, q) they come from, transient and waves taken out:
+    d (n,) and b (p, waves)."""
 
     equations: Linearised
     R: np.ndarray
     J: np.ndarray
     d: np.ndarray
+    b: np.ndarray
 
 
 def period_of(task: Task, period: float | str, dt: float) -> int:
@@ -126,7 +132,15 @@ def lines_of(task: Task, P: int) -> Lines:
     Y = each.mean(axis=0)
     later = each[1:] if M > 2 else each  # the first may still hold the transient
     scatter = later - later.mean(axis=0)
-    return Lines(np.exp(2j * np.pi * lines / P), U[:, lines], Y, scatter, M, P, task)
+    turning = np.zeros((M, 0, len(lines)), complex)
+    if task.synchronous is not None:
+        waves = [task.synchronous.waves(m * P, (m + 1) * P) for m in range(M)]
+        turning = np.array([scipy.fft.rfft(wave, axis=1)[:, lines] for wave in waves])
+        moved = turning[-len(later) :] - turning[-len(later) :].mean(axis=0)
+        columns, rows = (_real(x.transpose(0, 2, 1).reshape(-1, x.shape[1])) for x in (moved, scatter))
+        found = np.linalg.lstsq(columns, rows)[0].T
+        scatter = scatter - found @ moved
+    return Lines(np.exp(2j * np.pi * lines / P), U[:, lines], Y, scatter, turning.mean(axis=0), M, P, task)
 
 
 def line_equations(loop: StateSpace, directions: Sequence[SystemDerivative], lines: Lines) -> LineFit:
@@ -136,12 +150,13 @@ def line_equations(loop: StateSpace, directions: Sequence[SystemDerivative], lin
     L, X = _rows(T, Z, C, z), _columns(T, Z, B @ lines.U, z)
     R = lines.Y - C @ X
     root = np.sqrt(lines.weight)
-    N, d = np.zeros((2 * R.size, 0)), np.zeros(len(A))
-    if task.initial_state:
-        N, d = _transient(L, R, z)
+    N, d, b = np.zeros((2 * R.size, 0)), np.zeros(len(A)), np.zeros((len(C), len(lines.W)))
+    if task.initial_state or b.size:
+        N, best = _nuisances(L if task.initial_state else np.zeros_like(L), R, lines)
+        d, b = best[: len(A)], best[len(A) :].reshape(b.shape)
         pushed = z * d[:, None]
         X = X + _columns(T, Z, pushed, z)
-        R = lines.Y - C @ X
+        R = lines.Y - C @ X - b @ lines.W
     J = np.zeros((len(z), len(C), 0), complex)
     if directions:
         rows = np.flatnonzero(np.any([d.A.any(axis=1) | d.B.any(axis=1) for d in directions], axis=0))
@@ -154,7 +169,7 @@ def line_equations(loop: StateSpace, directions: Sequence[SystemDerivative], lin
         inside = N.T @ flat
         flat = flat - N @ inside
         J = J - _complex(N @ inside / root).reshape(J.shape)
-    return LineFit(Linearised(float(r @ r), flat.T @ flat, flat.T @ r), R, J, d)
+    return LineFit(Linearised(float(r @ r), flat.T @ flat, flat.T @ r), R, J, d, b)
 
 
 def told_below(fits: Sequence[LineFit], all_lines: Sequence[Lines]) -> float:
@@ -171,11 +186,11 @@ def told_below(fits: Sequence[LineFit], all_lines: Sequence[Lines]) -> float:
     return worst
 
 
-def line_residual(loop: StateSpace, lines: Lines, d: np.ndarray) -> np.ndarray:
-    """The residual (p, l) at all lines, with the transient d (n,) found at some."""
-    driven = loop.B @ lines.task.mix @ lines.U + lines.z * d[:, None]
+def line_residual(loop: StateSpace, lines: Lines, found: LineFit) -> np.ndarray:
+    """The residual (p, l) at all lines, with the transient and the waves found at some."""
+    driven = loop.B @ lines.task.mix @ lines.U + lines.z * found.d[:, None]
     T, Z = sla.schur(loop.A, output="complex")
-    return np.asarray(lines.Y - loop.C @ _columns(T, Z, driven, lines.z))
+    return np.asarray(lines.Y - loop.C @ _columns(T, Z, driven, lines.z) - found.b @ lines.W)
 
 
 def _real(values: np.ndarray) -> np.ndarray:
@@ -207,9 +222,12 @@ def _columns(T: np.ndarray, Z: np.ndarray, driven: np.ndarray, z: np.ndarray) ->
     return np.asarray(Z @ X)
 
 
-def _transient(L: np.ndarray, R: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal columns (2 p l, r) of all that the transient can explain, and the d (n,) that explains the residual best."""
-    N = _real((L * z[:, None, None]).reshape(-1, L.shape[2]))
+def _nuisances(L: np.ndarray, R: np.ndarray, lines: Lines) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal columns (2 p l, r) of all that transient and waves can explain, and the d (n,) and b (p waves,) that explain
+    the residual best."""
+    p = len(R)
+    waves = np.einsum("wl,ij->lijw", lines.W, np.eye(p)).reshape(R.size, -1)
+    N = np.hstack([_real((L * lines.z[:, None, None]).reshape(-1, L.shape[2])), _real(waves)])
     G = N.T @ N
     seen = np.diag(G) > 0
     size = np.sqrt(np.where(seen, np.diag(G), 1.0))

@@ -15,7 +15,8 @@ from ambrose.identification.excitation import excitation_order, signal_rows
 from ambrose.identification.output_error.delays import TimedLoop, timed
 from ambrose.identification.output_error.loop_model import ParametricModel, loop_model
 from ambrose.identification.output_error.normal_equations import Task, distinct
-from ambrose.identification.parameters import nominal_values, ratios, split_timing
+from ambrose.identification.output_error.synchronous import synchronous_of
+from ambrose.identification.parameters import nominal_values, ratios, reduced_plant, split_timing
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
@@ -23,7 +24,6 @@ from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import free_mode_reduction
 
 _WINDOW = 16_384  # samples in which an excitation is judged at a time
 
@@ -33,17 +33,21 @@ class FitOptions:
     """How a closed loop is modelled and fitted.
 
     signals: those fitted (None: every y_<axis>); u_ and i_<axis> are possible. weights: signal -> size of its noise [m] or [A]
-    (None: the signal's rms). bending_modes: per plane. computing_delay [samples]: from measured errors to acting currents.
-    initial_state, offset: estimated per record, else zero. period [s], or "auto": the excitation is periodic, and the fit goes
-    over the lines of its spectrum (output_error/periodic.py), much faster.
+    (None: the signal's rms). bending_modes: per plane, as many as the rotor has at most. computing_delay [samples]: from
+    measured errors to acting currents. initial_state, offset: estimated per record, else zero. harmonics: up to which multiple
+    of its speed a record's signals may turn with the rotor (unbalance, run-out); tones [Hz]: others that they may hold, as from
+    the mains. period [s], or "auto": the excitation is periodic, and the fit goes over the lines of its spectrum
+    (output_error/periodic.py), much faster.
     """
 
     signals: Sequence[str] | None = None
     weights: Mapping[str, float] | None = None
-    bending_modes: int = 1
+    bending_modes: int = 3
     computing_delay: float = 1
     initial_state: bool = True
     offset: bool = True
+    harmonics: int = 3
+    tones: Sequence[float] = ()
     period: float | str | None = None
     max_iterations: int = 50
 
@@ -78,7 +82,7 @@ def build_experiment(
     points, dt = operating_points(machine, records)
     _check_delay(computing_delay)
     reference = max(points, key=lambda point: abs(point.seal_pressure))
-    plants = [free_mode_reduction(assemble(machine, point), options.bending_modes) for point in points]
+    plants = [reduced_plant(assemble(machine, point), options.bending_modes) for point in points]
     paths, timing = split_timing(machine, unknown)
     main = plants[points.index(reference)]
     shown = fitted_signals(main, records, options.signals)
@@ -100,12 +104,14 @@ def build_experiment(
     tasks = []
     for record, place in zip(records, places, strict=True):
         waves, measured = signal_rows(record, excitations), signal_rows(record, shown)
-        tail, alike = np.zeros(0), 0
+        tail, alike, turning = np.zeros(0), 0, synchronous_of(record, options.harmonics, options.tones)
         model = models[place]
         if isinstance(model, TimedLoop):
             waves, measured, tail = model.aligned(waves, measured)
-            alike = model.old_commands
-        tasks.append(Task(*distinct(waves), measured, options.initial_state, options.offset, sizes, place, tail, alike))
+            alike, turning = model.old_commands, turning and replace(turning, first=model.skipped)
+        tasks.append(
+            Task(*distinct(waves), measured, options.initial_state, options.offset, sizes, place, tail, alike, turning)
+        )
     reference = next(record.point for record in records if replace(record.point, label="") == reference)
     begin = {CONTROLLER_DELAY: computing_delay * dt, EXCITATION_DELAY: 0.0}
     nominal = np.concatenate([values, [begin[name] for name in timing]])

@@ -14,6 +14,7 @@ from ambrose.identification.output_error.levenberg_marquardt import Minimum
 _VISIBLE = 1e-12  # of the strongest parameter's effect; and the least eigenvalue of J'J with a unit diagonal
 _CONFIDENCE = 0.99
 _UNSURE, _ALIKE = 0.3, 0.98  # standard deviation over value, and correlation, that are worth a warning
+_TOLD = 0.02  # standard deviation over value below which parameters are told apart all the same; assumed, as suspects.py's
 _LONGEST = 4096  # samples of the noise's memory that are looked at
 
 
@@ -28,6 +29,46 @@ class ResidualTest:
     limit: float
     lag: int
     passed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TurningWave:
+    """What a fitted ``signal`` of a record holds at ``order`` times its speed, or of a tone (order 0), beside all that follows
+    the excitation: amplitude cos(order angle + phase [rad]), zero angle at the first sample; SI, frequency [Hz] as a mean.
+
+    Motion that unbalance makes and run-out of a sensor's surface are one number here; amplitude's standard deviation is that
+    of noise.
+    """
+
+    record: int
+    signal: str
+    order: int
+    frequency: float
+    amplitude: float
+    standard_deviation: float
+    phase: float
+
+
+def turning_waves(
+    record: int,
+    signals: Sequence[str],
+    frequencies: tuple[np.ndarray, Sequence[int]],
+    b: np.ndarray,
+    noise: np.ndarray,
+    samples: int,
+    dt: float,
+) -> Iterator[TurningWave]:
+    """From the amplitudes b (p, 2 f) of cos and sin at the frequencies (f,) [Hz], the first ones of these orders, and the
+    residuals' autocovariance noise (p, p, span + 1)."""
+    hertz, orders = frequencies
+    lags = np.arange(noise.shape[2])
+    for j, frequency in enumerate(hertz.tolist()):
+        seen = np.where(lags > 0, 2.0, 1.0) * np.cos(2 * np.pi * frequency * dt * lags)
+        for i, signal in enumerate(signals):
+            z = complex(b[i, 2 * j], -b[i, 2 * j + 1])
+            deviation = float(np.sqrt(max(2 * float(noise[i, i] @ seen), 0.0) / samples))
+            order = orders[j] if j < len(orders) else 0
+            yield TurningWave(record, signal, order, frequency, abs(z), deviation, float(np.angle(z)))
 
 
 def check_visible(names: Sequence[str], H: np.ndarray, scale: np.ndarray) -> None:
@@ -120,7 +161,10 @@ def warnings_of(
             what = f"{path} = {value:.4g} has the standard deviation {deviation:.2g}"
             remedy = "excite its axis more, record longer, or take it as known"
             yield Finding(Code.HARDLY_VISIBLE, WARNING, what, "hardly visible in these records", remedy)
+    known = np.sqrt(np.diag(covariance)) <= _TOLD * np.abs(minimum.x)
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1)), strict=True):
+        if known[i] and known[j]:
+            continue
         what = f"{paths[i]} and {paths[j]} are correlated by {correlation[i, j]:.3f}"
         remedy = "excite where they differ (other frequencies, other axes), or take one as known"
         yield Finding(Code.CORRELATED, WARNING, what, "hardly told apart", remedy)
@@ -128,16 +172,26 @@ def warnings_of(
         yield Finding(Code.RESIDUALS, WARNING, verdict)
 
 
-def verdict_of(tests: Sequence[ResidualTest], converged: bool = True) -> str:
-    """One sentence: did the fit converge, do the residuals still follow an excitation, and what to look for if so."""
+def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: str = "") -> str:
+    """One sentence: did the fit converge, do the residuals still follow an excitation, and what to look for if so.
+
+    lacking: what the model was found to lack, as half a sentence.
+    """
     failed = [test for test in tests if not test.passed]
-    prefix = "" if converged else "NOT CONVERGED, these values are not the best ones; "
-    if not failed:
-        return f"{prefix}the residuals hold no trace of the excitation: the model explains all that the records tell (99 %)"
-    worst = max(failed, key=lambda test: abs(test.correlation) / test.limit)
-    return (
-        f"{prefix}the residual of {worst.signal} still follows {worst.excitation} (correlation {worst.correlation:.3f}, "
-        f"{abs(worst.correlation) / worst.limit:.1f} times the 99 % limit, {worst.lag} samples later), and so do "
-        f"{len(failed) - 1} of {len(tests) - 1} other pairs; the model lacks something: look for a delay, "
-        "a different controller, a missing bending mode, magnets beyond their linear range, or a parameter that is not as known"
-    )
+    parts = [] if converged else ["NOT CONVERGED, these values are not the best ones"]
+    if failed:
+        worst = max(failed, key=lambda test: abs(test.correlation) / test.limit)
+        parts.append(
+            f"the residual of {worst.signal} still follows {worst.excitation} (correlation {worst.correlation:.3f}, "
+            f"{abs(worst.correlation) / worst.limit:.1f} times the 99 % limit, {worst.lag} samples later), and so do "
+            f"{len(failed) - 1} of {len(tests) - 1} other pairs"
+        )
+        lacking = lacking or (
+            "the model lacks something: look for a delay, a different controller, a missing bending mode, magnets beyond their "
+            "linear range, or a parameter that is not as known"
+        )
+    elif lacking:
+        parts.append("no residual test fails")
+    else:
+        parts.append("the residuals hold no trace of the excitation: the model explains all that the records tell (99 %)")
+    return "; ".join([*parts, lacking] if lacking else parts)

@@ -9,6 +9,7 @@ import numpy as np
 from ambrose.identification.data_quality.channels import compared_responses
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.parameters import COVERAGE, half_width
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
@@ -16,12 +17,13 @@ from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 _MISSED, _FAR, _ALIKE, _MOVED = 0.3, 2.0, 0.02, 0.05
 _CLEARLY = 0.7  # of what is left unexplained, or of what still follows the excitation: another delay must leave less
 _DELAYED, _SURE = 0.1, 5.0  # samples, and standard deviations, by which a delay must differ
+_MOST, _PEAK = 0.5, 5.0  # share of what is left at one frequency, from which it is told; an excitation's line over all about it
 _BURST = 15.0  # over the median size of the residual
 
 
 def diagnose_result(machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]) -> tuple[Finding, ...]:
     """What is impossible (errors) or doubtful (warnings) about an estimate; outputs: of the model, for every record."""
-    findings = [*_signs(result), *_sizes(result), *_common_factor(result), *diagnose_outputs(machine, outputs)]
+    findings = [*_signs(result), *_sizes(machine, result), *_common_factor(result), *diagnose_outputs(machine, outputs)]
     return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
 
 
@@ -29,7 +31,7 @@ def diagnose_outputs(machine: Machine, outputs: Sequence[SimulatedOutput], numbe
     """What a model misses in its records: responses (errors), short bursts (warnings). numbers: of the records (1, 2, ...)."""
     findings: list[Finding] = []
     for number, output in zip(numbers or range(1, len(outputs) + 1), outputs, strict=True):
-        findings += [*_missed(machine, output, number), *_bursts(output, number)]
+        findings += [*_missed(machine, output, number), *_bursts(output, number), *_tone(output, number)]
     return tuple(findings)
 
 
@@ -52,17 +54,35 @@ def _signs(result: ParameterEstimate) -> Iterator[Finding]:
             yield Finding(Code.NOT_DESTABILISING, WARNING, what, evidence, remedy)
 
 
-def _sizes(result: ParameterEstimate) -> list[Finding]:
-    """Values far from where they began, of parameters that designers know."""
+def _sizes(machine: Machine, result: ParameterEstimate) -> list[Finding]:
+    """Values far from where they began, of parameters that designers know or whose tolerance the machine states."""
     far = []
     for path, value, start in zip(result.paths, result.values, result.start, strict=True):
         known = path not in TIMING and parse_parameter(path).table in {"bearing", "amplifier"}
         if known and start > 0 and value > 0 and not 1 / _FAR < value / start < _FAR:
             far.append(f"{path} is {value / start:.3g} times its start")
+    found = zip(result.paths, result.values, result.start, result.standard_deviations, strict=True)
+    for path, value, start, deviation in found:
+        width = _stated(machine, result, path, float(start))
+        if abs(value - start) > width + COVERAGE * deviation and not any(path in text for text in far):
+            share = 100 * width / abs(start) if start else 0.0
+            far.append(f"{path} is {value / start:.3g} times its start, beyond its tolerance of {share:.3g} %")
     if not far:
         return []
-    remedy = "compare with the data sheet or a static load; a wrong scale of a channel, mass or bias does this"
+    remedy = "compare with the data sheet or a static load; a wrong scale of a channel, mass, bias or seal pressure does this"
     return [Finding(Code.FAR_FROM_FILE, WARNING, "values are far from the machine file's", ", ".join(far), remedy)]
+
+
+def _stated(machine: Machine, result: ParameterEstimate, path: str, start: float) -> float:
+    """The widest tolerance that the machine states of a parameter, itself or by its seal's pressure; none: infinite."""
+    widths = []
+    for item in () if path in TIMING or not start else machine.tolerances:
+        own, other = parse_parameter(path), parse_parameter(item.parameter)
+        if own.overlaps(other):
+            widths.append(half_width(item, start))
+        elif other.quantity == "pressure" and own.name == other.name and own.table == "seal" and result.point.seal_pressure:
+            widths.append(half_width(item, result.point.seal_pressure) / abs(result.point.seal_pressure) * abs(start))
+    return max(widths, default=float("inf"))
 
 
 def _common_factor(result: ParameterEstimate) -> list[Finding]:
@@ -125,6 +145,40 @@ def _bursts(output: SimulatedOutput, number: int) -> Iterator[Finding]:
             evidence = f"at t = {at}{' and later' if len(starts) > 4 else ''} by up to {size.max() / quiet:.0f} times the usual"
             remedy = "a knock, contact or lost samples: cut the record there and identify again"
             yield Finding(Code.BURST, WARNING, what, evidence, remedy)
+
+
+def _tone(output: SimulatedOutput, number: int) -> Iterator[Finding]:
+    """A frequency that holds most of what is left of a signal, and no line of the excitation: it hides all else."""
+    named = zip(output.record.signals, output.record.values, strict=True)  # f_magnet_ is measured, and turns as all else does
+    excited = [row for name, row in named if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")]
+    for name, row in zip(output.signals, output.residual, strict=True):
+        share, frequency = _strongest(row)
+        if share > _MOST and not any(_has_line(e, frequency) for e in excited):
+            what = f"record {number}: a tone at {frequency * output.record.sample_rate_hz:.4g} Hz hides what the model lacks"
+            evidence = f"it is {100 * share:.0f} % of the power that is left of {name}"
+            remedy = "give the record's speed (speed_rad_s or a channel speed) if the rotor turns so, else the tone (--tone)"
+            yield Finding(Code.TONE, WARNING, what, evidence, remedy)
+            return
+
+
+def _strongest(row: np.ndarray) -> tuple[float, float]:
+    """The share of a signal's power at its strongest frequency, and that [1/sample]."""
+    near = _lines(row)
+    at = int(np.argmax(near))
+    return float(near[at] * 4 / max(float(near.sum()), 1e-300)), at / len(row)
+
+
+def _has_line(row: np.ndarray, frequency: float) -> bool:
+    """Whether a signal has far more power at a frequency [1/sample] than about it."""
+    near, at = _lines(row), round(frequency * len(row))
+    return bool(near[at] > _PEAK * near[max(at - 20, 0) : at + 21].mean())
+
+
+def _lines(row: np.ndarray) -> np.ndarray:
+    """The power of a signal about each frequency (k // 2 + 1,), over as many bins as a window makes of a line."""
+    power = np.abs(np.fft.rfft((row - row.mean()) * np.hanning(len(row)))) ** 2
+    power[:3] = 0.0  # slow drift is no tone
+    return np.convolve(power, [0.5, 1.0, 1.0, 1.0, 0.5], "same")
 
 
 def delay_findings(

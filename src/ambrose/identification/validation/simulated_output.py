@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.identification.output_error.delays import AHEAD, TimedLoop
+from ambrose.identification.output_error.delays import TimedLoop
 from ambrose.identification.output_error.loop_model import ParametricModel, over_weights
-from ambrose.identification.output_error.normal_equations import fit
+from ambrose.identification.output_error.normal_equations import fit, synchronised
 from ambrose.identification.output_error.problem import Experiment
 from ambrose.machine.record.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedOutput:
-    """measured (p, k) and model (p, k) of ``signals``, SI; the model with the estimated initial state and offset."""
+    """measured (p, k) and model (p, k) of ``signals``, SI; the model with the estimated initial state and offset, and what
+    turns with the rotor."""
 
     record: Record
     signals: tuple[str, ...]
@@ -33,7 +34,8 @@ def simulate_outputs(experiment: Experiment, records: Sequence[Record], theta: n
     signals, unit, outputs = experiment.signals, experiment.sizes[:, None], []
     for record, task in zip(records, experiment.tasks, strict=True):
         model, free = experiment.models[task.place], replace(task, initial_state=True, offset=True)
-        residual = fit(over_weights(model, theta, experiment.sizes)[0], free)[0] * unit
+        loop = over_weights(model, theta, experiment.sizes)[0]
+        residual = fit(loop, synchronised(loop, free))[0] * unit
         part = _fitted_part(record, model, task.samples)
         measured = part.select(signals).values
         outputs.append(SimulatedOutput(part, signals, measured, measured - residual))
@@ -42,7 +44,7 @@ def simulate_outputs(experiment: Experiment, records: Sequence[Record], theta: n
 
 def _fitted_part(record: Record, model: ParametricModel, samples: int) -> Record:
     """The part of a record that was fitted: with an unknown delay of the excitation some samples at both ends are not."""
-    skipped = model.longest[1] - AHEAD if isinstance(model, TimedLoop) and model.longest[1] else 0
+    skipped = model.skipped if isinstance(model, TimedLoop) else 0
     if samples == record.values.shape[1]:
         return record
     values = record.values[:, skipped : skipped + samples].copy()

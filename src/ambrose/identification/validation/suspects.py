@@ -20,9 +20,10 @@ from ambrose.core.checks import AmbroseError
 from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.closed_loop import LeastSquares, ParameterEstimate
 from ambrose.identification.output_error.lagged_products import coloured_products
-from ambrose.identification.output_error.normal_equations import jacobian_pieces, normal_equations
+from ambrose.identification.output_error.normal_equations import jacobian_pieces, normal_equations, synchronised
 from ambrose.identification.output_error.problem import Experiment, FitOptions, build_experiment
 from ambrose.identification.output_error.residual_analysis import residual_scores
+from ambrose.identification.output_error.statistics import verdict_of
 from ambrose.identification.parameters import unit_of
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
@@ -86,10 +87,8 @@ def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> Pa
     effect = float(relative[:, k].max())
     named = ", ".join(f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in found[:3])
     moved = f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals hold"
-    start = result.verdict.partition("; the model lacks something")[0]
-    start = start.replace("the residuals hold no trace of the excitation: the model explains all that the records tell (99 %)",
-                          "no residual test fails")  # fmt: skip
-    verdict = f"{start}; one more unknown would explain a part of what is left: {named}; with it {moved}"
+    lacking = f"one more unknown would explain a part of what is left: {named}; with it {moved}"
+    verdict = verdict_of(result.tests, result.converged, lacking)
     warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]
     if effect > _HARMLESS:
         warnings.append(Finding(Code.RESIDUALS, WARNING, verdict))
@@ -127,6 +126,7 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
     H, middle, g, cost = np.zeros((len(theta), len(theta))), np.zeros((len(theta), len(theta))), np.zeros(len(theta)), 0.0
     for task in experiment.tasks:
         loop, directions = loops[task.place]
+        task = synchronised(loop, task)  # noqa: PLW2901
         part = normal_equations(loop, directions, task)
         covariance = residual_scores(loop, task, part, ["e"] * len(task.e), experiment.signals, 1).covariance
         middle += coloured_products(jacobian_pieces(loop, directions, task, part), covariance)

@@ -35,13 +35,13 @@ from ambrose.identification.output_error.problem import (
     driven_inputs,
     start_values,
 )
-from ambrose.identification.parameters import expand, nominal_values
+from ambrose.identification.output_error.synchronous import synchronous_of
+from ambrose.identification.parameters import expand, nominal_values, reduced_plant
 from ambrose.identification.youla.residual_model import SampledResidual, held_residual, sampled_residual
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
-from ambrose.plant.reduce import free_mode_reduction
 
 _LOOKED_AT = 10_000  # samples on which the controller is compared with the one that ran
 _GROWTH = 10.0  # of the motion over a record, beyond that of its excitation
@@ -89,7 +89,7 @@ def identify(
             raise InvalidInput(f"{name} goes with the method closed-loop; {text}")
     records = as_records(records)
     point, dt = check_records(machine, records)
-    plant = free_mode_reduction(assemble(machine, point), how.bending_modes)
+    plant = reduced_plant(assemble(machine, point), how.bending_modes)
     paths = expand(machine, unknown)
     nominal = nominal_values(plant, paths)
     begin = start_values(paths, nominal, start)
@@ -151,7 +151,9 @@ def identify_injected(
         plant.machine.name, 1 / dt, (*factors.alpha, *factors.eps), ("A",) * len(alpha) + ("m",) * len(eps),
         np.vstack([alpha, eps]), plant.point,
     )  # fmt: skip
-    return _fit(plant, model, paths, nominal, begin, (signals,), FitOptions(initial_state=initial_state, offset=offset))
+    return _fit(
+        plant, model, paths, nominal, begin, (signals,), FitOptions(initial_state=initial_state, offset=offset, harmonics=0)
+    )
 
 
 def _fit(
@@ -172,7 +174,13 @@ def _fit(
             "eps is zero: the machine shows no difference from its model at all; is this record a simulation of it?"
         )
     tasks = [
-        Task(*distinct(list(record.select(model.excitations).values)), eps / size, options.initial_state, options.offset)
+        Task(
+            *distinct(list(record.select(model.excitations).values)),
+            eps / size,
+            options.initial_state,
+            options.offset,
+            synchronous=synchronous_of(record, options.harmonics, options.tones),
+        )
         for record, eps in zip(signals, measured, strict=True)
     ]
     check_start([model], begin)

@@ -36,6 +36,7 @@ from ambrose.report.identification.tables import (
     residual_tests_table,
     seal_lines_table,
     seal_table,
+    turning_table,
 )
 from ambrose.report.page import Figure, Report, Section, Table, Verdict
 
@@ -96,7 +97,8 @@ def identification_report(
         sections.insert(0, Section("What makes this doubtful", "", (), (findings_table(checked.doubts),)))
     if checked.residual is not None:
         sections.append(_residual_section(checked.residual))
-    sections.append(Section("Measured over model", "", tuple(_comparisons(machine, checked)), (fit_table(result),)))
+    beside = (fit_table(result), *((turning_table(result),) if result.turning else ()))
+    sections.append(Section("Measured over model", "", tuple(_comparisons(machine, checked)), beside))
     pictures = [Figure("Residual tests", residual_tests_figure(result), _TESTS)]
     if len(result.paths) > 1:
         pictures.append(Figure("Correlation and column cosine", correlation_figure(result), _CORRELATION))

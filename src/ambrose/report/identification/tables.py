@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from ambrose.identification.findings import ERROR, Finding
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.parameters import COVERAGE, unit_of
@@ -45,6 +47,27 @@ def fit_table(result: ParameterEstimate) -> Table:
     ]
     note = "100 % (1 − |residual|/|signal − mean|). A wrong delay can still read 95 %: the residual tests decide."
     return Table("Fit per signal", ("Record", "Signal", "Fit"), tuple(rows), note)
+
+
+def turning_table(result: ParameterEstimate) -> Table:
+    """What every signal holds at multiples of the speed and at tones."""
+    rows = [
+        (
+            str(one.record),
+            units.axis_name(one.signal),
+            f"{one.order} x" if one.order else "tone",
+            f"{one.frequency:.5g} Hz",
+            f"{one.amplitude * scale:.3g} ± {COVERAGE * one.standard_deviation * scale:.2g} {unit}",
+            f"{np.degrees(one.phase):.0f}°" if one.amplitude > 3 * one.standard_deviation else "-",
+        )
+        for one in result.turning
+        for scale, unit in ((1e6, "µm") if one.signal.startswith("y_") else (1.0, "A"),)
+    ]
+    note = (
+        "Amplitude and phase (cosine, from the first sample) beside all that follows the excitation, ± 95 %. Motion that "
+        "unbalance makes and run-out of the sensor's surface are one number here."
+    )
+    return Table("Turns with the rotor", ("Record", "Signal", "Order", "Frequency", "Amplitude", "Phase"), tuple(rows), note)
 
 
 def residual_tests_table(result: ParameterEstimate) -> Table:

@@ -1,0 +1,162 @@
+"""Identification of a machine that runs: bias and scatter beside standstill, and deliberate mistakes, flagged or not.
+
+python -m benchmarks.running_study coverage --runs 40    linear seal rig, 0.4 s, 100 nm of noise: minutes
+python -m benchmarks.running_study mistakes              virtual rig, 2 s: minutes; --without: as if nothing turned
+"""
+
+import argparse
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+import ambrose as amb
+from ambrose.core.checks import InvalidInput
+from ambrose.core.response import simulate
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.output_error.closed_loop import identify
+from ambrose.identification.parameters import expand, nominal_values
+from ambrose.machine.record.record import Record
+from ambrose.physics.rotor import finite_element_rotor, mass_properties
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop, match_controller
+from ambrose.plant.reduce import free_mode_reduction
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.disturbances import Unbalance
+from ambrose.simulation.scenario import load_scenario
+from ambrose.synthesis.pid import pid_synthesis
+from benchmarks import waveforms
+from benchmarks.scatter_study import study
+
+DT, SPEED, BALANCED = 1e-4, 2 * np.pi * 50, 2 * np.pi * 500  # the machine file balances for 500 Hz
+UNKNOWN = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
+
+
+@cache
+def setting():
+    machine = amb.load_machine("seal-rig")
+    plant = free_mode_reduction(assemble(machine), 3)
+    return machine, pid_synthesis(plant).controller, mass_properties(finite_element_rotor(machine)).mass
+
+
+@cache
+def clean(grade, speed, k):
+    """y of the linear loop under four PRBS and an unbalance of an ISO grade [m/s] at the middle; the excitations."""
+    machine, law, mass = setting()
+    plant = free_mode_reduction(assemble(machine, replace(assemble(machine).point, speed=speed)), 3)
+    e = np.stack([0.1 * waveforms.prbs(9, 10, k, shift=127 * i) for i in range(4)])
+    angle = speed * np.arange(k) * DT
+    force = grade * mass * speed**2 / BALANCED * np.stack([np.cos(angle), np.sin(angle)])
+    names = [f"{kind}_{axis}" for kind in "ey" for axis in plant.axes]
+    driven = [*names[:4], "f_center_x", "f_center_y"]
+    loop = closed_loop(plant, c2d(match_controller(law, plant), DT, "tustin", delay=DT))
+    return simulate(select(loop, driven, names[4:]), np.vstack([e, force])), e, plant, names
+
+
+def coverage(runs, k=4000):
+    for title, grade, speed, told, harmonics in (
+        ("standstill", 0.0, 0.0, 1.0, 3),
+        ("50 Hz, G2.5", 2.5e-3, SPEED, 1.0, 3),
+        ("50 Hz, G6.3", 6.3e-3, SPEED, 1.0, 3),
+        ("50 Hz, G6.3, speed told 0.5 % off", 6.3e-3, SPEED, 1.005, 3),
+        ("50 Hz, G2.5, nothing taken out", 2.5e-3, SPEED, 1.0, 0),
+    ):
+        machine, law, _ = setting()
+        y, e, plant, names = clean(grade, speed, k)
+        point, found = replace(plant.point, speed=told * speed), []
+        for seed in range(runs):
+            noise = 1e-7 * np.random.default_rng(seed).standard_normal(y.shape)
+            data = Record(machine.name, 1 / DT, tuple(names), ("A",) * 4 + ("m",) * 4, np.vstack([e, y + noise]), point)
+            found.append(identify(machine, data, law, UNKNOWN, harmonics=harmonics))
+        truth = nominal_values(plant, expand(machine, UNKNOWN))
+        result = study(found, truth)
+        stated = 100 * np.mean([one.standard_deviations / np.abs(one.values) for one in found], axis=0)
+        bias = 100 * np.abs(result.repeats.mean / truth - 1).max()
+        print(
+            f"| {title} | {stated.min():.3f} to {stated.max():.3f} | {result.ratio.min():.2f} to {result.ratio.max():.2f} | "
+            f"{bias:.3f} | {100 * result.covered.mean():.0f} % |",
+            flush=True,
+        )
+
+
+def louder(law, gain):
+    return StateSpace(law.A, law.B, gain * law.C, gain * law.D, law.inputs, law.outputs, law.dt)
+
+
+def filtered(law, corner):
+    """The law behind a lag of this corner [rad/s] in every channel."""
+    n, a = law.n_states, law.B.shape[1]
+    A = np.block([[law.A, corner * law.B], [np.zeros((a, n)), -corner * np.eye(a)]])
+    B = np.vstack([np.zeros((n, a)), np.eye(a)])
+    return StateSpace(A, B, np.hstack([law.C, corner * law.D]), np.zeros((len(law.C), a)), law.inputs, law.outputs)
+
+
+def seen(trace):
+    """What a recorder without the controller's outputs has."""
+    return trace.select([name for name in trace.signals if name[:2] in {"y_", "e_"}])
+
+
+def mistakes(without):
+    machine, law, _ = setting()
+    heavy = replace(machine, shaft=tuple(replace(s, material=replace(s.material, density=1.1 * 7850)) for s in machine.shaft))
+
+    def late(data):
+        values = data.values.copy()
+        rows = [i for i, name in enumerate(data.signals) if name[:2] == "e_"]
+        values[rows, 1:] = values[rows, :-1]
+        return replace(data, values=values)
+
+    def scaled(data):
+        values = data.values.copy()
+        values[[i for i, name in enumerate(data.signals) if name[:2] == "y_"]] *= 1.05
+        return replace(data, values=values)
+
+    def told_less(data):
+        return replace(data, point=replace(data.point, seal_pressure=data.point.seal_pressure / 2.5))
+
+    cases = {  # the rig's machine and law, what else it has, what becomes of the record, the machine that is told
+        "none": (machine, law, {}, None, machine),
+        "two samples of delay not told": (machine, law, {"computing_delay": 3}, None, machine),
+        "excitation recorded a sample late": (machine, law, {}, late, machine),
+        "all sensors 5 % too large": (machine, law, {}, scaled, machine),
+        "coupling missing in the model": (machine, law, {}, None, replace(machine, couplings=())),
+        "filter of 1.5 kHz not told": (machine, filtered(law, 2 * np.pi * 1500), {}, None, machine),
+        "controller 5 % louder": (machine, louder(law, 1.05), {}, None, machine),
+        "shaft 10 % heavier": (heavy, law, {}, None, machine),
+        "pressure 2.5 times the one told": (machine, law, {}, told_less, machine),
+    }
+    reference = {}
+    for title, (real, ran, options, spoilt, told) in cases.items():
+        texts = []
+        for speed in (0.0, SPEED):
+            scenario = replace(
+                load_scenario("prbs"), speed=speed, duration=2.0,
+                unbalances=(Unbalance("center", grade=6.3e-3, grade_speed=BALANCED),) if speed else (),
+            )  # fmt: skip
+            data = seen(virtual_rig.run(real, ran, scenario, bending_modes=3, **options).record)
+            data = data if spoilt is None else spoilt(data)
+            try:
+                done = amb.identify(told, data, law, **({"harmonics": 0} if without else {}))
+            except InvalidInput as refusal:
+                texts.append(f"refused: {str(refusal)[:60]}")
+                continue
+            values = dict(zip(done.result.paths, done.result.values, strict=True))
+            reference.setdefault(speed, values)
+            off = {path: abs(value / reference[speed][path] - 1) for path, value in values.items()}
+            path = max(off, key=off.__getitem__)
+            codes = ", ".join(sorted({str(finding.code) for finding in done.findings})) or "**not flagged**"
+            texts.append(f"{codes}; {100 * off[path]:.2g} % ({path})")
+        print(f"| {title} | {' | '.join(texts)} |", flush=True)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("coverage", "mistakes"))
+    parser.add_argument("--runs", type=int, default=40)
+    parser.add_argument("--without", action="store_true")
+    given = parser.parse_args()
+    if given.what == "coverage":
+        coverage(given.runs)
+    else:
+        mistakes(given.without)

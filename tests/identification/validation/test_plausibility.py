@@ -1,0 +1,53 @@
+"""Values found against what the machine file itself allows, and which unknowns a delay joins."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambrose import load_machine
+from ambrose.core.statespace import StateSpace
+from ambrose.identification import pipeline
+from ambrose.identification.findings import Code
+from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.validation.plausibility import diagnose_result
+from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.record.record import Record
+
+
+def estimate(path, factor, deviation=0.001):
+    one, zero = np.eye(1), OperatingPoint(seal_pressure=2.04e5)
+    values = np.array([factor]), np.array([1.0])
+    return ParameterEstimate("m", zero, (path,), *values, deviation**2 * one, one, one, (), (), 1.0, True, 1, (), "")
+
+
+@pytest.mark.parametrize("name", ("seal-rig", "seal-rig-k-only"))  # a tolerance of the pressure, and one of k itself
+@pytest.mark.parametrize(("factor", "told"), [(2.46, True), (1.9, False), (0.2, False)])
+def test_a_seal_beyond_its_stated_tolerance_is_told(name, factor, told):
+    """6 bar told as 3 bar: k at 2.46 times the file's, without a word before."""
+    found = diagnose_result(load_machine(name), estimate("seal.center.k", factor), ())
+    assert [item.code for item in found] == [Code.FAR_FROM_FILE] * told
+    if told:
+        assert "2.46 times its start, beyond its tolerance of 100 %" in found[0].evidence and "seal pressure" in found[0].remedy
+
+
+def test_a_bearing_beyond_its_stated_tolerance_is_told_once_noise_cannot_make_it():
+    machine = replace(load_machine("seal-rig"), tolerances=(Tolerance("bearing.A.negative_stiffness", relative=0.1),))
+    path = "bearing.A.negative_stiffness.zeta"
+    assert diagnose_result(machine, estimate(path, 1.12), ()) and not diagnose_result(machine, estimate(path, 1.12, 0.02), ())
+    assert not diagnose_result(machine, estimate(path, 1.09), ())
+
+
+@pytest.mark.parametrize("unknown", ("delay", ("controller.delay",), ("delay", "excitation.delay")))
+def test_a_delay_alone_adds_to_the_usual_unknowns(unknown, monkeypatch):
+    """It replaced them: gains and stiffnesses were then taken as known, and the delay made up for them."""
+    asked = []
+    monkeypatch.setattr(
+        pipeline, "identify_loop", lambda machine, records, law, unknown, **rest: asked.append(unknown) or 1 / 0
+    )
+    machine, law = load_machine("seal-rig"), StateSpace(np.zeros((0, 0)), np.zeros((0, 4)), np.zeros((4, 0)), np.eye(4))
+    record = Record("seal-rig", 1e4, ("e_A_zeta",), ("A",), np.ones((1, 9)))
+    with pytest.raises(ZeroDivisionError):
+        pipeline.identify(machine, record, law, unknown=unknown)
+    given = (unknown,) if isinstance(unknown, str) else unknown
+    assert asked[0][-len(given) :] == given and "bearing.A.force_per_current.zeta" in asked[0]
