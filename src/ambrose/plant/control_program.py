@@ -45,3 +45,15 @@ class ScheduledProgram(ControlProgram, Protocol):
         """The speed [rad/s] of the next step."""
 
     def __call__(self, speed: float) -> StateSpace: ...
+
+
+@runtime_checkable
+class NativeProgram(ControlProgram, Protocol):
+    """A program that the compiled rig calls by itself.
+
+    entry: address of ``int f(void *first, const double *errors, double speed, double *currents)``, [m], [rad/s], [A], and its
+    first argument; both hold as long as the program does. A negative result ends the run.
+    """
+
+    @property
+    def entry(self) -> tuple[int, int]: ...

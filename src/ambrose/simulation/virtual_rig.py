@@ -16,11 +16,13 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.plant.control_program import ControlProgram, ScheduledProgram
-from ambrose.plant.loop import Law, axis_order
+from ambrose.plant.control_program import ControlProgram
+from ambrose.plant.loop import Law
 from ambrose.plant.timing import DEFAULT, Timing, machine_timing
 from ambrose.simulation.disturbances import PressureChange, SpeedChange
 from ambrose.simulation.rig.controller import (
+    NO_PROGRAM,
+    RunningProgram,
     SampledLaw,
     changes_with_speed,
     closed_loop_poles,
@@ -37,8 +39,9 @@ from ambrose.simulation.rig.equilibrium import (
     state_at_rest,
     steps_per_sample,
 )
-from ambrose.simulation.rig.inputs import Drive, Plan, plan, sample, stretch
+from ambrose.simulation.rig.inputs import Drive, Plan, plan, stretch
 from ambrose.simulation.rig.outcome import classify_outcome, watch
+from ambrose.simulation.rig.propagator import Propagator, propagator, steps_within
 from ambrose.simulation.rig.record import Recorder
 from ambrose.simulation.rig.state import Rig, build, compiled
 from ambrose.simulation.scenario import LEVITATED, Scenario
@@ -94,7 +97,7 @@ def run(
     laws = _Laws(controller, second, machine, task.dt, computing_delay)
     conditions = _conditions(task)
     steps = steps_per_sample(dt, task.dt, fastest_pole(task.rig, [drive for _, drive in conditions]))
-    motion = _begin(task, laws, conditions[0][1])
+    motion = _begin(task, laws, conditions[0][1], steps_within(task.rig, task.dt, dt))
     pole = max((_rightmost(task.rig, drive, laws, time >= task.switch) for time, drive in conditions), key=lambda p: p.real)
     prepared = time.perf_counter()
     monitor = watch(task.rig, scenario)
@@ -112,12 +115,26 @@ def run(
 
 @dataclass(slots=True)
 class _Motion:
-    """The state between two stretches: machine z, controller x, its output that acts next; when it overflowed [s]."""
+    """The state between two stretches: machine z, controller x, its output that acts next; near: where the
+    magnets are taken as linear; steps of the propagator in a sample; when it overflowed [s]."""
 
     z: np.ndarray
     x: np.ndarray
     held: np.ndarray
+    near: np.ndarray
+    substeps: int = 1
     overflow: float | None = None
+    propagator: Propagator | None = None
+    middle: tuple[int, Drive] | None = None
+
+    def follow(self, task: Plan, drive: Drive, number: int) -> None:
+        """The propagator for a stretch from sample number on: that of the middle of its ``_STRETCH`` samples since the start,
+        so that neither shorter stretches nor an earlier end make a difference."""
+        middle = (number // _STRETCH) * _STRETCH + _STRETCH // 2
+        if self.middle is None or self.middle[0] != middle:
+            quiet = replace(task, scenario=task.scenario.quiet, noise=np.random.default_rng(0))
+            self.middle = middle, stretch(quiet, middle, 1)
+        self.propagator = propagator(task.rig, drive, self.middle[1], self.substeps, self.near, self.propagator)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,12 +168,16 @@ def _conditions(task: Plan) -> list[tuple[int, Drive]]:
     return [(number, stretch(quiet, number, 1)) for number in sorted(numbers)]
 
 
-def _begin(task: Plan, laws: _Laws, drive: Drive) -> _Motion:
+def _begin(task: Plan, laws: _Laws, drive: Drive, substeps: int) -> _Motion:
     """The state at the start; the compiled code has then been called once, and so is there."""
     law = laws.at(float(drive.speed[0]), False)
-    z, x, held = levitated_state(task.rig, drive, law) if task.scenario.initial == LEVITATED else landed_state(task.rig, law)
-    _advance(task.rig, law, drive, 1, _Motion(z.copy(), x.copy(), held.copy()), 1)
-    return _Motion(z, x, held)
+    lifted = task.scenario.initial == LEVITATED
+    z, x, held = levitated_state(task.rig, drive, law) if lifted else landed_state(task.rig, law)
+    near = z.copy() if lifted else state_at_rest(task.rig, np.zeros(task.rig.coordinates), held)
+    trial = _Motion(z.copy(), x.copy(), held.copy(), near)
+    trial.follow(task, drive, 0)
+    _advance(task.rig, law, drive, 1, trial, 1)
+    return _Motion(z, x, held, near, substeps)
 
 
 def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
@@ -182,24 +203,24 @@ def _stretches(
     program: ControlProgram | None,
 ) -> Iterator[tuple[int, Drive, np.ndarray]]:
     """Number of the first sample, drive and log (k, columns) of one stretch after the other; motion moves along."""
-    length = _SCHEDULED_STRETCH if laws.scheduled and task.scenario.runs_up else _STRETCH
+    length = _SCHEDULED_STRETCH if laws.scheduled and program is None and task.scenario.runs_up else _STRETCH
     switch = task.switch
     reported = time.perf_counter()
     recent: list[tuple[np.ndarray, np.ndarray]] = []
     number, law = 0, None
+    running = None
     if program is not None:
         program.begin(motion.x)
+        running = RunningProgram(program, task.rig.axes)
     while number < task.samples:
-        count = min(length, task.samples - number, switch - number if number < switch else task.samples)
+        count = min(length - number % length, task.samples - number, switch - number if number < switch else task.samples)
         drive = stretch(task, number, count)
-        if law is None or laws.scheduled or number == switch:
+        motion.follow(task, drive, number)
+        if law is None or (laws.scheduled and program is None) or number == switch:
             law = laws.at(float(drive.speed[count // 2]), number >= switch)
         if number == switch:
             motion.x = take_over(law, *_remembered(recent, motion.held, law.delay))
-        if program is None:
-            log, errors = _advance(task.rig, law, drive, steps, motion, count)
-        else:
-            log, errors = _stepped(task.rig, program, law, drive, steps, motion, count)
+        log, errors = _advance(task.rig, law, drive, steps, motion, count, running)
         yield number, drive, log
         if len(log) < count or motion.overflow is not None:
             motion.overflow = (number + len(log)) * task.dt
@@ -212,44 +233,25 @@ def _stretches(
             progress(f"simulated {number * task.dt:.3g} s of {task.scenario.duration:g} s")
 
 
-def _advance(rig: Rig, law: SampledLaw, drive: Drive, steps: int, motion: _Motion, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _advance(
+    rig: Rig, law: SampledLaw, drive: Drive, steps: int, motion: _Motion, count: int, running: RunningProgram | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Log (k, columns) and errors (a, k) of a stretch, up to the sample where the state overflowed."""
     a = len(rig.axes)
     log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, a))
+    program = NO_PROGRAM if running is None else running.called
+    work = rig.work(len(motion.x))
     done = compiled()[0](
-        rig.constants, law, drive, steps, motion.z, motion.x, motion.held, rig.work(len(motion.x)), log, errors
+        rig.constants, law, program, drive, motion.propagator, steps, motion.z, motion.x, motion.held, work, log, errors
     )
     if done < count:
+        if running is not None and running.failure is not None:
+            raise running.failure
+        if running is not None and np.isfinite(motion.z.sum()):
+            raise NumericalFailure(f"the program gave up after {done} samples of this stretch; look at what it returned")
         motion.overflow = np.nan  # its time is added by who knows it
         log, errors = log[: done + 1], errors[: done + 1]
         log = log[np.isfinite(log).all(axis=1)]
-    return log, errors.T
-
-
-def _stepped(
-    rig: Rig, program: ControlProgram, law: SampledLaw, drive: Drive, steps: int, motion: _Motion, count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """As ``_advance``, one sample at a time: the program computes what acts at the next one."""
-    a = len(rig.axes)
-    into = np.argsort(axis_order(program.system, "inputs", rig.axes))
-    out = axis_order(program.system, "outputs", rig.axes)
-    silent = SampledLaw(np.zeros((0, 0)), np.zeros((0, a)), np.zeros((a, 0)), np.zeros((a, a)), law.limit, 1)
-    nothing, work = np.zeros(0), rig.work(0)
-    log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, a))
-    advance = compiled()[0]
-    scheduled = program if isinstance(program, ScheduledProgram) else None
-    for k in range(count):
-        rows = slice(k, k + 1)
-        done = advance(
-            rig.constants, silent, sample(drive, k), steps, motion.z, nothing, motion.held, work, log[rows], errors[rows]
-        )
-        if not done:
-            motion.overflow = np.nan
-            kept = log[: k + 1]
-            return kept[np.isfinite(kept).all(axis=1)], errors[: k + 1].T
-        if scheduled is not None:
-            scheduled.schedule(float(drive.speed[k]))
-        motion.held[:] = np.clip(program.step(errors[k, into])[out], -law.limit, law.limit)
     return log, errors.T
 
 

@@ -14,6 +14,7 @@ from ambrose.deployment.c.compiled import CompiledBlock, read_law
 from ambrose.deployment.discretisation.deployment import deploy
 from ambrose.deployment.pipeline import machine_limits
 from ambrose.plant.assemble import assemble
+from ambrose.plant.control_program import NativeProgram
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.pid import pid_synthesis
@@ -57,6 +58,43 @@ def test_the_rig_cannot_tell_the_code_from_the_design(rig, arithmetic, apart):
     size = max(np.ptp(design.record[name]) for name in names)
     assert max(np.abs(code.record[name] - design.record[name]).max() for name in names) <= apart * size
     assert code.pole == pytest.approx(design.pole)
+
+
+class Relay:
+    """A program in Python around another one: the rig calls it back."""
+
+    def __init__(self, code, last=10_000):
+        self.code, self.steps, self.last = code, 0, last
+        self.sample_time, self.delay, self.system, self.begin = code.sample_time, code.delay, code.system, code.begin
+
+    def step(self, errors):
+        self.steps += 1
+        if self.steps > self.last:
+            raise RuntimeError("no more")
+        return self.code.step(errors)
+
+
+@pytest.mark.parametrize("arithmetic", WORDS)
+def test_code_called_by_its_address_and_through_python_log_the_same(rig, arithmetic):
+    machine, plant, block = rig
+    scenario = replace(load_scenario("impulse-parallel"), duration=0.1)
+    code = CompiledBlock(block, arithmetic)
+    assert isinstance(code, NativeProgram) and not isinstance(Relay(code), NativeProgram)
+    native, relayed = (virtual_rig.run(machine, c, scenario, point=plant.point).record for c in (code, Relay(code)))
+    for name in plant.named("y") + plant.named("u"):
+        np.testing.assert_array_equal(native[name], relayed[name])
+    with pytest.raises(RuntimeError, match="no more"):  # what a program raises comes out of the compiled rig
+        virtual_rig.run(machine, Relay(code, 300), scenario, point=plant.point)
+
+
+def test_words_end_where_a_converter_ends(rig):
+    """An error beyond the word's range is its largest count, not another number after an overflow."""
+    code = CompiledBlock(rig[2], "fixed32")
+    currents = []
+    for size in (3.0, 1e9):
+        code.begin(np.zeros(rig[2].n_states))
+        currents.append(code.step(size * rig[2].error_limit))
+    np.testing.assert_array_equal(*currents)
 
 
 @pytest.mark.campaign

@@ -22,11 +22,33 @@ from ambrose.deployment.c.code import Arithmetic, Precision, generate, in_words
 from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler, load_library
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
-_SIZE = """#include <stddef.h>
+_CALL = """#include <math.h>
+#include <stddef.h>
 #include "{name}.h"
+typedef struct {{ {name}_block *block; double speed; int status; }} {name}_running;
 size_t {name}_size(void);
+int {name}_call(void *running, const double *errors, double speed, double *currents);
 size_t {name}_size(void) {{ return sizeof({name}_block); }}
+int {name}_call(void *running, const double *errors, double speed, double *currents)
+{{
+    static const double metre[] = {{{error}}}, ampere[] = {{{current}}};
+    {name}_running *self = ({name}_running *)running;
+    {word} in[{m}], out[{p}];
+    int i;
+    for (i = 0; i < {m}; i++) in[i] = ({word}){counted};
+    self->speed = speed;
+    self->status = (int){name}_step(self->block, in, NULL, {speed}out);
+    for (i = 0; i < {p}; i++) currents[i] = (double)out[i] * ampere[i];
+    return 0;
+}}
 """
+_COUNTED = "fmin(fmax(rint(errors[i] / metre[i]), {least:.0f}.0), {most:.0f}.0)"  # as a converter does at its ends
+
+
+class _Running(ctypes.Structure):
+    """What the C function gets first: its block, and where it leaves speed and status of the last step."""
+
+    _fields_ = (("block", ctypes.c_void_p), ("speed", ctypes.c_double), ("status", ctypes.c_int))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +84,20 @@ class _Words:
         scaled = np.asarray(values, float) / unit
         return np.rint(scaled) if self.whole else scaled
 
+    def call(self, block: ControlBlock | ScheduledBlock) -> str:
+        """C that calls a step with errors [m] and currents [A] as numbers, whatever the code's words."""
+        types = {"float64": "double", "float32": "float", "int32": "int32_t", "int16": "int16_t"}
+        word, counted = types[np.dtype(self.signal).name], "(errors[i] / metre[i])"
+        if self.whole:
+            ends = np.iinfo(self.signal)
+            counted = _COUNTED.format(least=ends.min, most=ends.max)
+        speed = f"({word})speed, " if isinstance(block, ScheduledBlock) else ""
+        error, current = (", ".join(map(repr, values.tolist())) for values in (self.error, self.current))
+        return _CALL.format(
+            name=block.name, error=error, current=current, word=word, counted=counted, speed=speed,
+            m=len(block.inputs), p=len(block.outputs),
+        )  # fmt: skip
+
 
 B = TypeVar("B", ControlBlock, ScheduledBlock)
 
@@ -72,15 +108,16 @@ class _Compiled(Generic[B]):
     def __init__(self, block: B, arithmetic: Arithmetic = "double", compiler: str | None = None) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
         self.block: B = block
-        self.arithmetic, self.status = arithmetic, 0
+        self.arithmetic = arithmetic
         files = generate(block, arithmetic)
         self._words = _Words.of(block, arithmetic)
-        self._library = _load(block.name, files, compiler)
+        self._library = _load(block.name, {**files, "call.c": self._words.call(block)}, compiler)
         size = self._library[f"{block.name}_size"]
         size.restype = ctypes.c_size_t
         self._memory = ctypes.create_string_buffer(size())
-        self._errors: np.ndarray = np.zeros(len(block.inputs), self._words.signal)
-        self._currents: np.ndarray = np.zeros(len(block.outputs), self._words.signal)
+        self._running = _Running(ctypes.addressof(self._memory), 0.0, 0)
+        self._step = self._library[f"{block.name}_call"]
+        self._step.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
         self._call("init")
 
     @property
@@ -91,6 +128,16 @@ class _Compiled(Generic[B]):
     def delay(self) -> int:
         return self.block.delay
 
+    @property
+    def status(self) -> int:
+        """The bits of the last step."""
+        return self._running.status
+
+    @property
+    def entry(self) -> tuple[int, int]:
+        """As the rig asks of a native program."""
+        return cast(int, ctypes.cast(self._step, ctypes.c_void_p).value), ctypes.addressof(self._running)
+
     def begin(self, states: np.ndarray) -> None:
         """Everything as after its first call, then the states (n,)."""
         self._call("init")
@@ -100,13 +147,17 @@ class _Compiled(Generic[B]):
         """Bumpless transfer to errors (m,) [m] and currents (p,) [A]. Raises InvalidInput for a block that cannot."""
         if not self.block.transfers:
             raise InvalidInput("this block has no bumpless transfer: its states do not reach every output; begin it at rest")
-        self._currents[:] = self._words.counts(currents, self._words.current)
-        self._call_with_signals("track", errors)
+        kind = np.dtype(self._words.signal)
+        given = self._words.counts(errors, self._words.error).astype(kind)
+        meant = self._words.counts(currents, self._words.current).astype(kind)
+        self._call("track", _pointer(given), None, *self._speed_argument(), _pointer(meant))
 
     def step(self, errors: np.ndarray) -> np.ndarray:
         """One sample: currents (p,) [A] from errors (m,) [m]."""
-        self.status = int(self._call_with_signals("step", errors))
-        return self._currents * self._words.current
+        given, currents = np.empty(len(self.block.inputs)), np.empty(len(self.block.outputs))
+        given[:] = errors
+        self._step(ctypes.addressof(self._running), _pointer(given), self._running.speed, _pointer(currents))
+        return currents
 
     def states(self) -> np.ndarray:
         """The states (n,) as they stand in the code's memory, 1 being their bound."""
@@ -122,11 +173,6 @@ class _Compiled(Generic[B]):
         kind = np.dtype(self._words.stored)
         return np.frombuffer(memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize)
 
-    def _call_with_signals(self, verb: str, errors: np.ndarray) -> Any:
-        """step or track: errors in, all of them valid, currents in place."""
-        self._errors[:] = self._words.counts(errors, self._words.error)
-        return self._call(verb, _pointer(self._errors), None, *self._speed_argument(), _pointer(self._currents))
-
     def _speed_argument(self) -> tuple[Any, ...]:
         return ()
 
@@ -137,7 +183,7 @@ class _Compiled(Generic[B]):
 class CompiledBlock(_Compiled[ControlBlock]):
     """A block's C code in this process. errors [m] and currents [A], whatever the code's arithmetic.
 
-    sample_time [s], delay [samples], system: as the rig asks of a program; status: the bits of the last step.
+    sample_time [s], delay [samples], system, entry: as the rig asks of a native program; status: the bits of the last step.
     """
 
     @property
@@ -158,8 +204,17 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
 
     def __init__(self, block: ScheduledBlock, arithmetic: Precision = "double", compiler: str | None = None) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
-        self.speed = block.range[0]
         super().__init__(block, arithmetic, compiler)
+        self.speed = block.range[0]
+
+    @property
+    def speed(self) -> float:
+        """That of the last step, or the next one [rad/s]."""
+        return self._running.speed
+
+    @speed.setter
+    def speed(self, value: float) -> None:
+        self._running.speed = value
 
     @property
     def system(self) -> StateSpace:
@@ -229,6 +284,5 @@ def _load(name: str, files: dict[str, str], compiler: str | None) -> Any:
     chosen = find_compiler(compiler)
     if chosen is None:
         raise InvalidInput(f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; {remedy}")
-    sources = [f"{name}.c", "size.c"]
-    code = build_library(chosen, {**files, "size.c": _SIZE.format(name=name)}, sources, _FLAGS, "give another compiler")
+    code = build_library(chosen, files, [f"{name}.c", "call.c"], _FLAGS, "give another compiler", libraries="-lm")
     return load_library(code)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import ctypes
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -10,9 +12,12 @@ from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, as_statespace, is_system
 from ambrose.machine.machine import Machine
-from ambrose.plant.control_program import ControlProgram
-from ambrose.plant.loop import Law, law_at, match_axes
+from ambrose.plant.control_program import ControlProgram, NativeProgram, ScheduledProgram
+from ambrose.plant.loop import Law, axis_order, law_at, match_axes
 from ambrose.plant.timing import DEFAULT, machine_timing
+
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+_CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, _DOUBLES, ctypes.c_double, _DOUBLES)
 
 
 class SampledLaw(NamedTuple):
@@ -24,6 +29,58 @@ class SampledLaw(NamedTuple):
     D: np.ndarray
     limit: np.ndarray
     delay: int
+
+
+class Program(NamedTuple):
+    """A program as the compiled rig calls it; address 0: none.
+
+    address, first: of a ``NativeProgram``; signals (2a,): errors and currents in its order, place: their address; into, out
+    (a,): the rig's axis of each error, and where each axis' current is.
+    """
+
+    address: int
+    first: int
+    signals: np.ndarray
+    place: int
+    into: np.ndarray
+    out: np.ndarray
+
+
+NO_PROGRAM = Program(0, 0, np.zeros(0), 0, np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+
+class RunningProgram:
+    """A program of any kind behind one address: compiled code as it is, Python by a callback."""
+
+    __slots__ = ("_callback", "called", "failure")
+
+    def __init__(self, program: ControlProgram, axes: tuple[str, ...]) -> None:
+        self.failure: BaseException | None = None
+        self._callback = None if isinstance(program, NativeProgram) else _CALLBACK(self._step_of(program, len(axes)))
+        if self._callback is None:
+            address, first = cast(NativeProgram, program).entry
+        else:
+            address, first = cast(int, ctypes.cast(self._callback, ctypes.c_void_p).value), 0
+        into = np.argsort(axis_order(program.system, "inputs", axes))
+        out = np.asarray(axis_order(program.system, "outputs", axes))
+        signals = np.zeros(2 * len(axes))
+        self.called = Program(address, first, signals, signals.ctypes.data, into.astype(np.int64), out.astype(np.int64))
+
+    def _step_of(self, program: ControlProgram, m: int) -> Callable[..., int]:
+        scheduled = program if isinstance(program, ScheduledProgram) else None
+
+        def step(first: object, errors: Any, speed: float, currents: Any) -> int:
+            try:
+                if scheduled is not None:
+                    scheduled.schedule(speed)
+                for a, value in enumerate(np.asarray(program.step(np.array(errors[:m])), float).tolist()):
+                    currents[a] = value
+            except BaseException as error:  # told by who called the rig: nothing gets through compiled code
+                self.failure = error
+                return -1
+            return 0
+
+        return step
 
 
 def sample_time(controller: Law, machine: Machine, wanted: float | None) -> float:

@@ -132,19 +132,6 @@ def _spread(mean: np.ndarray) -> np.ndarray:
     return np.asarray((mean / np.where(weight > 0, weight, 1.0)).T)
 
 
-def sample(drive: Drive, k: int) -> Drive:
-    """One control sample of a stretch."""
-    nodes, one = slice(k, k + 2), slice(k, k + 1)
-    return Drive(
-        drive.dt, drive.speed[nodes], drive.angle[nodes], drive.seal[nodes] if len(drive.seal) > 1 else drive.seal,
-        drive.mass_inverse[one] if len(drive.mass_inverse) > 1 else drive.mass_inverse, drive.unbalance,
-        np.ascontiguousarray(drive.force[:, :, one]), drive.force_at,
-        *(np.ascontiguousarray(rows[:, one]) for rows in (
-            drive.powered, drive.excitation, drive.reference, drive.disturbance, drive.noise
-        )),
-    )  # fmt: skip
-
-
 def _powered(plan: Plan, first: int, count: int) -> np.ndarray:
     powered = np.ones((len(plan.rig.axes), count))
     for failure in plan.scenario.failures:

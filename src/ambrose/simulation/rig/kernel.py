@@ -8,55 +8,46 @@ it only inside functions. What the arrays hold is said in rig/state.py and rig/i
 
 from __future__ import annotations
 
-import inspect
 import shutil
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
+from ambrose.simulation.rig.exponential import propagate, settled
+from ambrose.simulation.rig.inlined import (
+    OPTIONS,
+    amplifier_derivative,
+    by_address,
+    coil_current,
+    compiled,
+    contact_force,
+    converted,
+    coordinates,
+    coupling_force,
+    effective_current,
+    indicated,
+    magnet_force,
+    runout,
+    seal_force,
+    seal_lag,
+    state_force,
+    turning_force,
+)
+from ambrose.simulation.rig.inlined import (
+    lag as sensor_lag,
+)
 
 _NEAR = 0.98  # of the clearance: what forces may add to the motion within a sample
 _IN_CONTACT = 8  # integration steps near contact for each of the others
 
-# Sums may be vectorised, but NaN and infinity stay what they are; nothing here allocates an array, so none is counted. Stages
-# that were called instead of inlined would copy the descriptions of some forty arrays every time: ten times slower.
 _ROOM = 16 << 20  # bytes free where compiled code is kept, or it is compiled anew in every run
-_OPTIONS: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz", "arcp"}, "error_model": "numpy", "_nrt": False}
 
 
-def _compiled(function: Callable[..., Any]) -> Any:
-    return njit(forceinline=True, **_OPTIONS)(inspect.unwrap(function))
-
-
-_magnet_force = _compiled(magnet.force)
-_amplifier_derivative = _compiled(amplifier.derivative)
-_coil_current = _compiled(amplifier.coil_current)
-_effective_current = _compiled(amplifier.effective_current)
-_contact_force = _compiled(touchdown.force)
-_coupling_force = _compiled(coupling.force)
-_seal_force = _compiled(seal.force)
-_state_force = _compiled(seal_rational.force)
-_seal_lag = _compiled(seal_rational.lag)
-_turning_force = _compiled(unbalance.force)
-_runout = _compiled(sensor.runout)
-_indicated = _compiled(sensor.indicated)
-_lag = _compiled(sensor.lag)
-_converted = _compiled(sensor.sampled)
-
-
-@_compiled
-def _coordinates(rig: Any) -> int:
-    """How many displacements the state has: of the rotor's modes in both planes and of the supports."""
-    return 2 * rig.stiffness.shape[0] + rig.support.shape[0]
-
-
-@_compiled
+@compiled
 def _move(rig: Any, work: Any, z: Any) -> None:
     """Displacements and velocities of the stations, relative to what they stand on."""
-    p, n = rig.stiffness.shape[0], _coordinates(rig)
+    p, n = rig.stiffness.shape[0], coordinates(rig)
     for s in range(work.place.shape[0]):
         x, y, vx, vy = 0.0, 0.0, 0.0, 0.0
         for j in range(p):
@@ -74,39 +65,39 @@ def _move(rig: Any, work: Any, z: Any) -> None:
         work.force[s, 0] = work.force[s, 1] = 0.0
 
 
-@_compiled
+@compiled
 def _magnetise(rig: Any, work: Any, z: Any) -> None:
     """Magnet forces in the bearings' axes, from the currents that make force."""
-    amp = 2 * _coordinates(rig)
+    amp = 2 * coordinates(rig)
     bias = amp + 2 * rig.amplifier.shape[0]
     for b in range(rig.magnet.shape[0]):
         c, s, p = rig.direction[b, 0], rig.direction[b, 1], rig.magnet[b]
         x, y = work.place[b, 0], work.place[b, 1]
         i, j = 2 * b, 2 * b + 1
-        first = _effective_current(work.command[i], z[amp + 2 * i], z[amp + 2 * i + 1], rig.amplifier[i])
-        second = _effective_current(work.command[j], z[amp + 2 * j], z[amp + 2 * j + 1], rig.amplifier[j])
+        first = effective_current(work.command[i], z[amp + 2 * i], z[amp + 2 * i + 1], rig.amplifier[i])
+        second = effective_current(work.command[j], z[amp + 2 * j], z[amp + 2 * j + 1], rig.amplifier[j])
         known = (z[bias + i], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
-        f_zeta, f_eta = _magnet_force(first, second, c * x + s * y, c * y - s * x, known)
+        f_zeta, f_eta = magnet_force(first, second, c * x + s * y, c * y - s * x, known)
         if z[bias + j] != z[bias + i]:  # one of the axes has failed
             other = (z[bias + j], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
-            _, f_eta = _magnet_force(first, second, c * x + s * y, c * y - s * x, other)
+            _, f_eta = magnet_force(first, second, c * x + s * y, c * y - s * x, other)
         work.magnet[i], work.magnet[j] = f_zeta, f_eta
         work.force[b, 0] += c * f_zeta - s * f_eta
         work.force[b, 1] += s * f_zeta + c * f_eta
 
 
-@_compiled
+@compiled
 def _touch(rig: Any, work: Any, speed: float) -> None:
     """Touchdown bearings."""
     for b in range(rig.touchdown.shape[0]):
         gap, x, y = rig.touchdown[b, 0], work.place[b, 0], work.place[b, 1]
         if x * x + y * y > gap * gap:
-            fx, fy, _, _ = _contact_force(x, y, work.velocity[b, 0], work.velocity[b, 1], speed, rig.touchdown[b])
+            fx, fy, _, _ = contact_force(x, y, work.velocity[b, 0], work.velocity[b, 1], speed, rig.touchdown[b])
             work.force[b, 0] += fx
             work.force[b, 1] += fy
 
 
-@_compiled
+@compiled
 def _couple(rig: Any, work: Any) -> None:
     """Couplings to ground."""
     first = rig.magnet.shape[0]
@@ -114,15 +105,15 @@ def _couple(rig: Any, work: Any) -> None:
         c, s = rig.direction[first + i, 0], rig.direction[first + i, 1]
         x, y = work.place[first + i, 0], work.place[first + i, 1]
         vx, vy = work.velocity[first + i, 0], work.velocity[first + i, 1]
-        f, g = _coupling_force(c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, rig.coupling[i])
+        f, g = coupling_force(c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, rig.coupling[i])
         work.force[first + i, 0] += c * f - s * g
         work.force[first + i, 1] += s * f + c * g
 
 
-@_compiled
+@compiled
 def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any) -> None:
     """Seals and their lags, coefficients linear within a sample; their added mass is in the mass matrix."""
-    lag = 2 * _coordinates(rig) + 3 * rig.amplifier.shape[0] + rig.sensor.shape[0]
+    lag = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0] + rig.sensor.shape[0]
     first = rig.magnet.shape[0] + rig.coupling.shape[0]
     varying = drive.seal.shape[0] > 1
     for i in range(drive.seal.shape[1]):
@@ -136,7 +127,7 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
             work.velocity[first + i, 0],
             work.velocity[first + i, 1],
         )
-        fx, fy = _seal_force(x, y, vx, vy, 0.0, 0.0, (stiffness, cross, damping, across, 0.0))
+        fx, fy = seal_force(x, y, vx, vy, 0.0, 0.0, (stiffness, cross, damping, across, 0.0))
         count = rig.seal_lags.shape[1]
         end = lag + 2 * count
         for m in range(count):
@@ -144,17 +135,17 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
                 at[5 + 2 * m] + t * (to[5 + 2 * m] - at[5 + 2 * m]),
                 at[6 + 2 * m] + t * (to[6 + 2 * m] - at[6 + 2 * m]),
             )
-            gx, gy = _state_force(z[lag + 2 * m], z[lag + 2 * m + 1], direct, cross)
+            gx, gy = state_force(z[lag + 2 * m], z[lag + 2 * m + 1], direct, cross)
             fx, fy = fx + gx, fy + gy
             row = rig.seal_lags[i, m]
-            dz[lag + 2 * m] = _seal_lag(x, z[lag:end:2], row)
-            dz[lag + 2 * m + 1] = _seal_lag(y, z[lag + 1 : end : 2], row)
+            dz[lag + 2 * m] = seal_lag(x, z[lag:end:2], row)
+            dz[lag + 2 * m + 1] = seal_lag(y, z[lag + 1 : end : 2], row)
         lag = end
         work.force[first + i, 0] += fx
         work.force[first + i, 1] += fy
 
 
-@_compiled
+@compiled
 def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) -> None:
     """The scenario's forces, weight and unbalance, on the rotor alone."""
     for j in range(rig.weight.shape[0]):
@@ -170,17 +161,17 @@ def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) 
     acceleration = (drive.speed[k + 1] - drive.speed[k]) / drive.dt
     if drive.unbalance.shape[0] and (speed != 0.0 or acceleration != 0.0):
         angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
-        fx, fy = _turning_force(angle, speed, acceleration, (1.0, 0.0))
+        fx, fy = turning_force(angle, speed, acceleration, (1.0, 0.0))
         for j in range(drive.unbalance.shape[0]):
             a, b = drive.unbalance[j, 0], drive.unbalance[j, 1]
             work.modal[2 * j] += a * fx - b * fy
             work.modal[2 * j + 1] += a * fy + b * fx
 
 
-@_compiled
+@compiled
 def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, dz: Any) -> None:
     """Rotor and supports: accelerations from modal and station forces, gyroscopic moments, added mass."""
-    p, n = rig.stiffness.shape[0], _coordinates(rig)
+    p, n = rig.stiffness.shape[0], coordinates(rig)
     for j in range(p):
         fx, fy = work.modal[2 * j], work.modal[2 * j + 1]
         for s in range(work.force.shape[0]):
@@ -223,19 +214,19 @@ def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, d
             dz[n + 2 * j], dz[n + 2 * j + 1] = ax, ay
 
 
-@_compiled
+@compiled
 def _amplify(rig: Any, work: Any, drive: Any, k: int, z: Any, dz: Any) -> None:
     """Amplifiers and bias currents, both within the slope that the voltage allows."""
     count = rig.amplifier.shape[0]
-    amp = 2 * _coordinates(rig)
+    amp = 2 * coordinates(rig)
     for a in range(count):
         i, j, p = amp + 2 * a, amp + 2 * count + a, rig.amplifier[a]
-        dz[i], dz[i + 1] = _amplifier_derivative(work.command[a], z[i], z[i + 1], p)
+        dz[i], dz[i + 1] = amplifier_derivative(work.command[a], z[i], z[i + 1], p)
         target = rig.magnet[a // 2, 0] * drive.powered[a, k]
         dz[j] = min(max(rig.bias_rate * (target - z[j]), -p[3]), p[3])
 
 
-@_compiled
+@compiled
 def _signal(rig: Any, z: Any, a: int, angle: float) -> float:
     """The signal [m] of sensor a before its lag."""
     b = a // 2
@@ -250,22 +241,22 @@ def _signal(rig: Any, z: Any, a: int, angle: float) -> float:
     value = c * x + s * y if a % 2 == 0 else c * y - s * x
     track = rig.runout[rig.runout_start[b] : rig.runout_start[b + 1]]
     if track.shape[0]:
-        value += _runout(angle - rig.sensor_angle[b], track, rig.sensor[a])
-    return _indicated(value, rig.sensor[a])
+        value += runout(angle - rig.sensor_angle[b], track, rig.sensor[a])
+    return indicated(value, rig.sensor[a])
 
 
-@_compiled
+@compiled
 def _sense(rig: Any, drive: Any, k: int, tau: float, speed: float, z: Any, dz: Any) -> None:
     """Lags of the sensors."""
-    start = 2 * _coordinates(rig) + 3 * rig.amplifier.shape[0]
+    start = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0]
     for a in range(rig.sensor.shape[0]):
         dz[start + a] = 0.0
         if rig.sensor[a, 2] > 0.0:
             angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
-            dz[start + a] = _lag(_signal(rig, z, a, angle), z[start + a], rig.sensor[a])
+            dz[start + a] = sensor_lag(_signal(rig, z, a, angle), z[start + a], rig.sensor[a])
 
 
-@_compiled
+@compiled
 def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any) -> None:
     """dz/dt at the fraction tau of control sample k: the machine, stage by stage."""
     speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])
@@ -280,7 +271,7 @@ def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz:
     _sense(rig, drive, k, tau, speed, z, dz)
 
 
-@_compiled
+@compiled
 def _touching(rig: Any, work: Any, dt: float) -> bool:
     """Whether the rotor may touch within dt [s], as it moves now: the contact's stiffness sets in at once, not smoothly."""
     near = False
@@ -290,7 +281,7 @@ def _touching(rig: Any, work: Any, dt: float) -> bool:
     return near
 
 
-@_compiled
+@compiled
 def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> None:
     """One control sample in ``steps`` steps of the classical fourth-order Runge-Kutta method.
 
@@ -314,20 +305,20 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
             z[i] = total[i]
 
 
-@_compiled
+@compiled
 def _measure(rig: Any, drive: Any, k: int, z: Any, y: Any) -> None:
     """What the controller reads at the start of sample k."""
-    start = 2 * _coordinates(rig) + 3 * rig.amplifier.shape[0]
+    start = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0]
     for a in range(y.shape[0]):
         y[a] = 0.0
     for c in range(rig.sensor.shape[0]):
         value = z[start + c] if rig.sensor[c, 2] > 0.0 else _signal(rig, z, c, drive.angle[k])
-        value = _converted(value + drive.noise[c, k], rig.sensor[c])
+        value = converted(value + drive.noise[c, k], rig.sensor[c])
         for a in range(y.shape[0]):
             y[a] += rig.mean[a, c] * value
 
 
-@_compiled
+@compiled
 def _control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err: Any, ahead: Any) -> None:
     """One sample of the controller: err = r - y, u (a,) what acts now, held (a,) what acts later; ahead (m,) is scratch."""
     n, m = x.shape[0], y.shape[0]
@@ -355,23 +346,39 @@ def _control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, er
             u[a] = held[a]
 
 
-@_compiled
+@compiled
+def _run_program(law: Any, program: Any, drive: Any, k: int, y: Any, held: Any, u: Any, err: Any) -> int:
+    """One sample of a program at an address: what it computes acts at the next one. Negative where it gave up."""
+    m = y.shape[0]
+    for a in range(m):
+        u[a] = held[a]
+        err[a] = drive.reference[a, k] - y[a]
+    for i in range(m):
+        program.signals[i] = err[program.into[i]]
+    at = program.place
+    failed: int = by_address(program.address, program.first, at, drive.speed[k], at + 8 * m)
+    for a in range(m):
+        held[a] = min(max(program.signals[m + program.out[a]], -law.limit[a]), law.limit[a])
+    return failed
+
+
+@compiled
 def _command(drive: Any, work: Any, k: int, u: Any) -> None:
     """What the amplifiers are told: controller plus excitation; nothing without power."""
     for a in range(u.shape[0]):
         work.command[a] = (u[a] + drive.excitation[a, k]) * drive.powered[a, k]
 
 
-@_compiled
+@compiled
 def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
     """One row: y, u, coil currents, magnet forces (axes), displacements of the stations in their axes."""
     count = y.shape[0]
-    amp = 2 * _coordinates(rig)
+    amp = 2 * coordinates(rig)
     _move(rig, work, z)
     _magnetise(rig, work, z)
     for a in range(count):
         row[a], row[count + a], row[3 * count + a] = y[a], u[a], work.magnet[a]
-        row[2 * count + a] = _coil_current(work.command[a], z[amp + 2 * a], z[amp + 2 * a + 1], rig.amplifier[a])
+        row[2 * count + a] = coil_current(work.command[a], z[amp + 2 * a], z[amp + 2 * a + 1], rig.amplifier[a])
     for s in range(work.place.shape[0]):
         c, d = rig.direction[s, 0], rig.direction[s, 1]
         row[4 * count + 2 * s] = c * work.place[s, 0] + d * work.place[s, 1]
@@ -384,20 +391,42 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
     Numba's own cache sees changes of this file only, and not of the force functions that are compiled into it.
     """
 
-    def advance(rig: Any, law: Any, drive: Any, steps: int, z: Any, x: Any, held: Any, work: Any, log: Any, errors: Any) -> int:
+    def advance(
+        rig: Any,
+        law: Any,
+        program: Any,
+        drive: Any,
+        P: Any,
+        steps: int,
+        z: Any,
+        x: Any,
+        held: Any,
+        work: Any,
+        log: Any,
+        errors: Any,
+    ) -> int:
         """A stretch of K control samples; z, x and held (a,) end as the state after it.
 
-        log (K, columns): see ``_log``. errors (K, a) [m]: what the controller saw. Returns how many samples were done: fewer
-        than K where the state overflowed.
+        program: what runs in place of the law, address 0: nothing. P: the propagator; samples that it cannot do (contact near,
+        an amplifier at its limits, a bias that moves) take ``steps`` Runge-Kutta steps, more near contact. log (K, columns):
+        see ``_log``. errors (K, a) [m]: what the controller saw. Returns how many samples were done: fewer than K where the
+        state overflowed or the program gave up.
         """
         assert fingerprint  # part of the cached function's identity
         y, u = work.sampled[0], work.sampled[1]
         for k in range(errors.shape[0]):
             _measure(rig, drive, k, z, y)
-            _control(law, drive, k, y, x, held, u, errors[k], work.ahead)
+            if program.address == 0:
+                _control(law, drive, k, y, x, held, u, errors[k], work.ahead)
+            elif _run_program(law, program, drive, k, y, held, u, errors[k]) < 0:
+                return k
             _command(drive, work, k, u)
             _log(rig, work, z, y, u, log[k])
-            _integrate(rig, work, drive, k, steps * _IN_CONTACT if _touching(rig, work, drive.dt) else steps, z)
+            near = _touching(rig, work, drive.dt)
+            if P.usable and not near and settled(rig, work, drive, k, z):
+                propagate(rig, work, drive, P, k, z)
+            else:
+                _integrate(rig, work, drive, k, steps * _IN_CONTACT if near else steps, z)
             if not np.isfinite(z.sum()):
                 return k
         return errors.shape[0]
@@ -410,9 +439,9 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
         _derivative(rig, work, drive, 0, 0.0, z, dz)
 
     try:
-        kept = njit(cache=True, **_OPTIONS)(advance), njit(cache=True, **_OPTIONS)(slope)
+        kept = njit(cache=True, **OPTIONS)(advance), njit(cache=True, **OPTIONS)(slope)
         if shutil.disk_usage(kept[0].stats.cache_path).free > _ROOM:
             return kept
     except (RuntimeError, OSError):  # no folder to write to
         pass
-    return njit(**_OPTIONS)(advance), njit(**_OPTIONS)(slope)
+    return njit(**OPTIONS)(advance), njit(**OPTIONS)(slope)

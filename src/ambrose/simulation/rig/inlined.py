@@ -1,0 +1,63 @@
+"""What the compiled parts of the virtual rig have in common: numba's options, and the forces of ``physics`` made to be inlined.
+
+This module imports numba: import it only inside functions.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
+
+# Sums may be vectorised, but NaN and infinity stay what they are; nothing here allocates an array, so none is counted. Stages
+# that were called instead of inlined would copy the descriptions of some forty arrays every time: ten times slower.
+OPTIONS: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz", "arcp"}, "error_model": "numpy", "_nrt": False}
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    return njit(forceinline=True, **OPTIONS)(inspect.unwrap(function))
+
+
+magnet_force = compiled(magnet.force)
+amplifier_derivative = compiled(amplifier.derivative)
+coil_current = compiled(amplifier.coil_current)
+effective_current = compiled(amplifier.effective_current)
+contact_force = compiled(touchdown.force)
+coupling_force = compiled(coupling.force)
+seal_force = compiled(seal.force)
+state_force = compiled(seal_rational.force)
+seal_lag = compiled(seal_rational.lag)
+turning_force = compiled(unbalance.force)
+runout = compiled(sensor.runout)
+indicated = compiled(sensor.indicated)
+lag = compiled(sensor.lag)
+converted = compiled(sensor.sampled)
+
+
+@intrinsic
+def _call(context: Any, address: Any, first: Any, errors: Any, speed: Any, currents: Any) -> Any:
+    """int f(void *, const double *, double, double *) at an address; the pointers are integers, too."""
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        byte = ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.IntType(32), [byte, byte, ir.DoubleType(), byte])
+        first, errors, currents = (builder.inttoptr(given[i], byte) for i in (1, 2, 4))
+        return builder.call(builder.inttoptr(given[0], kind.as_pointer()), [first, errors, given[3], currents])
+
+    whole = types.int64
+    return types.int32(whole, whole, whole, types.float64, whole), generate
+
+
+by_address: Any = _call  # whose first argument, the compiler's context, is numba's own
+
+
+@compiled
+def coordinates(rig: Any) -> int:
+    """How many displacements the state has: of the rotor's modes in both planes and of the supports."""
+    return 2 * rig.stiffness.shape[0] + rig.support.shape[0]
