@@ -24,12 +24,17 @@ def machines(as_json: bool) -> None:
 
 
 @click.command()
+@click.argument("name", required=False)
 @AS_JSON
-def scenarios(as_json: bool) -> None:
-    """List the bundled scenarios; one's own is a file in the same form."""
-    from ambrose.simulation.scenario import bundled_scenarios
+def scenarios(name: str | None, as_json: bool) -> None:
+    """List the bundled scenarios, or print the file of the one called NAME, to copy and change."""
+    from ambrose.simulation.scenario import bundled_scenarios, scenario_text
 
     known = bundled_scenarios()
+    if name is not None:
+        text = scenario_text(name)
+        say_json({"name": name, "text": text}) if as_json else say(text)
+        return
     if as_json:
         say_json(known)
     else:

@@ -29,8 +29,8 @@ from ambrose.cli.terminal import (
 @click.option("--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario.")
 @click.option("--linear", is_flag=True, help="The linear model instead of the nonlinear virtual rig.")
 @click.option("--second", type=click.Path(path_type=Path), help="A controller that takes over at the scenario's switch_at.")
-@click.option("--bending-modes", type=int, default=1, show_default=True, help="Bending modes per plane of the rig.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
+@click.option("--bending-modes", type=int, help="Bending modes per plane of the rig; default: 3, as identify models.")
+@click.option("--seed", type=int, help="Of the sensors' noise on the rig; default: 0.")
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
 @RATE
 @DELAY
@@ -43,8 +43,8 @@ def simulate(
     scenario: str,
     linear: bool,
     second: Path | None,
-    bending_modes: int,
-    seed: int,
+    bending_modes: int | None,
+    seed: int | None,
     point: str | None,
     rate_hz: float | None,
     delay_samples: int | None,
@@ -56,9 +56,16 @@ def simulate(
 
     An *.h5 record of the rig grows while it runs, as *.h5.partial, which stays readable when the run is interrupted.
     """
+    from ambrose.core.checks import invalid
     from ambrose.evaluation.trial import simulate_scenario
     from ambrose.machine.record.files import check_suffix, write_record
+    from ambrose.physics.rotor import finite_element_rotor
+    from ambrose.plant.assemble import bending_modes_of
 
+    for option, value in (("--bending-modes", bending_modes), ("--seed", seed), ("--second", second)):
+        if linear and value is not None:
+            remedy = "the linear loop has all modes, no noise and one controller; leave one of the two out"
+            raise invalid(option, value, "left out with --linear", remedy)
     description = load(machine)
     controller = load_controller(path, description)
     check_suffix(output)
@@ -66,7 +73,8 @@ def simulate(
     growing = not linear and output.suffix.lower() != ".csv"
     options: dict[str, Any] = {} if second is None else {"second": load_controller(second, description)}
     if not linear:
-        options |= {"bending_modes": bending_modes, "seed": seed, "path": output if growing else None}
+        modes = min(3, bending_modes_of(finite_element_rotor(description))) if bending_modes is None else bending_modes
+        options |= {"bending_modes": modes, "seed": seed or 0, "path": output if growing else None}
     with progress_shown(as_json) as progress:
         trace = simulate_scenario(
             description, controller, scenario, point=point, linear=linear, rate=rate_hz, delay_samples=delay_samples,

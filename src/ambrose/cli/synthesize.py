@@ -151,6 +151,7 @@ def synthesize(
     if as_json:
         summary = {
             "controller": str(output), "method": method, "status": result.status, "stopped_early": result.stopped_early,
+            "states": result.controller.n_states,
             "control_weight_factor": factor, "notes": result.notes, "certificate": certificate,
             "filters": None if result.filters is None else result.filters.to_dict(),
         }  # fmt: skip
@@ -160,7 +161,8 @@ def synthesize(
         apart = {"margins", "envelope"}
         if any(name.startswith("sampled_") for name in certificate["margins"]):  # the loop as it runs; the file keeps both
             apart |= {"full_spectral_abscissa", "full_sensitivity_peak"}
-        rows = [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name not in apart]
+        rows = [("states", f"{result.controller.n_states}")]
+        rows += [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name not in apart]
         rows += [(f"abscissa, {label}", shown(value)) for label, value in certificate["envelope"].items()]
         if factor is not None:
             rows.append(("control weight factor", shown(factor)))

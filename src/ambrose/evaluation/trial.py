@@ -19,6 +19,7 @@ from ambrose.physics.rotor import mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.model import Plant
+from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.simulation import linear, virtual_rig
 from ambrose.simulation.run_up import Step, spin_up
@@ -97,6 +98,9 @@ def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, tim
         fixed = controller if scheduled else match_controller(controller, plant)
         late = timing is not None and not scheduled and fixed.dt is None
         return spin_up(plant, timing.late(fixed) if late and timing is not None else fixed, events)
+    if events.speed is not None and events.speed_at(0.0) != plant.point.speed:  # the plant turns as the record will say
+        turning = assemble(plant.machine, replace(plant.point, speed=events.speed_at(0.0)))
+        plant = turning if plant.bending_modes is None else reduce(turning, plant.bending_modes)
     gaps = [b.touchdown_gap for b in plant.machine.bearings if b.touchdown_gap is not None]
     return linear.run(
         closed_loop(plant, running_law(controller, plant, timing)),

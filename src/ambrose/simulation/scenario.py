@@ -211,6 +211,13 @@ def bundled_scenarios() -> dict[str, str]:
     return {name: load_scenario(name).description for name in _bundled_names()}
 
 
+def scenario_text(name: str) -> str:
+    """The file of a bundled scenario. Raises InvalidInput for another name."""
+    if name not in _bundled_names():
+        raise InvalidInput(f"{name} is no bundled scenario; {suggestion(name, _bundled_names())}")
+    return files("ambrose").joinpath("simulation", "scenarios", f"{name}.toml").read_text(encoding="utf-8").rstrip()
+
+
 def load_scenario(name: str | Path) -> Scenario:
     """The bundled scenario of that name, or the one in a TOML file.
 
