@@ -29,7 +29,8 @@ def controller(tmp_path_factory):
     path = tmp_path_factory.mktemp("controller") / "controller.json"
     done = call("synthesize", RIG, "--method", "pid", "-o", path, "--json")
     assert done.exit_code == 0, done.stderr
-    assert json.loads(done.stdout)["status"] == "verified"
+    summary = json.loads(done.stdout)
+    assert summary["status"] == "verified" and summary["states"] == 8
     return path
 
 
@@ -51,6 +52,26 @@ def coarse_text():
 def test_machines():
     assert list(json.loads(call("machines", "--json").stdout)) == list(bundled_machines())
     assert all(name in call("machines").stdout for name in bundled_machines())
+
+
+def test_a_bundled_scenario_is_printed_to_copy(controller, tmp_path):
+    """And what was printed runs as it does by name."""
+    path = tmp_path / "own.toml"
+    path.write_text(call("scenarios", "impulse-parallel").stdout, encoding="utf-8")
+    assert json.loads(call("scenarios", "impulse-parallel", "--json").stdout)["text"].strip() == path.read_text().strip()
+    arguments = ("simulate", RIG, "--controller", controller, "--linear", "--json", "--scenario")
+    outcomes = [json.loads(call(*arguments, name, "-o", tmp_path / "x.h5").stdout) for name in (path, "impulse-parallel")]
+    assert outcomes[0]["outcome"] == outcomes[1]["outcome"]
+    done = call("scenarios", "impulse-paralel")
+    assert done.exit_code == 2 and "impulse-parallel" in done.stderr
+
+
+@pytest.mark.parametrize("option", [("--seed", 1), ("--bending-modes", 2), ("--second", "{controller}")])
+def test_options_of_the_rig_are_refused_with_linear(controller, option, tmp_path):
+    given = [str(value).format(controller=controller) for value in option]
+    arguments = ("--scenario", "impulse-parallel", "--linear", "-o", tmp_path / "x.h5")
+    done = call("simulate", RIG, "--controller", controller, *arguments, *given)
+    assert done.exit_code == 2 and option[0] in done.stderr and "--linear" in done.stderr
 
 
 def test_check_tells_the_printed_figures():

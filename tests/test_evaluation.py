@@ -104,6 +104,15 @@ def test_simulations_take_labels_scenarios_and_syntheses(small, made):
         simulate_scenario(small, made, "impulse-parallel", linear=True, second=made)
 
 
+def test_the_linear_plant_turns_as_fast_as_the_scenario_says(coarse):
+    """It stood still while its unbalance turned: no gyroscopic moments."""
+    law = pid_controller(coarse.controller, coarse)
+    events = replace(load_scenario("unbalance"), speed=HIGH, duration=0.05)
+    points = [replace(coarse.operation.points[0], speed=speed) for speed in (0.0, HIGH)]
+    still, turning = (simulate_linear(assemble(coarse, point), law, events).record for point in points)
+    np.testing.assert_allclose(still.values, turning.values, rtol=0, atol=1e-12)
+
+
 def test_evaluation_keeps_what_a_schedule_leaves_out(coarse, schedule, made, monkeypatch):
     monkeypatch.setattr("ambrose.evaluation.candidate.run_on_rig", lambda plant, program, scenario, timing: None)
     monkeypatch.setattr("ambrose.evaluation.candidate.SCENARIOS", ("impulse-parallel",))

@@ -33,7 +33,11 @@ def scenarios(name: str | None, as_json: bool) -> None:
     known = bundled_scenarios()
     if name is not None:
         text = scenario_text(name)
-        say_json({"name": name, "text": text}) if as_json else say(text)
+        if as_json:
+            say_json({"name": name, "text": text})
+        else:
+            for line in text.splitlines():
+                say(line)
         return
     if as_json:
         say_json(known)

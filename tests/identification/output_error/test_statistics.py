@@ -1,5 +1,7 @@
 """Least squares, its statistics and its sensitivities on small problems with known answers."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -8,6 +10,7 @@ from scipy.signal import lfilter
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
+from ambrose.identification.findings import Code
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.levenberg_marquardt import Linearised, minimise
 from ambrose.identification.output_error.normal_equations import distinct
@@ -130,3 +133,12 @@ def test_the_guard_is_never_passed():
 def test_a_parameter_without_effect_is_named():
     with pytest.raises(NumericalFailure, match="parameter number 2"):
         minimise(lambda _: Linearised(1.0, np.diag([1.0, 0.0]), np.zeros(2)), np.ones(2), np.ones(2), lambda _: True)
+
+
+@pytest.mark.parametrize(("deviation", "told"), [(0.001, False), (0.1, True)])
+def test_a_correlation_matters_where_it_makes_a_value_unsure(deviation, told):
+    """K_i and K_s of one axis are correlated by 0.99 in every good record, and still known to 0.1 %."""
+    correlation = np.array([[1.0, 0.99], [0.99, 1.0]])
+    minimum = SimpleNamespace(converged=True, iterations=3, x=np.ones(2))
+    found = statistics.warnings_of(("a", "b"), minimum, deviation**2 * correlation, correlation, (), "")
+    assert [item.code for item in found] == [Code.CORRELATED] * told

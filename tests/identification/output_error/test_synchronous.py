@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from benchmarks import waveforms
 
+from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.statespace import select
 from ambrose.identification.findings import Code
@@ -14,6 +15,7 @@ from ambrose.identification.frf import spectral
 from ambrose.identification.output_error.closed_loop import LeastSquares, identify
 from ambrose.identification.output_error.normal_equations import normal_equations
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
+from ambrose.identification.output_error.synchronous import synchronous_of
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.identification.validation.plausibility import diagnose_outputs
 from ambrose.identification.validation.simulated_output import simulate_outputs
@@ -115,6 +117,13 @@ def test_mains_are_a_tone_that_is_named():
     named = found(data, tones=(50.0,))
     assert worst(named) < 5e-3
     assert [wave.amplitude for wave in named.turning if wave.order == 0] == pytest.approx([3e-6] * 4, rel=0.05)
+
+
+@pytest.mark.parametrize("tones", [(0.6 / DT,), (50.0, 50.0), (2 * SPEED / (2 * np.pi),), (-50.0,)])
+def test_tones_that_cannot_be_told_are_refused(tones):
+    """Above half the rate, twice the same, and what turns with the rotor: the equations would be singular."""
+    with pytest.raises(InvalidInput, match="tone"):
+        synchronous_of(record(400), tones=tones)
 
 
 def test_what_is_eliminated_is_the_least_squares_of_all_columns():

@@ -1,6 +1,7 @@
 """Values found against what the machine file itself allows, and which unknowns a delay joins."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.identification import pipeline
 from ambrose.identification.findings import Code
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
-from ambrose.identification.validation.plausibility import diagnose_result
+from ambrose.identification.validation.plausibility import _tone, diagnose_result
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.record.record import Record
 
@@ -51,3 +52,12 @@ def test_a_delay_alone_adds_to_the_usual_unknowns(unknown, monkeypatch):
         pipeline.identify(machine, record, law, unknown=unknown)
     given = (unknown,) if isinstance(unknown, str) else unknown
     assert asked[0][-len(given) :] == given and "bearing.A.force_per_current.zeta" in asked[0]
+
+
+def test_forces_that_were_recorded_are_no_excitation():
+    """A record of the rig holds the magnets' forces: they turn as all else does, and an untold speed went unnoticed."""
+    wave, noise = np.sin(0.3 * np.arange(2000)), 0.1 * np.random.default_rng(0).standard_normal((2, 2000))
+    for name, told in (("f_magnet_A_zeta", True), ("f_center_x", False), ("e_A_zeta", False)):
+        record = Record("m", 1e4, (name,), ("A" if name == "e_A_zeta" else "N",), (wave + noise[0])[None])
+        output = SimpleNamespace(record=record, signals=("y_A_zeta",), residual=(wave + noise[1])[None])
+        assert [item.code for item in _tone(output, 1)] == [Code.TONE] * told
