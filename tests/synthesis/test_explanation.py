@@ -53,9 +53,11 @@ def test_what_holds_gets_no_note(slender):
 
 
 def test_a_point_that_is_lost_is_named_with_the_note():
-    """The PID of the seal rig whirls at twice the nominal pressure."""
-    notes = amb.design("seal-rig", "pid").notes
-    assert len(notes) == 1 and notes[0].startswith("at twice nominal pressure: ") and "; " in notes[0]
+    """The PID of the seal rig whirls at twice the nominal pressure, and was "verified" with S_o 7 at the nominal one."""
+    made = amb.design("seal-rig", "pid")
+    assert made.notes[-1].startswith("at twice nominal pressure: ") and "; " in made.notes[-1]
+    assert made.verdict.startswith("certified as stable at 2 of 3") and made.certificate.closed_loop_norm > 3
+    assert made.notes[0].startswith("sigma_max(S_o) of 7.1 is above the machine's limit of 3;") and len(made.notes) == 2
 
 
 def test_a_delay_that_nothing_can_beat_is_named_by_the_failed_design(slender, monkeypatch):

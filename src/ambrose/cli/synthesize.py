@@ -157,7 +157,9 @@ def synthesize(
         }  # fmt: skip
         say_json(summary)
     else:
-        numbers = {"gamma": result.gamma, **certificate, **certificate["margins"]}
+        numbers = {**certificate, **certificate["margins"]}
+        if method != "pid":  # which minimises nothing
+            numbers = {"gamma": result.gamma, **numbers}
         apart = {"margins", "envelope"}
         if any(name.startswith("sampled_") for name in certificate["margins"]):  # the loop as it runs; the file keeps both
             apart |= {"full_spectral_abscissa", "full_sensitivity_peak"}

@@ -22,12 +22,14 @@ from ambrose.synthesis.pid import channel_chains
 from ambrose.synthesis.result import Synthesis
 
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
+_PEAK = "maximum singular value of a sensitivity"
 _TRIED = 6  # bending modes
 _TWO_PI = 2 * np.pi
 
 
 def explained(plant: Plant, result: Synthesis, timing: Timing | None, bending_modes: int) -> Synthesis:
-    """The synthesis; where it does not hold the point that it was designed at, a note says why."""
+    """The synthesis; a note says why where it does not hold an operating point, and where its S_o is above the file's limit."""
+    result = replace(result, notes=(*result.notes, *_above_limit(plant, result)))
     lost = [label for label, abscissa in result.certificate.envelope.items() if not abscissa < 0]
     if result.status != "unstable" and not lost:
         missed = result.method == "tuned" and result.gamma > 1
@@ -43,9 +45,19 @@ def explained(plant: Plant, result: Synthesis, timing: Timing | None, bending_mo
     return replace(result, notes=(*result.notes, f"{where}{reason}"))
 
 
+def _above_limit(plant: Plant, result: Synthesis) -> list[str]:
+    """Stable is not good enough: what the certificate's peak says against the machine's own limit. Tuning tells it itself."""
+    margins, limit = result.certificate.margins, demand(_PEAK, plant.machine.requirements).limit
+    names = ("sampled_sensitivity_peak", "full_sensitivity_peak", "sensitivity_peak")
+    peak = next((margins[name] for name in names if name in margins), 0.0)
+    if result.method == "tuned" or limit is None or not limit < peak < np.inf:
+        return []
+    return [f"sigma_max(S_o) of {peak:.3g} is above the machine's limit of {limit:g}; verify tells all that is missed"]
+
+
 def why_none(plant: Plant, timing: Timing | None) -> str:
     """Why a design may have found nothing; "" where no reason shows."""
-    limit = demand("maximum singular value of a sensitivity", plant.machine.requirements).limit or SENSITIVITY.limits[0].value
+    limit = demand(_PEAK, plant.machine.requirements).limit or SENSITIVITY.limits[0].value
     try:
         return beyond_reach(*unavoidable_sensitivity(plant, timing), limit)
     except AmbroseError:

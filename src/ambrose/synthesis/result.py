@@ -134,7 +134,8 @@ class Synthesis(Presented):
         envelope = self.certificate.envelope
         lost = [label for label, abscissa in envelope.items() if not abscissa < 0]
         missed = self.method == "tuned" and self.gamma > 1
-        words = "certified as stable" if missed and self.status is Status.VERIFIED else str(self.status)
+        only_stable = self.status is Status.VERIFIED and (missed or self.method == "pid")  # nothing else was claimed
+        words = "certified as stable" if only_stable else str(self.status)
         if self.status is Status.VERIFIED and lost:
             words += f" at {len(envelope) - len(lost)} of {len(envelope)} operating points, unstable at {', '.join(lost)}"
         elif self.status is Status.VERIFIED and len(envelope) > 1:
