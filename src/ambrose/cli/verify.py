@@ -47,4 +47,6 @@ def verify(machine: str, path: Path, rate_hz: float | None, delay_samples: int |
             say(f"Not varied around {words}.")
         for label in result.left_out:
             say(f"{label}: left out, the schedule does not cover this operating point")
+        failed = [label for label, checks in result.labelled if not checks.passed] + list(result.left_out)
+        say(f"Failed: {'; '.join(failed)}." if failed else f"Passed: every check of all {len(result.labelled)} tables.")
     sys.exit(0 if result.passed else 1)

@@ -111,6 +111,11 @@ def perturbed(plant: Plant, delta: Mapping[str, float], tolerances: Sequence[Tol
     return replace(plant, system=select(system, plant.system.inputs, plant.system.outputs), offsets=offsets)
 
 
+def in_tolerances(delta: Mapping[str, float]) -> str:
+    """Offsets in words, each in units of its tolerance's half width: "seal.center.k +1 (in tolerances)"."""
+    return ", ".join(f"{name} {value:+.3g}" for name, value in delta.items()) + " (in tolerances)"
+
+
 def with_offsets_of(plant: Plant, source: Plant) -> Plant:
     """A nominal plant with the parameter offsets of another one of the same machine."""
     if not source.offsets:

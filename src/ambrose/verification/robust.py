@@ -39,6 +39,7 @@ from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.plant.loop import Law, law_at, match_axes, match_controller
 from ambrose.plant.model import Plant
+from ambrose.plant.uncertainty import in_tolerances
 from ambrose.synthesis.problem import design_plant, with_performance_block
 from ambrose.synthesis.weights import Weights
 from ambrose.verification.checks import Check, Checks, Curve
@@ -201,8 +202,8 @@ def _grid(loop: BoxLoop, omega: ArrayLike | None) -> np.ndarray:
 
 
 def _named(loop: BoxLoop, delta: np.ndarray) -> str:
-    """delta (k,) in words: "seal.center.k +1"."""
-    return ", ".join(f"{block.name} {value:+.3g}" for block, value in zip(loop.blocks, delta, strict=True))
+    """delta (k,) in words: "seal.center.k +1 (in tolerances)"."""
+    return in_tolerances(dict(zip((block.name for block in loop.blocks), delta, strict=True)))
 
 
 def _stability(loop: BoxLoop, label: str, tell: Progress) -> list[Check]:
@@ -238,7 +239,7 @@ def _corner_check(loop: BoxLoop) -> tuple[Check, np.ndarray]:
 def _margin_check(loop: BoxLoop, margin: BoxMargin) -> Check:
     detail = "no destabilising perturbation found up to 20 times the tolerances"
     if np.isfinite(margin.factor):
-        detail = f"unstable at {_named(loop, margin.delta)}, {margin.frequency / TWO_PI:.4g} Hz (in tolerances)"
+        detail = f"unstable at {_named(loop, margin.delta)}, {margin.frequency / TWO_PI:.4g} Hz"
     title = "Smallest destabilising factor on the tolerances, found by search"
     return judge("robust.stability.margin", title, margin.factor, "-", Demand(1.0, ">=", "every tolerance"), detail)
 

@@ -20,7 +20,7 @@ from ambrose.machine.description import Tolerance
 from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.plant.uncertainty import perturbed, tolerances_around
+from ambrose.plant.uncertainty import in_tolerances, perturbed, tolerances_around
 from ambrose.synthesis.certificate import certify
 from ambrose.verification import nominal
 from ambrose.verification.checks import Check, Checks
@@ -89,7 +89,7 @@ def check_over_box(
     outermost = int(abscissa.argmax())
 
     def where(i: int) -> str:
-        return ", ".join(f"{name} {value:+.3g}" for name, value in zip(names, points[i], strict=True))
+        return in_tolerances(dict(zip(names, points[i].tolist(), strict=True)))
 
     example = f"; for one, {where(outermost)} ({abscissa[outermost]:+.4g} rad/s)" if unstable.any() else ""
     full = min(_FULL_POINTS, len(points))

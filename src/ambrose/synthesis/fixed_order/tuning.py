@@ -22,7 +22,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import perturbed, tolerances_around, with_offsets_of
+from ambrose.plant.uncertainty import in_tolerances, perturbed, tolerances_around, with_offsets_of
 from ambrose.synthesis.certificate import certify, fastest_pole
 from ambrose.synthesis.envelope.between import search
 from ambrose.synthesis.fixed_order.bank import FilterBank, advice, at_limits, filter_bank
@@ -317,7 +317,7 @@ def _add_members(job: Job, law: Law) -> Law:
         key = (plant.point.label, tuple(sorted(found.items())))
         if found and key not in job.members:
             job.members.add(key)
-            label = f"{plant.point.label}, {', '.join(f'{name} {value:+.3g}' for name, value in found.items())}"
+            label = f"{plant.point.label}, {in_tolerances(found)}"
             job.models.append(loop_model(perturbed(plant, found, tolerances_around(plant)), job.timing, label))
     for area in job.full[0].machine.operation.ranges:
         point = search(job.full[0].machine, area, controller, job.timing).worst(area)
