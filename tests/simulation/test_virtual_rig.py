@@ -204,8 +204,9 @@ def test_a_step_too_long_is_refused_with_the_one_needed():
         r"integration step is 0.001 s.*at most 0.00028.*fastest pole has 354",
         scenario=Scenario("x", 0.1, sample_time=1e-3),
         dt=1e-3,
+        bending_modes=1,
     )
-    virtual_rig.run(RIG, PID, Scenario("x", 0.01, sample_time=1e-3), dt=2.7e-4)
+    virtual_rig.run(RIG, PID, Scenario("x", 0.01, sample_time=1e-3), dt=2.7e-4, bending_modes=1)
 
 
 def test_bad_input_is_refused():

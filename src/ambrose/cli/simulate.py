@@ -59,8 +59,6 @@ def simulate(
     from ambrose.core.checks import invalid
     from ambrose.evaluation.trial import simulate_scenario
     from ambrose.machine.record.files import check_suffix, write_record
-    from ambrose.physics.rotor import finite_element_rotor
-    from ambrose.plant.assemble import bending_modes_of
 
     for option, value in (("--bending-modes", bending_modes), ("--seed", seed), ("--second", second)):
         if linear and value is not None:
@@ -73,8 +71,7 @@ def simulate(
     growing = not linear and output.suffix.lower() != ".csv"
     options: dict[str, Any] = {} if second is None else {"second": load_controller(second, description)}
     if not linear:
-        modes = min(3, bending_modes_of(finite_element_rotor(description))) if bending_modes is None else bending_modes
-        options |= {"bending_modes": modes, "seed": seed or 0, "path": output if growing else None}
+        options |= {"bending_modes": bending_modes, "seed": seed or 0, "path": output if growing else None}
     with progress_shown(as_json) as progress:
         trace = simulate_scenario(
             description, controller, scenario, point=point, linear=linear, rate=rate_hz, delay_samples=delay_samples,

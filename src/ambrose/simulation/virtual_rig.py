@@ -60,7 +60,7 @@ def run(
     *,
     second: Law | None = None,
     point: OperatingPoint | None = None,
-    bending_modes: int = 1,
+    bending_modes: int | None = None,
     dt: float | None = None,
     seed: int = 0,
     computing_delay: int | None = None,
@@ -76,8 +76,8 @@ def run(
     at the scenario's or the machine's sample time (else 10 kHz); its output, limited to max_current, acts ``computing_delay``
     samples later (None: the machine's, else one). second: takes over without a bump at the scenario's switch_at. point: bias
     current, speed and seal pressure at the start, where the scenario does not say otherwise (None: the nominal one).
-    bending_modes: per plane. dt [s]: longest integration step (None: by the machine's fastest pole). seed: of the sensors'
-    noise. every: only each so many-th sample is recorded. path (.h5): where the record is written while it grows; what was run
+    bending_modes: per plane (None: 3, as identification models). dt [s]: longest integration step (None: by the machine's
+    fastest pole). seed: of the sensors' noise. every: only each so many-th sample is recorded. path (.h5): where the record is written while it grows; what was run
     so far stays readable when the run is interrupted. progress: is reported how far it is.
 
     Recorded: y_, u_ (what acts), i_ (coils), f_magnet_ (axes), q_ (ports), what the scenario drives, speed and p_seal where

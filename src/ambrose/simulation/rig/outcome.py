@@ -80,7 +80,9 @@ def classify_outcome(monitor: Watch, scenario: Scenario, overflow: float | None,
 
     overflow [s]: when a state was no number any more. pole [rad/s]: the rightmost of the linear loop.
     """
-    side = "" if pole is None else f"; linear loop: rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s"
+    modes = (monitor.rig.coordinates - 4) // 2
+    loop = f"linear loop with {modes} bending mode{'' if modes == 1 else 's'} per plane"
+    side = "" if pole is None else f"; {loop}: rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s"
     if overflow is not None:
         return "diverged", f"diverged: the motion left all bounds at t = {overflow:.6g} s; the record ends before{side}"
     if monitor.lifted_at is None:

@@ -23,6 +23,7 @@ from ambrose.physics.support import foundation
 from ambrose.plant.assemble import bending_modes_of, gyroscopic_of, seal_model
 from ambrose.plant.ports import ports, sensor_ports
 
+_MODES = 3  # bending modes per plane, as many as identification models
 _NO_BIAS_LAG = 5000.0  # rad/s at which the bias current follows an ideal amplifier
 
 
@@ -115,14 +116,14 @@ class Rig:
         return Work(*(np.zeros(shape) for shape in [*shapes, (controller_states,)]))
 
 
-def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: int = 1) -> Rig:
-    """The rig of a machine with rigid-body and ``bending_modes`` modes per plane, at a bias current and seals of ``point``.
-
-    Raises InvalidInput.
+def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: int | None = None) -> Rig:
+    """The rig of a machine with rigid-body and ``bending_modes`` modes per plane (None: 3, fewer where the mesh has not so
+    many), at a bias current and seals of ``point``. Raises InvalidInput.
     """
     point = machine.operation.nominal if point is None else point
     rotor = finite_element_rotor(machine)
     available = bending_modes_of(rotor)
+    bending_modes = min(_MODES, available) if bending_modes is None else bending_modes
     if not 0 <= bending_modes <= available:
         raise invalid("bending_modes", bending_modes, f"between 0 and {available}", "refine the mesh or keep fewer modes")
     modes = free_modes(rotor, bending_modes)
