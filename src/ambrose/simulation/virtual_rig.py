@@ -77,8 +77,8 @@ def run(
     samples later (None: the machine's, else one). second: takes over without a bump at the scenario's switch_at. point: bias
     current, speed and seal pressure at the start, where the scenario does not say otherwise (None: the nominal one).
     bending_modes: per plane (None: 3, as identification models). dt [s]: longest integration step (None: by the machine's
-    fastest pole). seed: of the sensors' noise. every: only each so many-th sample is recorded. path (.h5): where the record is written while it grows; what was run
-    so far stays readable when the run is interrupted. progress: is reported how far it is.
+    fastest pole). seed: of the sensors' noise. every: only each so many-th sample is recorded. path (.h5): where the record is
+    written while it grows; what was run so far stays readable when the run is interrupted. progress: is reported how far it is.
 
     Recorded: y_, u_ (what acts), i_ (coils), f_magnet_ (axes), q_ (ports), what the scenario drives, speed and p_seal where
     they change. Touchdown is an outcome with time and cause, and the run goes on; "diverged" means that the state overflowed,
