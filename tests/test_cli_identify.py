@@ -220,6 +220,10 @@ def swapped(record):
         (swapped, "channels are mixed up: y_A_zeta and y_A_eta are swapped"),
         (lambda r: replace(r, sample_rate_hz=5000.0), "not sampled at 5000 Hz, as they say, but at about 10000 Hz"),
         (lambda r: r.select([name for name in r.signals if name[0] != "e"]), "holds no excitation"),
+        (
+            lambda r: replace(r, signals=tuple(name.replace("e_A_zeta", "e_DE") for name in r.signals)),
+            "the excitation 'e_DE' of record 1 is unknown, but must be one of e_A_zeta, e_A_eta, e_B_zeta, e_B_eta; rename it",
+        ),
         (lambda r: replace(r, machine="other"), "the machine of record 1 is 'other'"),
     ],
 )

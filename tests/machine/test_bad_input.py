@@ -242,6 +242,12 @@ class TestFiles:
         with pytest.raises(InvalidInput, match=r'"seal_rig" is neither .* did you mean "seal-rig"'):
             load_machine("seal_rig")
 
+    def test_a_file_named_without_its_ending(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "seal_rig.toml").write_text("")
+        with pytest.raises(InvalidInput, match=r'did you mean "seal_rig\.toml"'):
+            load_machine("seal_rig")
+
     def test_directory(self, tmp_path):
         with pytest.raises(InvalidInput, match="is a directory, but must be a file; give the path of a machine file"):
             load_machine(tmp_path)

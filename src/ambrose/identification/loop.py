@@ -18,7 +18,7 @@ from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.identification.validation.simulated_output import simulate_outputs
-from ambrose.identification.validation.suspects import judged, suspects
+from ambrose.identification.validation.suspects import Suspect, explained, judged, suspects
 from ambrose.identification.youla import identify as youla
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
@@ -81,11 +81,15 @@ def identify_loop(
     progress("checking the result")
     outputs = simulate_outputs(experiment, records, result.values)
     checks = tuple(finding for finding in checks if finding.code != Code.FAR_FROM_START)  # no longer relevant
-    checks += diagnose_result(machine, result, outputs)
+    doubts = diagnose_result(machine, result, outputs)
+    found: tuple[Suspect, ...] = ()
+    if method == "closed-loop" and (result.converged or any(item.code == Code.MISSING_RESPONSE for item in doubts)):
+        progress("looking for what the model lacks")
+        found = suspects(machine, records, controller, result, options)
+    checks += tuple(explained(item, found) for item in doubts)
     refuse(checks)
     if result.converged and method == "closed-loop":
-        progress("looking for what the model lacks")
-        result = judged(result, suspects(machine, records, controller, result, options), records[0].dt)
+        result = judged(result, found, records[0].dt)
     if not result.adequate and not any(finding.code == Code.OTHER_DELAY for finding in checks):
         checks += _other_delay(machine, records, controller, result, options)
     done = LoopIdentification(

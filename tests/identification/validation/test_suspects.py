@@ -8,13 +8,14 @@ import pytest
 from benchmarks import waveforms
 
 from ambrose.core.response import simulate
+from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.loop import identify_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate, identify
 from ambrose.identification.output_error.delays import timed
 from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import nominal_values
-from ambrose.identification.validation.suspects import Suspect, judged, suspects
+from ambrose.identification.validation.suspects import Suspect, explained, judged, suspects
 from ambrose.machine.record.record import Record
 from linear_rig import DT, E, Y, rig
 
@@ -86,3 +87,20 @@ def test_a_value_near_zero_is_not_judged_by_its_own_size():
     assert judged(result, found, DT).adequate
     late = (Suspect("seal.center.C", 1.0, 9.0, 0.1, np.array([1e-5, 50.0])),)
     assert not judged(result, late, DT).adequate
+
+
+def test_causes_are_told_the_likeliest_first():
+    found = tuple(
+        Suspect(path, 1e-5, 9.0, part, np.zeros(1)) for path, part in (("controller.delay", 0.4), ("seal.center.C", 0.1))
+    )
+    refused = explained(Finding(Code.MISSING_RESPONSE, ERROR, "no values", "38 %", "another machine"), found)
+    assert "(40 %), seal.center.C" in refused.remedy and refused.remedy.endswith("; else another machine")
+    other = Finding(Code.BURST, WARNING, "y leaves the model")
+    assert explained(other, found) is other and explained(refused, ()) is refused
+
+
+def test_where_no_suspect_explains_it_the_verdict_says_what_was_tried():
+    machine, _, controller, _ = rig()
+    given = identify(machine, record(1.6), controller, KNOWN, bending_modes=0)
+    verdict = judged(given, (), DT).verdict
+    assert "no one of delays, gains" in verdict and judged(given, (), DT).warnings[-1].what == verdict

@@ -210,6 +210,10 @@ def driven_inputs(plant: Plant, records: Sequence[Record], order: int) -> tuple[
     possible = [f"e_{axis}" for axis in plant.axes] + [f"f_{port}" for port in plant.ports]
     driven = [name for name in possible if any(name in r.signals and r[name].any() for r in records)]
     for number, record in enumerate(records, 1):
+        for name in record.signals:
+            if name.startswith("e_") and name not in possible:
+                known = f"one of {', '.join(possible[: len(plant.axes)])}"
+                raise invalid(f"the excitation {name!r} of record {number}", "unknown", known, "rename it, or leave it out")
         active = [name for name in driven if name in record.signals and np.ptp(record[name]) > 0]
         if not active:
             raise InvalidInput(

@@ -32,6 +32,10 @@ from ambrose.machine.record.record import Record
 
 _CERTAIN = 4.0  # standard deviations of a step, below which noise may make it
 _HARMLESS = 0.02  # of a value; assumed: less than a tolerance of a magnet's coefficients ever is
+_NOT_THESE = (  # what is left once every suspect was tried in vain
+    "the model lacks something that no one of delays, gains, stiffnesses, amplifier and seals explains; likeliest first: "
+    "magnets beyond their linear range, a different controller, a missing bending mode"
+)
 _OWN, _SAMPLES = 0.5, 3.0  # of a parameter, of a delay in samples: a longer step is no correction, but another machine
 
 
@@ -78,22 +82,38 @@ def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> Pa
     residuals hold is no doubt about the values: the warning goes.
     """
     if not found:
-        return result
+        if all(test.passed for test in result.tests):
+            return result
+        verdict = verdict_of(result.tests, result.converged, _NOT_THESE)
+        told = [replace(item, what=verdict) if item.code == Code.RESIDUALS else item for item in result.warnings]
+        return replace(result, verdict=verdict, warnings=tuple(told))
     moves = np.abs([item.shift for item in found])
     sizes = [dt if path in TIMING else abs(value) for path, value in zip(result.paths, result.values, strict=True)]
     seen = moves > result.standard_deviations  # what noise hides is in the interval, whatever it is of a value near zero
     relative = np.where(seen, moves / np.maximum(sizes, 1e-300), 0.0)
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
-    named = ", ".join(f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in found[:3])
+    named = causes(found)
     moved = f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals hold"
-    lacking = f"one more unknown would explain a part of what is left: {named}; with it {moved}"
+    lacking = f"one more unknown would explain a part of what is left, the likeliest first: {named}; with it {moved}"
     verdict = verdict_of(result.tests, result.converged, lacking)
     warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]
     if effect > _HARMLESS:
         warnings.append(Finding(Code.RESIDUALS, WARNING, verdict))
     wider = result.widened(np.hypot(result.standard_deviations, moves.max(axis=0)))
     return replace(wider, verdict=verdict, warnings=tuple(warnings))
+
+
+def explained(finding: Finding, found: Sequence[Suspect]) -> Finding:
+    """A finding that the model misses a response, with the suspects before the causes that no single unknown stands for."""
+    if finding.code != Code.MISSING_RESPONSE or not found:
+        return finding
+    return replace(finding, remedy=f"likeliest first, with the part each would explain: {causes(found)}; else {finding.remedy}")
+
+
+def causes(found: Sequence[Suspect]) -> str:
+    """The three suspects that explain most, the likeliest first, each with its step and the share of the energy it explains."""
+    return ", ".join(f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in found[:3])
 
 
 def _sized(item: Suspect) -> str:

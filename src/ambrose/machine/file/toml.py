@@ -122,7 +122,8 @@ def read_machine_text(file: Any) -> str:
     except InvalidInput as error:
         if not isinstance(error.__cause__, FileNotFoundError):
             raise
-        close = meant(str(path), bundled)
+        here = f"{os.fspath(path)}.toml"
+        close = here if os.path.isfile(here) else meant(str(path), bundled)
         hint = f'did you mean "{close}"?' if close else f"bundled machines: {', '.join(bundled)}"
         raise InvalidInput(f'"{path}" is neither a file nor a bundled machine; {hint}') from None
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.machine.description import Seal
-from ambrose.machine.messages import suggestion
+from ambrose.machine.messages import meant, suggestion
 from ambrose.physics import seal, seal_rational
 from ambrose.plant.assemble import seal_poles
 from ambrose.simulation.rig.state import Rig
@@ -94,7 +94,11 @@ def plan(rig: Rig, scenario: Scenario, dt: float, seed: int) -> Plan:
     result = Plan(rig, scenario, dt, int(min(scenario.duration / dt, 1e15) + 1e-6) + 1, np.random.default_rng(seed))
     for item in scenario.all_windows:
         if item.signal not in result.inputs:
-            raise invalid(f"the signal {item.signal!r}", "unknown", "an input", suggestion(item.signal, result.inputs))
+            alike = [name for name in result.inputs if name.partition("_")[0] == item.signal.partition("_")[0]]
+            known = f"one of the inputs {', '.join(alike or result.inputs)}"
+            close = meant(item.signal, result.inputs)
+            remedy = f'did you mean "{close}"?' if close else "correct its name"
+            raise invalid(f"the signal {item.signal!r}", "unknown", known, remedy)
     for failure in scenario.failures:
         if failure.axis is not None and failure.axis not in rig.axes:
             raise invalid("the axis of a failure", repr(failure.axis), "a control axis", suggestion(failure.axis, rig.axes))
