@@ -143,8 +143,8 @@ def _print(done: Any, compared: Any) -> None:
         _table(tables.compared_table(compared))
     for line in (f"Verdict: {done.verdict}", *[f"Warning: {finding}" for finding in done.doubts]):
         say(line)
-    if done.method != "static" and done.seal is not None and done.seal.note:
-        say(f"Note: {done.seal.note}.")
+    for remark in () if done.method == "static" else done.remarks:
+        say(f"Note: {remark}.")
 
 
 def _table(table: Any, only_failed: bool = False) -> None:

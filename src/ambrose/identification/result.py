@@ -17,6 +17,7 @@ from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.parameters import COVERAGE, unit_of
 from ambrose.identification.seal.by_pressure import SealByPressure
 from ambrose.identification.static_load.identify import StaticLoad
+from ambrose.identification.validation.operating_load import load_remarks
 from ambrose.identification.validation.repeatability import Repeats
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.identification.youla.identify import ResidualIdentification
@@ -199,6 +200,12 @@ class LoopIdentification(Identification):
         return "closed-loop" if self.residual is None else "youla"
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the reader must know of the values beside the file's, a sentence each without its stop; no doubts."""
+        own = load_remarks(self.given, [output.record for output in self.outputs])
+        return own if self.seal is None or not self.seal.note else (*own, self.seal.note)
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         own = (*self.checks, *self.result.warnings)
         return own if self.seal is None else (*own, *self.seal.findings)
@@ -242,6 +249,7 @@ class LoopIdentification(Identification):
             "converged": result.converged,
             "iterations": result.iterations,
             "controller_error": error,
+            "remarks": list(self.remarks),
         }  # fmt: skip
         return data if self.seal is None else data | {"seal": self.seal.to_dict()}
 

@@ -87,9 +87,9 @@ def identification_report(
         parameters.append(repeats_table(checked.repeats))
     if compared is not None:
         parameters.append(compared_table(compared))
-    sections = [
-        Section("Parameters", "", (Figure("Change from the start", change_figure(result), _CHANGE),), tuple(parameters), True)
-    ]
+    remarks = " ".join(f"{remark}." for remark in checked.remarks)
+    change = Figure("Change from the start", change_figure(result), _CHANGE)
+    sections = [Section("Parameters", remarks, (change,), tuple(parameters), True)]
     if seal is not None:
         tables = (seal_table(seal), *((seal_lines_table(seal),) if len(seal.pressures) > 2 else ()))
         sections.append(Section("Seal", "", (seal_figure(seal),), tables))
