@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
+from ambrose.cli.balance import balance
 from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
 from ambrose.cli.export import export
@@ -89,6 +90,7 @@ for command in (
     verify,
     simulate,
     identify,
+    balance,
     convert,
     export,
     study_command,

@@ -13,7 +13,7 @@ of the two coefficients is the bias flux whatever the iron does, which is how ``
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,6 +56,25 @@ def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> M
         )
     raise InvalidInput(
         f"bearing {bearing.name} has no coefficients; give force_per_current and negative_stiffness, measured rows or geometry"
+    )
+
+
+def loaded(bearing: MagneticBearing, currents: Pair, bias_current: float | None = None) -> MagneticBearing:
+    """The bearing with the coefficients that small motion sees while static currents [A] carry a load: the slopes of ``force``
+    there, at the magnetic centre. A load of half the bias raises k_s by a quarter.
+
+    Raises InvalidInput as ``parameters`` does.
+    """
+    bias = bearing.bias_current if bias_current is None else bias_current
+    p = parameters(replace(bearing, magnetic_offset=(0.0, 0.0)), bias)
+    d_i, d_x = 1e-4 * bias, 1e-4 * min(p[5], p[8])
+    (i, j), half = currents, 0.5
+    k_i = [(force(i + d_i, j, 0.0, 0.0, p)[0] - force(i - d_i, j, 0.0, 0.0, p)[0]) * half / d_i,
+           (force(i, j + d_i, 0.0, 0.0, p)[1] - force(i, j - d_i, 0.0, 0.0, p)[1]) * half / d_i]  # fmt: skip
+    above, below = force(i, j, d_x, d_x, p), force(i, j, -d_x, -d_x, p)
+    k_s = [(high - low) * half / d_x for high, low in zip(above, below, strict=True)]
+    return replace(
+        bearing, bias_current=bias, measured=(), force_per_current=(k_i[0], k_i[1]), negative_stiffness=(k_s[0], k_s[1])
     )
 
 

@@ -93,6 +93,16 @@ def harmonics(sensor: Sensor) -> np.ndarray:
     return np.array([(r.order, r.amplitude, r.phase) for r in sensor.runout], dtype=float).reshape(-1, 3)
 
 
+def runout_phasors(sensors: Sequence[Sensor], axes: Sequence[str], order: int = 1) -> np.ndarray:
+    """The run-out in the measured signals (axes,) [m] as phasors on exp(j order angle), of the spin angle from the global x."""
+    phasors = [
+        sum(amplitude * np.exp(1j * (phase - order * ((sensor.angle or 0.0) + way * math.pi / 2)))
+            for n, amplitude, phase in harmonics(sensor) if n == order) * sensor.gain[way]
+        for _, sensor, way in channels(sensors, axes)
+    ]  # fmt: skip
+    return np.asarray(means(sensors, axes) @ np.array(phasors, complex))
+
+
 def runout(angle: float, profile: np.ndarray, p: tuple[float, ...]) -> float:
     """Run-out [m] that an axis sees at a spin angle [rad] measured from its pair's angle; profile from ``harmonics``.
 
