@@ -154,7 +154,7 @@ def identify(machine: Machine | str, records: Any, controller: Any = None, **opt
     """
     from ambrose.identification.pipeline import identify as identified
 
-    law = None if controller is None else law_of(controller)
+    law = None if controller is None else _read(controller)
     return identified(machine_of(machine), records, law, **options)
 
 

@@ -10,7 +10,7 @@ import scipy.signal
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, pade
-from ambrose.core.statespace import StateSpace, is_stable, poles, static_gain, transfer_function
+from ambrose.core.statespace import StateSpace, append, is_stable, poles, rename, static_gain, transfer_function
 
 DT = 0.05
 
@@ -64,12 +64,12 @@ def test_almost_whole_delays_add_no_states(fraction):
     assert c2d(random_system(1), DT, delay=(1 + fraction) * DT).n_states == 3 + 2 * (1 + round(fraction))
 
 
-@pytest.mark.parametrize("method", ["zoh", "tustin"])
+@pytest.mark.parametrize("method", ["zoh", "tustin", "backward-euler"])
 def test_scipy_agrees(method):
     system = random_system(3, n=5)
     ours = c2d(system, DT, method)
     theirs = scipy.signal.cont2discrete(
-        (system.A, system.B, system.C, system.D), DT, {"zoh": "zoh", "tustin": "bilinear"}[method]
+        (system.A, system.B, system.C, system.D), DT, {"zoh": "zoh", "tustin": "bilinear"}.get(method, "backward_diff")
     )
     theirs = StateSpace(*theirs[:4], dt=DT)
     omega = np.linspace(0, np.pi / DT, 20)
@@ -99,7 +99,7 @@ def test_tustin_with_whole_delays_turns_the_phase():
     np.testing.assert_allclose(late, prompt * np.exp(-2j * omega * DT)[:, None, None], rtol=1e-11)
 
 
-@pytest.mark.parametrize("method", ["zoh", "tustin"])
+@pytest.mark.parametrize("method", ["zoh", "tustin", "backward-euler"])
 def test_states_keep_their_meaning_and_scaling_costs_nothing(method):
     """The same system in states scaled by 1e-9 .. 1e9: the sampled matrices must be the scaled ones."""
     system = random_system(7, n=6)
@@ -143,6 +143,8 @@ def test_static_gains_and_integrators():
         ({"dt": DT, "method": "foh"}, "method is 'foh'"),
         ({"dt": DT, "method": "tustin", "delay": DT / 2}, "whole number of samples"),
         ({"dt": DT, "prewarp": 1.0}, "prewarp is 1.0"),
+        ({"dt": DT, "method": "backward-euler", "prewarp": 1.0}, "prewarp is 1.0"),
+        ({"dt": DT, "method": "matched"}, "channels mix; use 'tustin'"),
         ({"dt": DT, "method": "tustin", "prewarp": 70.0}, "below Nyquist 62.83"),
         ({"dt": DT, "method": "tustin", "prewarp": 0.0}, "prewarp is 0"),
     ],
@@ -155,8 +157,63 @@ def test_refuses(arguments, message):
 def test_refuses_what_has_no_equivalent():
     with pytest.raises(InvalidInput, match="sampled already"):
         c2d(c2d(random_system(1), DT), DT)
-    with pytest.raises(InvalidInput, match=r"a pole at 40 rad/s \(2/dt\) has no Tustin equivalent"):
+    with pytest.raises(InvalidInput, match=r"a pole at 40 rad/s has no sampled equivalent by this map"):
         c2d(StateSpace(2 / DT, 1, 1, 0), DT, "tustin")
+
+
+ZPK = {
+    "pid": ([-50.0, -700.0], [0.0, -4000.0], 3.0),
+    "oscillating": ([-200.0], [0.0, -300 + 4000j, -300 - 4000j], -2e7),
+    "two equal": ([], [-100.0, -100.0, -5000.0], 1e9),
+    "zeros right": ([30 + 400j, 30 - 400j], [-2000 + 2000j, -2000 - 2000j], 5.0),
+    "differentiator": ([0.0], [-3000.0], 1.0),
+}
+
+
+@pytest.mark.parametrize("name", ZPK)
+@pytest.mark.parametrize("prewarp", [None, 2000.0])
+def test_matched_maps_poles_and_zeros(name, prewarp):
+    """z = exp(s dt), those at infinity to -1; sign and gain at rest, or at the frequency, as before."""
+    zeros, below, gain = ZPK[name]
+    dt, omega = 1e-4, np.geomspace(0.1, 3e4, 40)
+    system = transfer_function(*scipy.signal.zpk2tf(zeros, below, gain))
+    sampled = c2d(system, dt, "matched", prewarp=prewarp)
+    z = np.exp(1j * omega * dt)[:, None]
+    shape = np.prod(z - np.exp(np.array(zeros) * dt), axis=1) * (z[:, 0] + 1) ** (len(below) - len(zeros))
+    shape /= np.prod(z - np.exp(np.array(below) * dt), axis=1)
+    found, before = (frequency_response(one, omega).values[:, 0, 0] for one in (sampled, system))
+    np.testing.assert_allclose(found / shape, np.full(40, (found / shape)[0].real), rtol=1e-8)
+    place = 0 if prewarp is None else [prewarp]
+    if prewarp is None:
+        assert found[0] / before[0] == pytest.approx(1, abs=1e-4)  # at 0.1 rad/s; half a sample of phase each
+    else:
+        at = [abs(frequency_response(one, place).values[0, 0, 0]) for one in (sampled, system)]
+        assert at[0] == pytest.approx(at[1], rel=1e-9) and (found[0] / before[0]).real > 0
+    np.testing.assert_allclose(
+        np.sort_complex(np.log(poles(sampled) + 0j) / dt), np.sort_complex(np.array(below) + 0j), atol=0.2
+    )
+
+
+def test_matched_agrees_with_python_control():
+    control = pytest.importorskip("control")
+    zeros, below, gain = ZPK["pid"][0], [-20.0, -4000.0], 3.0
+    system = transfer_function(*scipy.signal.zpk2tf(zeros, below, gain))
+    theirs = control.sample_system(control.zpk(zeros, below, gain), 1e-4, method="matched")
+    omega = np.geomspace(1, 3e4, 20)
+    found = frequency_response(c2d(system, 1e-4, "matched"), omega).values[:, 0, 0]
+    np.testing.assert_allclose(found, theirs(np.exp(1j * omega * 1e-4)), rtol=1e-8)
+
+
+def test_matched_takes_channels_apart_though_their_states_are_mixed():
+    one = transfer_function([1.0, 50.0], [1.0, 800.0, 3e5])
+    two = transfer_function([2.0, 0.0], [1.0, 800.0, 3e5])
+    T = np.random.default_rng(0).standard_normal((4, 4))
+    whole = append(rename(one, ["a"], ["c"]), rename(two, ["b"], ["d"]))
+    mixed = StateSpace(T @ whole.A @ np.linalg.inv(T), T @ whole.B, whole.C @ np.linalg.inv(T), whole.D)
+    omega = np.geomspace(1, 3e4, 20)
+    apart = [frequency_response(c2d(item, 1e-4, "matched"), omega).values[:, 0, 0] for item in (one, two)]
+    found = frequency_response(c2d(mixed, 1e-4, "matched"), omega).values
+    np.testing.assert_allclose(np.diagonal(found, axis1=1, axis2=2).T, apart, rtol=1e-7)
 
 
 class TestPade:

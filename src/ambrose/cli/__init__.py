@@ -16,6 +16,7 @@ from click.exceptions import NoArgsIsHelpError
 from ambrose.cli.balance import balance
 from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
+from ambrose.cli.convert_controller import convert_controller
 from ambrose.cli.export import export
 from ambrose.cli.identify import identify
 from ambrose.cli.new import new
@@ -31,6 +32,11 @@ from ambrose.version import __version__
 
 class AmbroseCommand(click.Group):
     """Turns every refusal of the package, and every file that cannot be used, into one message and exit status 2."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """Names of two words, too."""
+        two = " ".join(args[:2])
+        return super().resolve_command(ctx, [two, *args[2:]] if two in self.commands else args)
 
     def main(self, args: Any = None, prog_name: Any = None, *, standalone_mode: bool = True, **extra: Any) -> Any:  # type: ignore[override]
         # Before numpy is loaded: at these sizes (some hundred states) BLAS threads cost more than they bring.
@@ -96,3 +102,4 @@ for command in (
     study_command,
 ):
     main.add_command(command)
+main.add_command(convert_controller, "convert controller")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from ambrose.cli.convert_controller import write_imported
 from ambrose.cli.terminal import AS_JSON, claim, say, say_json
 
 
@@ -27,31 +28,16 @@ def convert(
     As a record (*.h5, *.csv): a record; with a column map a file of MATLAB (*.mat) or LabVIEW (*.tdms), a universal file (*.uff
     or *.unv) or a text table of any separator and decimal mark (*.csv, *.txt).
 
-    As a controller file (*.json): a table of filters (*.csv, *.json).
+    As a controller file (*.json): a controller of another program, as `ambrose convert controller` does with its options.
 
     As a machine file (*.toml): a rotor model of ROSS (*.toml, *.json) or a table of stations (*.csv), on magnets chosen as
     `ambrose new` does; a machine file, or a bundled machine's name, becomes a model of ROSS.
     """
-    from ambrose.deployment.discretisation.deployment import instability
     from ambrose.machine.record.files import check_suffix, read_record, write_record
     from ambrose.machine.record.foreign import read_foreign
-    from ambrose.synthesis.controller_file import read_controller, write_controller
 
     if output.suffix == ".json":
-        claim(controller_file=output)
-        law = read_controller(record)
-        write_controller(output, law)
-        kind = "continuous" if law.controller.dt is None else f"sampled at {1 / law.controller.dt:.6g} Hz"
-        wrong = instability(law.controller)
-        told = {
-            "controller": str(output), "inputs": law.controller.inputs, "states": law.controller.n_states, "kind": kind,
-            "problems": wrong,
-        }  # fmt: skip
-        text = f"{output}: {law.controller.n_states} states, {kind}, from {', '.join(law.controller.inputs)}"
-        say_json(told) if as_json else say(text)
-        for problem in wrong:
-            say(f"careful: {problem}", err=True)
-        return
+        write_imported(record, None, output, as_json)
     if output.suffix.lower() == ".toml":
         _convert_machine(record, output, speed, bearings, vertical, as_json)
         return

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from ambrose.cli.convert_controller import METHODS
 from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, say, say_json
 
 
@@ -27,8 +28,8 @@ from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, say
 )  # fmt: skip
 @RATE
 @DELAY
-@click.option("--sampling", type=click.Choice(["tustin", "zoh"]), default="tustin", show_default=True)
-@click.option("--prewarp-hz", type=float, default=None, help="Tustin exact at this frequency.")
+@click.option("--sampling", type=click.Choice(METHODS), default="tustin", show_default=True, help="How it is sampled.")
+@click.option("--prewarp-hz", type=float, help="Tustin exact at this frequency; of matched: where the gain is that of before.")
 @click.option(
     "--form", type=click.Choice(["modal", "cascade"]), default="modal", show_default=True,
     help="Realisation in C: modal, or of a filter bank its sections one by one.",

@@ -27,8 +27,8 @@ METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, whic
 @click.option("--start", multiple=True, metavar="PATH=VALUE", help="SI value to begin at; default: the machine's (repeatable).")
 @click.option("--signals", multiple=True, metavar="NAME", help="Signals to fit, y_, u_ or i_<axis>; default: every y_<axis>.")
 @click.option(
-    "--delay-samples", "computing_delay", type=float, default=1, show_default=True,
-    help="From measured errors to acting currents.",
+    "--delay-samples", "computing_delay", type=float, default=1,
+    help="From measured errors to acting currents; default: the controller file's, or 1.",
 )  # fmt: skip
 @click.option("--bending-modes", type=int, default=3, show_default=True, help="Bending modes per plane in the model.")
 @click.option("--harmonics", type=int, default=3, show_default=True, help="Multiples of the speed that unbalance may hold.")
@@ -75,7 +75,7 @@ def identify(
         settings["start"] = _starts(start)
     names = Provenance(tuple(path.name for path in records), controller.name if controller else "")
     with progress_shown(as_json) as progress:
-        law = read_controller(controller).controller if controller else None
+        law = read_controller(controller) if controller else None
         done = run(description, records, law, method=method, provenance=names, progress=progress, **settings)
         compared = None if other is None else agreement(done.result, other)
         text = done.comment + machine_text(done.machine)

@@ -55,7 +55,7 @@ class ExportOptions(Presented):
 
     name: prefix of every name in the code, a C identifier. arithmetic: of the code. rate [Hz]: of the samples, delay_samples:
     from measured errors to currents set (None: as the controller or the machine file says, ``plant.timing.timing_of``; 10 kHz
-    and one sample where nobody does); sampling: "tustin", exact at ``prewarp`` [rad/s] if given, or "zoh"; form: "modal", or
+    and one sample where nobody does); sampling, prewarp [rad/s]: as in ``core.sampling.c2d``; form: "modal", or
     of filters "cascade", section by section (C only). error_limit [m], current_limit [A]: one number or one per axis (None:
     the bearings' gaps, or twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in
     ``build_block``. speed_limit [rad/s], speed_rate [rad/s^2]: of a scheduled controller, as in ``build_scheduled_block``.

@@ -75,7 +75,8 @@ def identify(
     """The machine's parameters from records of it running, checked before and after the fit, and the machine with them.
 
     records: as they are or their files, with excitations e_<axis> [A] and displacements y_<axis> [m]; with u_<axis> [A] the
-    controller is checked, too. controller: the one that ran, a StateSpace, a Synthesis or anything with A, B, C, D.
+    controller is checked, too. controller: the one that ran, a StateSpace, a Synthesis (with the delay that it states, where
+    none is given) or anything with A, B, C, D.
     method: "closed-loop"; "youla" (needs every u_<axis>); "static" (loads f_<port> and currents give K_i, no controller).
     unknown: paths such as "bearing.*.negative_stiffness.*" (none: what the machine marks as uncertain, K_i and K_s of every
     axis, the amplifier's lag; delays alone are added to these); start: path -> SI value to begin at. repeats: the records
@@ -104,7 +105,8 @@ def identify(
     if method == "static":
         done = _identify_static(machine, measured, repeats, progress, options)
     else:
-        law, how = _law(controller), FitOptions(**options)
+        own = (getattr(getattr(controller, "provenance", None), "settings", None) or {}).get("delay_samples")
+        law, how = _law(controller), FitOptions(**({} if own is None else {"computing_delay": own}) | options)
         if set(unknown) <= {"delay", *TIMING}:  # delays alone: beside what is usual
             unknown = (*usual_unknowns(machine, measured), *unknown)
             progress(f"unknown: {', '.join(path for kind in split_timing(machine, unknown) for path in kind)}")

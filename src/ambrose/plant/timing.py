@@ -93,18 +93,20 @@ def timing_of(
     that of the same source, else the machine's, else one sample. Raises InvalidInput.
     """
     own, law = machine_timing(machine), getattr(controller, "law", controller)
+    settings = getattr(getattr(controller, "provenance", None), "settings", None) or {}
     samples = 1 if own is None else own.delay_samples
     if isinstance(law, ControlProgram):
         samples, law = law.delay, law.system
     elif is_system(law):
         law = as_statespace(law)
-    settings = getattr(getattr(controller, "provenance", None), "settings", None) or {}
+    stated = settings.get("delay_samples")
+    of_law = samples if stated is None or isinstance(law, ControlProgram) else int(stated)
     if rate is not None:
         found: Timing | None = Timing(1 / check_positive(rate, "rate", "give the sample rate in Hz"), samples)
     elif (dt := getattr(law, "dt", None)) is not None:
-        found = Timing(float(dt), samples, "the controller's own")
+        found = Timing(float(dt), of_law, "the controller's own")
     elif settings.get("rate"):
-        found = Timing(1 / float(settings["rate"]), int(settings.get("delay_samples", samples)), "what it was designed for")
+        found = Timing(1 / float(settings["rate"]), of_law, "what it was designed for")
     else:
         found = own
     if delay_samples is None:

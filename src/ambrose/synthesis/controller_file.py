@@ -44,7 +44,8 @@ from ambrose.machine.limits import (
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import quoted
 from ambrose.machine.ordinary_file import read_text
-from ambrose.synthesis.filter_table import controller_of_csv, controller_of_json
+from ambrose.machine.record.apart import tree_of
+from ambrose.synthesis.filter_table import DEFAULT_AXES, FACTS, controller_of, csv_table, is_table, mat_table
 from ambrose.synthesis.hinf.scaling import Matrices
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
 from ambrose.synthesis.weights import Weights
@@ -241,22 +242,44 @@ def _layout(content: Mapping[str, Any]) -> str:
     return "{\n " + ",\n ".join(lines) + "\n}\n"
 
 
-def read_controller(path: str | os.PathLike[str]) -> Synthesis:
+def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
     """The controller file at ``path``, every part of it checked; nothing in it is ever executed.
 
-    A table of filters (synthesis/filter_table.py), *.csv or JSON with "channels", is a controller that nothing is known of.
-    Raises InvalidInput that names the file, the key, its value and the remedy.
+    A table of another program (synthesis/filter_table.py), *.csv, *.mat or JSON without "format", is a controller that nothing
+    is known of. stated: what such a table leaves open: rate_hz; delay_samples; input, "error" (r - y) or "displacement" (y,
+    whose sign is turned); input_unit ("um"), output_unit ("mA"); axes, names for its channels in their order, and default_axes,
+    where it has none. Raises InvalidInput that names the file, the key, its value and the remedy.
     """
-    text = read_text(path, "controller file", CONTROLLER_BYTES)
+    if unknown := [key for key in stated if key not in (*FACTS, DEFAULT_AXES)]:
+        raise invalid("what is stated of a controller", quoted(unknown[0]), f"one of {', '.join(FACTS)}", "correct its name")
+    suffix = Path(path).suffix.lower()
     try:
-        if Path(path).suffix.lower() == ".csv":
-            return Synthesis(controller_of_csv(text))
-        content = _content(text)
-        if isinstance(content, dict) and "channels" in content:
-            return Synthesis(controller_of_json(content))
-        return _synthesis(_parse(content))
+        if suffix == ".mat":
+            return _imported(mat_table(tree_of(Path(path))), stated)
+        text = read_text(path, "controller file", CONTROLLER_BYTES)
+        content = csv_table(text) if suffix == ".csv" else _content(text)
+        if isinstance(content, dict) and not {"format", "provenance"} & {*content} and is_table(content):
+            return _imported(content, stated)
+        return _restated(_synthesis(_parse(content)), stated)
     except InvalidInput as error:
-        raise InvalidInput(f"controller file {path}: {error}") from error
+        raise InvalidInput(f"controller file {path}: {str(error).removeprefix(f'{path}: ')}") from error
+
+
+def _imported(table: Mapping[str, Any], stated: Mapping[str, Any]) -> Synthesis:
+    system, delay = controller_of(table, **stated)
+    return Synthesis(system, provenance=Provenance(settings=None if delay is None else {"delay_samples": delay}))
+
+
+def _restated(result: Synthesis, stated: Mapping[str, Any]) -> Synthesis:
+    """A controller file with another delay; all else it says itself. Raises InvalidInput."""
+    delay = stated.get("delay_samples")
+    for key, value in stated.items():
+        if value is not None and key not in ("delay_samples", DEFAULT_AXES):
+            raise InvalidInput(f"{key} was stated, but a file of this package says it itself; leave it out")
+    if delay is None:
+        return result
+    settings = {**(result.provenance.settings or {}), "delay_samples": delay}
+    return replace(result, provenance=replace(result.provenance, settings=settings))
 
 
 def _content(text: str) -> Any:

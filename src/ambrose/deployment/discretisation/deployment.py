@@ -130,8 +130,8 @@ def deploy(
 ) -> Deployment:
     """``controller`` sampled at sample_time [s] and verified with the computing delay [s] in the loop.
 
-    controller: a Synthesis or a system, continuous or sampled already. method: "tustin", exact at
-    ``prewarp`` [rad/s] if given, or "zoh". plants: the full plant at every operating point, the nominal one first; its
+    controller: a Synthesis or a system, continuous or sampled already. method, prewarp
+    [rad/s]: as in ``core.sampling.c2d``. plants: the full plant at every operating point, the nominal one first; its
     machine's tolerances are the uncertainty. Refused unless ``force``: a controller that is unstable itself or was not
     verified, and one whose sampled loop is unstable at an operating point or in the tolerances, or was not examined (no
     plants). Raises InvalidInput (also for a delay that is no whole number of samples, and a sample rate too low for the

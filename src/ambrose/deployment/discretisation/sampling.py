@@ -1,4 +1,4 @@
-"""A controller's sampled matrices: Tustin's map or a zero-order hold, in modal form; of a schedule at every grid point.
+"""A controller's sampled matrices (core/sampling.py has the methods), in modal form; of a schedule at every grid point.
 
 A slow pole is 1 - 1e-7 once sampled, which leaves A nine digits; so A - I is computed from the continuous matrices and kept
 beside the system.
@@ -83,6 +83,7 @@ def sample_schedule(
 def _increment(K: StateSpace, dt: float, method: Method, prewarp: float | None) -> np.ndarray:
     """A - I (n, n) of the sampled K: A times what the held identity adds to the states."""
     n, eye = K.n_states, np.eye(K.n_states)
+    method, prewarp = ("zoh", None) if method == "matched" else (method, prewarp)  # its A is that of the hold
     return K.A @ c2d(StateSpace(K.A, eye, eye, np.zeros((n, n))), dt, method, prewarp=prewarp).B if n else np.zeros((0, 0))
 
 

@@ -22,9 +22,10 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.limits import NUMBERS
 from ambrose.machine.record.hdf5_file import read_hdf5
-from ambrose.machine.record.mat_tdms import read_variables
+from ambrose.machine.record.mat_tdms import read_tree, read_variables
 from ambrose.machine.record.text_uff import Variable
 
+_ALL = ("*",)  # no name of a variable
 _MEMORY = 900_000_000  # bytes of the child, where the system can limit it (Linux)
 _SECONDS, _BYTES_PER_SECOND = 20.0, 5_000_000  # time of the child: for any file, and by its size
 
@@ -40,6 +41,12 @@ def variables_of(path: Path, names: Sequence[str]) -> Iterator[list[Variable]]:
             Variable(np.memmap(numbers, np.dtype(kind), "r", start, (count,)) if count else np.empty(0), *rest)
             for kind, start, count, *rest in told["variables"]
         ]
+
+
+def tree_of(path: Path) -> dict[str, Any]:
+    """All variables of a MAT-file as plain data (``mat_tdms.read_tree``). Raises InvalidInput."""
+    with tempfile.TemporaryDirectory(prefix="ambrose-", ignore_cleanup_errors=True) as folder:
+        return dict(_ask(path, _ALL, Path(folder, "answer.json"))["tree"])
 
 
 def try_record(path: Path) -> None:
@@ -77,15 +84,17 @@ def _answer(path: Path, answer: Path, seconds: float) -> None:
     names = json.load(sys.stdin)
     _limit(_MEMORY + (16 * NUMBERS if names is None else 0), seconds)
     try:
-        told = []
+        told, tree = [], None
         if names is None:
             read_hdf5(path)
+        elif tuple(names) == _ALL:
+            names, tree = None, read_tree(path)
         with answer.with_suffix(".numbers").open("wb") as file:
             for variable in read_variables(path, names) if names else ():
                 values = np.ascontiguousarray(variable.values)
                 told.append([values.dtype.str, file.tell(), len(values), variable.unit, variable.rate, variable.bad])
                 values.tofile(file)
-        text = json.dumps({"variables": told})
+        text = json.dumps({"variables": told, "tree": tree})
     except InvalidInput as error:
         text = json.dumps({"refused": str(error)})
     answer.write_text(text, encoding="utf-8")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.limits import FOREIGN_NUMBERS
+from ambrose.machine.limits import CONTROLLER_NUMBERS, FOREIGN_NUMBERS
 from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.record.hdf5_file import own_member
 from ambrose.machine.record.text_uff import Variable, text_table, universal, unknown
@@ -46,9 +46,51 @@ def _opened(path: Path) -> Iterator[Callable[[str], Variable]]:
         page = "see docs/records.md, Files of other programs"
         raise InvalidInput(f"{path}: it is not of a kind known here ({', '.join(readers)}); export it as one of them, {page}")
     check_source(path, "file of another program")
+    with _refused(path), readers[path.suffix.lower()](path) as find:
+        yield find
+
+
+def read_tree(path: Path) -> dict[str, Any]:
+    """All variables of a MAT-file as plain data: matrices by rows, structs as dicts, cells as lists, complex numbers as text.
+
+    Raises InvalidInput for a file of version 7.3, and for too many numbers.
+    """
+    import h5py
+    import scipy.io
+
+    check_source(path, "MAT-file")
+    with _refused(path):
+        if h5py.is_hdf5(path):
+            raise InvalidInput("it is of MATLAB's version 7.3; save it as an older one: save('name.mat', '-v7')")
+        left = [CONTROLLER_NUMBERS]
+        return {name: _plain(value, left) for name, value in scipy.io.loadmat(path).items() if not name.startswith("__")}
+
+
+def _plain(value: Any, left: list[int]) -> Any:
+    """Of what loadmat gives; left: how many numbers may still come. Objects (ss, tf) are None: nobody but MATLAB reads them."""
+    import scipy.sparse
+
+    array = value.toarray() if scipy.sparse.issparse(value) else np.asarray(value)
+    left[0] -= array.size
+    if left[0] < 0:
+        raise InvalidInput(f"it holds more than {CONTROLLER_NUMBERS} numbers; save the controller alone")
+    if array.dtype.names:
+        entries = [{name: _plain(entry[name], left) for name in array.dtype.names} for entry in array.ravel()]
+        return None if "arr" in array.dtype.names else entries[0] if len(entries) == 1 else entries
+    if array.dtype.kind == "O":
+        return [[_plain(entry, left) for entry in row] for row in np.atleast_2d(array)]
+    if array.dtype.kind in "US":
+        return str(array.item()) if array.size == 1 else [str(text) for text in array.ravel()]
+    if array.dtype.kind == "c":
+        array = np.vectorize(str, otypes=[object])(array)
+    return array.tolist()
+
+
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """What a reader raises, as an InvalidInput that names the file."""
     try:
-        with readers[path.suffix.lower()](path) as find:
-            yield find
+        yield
     except MemoryError:
         most = f"a variable may have {FOREIGN_NUMBERS} numbers"
         raise InvalidInput(f"{path}: it takes too much memory; {most}, save it in parts") from None
