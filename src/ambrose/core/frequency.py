@@ -2,7 +2,8 @@
 
 The triangular matrix is split recursively, so that almost all work is products of constant real matrices with the
 stacked right-hand sides of every frequency (BLAS 3). Schur vectors are orthogonal: the accuracy is that of a
-direct solve with the balanced A, also for defective poles, where a diagonalisation would fail.
+direct solve with the balanced A, also for defective poles, where a diagonalisation would fail. Where it does not, a form may
+keep the residues of its poles instead: one product per frequency, an order of magnitude faster at hundreds of states.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from ambrose.core.statespace import Names, as_statespace, balance, index_of
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
 _NEAR = 100.0  # points within so many rounding errors of a pole are evaluated one by one
 _CHUNK = 2_000_000  # complex numbers held for one batch of frequencies: 32 MB
+_SPREAD = 1e4  # of the eigenvectors (norms of right and left ones), up to which residues lose at most these digits
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -53,7 +55,7 @@ class FrequencyResponse(Presented):
 
     def max_singular_value(self) -> np.ndarray:
         """Largest singular value at each frequency, (..., w)."""
-        return np.linalg.norm(self.values, 2, axis=(-2, -1))
+        return largest_gain(self.values)
 
     def facts(self) -> Mapping[str, Any]:
         """Range, largest gain and signals."""
@@ -94,6 +96,23 @@ def frequency_response(system: Any, omega: ArrayLike) -> FrequencyResponse:
     return FrequencyResponse(values, omega, system.inputs, system.outputs)
 
 
+def largest_gain(values: np.ndarray) -> np.ndarray:
+    """The largest singular value of each matrix of a stack (..., p, m), as (...).
+
+    From the Gram matrix's largest eigenvalue: as exact as an SVD for this one, and faster.
+    """
+    p, m = values.shape[-2:]
+    if min(p, m) <= 1:
+        return np.asarray(np.linalg.norm(values, axis=(-2, -1)))
+    adjoint = values.conj().swapaxes(-1, -2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        gram = adjoint @ values if m <= p else values @ adjoint
+        size = np.einsum("...ii->...", gram).real
+    if not ((size > 1e-280) & (size < 1e280)).all():  # squares that overflow or vanish
+        return np.asarray(np.linalg.norm(values, 2, axis=(-2, -1)))
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(gram)[..., -1]))
+
+
 def check_nyquist(omega: np.ndarray, dt: float) -> None:
     """Raises InvalidInput where omega (w,) [rad/s] exceeds the Nyquist frequency of the sample time dt [s]."""
     highest, nyquist = np.abs(omega).max(initial=0.0), np.pi / dt
@@ -107,7 +126,8 @@ class SchurForm:
     """A system made ready for evaluation at many points: C (s I - A)^-1 B + D = right (s I - triangle)^-1 left + D.
 
     triangle (n, n): the Schur form of the balanced A, quasi-triangular for a real A; left (n, m), right (p, n), D (p, m).
-    ``transposed`` tells that the form belongs to the transposed system, which has fewer right-hand sides.
+    ``transposed`` tells that the form belongs to the transposed system, which has fewer right-hand sides. expansion: the
+    eigenvalues (n,) and their residues (n, p m), where they were asked for and keep the digits.
     """
 
     triangle: np.ndarray
@@ -115,6 +135,7 @@ class SchurForm:
     right: np.ndarray
     D: np.ndarray
     transposed: bool = False
+    expansion: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def poles(self) -> np.ndarray:
@@ -138,19 +159,34 @@ def schur_eigenvalues(T: np.ndarray) -> np.ndarray:
     return values
 
 
-def schur_form(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> SchurForm:
+def schur_form(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, *, expand: bool = False) -> SchurForm:
     """The balanced Schur form, computed once for any number of calls of ``evaluate``.
 
-    A (n, n), B (n, m), C (p, n), D (p, m): real or complex.
+    A (n, n), B (n, m), C (p, n), D (p, m): real or complex. expand: keep the partial fractions where eigenvectors allow, for
+    some hundred frequencies or more.
     """
     if C.shape[0] < B.shape[1]:  # fewer right-hand sides: work with the transposed system
-        form = schur_form(A.T, C.T, B.T, D.T)
-        return SchurForm(form.triangle, form.left, form.right, form.D, True)
+        form = schur_form(A.T, C.T, B.T, D.T, expand=expand)
+        return SchurForm(form.triangle, form.left, form.right, form.D, True, form.expansion)
     A, t = balance(A)
     if A.shape[0] == 0:
         return SchurForm(A, B, C, D)
     T, Q = sla.schur(A, output="complex" if np.iscomplexobj(A) else "real")
-    return SchurForm(T, Q.conj().T @ (B / t[:, None]), (C * t) @ Q, D)
+    left, right = Q.conj().T @ (B / t[:, None]), (C * t) @ Q
+    return SchurForm(T, left, right, D, expansion=_expansion(T, left, right) if expand else None)
+
+
+def _expansion(T: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Poles (n,) and residues (n, p m); None where the eigenvectors would cost more than four digits."""
+    try:
+        poles, V = np.linalg.eig(T)
+        W = np.linalg.inv(V)
+    except np.linalg.LinAlgError:
+        return None
+    if not (np.linalg.norm(V, axis=0) * np.linalg.norm(W, axis=1) <= _SPREAD).all():
+        return None
+    residues = (right @ V).T[:, :, None] * (W @ left)[:, None, :]
+    return poles, residues.reshape(len(poles), -1)
 
 
 def evaluate(form: SchurForm, s: np.ndarray) -> np.ndarray:
@@ -161,11 +197,17 @@ def evaluate(form: SchurForm, s: np.ndarray) -> np.ndarray:
     values = np.broadcast_to(form.D, (len(s), p, m)).astype(complex)
     if n and m and p:
         step = max(1, _CHUNK // (n * m))
+        if form.expansion is not None:
+            step = max(1, _CHUNK // (10 * n))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for start in range(0, len(s), step):
                 part = s[start : start + step]
+                if form.expansion is not None:
+                    poles, residues = form.expansion
+                    values[start : start + step] += ((1 / (part[:, None] - poles)) @ residues).reshape(-1, p, m)
+                    continue
                 X = np.repeat(form.left[:, None, :].astype(complex), len(part), axis=1)
-                _solve_shifted(form.triangle, X, part)
+                solve_shifted(form.triangle, X, part)
                 values[start : start + step] += _times(form.right, X).swapaxes(0, 1)
         bad = ~np.isfinite(values).all(axis=(1, 2))
         if bad.any():
@@ -253,14 +295,14 @@ def _times(T: np.ndarray, X: np.ndarray) -> np.ndarray:
     return product.reshape(T.shape[0], *X.shape[1:])
 
 
-def _solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
+def solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
     """Replace X (n, w, m) by (s_w I - T)^-1 X for (quasi-)triangular T (n, n) and every s (w,), in place."""
     n = T.shape[0]
     if n > _LEAF:
         h = n // 2 + int(T[n // 2, n // 2 - 1] != 0)  # never through a 2 x 2 block
-        _solve_shifted(T[h:, h:], X[h:], s)
+        solve_shifted(T[h:, h:], X[h:], s)
         X[:h] += _times(T[:h, h:], X[h:])
-        _solve_shifted(T[:h, :h], X[:h], s)
+        solve_shifted(T[:h, :h], X[:h], s)
         return
     i = n
     while i > 0:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, named_failure
-from ambrose.core.frequency import SchurForm, evaluate, schur_form, state_response_at
+from ambrose.core.frequency import SchurForm, evaluate, largest_gain, schur_form, state_response_at
 from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
@@ -112,7 +112,7 @@ class _Problem:
 
     def gains(self, angle: np.ndarray) -> np.ndarray:
         """The largest singular value at each frequency, fast."""
-        return np.linalg.norm(evaluate(self.form, self.point(angle)), 2, axis=(1, 2))
+        return largest_gain(evaluate(self.form, self.point(angle)))
 
     def peak(self, angle: float) -> _Peak:
         """The largest singular value at one frequency, as exactly as the data allow, with its rounding error."""

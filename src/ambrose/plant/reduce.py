@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_failure
+from ambrose.core.frequency import largest_gain
 from ambrose.core.mechanical import SecondOrder, project, to_statespace, velocity_scales
 from ambrose.core.statespace import StateSpace, balance
 from ambrose.physics.rotor import free_modes
@@ -204,5 +205,5 @@ def modal_sum_bound(A: np.ndarray, B: np.ndarray, C: np.ndarray, omega: np.ndarr
             conjugate = residue.conj()
             part = part + conjugate[None] / (s - values[i].conj())[:, None, None]
             at_zero = 2 * at_zero.real
-        bound += np.linalg.norm(part - (at_zero if static else 0), 2, axis=(1, 2))
+        bound += largest_gain(part - (at_zero if static else 0))
     return bound

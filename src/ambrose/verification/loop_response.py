@@ -127,7 +127,7 @@ def _direct(system: StateSpace, s: complex) -> np.ndarray:
 
 
 def _form(system: StateSpace) -> SchurForm:
-    return schur_form(system.A, system.B, system.C, system.D)
+    return schur_form(system.A, system.B, system.C, system.D, expand=True)
 
 
 def frequency_grid(

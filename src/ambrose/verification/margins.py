@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.core.frequency import largest_gain
 from ambrose.machine.criteria import TWO_PI, demand
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
@@ -208,7 +209,7 @@ def margin_checks(
 
 def _disk(S: np.ndarray) -> np.ndarray:
     """Largest singular value of S - I/2, (1, w)."""
-    return np.linalg.norm(S - 0.5 * np.eye(S.shape[1]), 2, axis=(1, 2))[None, :]
+    return largest_gain(S - 0.5 * np.eye(S.shape[1]))[None, :]
 
 
 def _gain_detail(m: LoopMargins) -> str:

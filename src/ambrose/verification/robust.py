@@ -351,7 +351,7 @@ def _performance(problem: GeneralizedPlant, controller: StateSpace, grid: np.nda
     title = "Mixed mu of the weighted loop, on a frequency grid"
     whole = with_performance_block(problem)
     closed = lft(whole, controller)
-    form = schur_form(closed.A, closed.B, closed.C, closed.D)
+    form = schur_form(closed.A, closed.B, closed.C, closed.D, expand=True)
     start = grid[:: max(1, len(grid) // 120)]
     try:
         peak = mu_peak(lambda omega: evaluate(form, 1j * omega), whole.blocks, start, tolerance=1e-3, max_points=600)

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.core.frequency import largest_gain
 from ambrose.machine.criteria import SENSITIVITY, TWO_PI, demand
 from ambrose.machine.description import Requirements
 from ambrose.verification.checks import Check, Curve
@@ -43,7 +44,7 @@ class _Quantity:
     def rows(self, response: LoopResponse) -> np.ndarray:
         """Maximum singular value first, then the moduli of the diagonal, (1 + a, w)."""
         values = self.matrix(response)
-        largest = np.linalg.norm(values, 2, axis=(1, 2))
+        largest = largest_gain(values)
         return np.vstack([largest[None, :], np.abs(np.einsum("wii->iw", values))])
 
 
@@ -95,7 +96,7 @@ def _roll_off(response: LoopResponse, evaluator: Evaluator, requirements: Requir
     """Over the whole grid of the response: what lies beyond the range of ISO 14839-3 counts here."""
 
     def rows(at: LoopResponse) -> np.ndarray:
-        size = np.linalg.norm(at.control_sensitivity(), 2, axis=(1, 2))
+        size = largest_gain(at.control_sensitivity())
         return np.asarray(size * np.hypot(1, at.omega / corner))[None, :]
 
     ((peak,),) = peaks_of([rows], response, evaluator)

@@ -30,6 +30,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid
+from ambrose.core.frequency import largest_gain
 from ambrose.machine.criteria import TWO_PI, demand, machine_limit
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
@@ -54,7 +55,7 @@ def orbit(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def worst_orbit(response: LoopResponse, residual: Unbalance) -> np.ndarray:
     """Largest singular value of the compliance times F, (w,) [m]."""
-    return np.linalg.norm(response.compliance(), 2, axis=(1, 2)) * residual.force(response.omega)
+    return largest_gain(response.compliance()) * residual.force(response.omega)
 
 
 def distributed_orbits(response: LoopResponse, residual: Unbalance, machine: Machine, *, antiphase: bool) -> np.ndarray:

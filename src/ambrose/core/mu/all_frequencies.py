@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, invalid, named_failure
+from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import Block
 from ambrose.core.mu.chords import Chords, chords
 from ambrose.core.mu.structure import Structure, osborne, structure_of
@@ -111,7 +112,7 @@ def least_level(
 
     def exceeds(part: np.ndarray, level: float) -> np.ndarray:
         scaled = _divided(part, skew, level)
-        over = np.linalg.norm(osborne(scaled, structure)[0], 2, axis=(1, 2)) >= 1 - tolerance / 10
+        over = largest_gain(osborne(scaled, structure)[0]) >= 1 - tolerance / 10
         enough = np.full(int(over.sum()), 1 - tolerance / 10)  # whether mu < 1 is all that is asked
         over[over] = upper_bound(scaled[over], structure, level=enough, tolerance=tolerance / 10).value >= 1
         return over
@@ -249,7 +250,7 @@ class _Task:
 def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarray]:
     """Scalings with room at M (i, n_z, n_w), those of the balanced matrix where they suffice, and whether they prove mu < 1."""
     balanced, d_z, d_w = osborne(M, structure)
-    value = np.linalg.norm(balanced, 2, axis=(1, 2))
+    value = largest_gain(balanced)
     X_w, X_z = (np.einsum("bi,ij->bij", d**2, np.eye(d.shape[1])) + 0j for d in (d_w, d_z))
     G = np.zeros((len(M), structure.n_w, structure.n_z), complex)
     hard = np.flatnonzero(value >= _EASY)
@@ -268,7 +269,7 @@ def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     N = left @ M @ right
     G = np.linalg.inv(L_w) @ found.G @ np.linalg.inv(L_z).conj().swapaxes(1, 2)
     shifted = N - 1j * G.conj().swapaxes(1, 2)[:, None]
-    gap = np.linalg.norm(G, 2, axis=(1, 2))[:, None] ** 2
+    gap = largest_gain(G)[:, None] ** 2
     cross = 1j * G[:, None] @ N
     Phi = N.conj().swapaxes(2, 3) @ N + cross + cross.conj().swapaxes(2, 3)
     wide = ~np.isfinite(slack).all(axis=(2, 3))

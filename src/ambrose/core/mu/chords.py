@@ -11,24 +11,29 @@ whose resolvent is bounded by a Neumann series. Nothing is asked of a grid: what
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure, UnstableSystem, invalid
+from ambrose.core.frequency import solve_shifted
+from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.realisation.modal_form import ModalForm, modal_form
 from ambrose.core.statespace import StateSpace, as_statespace
 
 _GROWTH = (1e4, 1e2, 1e1)  # of the transforms that separate poles, the first that keeps the digits
 _TERMS = 8  # of the Taylor series
 _CONDITION = 1e9  # of the eigenvectors of a cluster, up to which its resolvent is also bounded in their coordinates
-_CHUNK = 4_000_000  # numbers held at once
+_CHUNK = 200_000  # numbers held at once, which a processor keeps near
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chords:
-    """D (n_z, n_w); poles (k,) [rad/s], both of a pair; residues (k, n_z, n_w); clusters: (A, B, C) of poles kept together."""
+    """D (n_z, n_w); poles (k,) [rad/s], both of a pair; residues (k, n_z, n_w); clusters: (A, B, C) of poles kept together,
+    A quasi-triangular."""
 
     D: np.ndarray
     poles: np.ndarray
@@ -48,29 +53,34 @@ class Chords:
     def at(self, omega: np.ndarray) -> np.ndarray:
         """M (w, n_z, n_w) at omega (w,) [rad/s]; infinity gives D."""
         values = np.broadcast_to(self.D, (len(omega), *self.D.shape)).astype(complex)
-        finite = np.isfinite(omega)
-        values[finite] += self._sum(omega[finite], 1)
+        finite = np.flatnonzero(np.isfinite(omega))
+        step = max(1, _CHUNK // max(1, len(self.poles)))
+        for start in range(0, len(finite), step):
+            k = finite[start : start + step]
+            values[k] += next(self._sums(omega[k], 1))
         return values
 
     def slope(self, omega: np.ndarray) -> np.ndarray:
         """dM/d omega (w, n_z, n_w) at omega (w,) [rad/s]; zero at infinity."""
         finite = np.isfinite(omega)
-        return np.where(finite[:, None, None], -1j * self._sum(np.where(finite, omega, 0.0), 2), 0.0)
+        return np.where(finite[:, None, None], -1j * next(self._sums(np.where(finite, omega, 0.0), 2)), 0.0)
 
-    def _sum(self, omega: np.ndarray, power: int) -> np.ndarray:
-        """The sum of R_k / (j omega - p_k)^power."""
-        values = np.empty((len(omega), *self.D.shape), complex)
+    def _sums(self, omega: np.ndarray, first: int, count: int = 1) -> Iterator[np.ndarray]:
+        """The sums of R_k / (j omega - p_k)^power, (w, n_z, n_w) each, for ``count`` powers from ``first``."""
+        s = 1j * omega
+        factor = 1 / (s[:, None] - self.poles)
         flat = self.residues.reshape(len(self.poles), self.D.size)
-        step = max(1, _CHUNK // max(1, len(self.poles)))
-        for start in range(0, len(omega), step):
-            part = omega[start : start + step]
-            values[start : start + step] = ((1 / (1j * part[:, None] - self.poles)) ** power @ flat).reshape(
-                len(part), *self.D.shape
-            )
-        for A, B, C in self.clusters:
-            resolvent = np.linalg.inv(1j * omega[:, None, None] * np.eye(len(A)) - A)
-            values += C @ np.linalg.matrix_power(resolvent, power) @ B
-        return values
+        sides = [np.repeat(B[:, None, :].astype(complex), len(s), axis=1) for _, B, _ in self.clusters]
+        part = factor
+        for power in range(1, first + count):
+            part = part * factor if power > 1 else part
+            for (A, _, _), X in zip(self.clusters, sides, strict=True):
+                solve_shifted(A, X, s)
+            if power >= first:
+                values = (part @ flat).reshape(len(s), *self.D.shape)
+                for (_, _, C), X in zip(self.clusters, sides, strict=True):
+                    values += np.moveaxis(np.tensordot(C, X, 1), 0, 1)
+                yield values
 
     def distance(self, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
         """Bound (c, n_z, n_w) on the entries of |M - chord| over each interval [low, high] (c,) [rad/s], cut into ``cells`` of
@@ -87,8 +97,8 @@ class Chords:
         for A, B, C in self.clusters:
             rest = rest + _cluster(A, B, C, middle, half, last)
         bend = (_TERMS + 1) * (_TERMS + 2) * half[:, None, None] ** _TERMS * rest
-        for i in range(_TERMS):
-            bend += (i + 1) * (i + 2) * half[:, None, None] ** i * np.abs(self._sum(middle, i + 3))
+        for i, term in enumerate(self._sums(middle, 3, _TERMS)):
+            bend += (i + 1) * (i + 2) * half[:, None, None] ** i * np.abs(term)
         bound[~end] = (2 * half[:, None, None] / cells) ** 2 / 8 * bend
         return bound
 
@@ -145,7 +155,9 @@ def _separated(system: StateSpace) -> Chords:
             continue
         return _residues(modal)
     nothing = np.zeros((0, *system.D.shape), complex)
-    return Chords(system.D.astype(float), np.zeros(0, complex), nothing, ((system.A, system.B, system.C),))
+    A, B, C, _ = balance_system(system.A, system.B, system.C)
+    T, Q = sla.schur(A)
+    return Chords(system.D.astype(float), np.zeros(0, complex), nothing, ((T, Q.T @ B, C @ Q),))
 
 
 def _residues(modal: ModalForm) -> Chords:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import memberwise
+from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import ComplexBlock, FullBlock
 from ambrose.core.mu.structure import Structure, osborne
 
@@ -340,7 +341,7 @@ def lower_bound(
     b = len(M)
     value, delta = np.zeros(b), np.full((b, structure.n_w, structure.n_z), np.nan, complex)
     balanced, _, d_w = osborne(M, structure)
-    size = np.linalg.norm(balanced, 2, axis=(1, 2))
+    size = largest_gain(balanced)
     todo = np.flatnonzero((size > 0) & (upper > 0))
     parts, rng = _parts(structure), np.random.default_rng(seed)
     m = len(structure.real)
@@ -390,8 +391,8 @@ def _verify(M: np.ndarray, delta: np.ndarray) -> np.ndarray:
     """1 / sigma_max(delta), 0 where the smallest singular value of I - M delta, relative to its terms, exceeds 1e-9."""
     usable = np.isfinite(delta).all(axis=(1, 2))
     safe = np.where(usable[:, None, None], delta, 0.0)
-    norm = np.linalg.norm(safe, 2, axis=(1, 2))
+    norm = largest_gain(safe)
     s = np.linalg.svd(np.eye(M.shape[1]) - M @ safe, compute_uv=False)[:, -1]
-    miss = s / (1 + np.linalg.norm(M, 2, axis=(1, 2)) * norm)
+    miss = s / (1 + largest_gain(M) * norm)
     ok = usable & (norm > 0) & (miss <= 1e-9)
     return np.where(ok, 1 / np.where(norm > 0, norm, 1.0), 0.0)

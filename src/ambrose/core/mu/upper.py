@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import memberwise
+from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import FullBlock, RealBlock
 from ambrose.core.mu.scaling_parameters import Basis, scaling_basis
 from ambrose.core.mu.structure import Structure, osborne
@@ -316,7 +317,7 @@ def upper_bound(
     """
     b = len(M)
     balanced, d_z, d_w = osborne(M, structure)
-    size = np.linalg.norm(balanced, 2, axis=(1, 2))
+    size = largest_gain(balanced)
     alive = np.flatnonzero(size > 0)
     scale = np.where(size > 0, size, 1.0)
     unit = balanced / scale[:, None, None]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import UnstableSystem, check_shape, invalid, named_failure
+from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import Block, RealBlock
 from ambrose.core.mu.chords import Chords, chords
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectral_abscissa
@@ -108,7 +109,7 @@ def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
     T = transfers(M, loop, delta)
     on_pole = ~np.isfinite(T).all(axis=(2, 3))
     T[on_pole] = 0.0
-    return np.where(on_pole, np.inf, np.linalg.norm(T, 2, axis=(2, 3)))
+    return np.where(on_pole, np.inf, largest_gain(T))
 
 
 def transfers(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
@@ -163,7 +164,7 @@ def unstable_poles(loop: BoxLoop, delta: np.ndarray, start: Sweep | None = None)
 def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.ndarray, Sweep]:
     """``unstable_poles``, and the sweep with the frequencies that had to be added."""
     # where the perturbation cannot turn the determinant noticeably only the neighbours of other points are needed
-    strong = np.linalg.norm(start.M11, 2, axis=(1, 2)) * np.abs(delta).max(initial=0.0) > _WEAK / len(loop.owner)
+    strong = largest_gain(start.M11) * np.abs(delta).max(initial=0.0) > _WEAK / len(loop.owner)
     near = strong.copy()
     near[1:] |= strong[:-1]
     near[:-1] |= strong[1:]

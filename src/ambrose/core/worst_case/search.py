@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import named_failure
+from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import Block
 from ambrose.core.presentation import Presented
 from ambrose.core.worst_case.elimination import determinants_at
@@ -89,7 +90,7 @@ def worst_gain_at(loop: BoxLoop, omega: float) -> BoxGain:
 
 def _gain_limit(M: np.ndarray, n: int) -> np.ndarray:
     """What the gain cannot exceed anywhere in the box, (w,), by norms alone: frequencies where it is low need no search."""
-    M11, M12, M21, M22 = (np.linalg.norm(X, 2, axis=(1, 2)) for X in (M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]))
+    M11, M12, M21, M22 = (largest_gain(X) for X in (M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]))
     room = 1 - M11
     return np.where(room > 0, M22 + M21 * M12 / np.where(room > 0, room, 1.0), np.inf)
 
@@ -128,7 +129,7 @@ def _gains_one_by_one(loop: BoxLoop, delta: np.ndarray, omega: np.ndarray) -> np
     singular = ~(np.abs(np.linalg.det(X)) > 0)
     X[singular] = np.eye(n)
     T = M[:, n:, n:] + (M[:, n:, :n] * wide[:, None, :]) @ np.linalg.solve(X, M[:, :n, n:])
-    values = np.linalg.norm(T, 2, axis=(1, 2))
+    values = largest_gain(T)
     values[singular] = 0.0
     return np.asarray(values)
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.frequency import frequency_response
+from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.fixed_order.structure import decoupled_blocks
@@ -142,7 +142,7 @@ class Cost:
         K, _, _ = self._response(x)
         E = np.eye(K.shape[2]) - self.P22 @ K
         M = self.P11 + self.P12 @ K @ np.linalg.solve(E, self.P21)
-        return np.linalg.norm(M, 2, axis=(2, 3))
+        return largest_gain(M)
 
     def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
         """ln of the p-norm, and its gradient (k,)."""
@@ -153,14 +153,17 @@ class Cost:
         M = self.P11 + self.P12 @ (K @ R)
         size = np.linalg.norm(M, axis=(2, 3))
         used = size >= 0.35 * size.max()  # the others add nothing: sigma_max <= |M|_F <= sqrt(8) sigma_max
-        U, s, Vh = np.linalg.svd(M[used], full_matrices=False)
-        logs = power * np.log(np.maximum(s, 1e-300))
+        N = M[used]
+        wide = N.shape[1] < N.shape[2]
+        squares, V = np.linalg.eigh(N @ N.conj().swapaxes(1, 2) if wide else N.conj().swapaxes(1, 2) @ N)
+        s = np.sqrt(np.maximum(squares, 1e-300))  # what squaring loses lies far below the largest, and does not count
+        logs = power * np.log(s)
         top = logs.max()
         share = np.exp(logs - top)
         total = share.sum()
-        weight = share / total / np.maximum(s, 1e-300)
+        V_weighted = (V * (share / total / s**2)[:, None, :]) @ V.conj().swapaxes(1, 2)
         G = np.zeros(M.shape, complex)
-        G[used] = (U * weight[:, None, :]) @ Vh
+        G[used] = V_weighted @ N if wide else N @ V_weighted
         psi = (L.conj().swapaxes(2, 3) @ G @ R.conj().swapaxes(2, 3)).sum(axis=0)  # (w, m, p)
         XH, YH = X.conj().swapaxes(1, 2), Y.conj().swapaxes(1, 2)
         dA = (YH @ psi @ XH).sum(axis=0).real

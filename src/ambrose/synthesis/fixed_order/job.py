@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.frequency import frequency_response
+from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
@@ -108,7 +108,7 @@ def bending_modes_for(plant: Plant, start: StateSpace | None = None, timing: Tim
         return judged
     near = (frequencies[judged:][above][:, None] * np.linspace(0.99, 1.01, 9)).ravel()
     G = loop_model(plant, timing).response(near)[:, : len(plant.axes), : len(plant.axes)]
-    gain = np.linalg.norm(G @ frequency_response(start, warped(near, timing)).values, 2, axis=(1, 2)).reshape(len(above), -1)
+    gain = largest_gain(G @ frequency_response(start, warped(near, timing)).values).reshape(len(above), -1)
     heard = np.flatnonzero(gain.max(axis=1) >= _HEARD)
     return judged + (int(above[heard[-1]]) + 1 if len(heard) else 0)
 

@@ -62,7 +62,7 @@ def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopMode
         [*plant.named("u"), *plant.bearing_named("f")],
         [*plant.named("y"), *plant.bearing_named("q"), *plant.named("i")],
     )
-    form = schur_form(outer.A, outer.B, outer.C, outer.D)
+    form = schur_form(outer.A, outer.B, outer.C, outer.D, expand=True)
     magnet = magnet_coefficients(plant.machine, plant.point)
     return LoopModel(label or plant.point.label, A, B, C, D, form, magnet, timing, plant.point.speed)
 

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from ambrose.core.frequency import frequency_response
+from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace, select
 from ambrose.plant.model import Plant
 from ambrose.plant.timing import Timing
@@ -41,16 +41,18 @@ def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, ai
     into, out = -P[:, :n, n:] @ KS, S @ P[:, n:, :n]
     owner = np.repeat(np.arange(len(names)), [block.n_w for block in model.blocks])
     limit = aims.sensitivity_limit(omega)
-    ratio = np.linalg.norm(S, 2, axis=(1, 2)) / limit
+    ratio = largest_gain(S) / limit
     near = ratio >= 0.5 * ratio.max()
     M, into, out, S, limit = M[near], into[near], out[near], S[near], limit[near]
     tried = _corners(len(names))
-    gains = np.empty(len(tried))
-    for k, delta in enumerate(tried):
+    best, worst = -np.inf, tried[0]
+    for delta in tried:
         spread = delta[owner]
         closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
-        gains[k] = (np.linalg.norm(closed, 2, axis=(1, 2)) / limit).max()
-    return dict(zip(names, map(float, tried[int(gains.argmax())]), strict=True))
+        larger = np.linalg.norm(closed, axis=(1, 2)) > best * limit  # the norm is no smaller than the gain
+        if larger.any() and (gain := (largest_gain(closed[larger]) / limit[larger]).max()) > best:
+            best, worst = gain, delta
+    return dict(zip(names, map(float, worst), strict=True))
 
 
 def _corners(count: int) -> np.ndarray:

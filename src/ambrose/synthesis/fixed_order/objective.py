@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ambrose.core.frequency import frequency_response
+from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
 from ambrose.plant.separation import needed_damping, runs_within
 from ambrose.synthesis.fixed_order.active import Active, active
@@ -217,7 +217,7 @@ class Objective:
         """sigma_max(S_o) over its limit, (models, w)."""
         K, _, _ = self._controller(x)
         S = np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
-        return np.asarray(np.linalg.norm(S, 2, axis=(2, 3)) / self.aims.sensitivity_limit(self.omega))
+        return np.asarray(largest_gain(S) / self.aims.sensitivity_limit(self.omega))
 
     def _controller(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """K (w, a, a), X = (sI - A)^-1 B (w, n, a), Y = C (sI - A)^-1 (w, a, n)."""
@@ -350,7 +350,7 @@ def largest_gains(T: np.ndarray) -> np.ndarray:
     size = frobenius(T)
     bound = size / np.sqrt(min(T.shape[-2:]))
     held = size >= bound.max(initial=0.0)
-    bound[held] = np.linalg.norm(T[held], 2, axis=(1, 2))
+    bound[held] = largest_gain(T[held])
     return np.asarray(bound)
 
 

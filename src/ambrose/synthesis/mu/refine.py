@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ambrose.core.frequency import largest_gain
 from ambrose.core.mu.structure import Structure
 from ambrose.synthesis.mu.d_fit import RealRational, corner_slopes
 
@@ -26,7 +27,7 @@ _ITERATIONS = 40
 
 def peak_gain(M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[RealRational]) -> np.ndarray:
     """sigma_max(D_z M D_w^-1) (w,) for M (w, n_z, n_w) at omega (w,) [rad/s], D_i = |d_i(j omega)| I."""
-    return np.linalg.norm(_scaled(M, structure, np.stack([x.log_magnitude(omega) for x in d], axis=1)), 2, axis=(1, 2))
+    return largest_gain(_scaled(M, structure, np.stack([x.log_magnitude(omega) for x in d], axis=1)))
 
 
 def _scaled(M: np.ndarray, structure: Structure, log_d: np.ndarray) -> np.ndarray:
@@ -51,7 +52,7 @@ def tube(M: np.ndarray, structure: Structure, log_d: np.ndarray, level: np.ndarr
                 trial = outside if halving == 0 else 0.5 * (inside + outside)
                 change = np.zeros_like(log_d)
                 change[:, i] = sign * trial
-                below = np.linalg.norm(_scaled(S, structure, change), 2, axis=(1, 2)) <= level
+                below = largest_gain(_scaled(S, structure, change)) <= level
                 inside, outside = np.where(below, trial, inside), np.where(below, outside, trial)
             ends[side, :, i] = log_d[:, i] + sign * inside
     return 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.frequency import frequency_response
+from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.lft import Block, GeneralizedPlant
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
 from ambrose.synthesis.mu.d_fit import RealRational
@@ -85,4 +85,4 @@ def scaled_plant(plant: GeneralizedPlant, scaling: Scaling) -> GeneralizedPlant:
 def scaled_gain(M: np.ndarray, omega: np.ndarray, scaling: Scaling) -> np.ndarray:
     """sigma_max(D_z M D_w^-1) (w,) for M (w, n_z, n_w) at omega (w,) [rad/s]."""
     left, right = frequency_response(scaling.left, omega).values, frequency_response(scaling.right, omega).values
-    return np.linalg.norm(left @ M @ right, 2, axis=(1, 2))
+    return largest_gain(left @ M @ right)
