@@ -183,7 +183,9 @@ def _expansion(T: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[np.n
         W = np.linalg.inv(V)
     except np.linalg.LinAlgError:
         return None
-    if not (np.linalg.norm(V, axis=0) * np.linalg.norm(W, axis=1) <= _SPREAD).all():
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = np.linalg.norm(V, axis=0) * np.linalg.norm(W, axis=1)
+    if not (spread <= _SPREAD).all():
         return None
     residues = (right @ V).T[:, :, None] * (W @ left)[:, None, :]
     return poles, residues.reshape(len(poles), -1)
@@ -191,28 +193,39 @@ def _expansion(T: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[np.n
 
 def evaluate(form: SchurForm, s: np.ndarray) -> np.ndarray:
     """The transfer matrix at the complex points s (w,), as (w, p, m). Raises InvalidInput where s is an eigenvalue of A."""
+    s = np.asarray(s, dtype=complex)
+    if form.expansion is not None:
+        values = _partial_fractions(form, s)
+    else:
+        values = _by_substitution(form, s)
+    if not np.isfinite(values).all():
+        raise _at_pole(s[np.argmax(~np.isfinite(values).all(axis=(1, 2)))])
+    return values.swapaxes(1, 2) if form.transposed else values
+
+
+def _partial_fractions(form: SchurForm, s: np.ndarray) -> np.ndarray:
+    assert form.expansion is not None
+    poles, residues = form.expansion
+    step = max(1, _CHUNK // (10 * len(poles)))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        parts = [(1 / (s[i : i + step, None] - poles)) @ residues for i in range(0, max(1, len(s)), step)]
+        values = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    return values.reshape(len(s), *form.D.shape) + form.D
+
+
+def _by_substitution(form: SchurForm, s: np.ndarray) -> np.ndarray:
     n, m = form.left.shape
     p = form.right.shape[0]
-    s = np.asarray(s, dtype=complex)
     values = np.broadcast_to(form.D, (len(s), p, m)).astype(complex)
     if n and m and p:
         step = max(1, _CHUNK // (n * m))
-        if form.expansion is not None:
-            step = max(1, _CHUNK // (10 * n))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for start in range(0, len(s), step):
                 part = s[start : start + step]
-                if form.expansion is not None:
-                    poles, residues = form.expansion
-                    values[start : start + step] += ((1 / (part[:, None] - poles)) @ residues).reshape(-1, p, m)
-                    continue
                 X = np.repeat(form.left[:, None, :].astype(complex), len(part), axis=1)
                 solve_shifted(form.triangle, X, part)
                 values[start : start + step] += _times(form.right, X).swapaxes(0, 1)
-        bad = ~np.isfinite(values).all(axis=(1, 2))
-        if bad.any():
-            raise _at_pole(s[np.argmax(bad)])
-    return values.swapaxes(1, 2) if form.transposed else values
+    return values
 
 
 def _at_pole(s: complex) -> InvalidInput:

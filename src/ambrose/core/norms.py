@@ -5,6 +5,9 @@ eigenvalue lies "on" the axis is a fragile question; it is not asked. The imagin
 midpoints between neighbours, are candidate frequencies: were there an interval with a gain above gamma, its ends would be
 eigenvalues, so one candidate at least would lie inside it and show that gain by evaluation. A wrong candidate costs one
 evaluation. The lower bound starts from the poles' frequencies and climbs to the local maximum after each step.
+
+Between two eigenvalue problems gains are read from the partial fractions, where the eigenvectors keep their digits (core/
+frequency.py), else from the Schur form; the value that is returned is recomputed from the system as it was given.
 """
 
 from __future__ import annotations
@@ -24,6 +27,9 @@ from ambrose.core.statespace import StateSpace, as_statespace
 _MAX_STEPS = 60
 _STENCIL = np.linspace(-1.0, 1.0, 17)  # points of one pass of the local search
 _PASSES = 5
+_FINE_STENCIL = np.linspace(-1.0, 1.0, 13)  # the same with partial fractions, where the last parabola is enough
+_FINE_PASSES = 3
+_EXPANDED = 1e-8  # tolerance from which on partial fractions, which lose up to four digits, may choose the frequencies
 _PEAKS = 6  # local maxima followed at once
 _ROUNDING = 10.0  # a pole is marginal when it is closer to the boundary than this many rounding errors
 
@@ -58,11 +64,12 @@ def hinf_norm(system: Any, tolerance: float = 1e-6, allow_unstable: bool = False
     if system.n_states == 0:
         gain = float(np.linalg.norm(system.D, 2))
         return HinfNorm(gain, 0.0, gain, 0)
-    problem = _Problem.of(system)
+    tolerance = max(tolerance, 1e-12)
+    problem = _Problem.of(system, expand=tolerance >= _EXPANDED)
     marginal = _check_stability(problem, allow_unstable)
     if marginal is not None:
         return HinfNorm(np.inf, marginal / problem.unit, np.inf, 0)
-    value, angle, upper, steps = _bisect(problem, max(tolerance, 1e-12))
+    value, angle, upper, steps = _bisect(problem, tolerance)
     return HinfNorm(value, angle / problem.unit, upper, steps)
 
 
@@ -82,6 +89,7 @@ class _Problem:
 
     original: StateSpace
     form: SchurForm
+    poles: np.ndarray
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray
@@ -89,15 +97,15 @@ class _Problem:
     rotation: float
 
     @classmethod
-    def of(cls, system: StateSpace) -> _Problem:
+    def of(cls, system: StateSpace, expand: bool) -> _Problem:
         A, B, C, _ = balance_system(system.A, system.B, system.C)
-        form = schur_form(A, B, C, system.D)
-        rotation = 0.0
+        form = schur_form(A, B, C, system.D, expand=expand)
+        poles, rotation = form.poles, 0.0
         D = system.D
         if system.dt is not None:
-            A, B, C, D, rotation = _continuous(A, B, C, D, form.poles)
+            A, B, C, D, rotation = _continuous(A, B, C, D, poles)
             A, B, C, _ = balance_system(A, B, C)
-        return cls(system, form, A, B, C, D, rotation)
+        return cls(system, form, poles, A, B, C, D, rotation)
 
     @property
     def sampled(self) -> bool:
@@ -110,18 +118,28 @@ class _Problem:
     def point(self, angle: np.ndarray) -> np.ndarray:
         return np.exp(1j * angle) if self.sampled else 1j * angle
 
-    def gains(self, angle: np.ndarray) -> np.ndarray:
-        """The largest singular value at each frequency, fast."""
-        return largest_gain(evaluate(self.form, self.point(angle)))
+    def within(self, angle: float) -> float:
+        """The angle of the half axis, or half circle, with the same gain."""
+        return float(abs(np.angle(np.exp(1j * angle))) if self.sampled else abs(angle))
+
+    def gains(self, angle: np.ndarray, floor: float = 0.0) -> np.ndarray:
+        """The largest singular value at each frequency, fast; a bound below ``floor`` where it is not above that."""
+        values = evaluate(self.form, self.point(angle))
+        parts = np.ascontiguousarray(values).view(float).reshape(len(values), -1)
+        bound = np.sqrt(np.einsum("ij,ij->i", parts, parts))
+        above = bound >= floor
+        if above.any():
+            bound[above] = largest_gain(values[above])
+        return bound
 
     def peak(self, angle: float) -> _Peak:
         """The largest singular value at one frequency, as exactly as the data allow, with its rounding error."""
         s = self.original
         if np.isinf(angle):
-            return _Peak(float(np.linalg.norm(s.D, 2)), angle, 0.0)
+            return _Peak(_gain(s.D), angle, 0.0)
         X, _ = state_response_at(s.A, s.B, complex(self.point(np.asarray(angle))))
         noise = np.finfo(float).eps * np.linalg.norm(np.abs(s.C) @ np.abs(X) + np.abs(s.D))
-        return _Peak(float(np.linalg.norm(s.C @ X + s.D, 2)), angle, float(noise))
+        return _Peak(_gain(s.C @ X + s.D), angle, float(noise))
 
     def candidates(self, gamma: float) -> np.ndarray:
         """Every frequency at which gamma may be a singular value, sorted, with the points between neighbours."""
@@ -132,7 +150,7 @@ class _Problem:
         else:
             ends = np.unique(np.concatenate([[0.0], np.abs(values)]))
         middle, geometric = (ends[1:] + ends[:-1]) / 2, np.sqrt(ends[1:] * ends[:-1])
-        return np.unique(np.concatenate([ends, middle, geometric]))
+        return np.sort(np.concatenate([ends, middle, geometric]))
 
 
 def _continuous(
@@ -157,13 +175,21 @@ def _hamiltonian(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, gam
     DH, CH, BH = D.conj().T, C.conj().T, B.conj().T
     right = np.linalg.solve(np.eye(D.shape[1]) - DH @ D, np.hstack([DH @ C, BH]))
     n = len(A)
-    F = A + B @ right[:, :n]
-    return np.block([[F, B @ right[:, n:]], [-CH @ (C + D @ right[:, :n]), -F.conj().T]])
+    H = np.empty((2 * n, 2 * n), right.dtype)
+    H[:n, :n] = A + B @ right[:, :n]
+    H[:n, n:] = B @ right[:, n:]
+    H[n:, :n] = -CH @ (C + D @ right[:, :n])
+    H[n:, n:] = -H[:n, :n].conj().T
+    return H
+
+
+def _gain(M: np.ndarray) -> float:
+    return float(np.linalg.svd(M, compute_uv=False)[0]) if M.any() else 0.0
 
 
 def _check_stability(problem: _Problem, allow_unstable: bool) -> float | None:
     """The frequency of a pole on the stability boundary, or None; refuses unstable systems unless they are allowed."""
-    poles, errors = problem.form.poles, _ROUNDING * problem.form.pole_errors
+    poles, errors = problem.poles, _ROUNDING * problem.form.pole_errors
     distance = 1 - np.abs(poles) if problem.sampled else -poles.real
     if (distance <= errors).any():
         worst = int(np.argmin(distance - errors))
@@ -200,24 +226,28 @@ def _bisect(problem: _Problem, tolerance: float) -> tuple[float, float, float, i
 
 def _seeds(problem: _Problem) -> np.ndarray:
     """Frequencies to start from: those of the poles, the ends, and points between."""
-    poles = problem.form.poles
+    poles = problem.poles[problem.poles.imag >= 0]  # they come in conjugate pairs
     if problem.sampled:  # the last one is where the bilinear map has its infinity
         seeds = np.concatenate([[0.0, np.pi, np.pi - problem.rotation], np.abs(np.angle(poles))])
     else:
         seeds = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag)])
     seeds = np.unique(seeds)
-    return np.unique(np.concatenate([seeds, (seeds[1:] + seeds[:-1]) / 2]))
+    return np.sort(np.concatenate([seeds, (seeds[1:] + seeds[:-1]) / 2]))
 
 
 def _climb(problem: _Problem, angles: np.ndarray, best: _Peak, level: float) -> _Peak:
     """The highest of ``best`` and the local maxima near the best of these (sorted) frequencies with gains above ``level``."""
-    gains = problem.gains(angles)
+    gains = problem.gains(angles, level)
     left, right = np.append(-np.inf, gains[:-1]), np.append(gains[1:], -np.inf)
     peaks = np.flatnonzero((gains >= left) & (gains >= right) & (gains > max(level, 0.5 * gains.max())))
     peaks = peaks[np.argsort(-gains[peaks])][:_PEAKS]
     if peaks.size == 0:
         return best
-    centre, radius, height = _zoom(problem, angles[peaks], gains[peaks])
+    if problem.form.expansion is not None:
+        centre, _, height = _zoom(problem, angles[peaks], gains[peaks], _FINE_STENCIL, _FINE_PASSES)
+        peak = problem.peak(problem.within(centre[np.argmax(height)]))
+        return peak if peak.gain > best.gain else best
+    centre, radius, height = _zoom(problem, angles[peaks], gains[peaks], _STENCIL, _PASSES)
     keep = height > (1 - 1e-3) * height.max()
     for angle, step in zip(centre[keep], radius[keep], strict=True):
         peak = _polish(problem, float(angle), float(step))
@@ -226,25 +256,30 @@ def _climb(problem: _Problem, angles: np.ndarray, best: _Peak, level: float) -> 
     return best
 
 
-def _zoom(problem: _Problem, centre: np.ndarray, gains: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _zoom(
+    problem: _Problem, centre: np.ndarray, gains: np.ndarray, stencil: np.ndarray, passes: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Local maximisation from several starts (k,) at once: centres, remaining radii, gains.
 
     The first radius is the distance to the nearest pole: on that scale G changes. Frequencies may leave the half axis (or the
-    half circle); the gain is symmetric.
+    half circle); the gain is symmetric. Where the last stencil holds the maximum, its parabola gives the centre.
     """
     points = problem.point(centre)
-    radius = np.abs(points[:, None] - problem.form.poles).min(axis=1)
-    k = np.arange(len(centre))
-    for _ in range(_PASSES):
-        angles = centre[:, None] + radius[:, None] * _STENCIL
+    radius = np.abs(points[:, None] - problem.poles).min(axis=1)
+    k, last = np.arange(len(centre)), len(stencil) - 1
+    for _ in range(passes):
+        angles = centre[:, None] + radius[:, None] * stencil
         values = problem.gains(angles.ravel()).reshape(angles.shape)
         top = np.argmax(values, axis=1)
-        inside = (top > 0) & (top < len(_STENCIL) - 1)
+        inside = (top > 0) & (top < last)
         better = values[k, top] > gains
         centre = np.where(better, angles[k, top], centre)
         gains = np.where(better, values[k, top], gains)
-        radius = np.where(inside | ~better, radius / 8, radius)
-    return centre, radius, gains
+        radius = np.where(inside | ~better, radius * 2 / last, radius)
+    left, right = values[k, np.maximum(top - 1, 0)], values[k, np.minimum(top + 1, last)]
+    bend = left - 2 * gains + right
+    vertex = 0.5 * (left - right) / np.where(bend < 0, bend, -np.inf)
+    return np.where(inside, centre + radius * vertex, centre), radius, gains
 
 
 def _polish(problem: _Problem, angle: float, step: float) -> _Peak:
@@ -262,7 +297,4 @@ def _polish(problem: _Problem, angle: float, step: float) -> _Peak:
     if bend < 0:
         vertex = problem.peak(here.angle + 0.5 * step * (low.gain - high.gain) / bend)
         here = max(here, vertex, key=lambda peak: peak.gain)
-    angle = abs(here.angle)
-    if problem.sampled:
-        angle = float(abs(np.angle(np.exp(1j * angle))))
-    return _Peak(here.gain, angle, here.noise)
+    return _Peak(here.gain, problem.within(here.angle), here.noise)
