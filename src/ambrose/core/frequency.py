@@ -194,10 +194,7 @@ def _expansion(T: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[np.n
 def evaluate(form: SchurForm, s: np.ndarray) -> np.ndarray:
     """The transfer matrix at the complex points s (w,), as (w, p, m). Raises InvalidInput where s is an eigenvalue of A."""
     s = np.asarray(s, dtype=complex)
-    if form.expansion is not None:
-        values = _partial_fractions(form, s)
-    else:
-        values = _by_substitution(form, s)
+    values = _by_substitution(form, s) if form.expansion is None else _partial_fractions(form, s)
     if not np.isfinite(values).all():
         raise _at_pole(s[np.argmax(~np.isfinite(values).all(axis=(1, 2)))])
     return values.swapaxes(1, 2) if form.transposed else values

@@ -30,6 +30,7 @@ from ambrose.core.checks import check_shape, invalid, named_failure
 from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.mu.bounds import mu_peak
+from ambrose.core.mu.chords import chords
 from ambrose.core.statespace import StateSpace, is_stable, select, spectral_abscissa, static_gain
 from ambrose.core.worst_case.bounds import FAILURES, gain_bound, proved_gain, proved_margin
 from ambrose.core.worst_case.crossing import BoxMargin, box_margin
@@ -182,13 +183,16 @@ def box_loops(
 def _sensitivity_loops(closed: StateSpace, unit: GeneralizedPlant) -> tuple[BoxLoop, BoxLoop]:
     """(w_delta, w2) -> (z_delta, -S_o w2), and (w_delta, w1) -> (z_delta, S_i w1): v = u + w1."""
     n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
-    w, z = list(unit.w), list(unit.z)
-    output = select(closed, w[:n_w] + w[n_w + a :], z[: n_z + a])
-    drive = select(closed, w[: n_w + a], z[:n_z] + z[n_z + a :])
-    D = drive.D.copy()
-    D[n_z:, n_w:] += np.eye(a)
-    drive = StateSpace(drive.A, drive.B, drive.C, D, drive.inputs, drive.outputs)
-    return box_loop(output, unit.blocks), box_loop(drive, unit.blocks)
+    model = chords(closed)  # of both, once
+
+    def part(inputs: np.ndarray, outputs: np.ndarray, direct: float) -> BoxLoop:
+        found = model.part(outputs, inputs)
+        found.D[n_z:, n_w:] += direct * np.eye(a)
+        names = [unit.w[i] for i in inputs], [unit.z[i] for i in outputs]
+        return box_loop(StateSpace(closed.A, closed.B[:, inputs], closed.C[outputs], found.D, *names), unit.blocks, found)
+
+    output = part(np.r_[:n_w, n_w + a : len(unit.w)], np.arange(n_z + a), 0.0)
+    return output, part(np.arange(n_w + a), np.r_[:n_z, n_z + a : len(unit.z)], 1.0)
 
 
 def _grid(loop: BoxLoop, omega: ArrayLike | None) -> np.ndarray:

@@ -277,6 +277,10 @@ def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     # Phi moves by (N - j G^H)^H F + its conjugate + F^H F for every F that is no larger than ``moved``, entry by entry
     reach = 2 * np.linalg.norm(np.abs(shifted).swapaxes(2, 3) @ moved, axis=(2, 3)) + np.linalg.norm(moved, axis=(2, 3)) ** 2
     size = np.linalg.norm(shifted, axis=(2, 3)) ** 2 + gap
-    edge = np.linalg.eigvalsh(Phi)[..., -1] + reach + 1e-13 * size
+    edge = np.linalg.norm(Phi, axis=(2, 3))  # no eigenvalue is larger, nor lower than its negative
+    rest = reach + 1e-13 * size
+    open_still = (rest + edge >= 1) & (rest - edge < 1)
+    edge[open_still] = np.linalg.eigvalsh(Phi[open_still])[:, -1]
+    edge += rest
     edge[np.broadcast_to(wide, edge.shape)] = np.inf
     return np.asarray(np.maximum(edge[:, :-1], edge[:, 1:]) < 1)

@@ -50,6 +50,11 @@ class Chords:
         clusters = tuple((A, B @ right, left @ C) for A, B, C in self.clusters)
         return Chords(left @ self.D @ right, self.poles, left @ self.residues @ right, clusters)
 
+    def part(self, outputs: np.ndarray, inputs: np.ndarray) -> Chords:
+        """The chords between some of the inputs and outputs, by number."""
+        clusters = tuple((A, B[:, inputs], C[outputs]) for A, B, C in self.clusters)
+        return Chords(self.D[np.ix_(outputs, inputs)], self.poles, self.residues[:, outputs][:, :, inputs], clusters)
+
     def at(self, omega: np.ndarray) -> np.ndarray:
         """M (w, n_z, n_w) at omega (w,) [rad/s]; infinity gives D."""
         values = np.broadcast_to(self.D, (len(omega), *self.D.shape)).astype(complex)

@@ -54,8 +54,10 @@ class BoxLoop:
         return self.model.at(omega)
 
 
-def box_loop(system: Any, blocks: Sequence[Block]) -> BoxLoop:
-    """Raises InvalidInput for blocks that are not real or do not fit, UnstableSystem when delta = 0 is unstable already."""
+def box_loop(system: Any, blocks: Sequence[Block], model: Chords | None = None) -> BoxLoop:
+    """model: the chords of the system, where they are known: it is stable then.
+
+    Raises InvalidInput for blocks that are not real or do not fit, UnstableSystem when delta = 0 is unstable already."""
     system = as_statespace(system)
     other = [block.name for block in blocks if not isinstance(block, RealBlock)]
     if other or not blocks:
@@ -64,12 +66,12 @@ def box_loop(system: Any, blocks: Sequence[Block]) -> BoxLoop:
     owner = np.repeat(np.arange(len(real)), [block.repeat for block in real])
     if system.dt is not None or min(system.D.shape) < len(owner):
         raise invalid("the loop", repr(system), f"continuous with {len(owner)} or more inputs and outputs", "list w, z first")
-    if not is_stable(system):
+    if model is None and not is_stable(system):
         raise UnstableSystem(
             f"the loop with all parameters nominal has a pole with real part {spectral_abscissa(system):.4g} rad/s; "
             "robustness is a question about a stable loop: change the controller first"
         )
-    model = chords(system)
+    model = chords(system) if model is None else model
     return BoxLoop(system, real, owner, model, model.every_pole)
 
 

@@ -30,7 +30,7 @@ _LOOPS = (  # (curve, the check that holds its refined peak)
     ("unbalance", "unbalance.orbit"),
 )
 _COLUMNS = 4  # panels beside each other
-_INSIDE, _OUTSIDE, _OUTLINE = 200, 40, 150  # bins of a response in time inside and outside the view; points of an outline
+_INSIDE, _OUTSIDE, _OUTLINE = 150, 40, 120  # bins of a response in time inside and outside the view; points of an outline
 _LOWEST, _HIGHEST, _POINTS = 0.1 * units.TWO_PI, 2e3 * units.TWO_PI, 500  # rad/s, of the controller gains
 _NONE = 1e-9  # a gain this small beside the largest is one that the controller does not have
 _DELTA = re.compile(r"^(.*\S) ([+-]\d+(?:\.\d+)?)$")
