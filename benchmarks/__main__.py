@@ -1,7 +1,9 @@
 """`make bench`: every bench_*.py in this folder, side by side with its peer in one run; a table and benchmarks.json.
 
 A module has ``run() -> list[dict]`` with the keys name, ours [s], peer [s] or None, peer_name, error (accuracy in words or a
-number) and optionally target. Name modules to run only those: ``python -m benchmarks norms response``.
+number) and optionally target; series and size, where a time grows with a number. Name modules to run only those:
+``python -m benchmarks norms response``. Every run is appended to benchmarks.jsonl, and what fell against its peer is named
+(history.py).
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread: figures that compare
+
+from benchmarks import history
 
 
 def main(names: list[str]) -> int:
@@ -35,6 +39,10 @@ def main(names: list[str]) -> int:
     print(f"largest memory {memory:.0f} MB")
     result = {"python": platform.python_version(), "machine": platform.machine(), "memory_mb": memory, "rows": rows}
     Path("benchmarks.json").write_text(json.dumps(result, indent=1, default=str) + "\n")
+    for series, power in history.exponents(rows).items():
+        print(f"{series}: time grows with the power {power:.2f}")
+    for name, share in history.keep(rows, Path("benchmarks.jsonl")):
+        print(f"slower against its peer than in the last runs, by the factor {share:.2f}: {name}")
     return 0
 
 

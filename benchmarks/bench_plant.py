@@ -15,12 +15,14 @@ import numpy as np
 from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import select
+from ambrose.evaluation.verdict import verify_controller
 from ambrose.machine.machine import Machine
 from ambrose.plant import assemble as assembly
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import modal_reduction
 from ambrose.stages.plants import facts
+from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_controller
 from ambrose.verification import nominal
 
@@ -48,9 +50,12 @@ def run() -> list[dict[str, Any]]:
     for nodes in (40, 100, 200, 400):
         machine = refined(rig, nodes)
         runs = 7 if nodes < 200 else 3
-        rows.append(_row(f"assembly + reduction to 8 states, {nodes} nodes", seconds(lambda m=machine: both(m), runs)))
+        spent = seconds(lambda m=machine: both(m), runs)
+        grows = {"series": "assembly + reduction over nodes", "size": nodes}
+        rows.append({**_row(f"assembly + reduction to 8 states, {nodes} nodes", spent), **grows})
     rows[0]["target"] = "< 0.05"
     rows += [_facts(load_machine("turboexpander"), nodes) for nodes in (79, 157)]
+    rows += [row for nodes in (101, 201, 401) for row in _front_door(refined(rig, nodes), nodes - 1)]
     rows.append(_closed_loop_response(rig))
     controller = pid_controller(rig.controller, rig)
     plant = assemble(rig)
@@ -83,6 +88,23 @@ def _facts(machine: Machine, nodes: int) -> dict[str, Any]:
         assembly.FINE_MESH_MODES = kept
     row = _row(f"check, {nodes - 1} elements", ours)
     return row | {"peer": theirs, "peer_name": "all modes", "error": float(np.abs(found - exact).max() / np.abs(exact).max())}
+
+
+def _front_door(machine: Machine, elements: int) -> list[dict[str, Any]]:
+    """CPU time of the first `check`, `synthesize --method pid` and `verify` of a fine mesh."""
+    rows: list[dict[str, Any]] = []
+
+    def timed(what: str, action: Callable[[], Any]) -> Any:
+        begin = time.process_time()
+        result = action()
+        row = _row(f"{what}, {elements} elements", time.process_time() - begin)
+        rows.append({**row, "series": f"{what} over elements", "size": elements})
+        return result
+
+    timed("check", lambda: facts(machine))
+    law = timed("design of a PID", lambda: design(assemble(machine), "pid"))
+    timed("verification with tolerances", lambda: verify_controller(machine, law))
+    return rows
 
 
 def _closed_loop_response(machine: Machine) -> dict[str, Any]:

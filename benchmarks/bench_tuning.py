@@ -60,7 +60,8 @@ def _evaluation(points: int, members: int, order: int) -> dict[str, Any]:
     peer = (time.process_time() - start_time) * len(x) / _TIMED
     off = float(np.abs(differences - gradient[moved]).max() / max(np.linalg.norm(gradient), 1e-300))
     name = f"tuning: one gradient, {points} points, {members} members, {order} states, {len(x)} unknowns"
-    return {"name": name, "ours": ours, "peer": peer, "peer_name": "central differences", "error": off, "target": ""}
+    row = {"name": name, "ours": ours, "peer": peer, "peer_name": "central differences", "error": off, "target": ""}
+    return row | ({"series": "gradient of tuning over models", "size": points + members} if order == 12 else {})
 
 
 def _best(work: Any, repeats: int = 5) -> tuple[float, Any]:
