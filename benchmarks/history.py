@@ -58,7 +58,8 @@ def entry(rows: list[dict[str, Any]], unit: float) -> dict[str, Any]:
 
 def key(row: dict[str, Any]) -> str:
     """What a figure is called in every run: its name without a speed that it may tell."""
-    return f"{row['module'].removeprefix('bench_')}: {re.sub(r': [0-9.]+ s/s', '', row['name']).strip()}"
+    module, name = row["module"].removeprefix("bench_"), re.sub(r": [0-9.]+ s/s", "", row["name"]).strip()
+    return name if name.startswith(module) else f"{module}: {name}"
 
 
 def falls(past: list[dict[str, Any]], new: dict[str, Any]) -> list[tuple[str, float]]:
