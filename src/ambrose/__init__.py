@@ -29,6 +29,7 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
     "Identification": "identification.result",
     "ExportOptions": "deployment.pipeline",
     "Study": "workflow",
+    **dict.fromkeys(("accept", "Acceptance"), "evaluation.acceptance"),
     "balance": "identification.balancing.correction",
     "hinf_synthesis": "synthesis.hinf.synthesis",
     "mu_synthesis": "synthesis.mu.synthesis",

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
+from ambrose.cli.accept import accept
 from ambrose.cli.balance import balance
 from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
@@ -97,6 +98,7 @@ for command in (
     simulate,
     identify,
     balance,
+    accept,
     convert,
     export,
     study_command,

@@ -35,7 +35,8 @@ class Frf:
     variance (w, p, m): E|error|^2 of every value, from what the segments leave unexplained, overlap allowed for; the error is
     circular: each of real and imaginary part has half of it. coherence (w, p): of every output with all excitations together,
     0..1; input_coherence (w, m): the same of the inputs (1 for H1). freedom: degrees of freedom of the noise estimate.
-    dt [s]: compare with a plant sampled at this rate, with a zero-order hold.
+    dt [s]: compare with a plant sampled at this rate, with a zero-order hold. noise (w, p, p), share (w, m, m), where they are
+    known: E[dG_ij conj dG_kl] = noise_ik share_jl, of which ``variance`` is the diagonal.
     """
 
     values: np.ndarray
@@ -47,6 +48,8 @@ class Frf:
     input_coherence: np.ndarray
     freedom: float
     dt: float
+    noise: np.ndarray | None = None
+    share: np.ndarray | None = None
 
     @property
     def response(self) -> FrequencyResponse:
@@ -61,6 +64,8 @@ class Frf:
         return replace(
             self, values=part.values, inputs=part.inputs, outputs=part.outputs,
             variance=self.variance[:, i][:, :, j], coherence=self.coherence[:, i], input_coherence=self.input_coherence[:, j],
+            noise=None if self.noise is None else self.noise[:, i][:, :, i],
+            share=None if self.share is None else self.share[:, j][:, :, j],
         )  # fmt: skip
 
     def between(self, low: float, high: float) -> Frf:
@@ -72,6 +77,7 @@ class Frf:
         return replace(
             self, values=self.values[kept], omega=self.omega[kept], variance=self.variance[kept],
             coherence=self.coherence[kept], input_coherence=self.input_coherence[kept],
+            noise=None if self.noise is None else self.noise[kept], share=None if self.share is None else self.share[kept],
         )  # fmt: skip
 
     def radius(self, confidence: float = 0.95) -> np.ndarray:
