@@ -38,6 +38,7 @@ class Code(StrEnum):
     NOT_CONVERGED = "not-converged"
     HARDLY_VISIBLE = "hardly-visible"  # a parameter with a wide interval
     CORRELATED = "correlated"  # two parameters that are hardly told apart
+    BLIND = "blind-tests"  # they pass, and would have seen little
     RESIDUALS = "residuals"  # they still follow an excitation: the verdict
     # The result (validation/plausibility.py)
     IMPOSSIBLE_VALUE = "impossible-value"

@@ -1,5 +1,6 @@
 """Least squares, its statistics and its sensitivities on small problems with known answers."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -142,3 +143,29 @@ def test_a_correlation_matters_where_it_makes_a_value_unsure(deviation, told):
     minimum = SimpleNamespace(converged=True, iterations=3, x=np.ones(2))
     found = statistics.warnings_of(("a", "b"), minimum, deviation**2 * correlation, correlation, (), "")
     assert [item.code for item in found] == [Code.CORRELATED] * told
+
+
+@pytest.mark.parametrize(("factor", "passed"), [(0.5, True), (1.5, False)])
+def test_a_test_says_from_where_on_it_sees(factor, passed):
+    """A response that the model lacks, of the signal's own course, by the share that the test names."""
+    rng = np.random.default_rng(5)
+    e, noise = rng.standard_normal((2, 20_000))
+    y = lfilter([0.1], [1.0, -0.9], e)
+
+    def tested(residual):
+        sums = [np.correlate(a, b, "full")[19_999:20_100] for a, b in ((residual, e), (residual, residual), (e, e), (y, e))]
+        return statistics.input_test(*sums[:3], 20_000, "y", "e", 1, response=np.abs(sums[3]).max())
+
+    share = tested(0.01 * noise).visible
+    assert 1e-3 < share < 0.1 and tested(0.01 * noise + factor * share * y).passed == passed
+    assert tested(0.01 * noise).passed and tested(0.1 * noise).visible == pytest.approx(10 * share, rel=1e-6)
+
+
+def test_tests_that_would_have_seen_nothing_are_a_doubt():
+    """A rotor that turns and is not told so: every test passes, whatever the model lacks."""
+    minimum = SimpleNamespace(converged=True, iterations=3, x=np.ones(1))
+    tests = [statistics.ResidualTest("y", "e", 0.0, 0.1, 0, True, share) for share in (0.3, 0.2)]
+    for chosen, blind in ((tests, True), ([*tests, replace(tests[0], signal="z", visible=0.01)], False)):
+        found = list(statistics.warnings_of(("a",), minimum, 1e-6 * np.eye(1), np.eye(1), chosen, ""))
+        assert [item.code for item in found] == [Code.BLIND] * blind
+    assert statistics.power_of(tests) == {"y": 0.2} and "from 20 to 20 % of a response" in statistics.verdict_of(tests)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -15,13 +16,18 @@ _VISIBLE = 1e-12  # of the strongest parameter's effect; and the least eigenvalu
 _CONFIDENCE = 0.99
 _UNSURE, _ALIKE = 0.3, 0.98  # standard deviation over value, and correlation, that are worth a warning
 _TOLD = 0.02  # standard deviation over value below which parameters are told apart all the same; assumed, as suspects.py's
+_BLIND = 0.1  # share of the excited response below which one that is missing must show; assumed
 _LONGEST = 4096  # samples of the noise's memory that are looked at
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualTest:
     """Whether the residual of ``signal`` still follows an ``excitation``: correlation (-1..1) at its worst lag [samples]
-    against its limit; ``passed`` where it stays within."""
+    against its limit; ``passed`` where it stays within.
+
+    visible [-]: the test's power: a response that the model lacks fails it from this share on of what the excitation makes of
+    the signal, if it has the same course (NaN: not known; inf: the signal does not follow this excitation).
+    """
 
     signal: str
     excitation: str
@@ -29,6 +35,7 @@ class ResidualTest:
     limit: float
     lag: int
     passed: bool
+    visible: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,13 +130,15 @@ def parameter_correlation(H: np.ndarray) -> np.ndarray:
 
 
 def input_test(
-    crossed: np.ndarray, own_r: np.ndarray, own_e: np.ndarray, k: int, signal: str, name: str, tests: int, quiet: bool = False
-) -> ResidualTest:
+    crossed: np.ndarray, own_r: np.ndarray, own_e: np.ndarray, k: int, signal: str, name: str, tests: int,
+    quiet: bool = False, response: float = math.nan,
+) -> ResidualTest:  # fmt: skip
     """Does the residual r (k,) still follow the excitation e (k,), 0 to some lags later? 99 % over all ``tests`` of a run.
 
     From the sums over k samples of r(t) e(t - lag) (lags,), r(t) r(t - lag) and e(t) e(t - lag) (both of the same length),
     means taken off; quiet: the residual is only rounding. The limit is the normal one with the variance sum_l R_r(l) R_e(l)/k,
-    which allows for the colour of both; Ljung (1999), section 16.6.
+    which allows for the colour of both; Ljung (1999), section 16.6. response: the largest of the sums ``crossed`` with the
+    signal itself in the place of its residual.
     """
     from scipy.special import ndtri
 
@@ -141,7 +150,8 @@ def input_test(
     variance = max(float(product[0] + 2 * product[1:].sum()), 0.1) / k
     limit = float(-ndtri((1 - _CONFIDENCE) / 2 / (tests * (lags + 1)))) * variance**0.5
     worst = int(np.argmax(np.abs(rho)))
-    return ResidualTest(signal, name, float(rho[worst]), limit, worst, bool(abs(rho[worst]) <= limit))
+    visible = limit * energy / response if response else math.inf
+    return ResidualTest(signal, name, float(rho[worst]), limit, worst, bool(abs(rho[worst]) <= limit), visible)
 
 
 def warnings_of(
@@ -170,6 +180,19 @@ def warnings_of(
         yield Finding(Code.CORRELATED, WARNING, what, "hardly told apart", remedy)
     if not all(test.passed for test in tests):
         yield Finding(Code.RESIDUALS, WARNING, verdict)
+    elif (seen := power_of(tests)) and min(seen.values()) > _BLIND:
+        what = f"the residual tests see what the model lacks only from {min(seen.values()):.0%} of the excited response on"
+        remedy = "excite more, record longer, tell the record's speed if the rotor turns, or a --tone"
+        yield Finding(Code.BLIND, WARNING, what, "noise, or motion that nothing excited, hides it", remedy)
+
+
+def power_of(tests: Sequence[ResidualTest]) -> dict[str, float]:
+    """From which share of the excited response on one that the model lacks would show, by its best test: {signal: share}."""
+    found: dict[str, float] = {}
+    for test in tests:
+        if math.isfinite(test.visible):
+            found[test.signal] = min(found.get(test.signal, math.inf), test.visible)
+    return found
 
 
 def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: str = "") -> str:
@@ -193,5 +216,11 @@ def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: s
     elif lacking:
         parts.append("no residual test fails")
     else:
-        parts.append("the residuals hold no trace of the excitation: the model explains all that the records tell (99 %)")
+        seen = sorted(power_of(tests).values())
+        share = (
+            f"; what it lacks would show from {100 * seen[0]:.2g} to {100 * seen[-1]:.2g} % of a response on" if seen else ""
+        )
+        parts.append(
+            f"the residuals hold no trace of the excitation: the model explains all that the records tell (99 %{share})"
+        )
     return "; ".join([*parts, lacking] if lacking else parts)

@@ -78,12 +78,16 @@ def residual_tests_table(result: ParameterEstimate) -> Table:
             units.axis_name(test.signal),
             units.prose(test.excitation),
             *numbers(units.number(test.correlation, 2), units.number(test.limit, 2), str(test.lag)),
+            Cell(f"{100 * test.visible:.2g} %" if np.isfinite(test.visible) else "-", "number"),
             Cell("within" if test.passed else "beyond", "pass" if test.passed else "fail"),
         )
         for test in ordered
     ]
-    note = "Largest correlation of the residual with the excitation over the lags, against its 99 % limit over all pairs."
-    columns = ("Residual of", "Excitation", "Correlation", "Limit", "Lag [samples]", "")
+    note = (
+        "Largest correlation of the residual with the excitation over the lags, against its 99 % limit over all pairs. "
+        "Sees from: share of the signal's response to this excitation above which one that the model lacks fails the test."
+    )
+    columns = ("Residual of", "Excitation", "Correlation", "Limit", "Lag [samples]", "Sees from", "")
     return Table("Residual tests", columns, tuple(rows), note)
 
 
