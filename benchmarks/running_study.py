@@ -76,7 +76,9 @@ def nonlinear(grade, speed, modes, seed, duration=2.0):
         values = {"force_per_current": here.force_per_current, "negative_stiffness": here.negative_stiffness}
         bearings.append(replace(bearing, **values))
     machine = replace(machine, bearings=tuple(bearings))
-    return seen(data), nominal_values(assemble(machine, data.point), expand(machine, UNKNOWN))
+    data, rng = seen(data), np.random.default_rng(seed)
+    noise = [1e-7 * (name[0] == "y") * rng.standard_normal(data.values.shape[1]) for name in data.signals]
+    return replace(data, values=data.values + noise), nominal_values(assemble(machine, data.point), expand(machine, UNKNOWN))
 
 
 CASES = {
@@ -188,7 +190,9 @@ def mistakes(without):
             off = {path: abs(value / reference[speed][path] - 1) for path, value in values.items()}
             path = max(off, key=off.__getitem__)
             codes = ", ".join(sorted({str(finding.code) for finding in done.findings})) or "**not flagged**"
-            texts.append(f"{codes}; {100 * off[path]:.2g} % ({path})")
+            shares = [abs(test.correlation) / test.limit * test.visible for test in done.result.tests if not test.passed]
+            share = f"; {100 * max(shares):.2g} % of a response" if shares else ""
+            texts.append(f"{codes}{share}; {100 * off[path]:.2g} % ({path})")
         print(f"| {title} | {' | '.join(texts)} |", flush=True)
 
 

@@ -12,6 +12,7 @@ from ambrose.identification.data_quality.diagnosis import diagnose_records
 from ambrose.identification.findings import WARNING, Code, Finding, refuse
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.output_error.magnetic_force import without_magnets
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import COVERAGE, split_timing
 from ambrose.identification.result import LoopIdentification
@@ -72,8 +73,12 @@ def identify_loop(
 
     progress(f"identifying {len(paths)} parameters")
     residual = None
+    magnets = None
     if experiment is not None:
         result = closed_loop.fit(experiment, start)
+        if result.converged and options.period is None:
+            progress("taking out what the magnets' nonlinearity makes")
+            magnets, records, experiment, result = without_magnets(machine, records, controller, experiment, result)
     else:
         residual = youla.identify(machine, records, controller, unknown, start=start, **asdict(options))
         result = residual.estimate
@@ -94,7 +99,7 @@ def identify_loop(
         checks += _other_delay(machine, records, controller, result, options)
     done = LoopIdentification(
         given=machine, machine=machine, result=result, checks=checks, outputs=outputs, controller=controller,
-        residual=residual, **setup,
+        residual=residual, magnets=magnets, **setup,
     )  # fmt: skip
     return _with_repeats(done, records, identify_alone, progress) if repeats else done
 

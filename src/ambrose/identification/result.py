@@ -14,6 +14,7 @@ from ambrose.core.presentation import Presented, data_frame, html_table, in_word
 from ambrose.identification.findings import Code, Finding
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.output_error.magnetic_force import MagneticForce
 from ambrose.identification.parameters import COVERAGE, unit_of
 from ambrose.identification.seal.by_pressure import SealByPressure
 from ambrose.identification.static_load.identify import StaticLoad
@@ -184,7 +185,8 @@ class Identification(Presented, ABC):
 class LoopIdentification(Identification):
     """From closed-loop records. outputs: every record beside the model; controller, computing_delay [samples], bending_modes:
     how the loop was modelled. residual: what else the method "youla" gave (None: the method was "closed-loop"). seal: the
-    seal's coefficients at every pressure, all else as in ``result``, where they were asked for.
+    seal's coefficients at every pressure, all else as in ``result``, where they were asked for. magnets: the nonlinearity
+    that was taken out of the records beforehand (None: it was not certain, or the method another).
     """
 
     result: ParameterEstimate
@@ -194,6 +196,7 @@ class LoopIdentification(Identification):
     bending_modes: int
     residual: ResidualIdentification | None = None
     seal: SealByPressure | None = None
+    magnets: MagneticForce | None = None
 
     @property
     def method(self) -> str:
@@ -202,7 +205,9 @@ class LoopIdentification(Identification):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What the reader must know of the values beside the file's, a sentence each without its stop; no doubts."""
-        own = load_remarks(self.given, [output.record for output in self.outputs])
+        loads = {} if self.magnets is None else self.magnets.loads
+        own = load_remarks(self.given, [output.record for output in self.outputs], loads)
+        own = own if self.magnets is None else (self.magnets.words, *own)
         return own if self.seal is None or not self.seal.note else (*own, self.seal.note)
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -22,9 +22,10 @@ def machine_at_load(machine: Machine, records: Iterable[Record]) -> Machine:
     return replace(machine, bearings=tuple(_at_load(bearing, means) or bearing for bearing in machine.bearings))
 
 
-def load_remarks(machine: Machine, records: Iterable[Record]) -> tuple[str, ...]:
-    """A sentence for each axis whose mean current, u_ or i_ of the first record that has it, changes k_i or k_s by over 1 %."""
-    means = _means(records)
+def load_remarks(machine: Machine, records: Iterable[Record], loads: Mapping[str, float] | None = None) -> tuple[str, ...]:
+    """A sentence for each axis whose mean current changes k_i or k_s by over 1 %: u_ or i_ of the first record that has it,
+    else the one of ``loads`` {axis: [A]}."""
+    means = {**(loads or {}), **_means(records)}
     return tuple(text for bearing in machine.bearings for text in _of_bearing(bearing, means))
 
 

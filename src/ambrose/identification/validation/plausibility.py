@@ -137,7 +137,7 @@ def _bursts(output: SimulatedOutput, number: int) -> Iterator[Finding]:
     for name, row in zip(output.signals, output.residual, strict=True):
         size = np.abs(row)
         quiet = 1.4826 * float(np.median(size))
-        large = np.flatnonzero(size > max(_BURST * quiet, 1e-3 * float(np.std(output.measured))))
+        large = np.flatnonzero(size > max(_BURST * quiet, 1e-2 * float(np.std(output.measured))))
         starts = [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > 500]
         if quiet > 0 and 0 < len(starts) <= 20:
             at = ", ".join(f"{output.record.time[i]:.4g} s" for i in starts[:4])

@@ -1,0 +1,275 @@
+"""The magnets' own nonlinearity in a record, found beside the linear loop and taken out of it.
+
+A magnet pair is odd in (i, x): without a load its first terms beyond k_i i + k_s x are cubic; a static load i_0 adds quadratic
+ones, which grow with i_0. As forces they pass the linear loop, driven by the currents and displacements that it has itself
+(the second order of a Volterra series; Rugh 1981). So what they do to the outputs is known but for a few amplitudes: the
+static load of every axis, and one for the cubic terms of all, which is 1 if the magnets are as in the machine file. Those are
+found by one step of least squares beside the parameters; values fitted to what is then left are those of small motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.special
+
+from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import frequency_response
+from ambrose.core.response import simulate
+from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.excitation import signal_rows
+from ambrose.identification.output_error.closed_loop import LeastSquares, ParameterEstimate, fit
+from ambrose.identification.output_error.lagged_products import coloured_products
+from ambrose.identification.output_error.normal_equations import (
+    Task,
+    jacobian_pieces,
+    normal_equations,
+    residual_pieces,
+    synchronised,
+)
+from ambrose.identification.output_error.problem import Experiment, build_experiment, deployed_controller
+from ambrose.identification.output_error.residual_analysis import residual_scores
+from ambrose.identification.output_error.statistics import TurningWave
+from ambrose.identification.parameters import plant_at
+from ambrose.machine.description import MagneticBearing
+from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
+from ambrose.machine.record.record import Record
+from ambrose.physics import magnet
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.model import Plant
+
+_LOAD = 0.25  # of the bias current: the load that amplitude 1 of a quadratic signal stands for
+_PASSES = 2
+_TRUNCATED = 0.05  # of the change that the correction makes: standard deviation for terms beyond the third; assumed
+_GRID = 7  # points of current and of displacement, on which the terms are fitted
+_POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])  # of i and x
+
+
+_CERTAIN = 4.0  # standard deviations from which on the nonlinearity is believed, and within which it may differ from the file's
+_OFF = 1.0  # by so much more the cubic terms may differ from the file's, and so many bias currents a load may have
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MagneticForce:
+    """loads {axis: static current [A]}, cubic terms (1: as in the machine file), amplitudes (a + 1,) of the candidates, and the
+    share of what the linear model left that they explain. widening (q,): variances that their own uncertainty adds to the
+    fitted parameters'. responses: one (p, k) per record in the fitted signals, SI."""
+
+    loads: Mapping[str, float]
+    cubic: float
+    amplitudes: np.ndarray
+    explains: float
+    widening: np.ndarray
+    signals: tuple[str, ...]
+    responses: tuple[np.ndarray, ...]
+
+    def less(self, records: Sequence[Record]) -> tuple[Record, ...]:
+        """The records without what the nonlinearity makes of the fitted signals."""
+        done = []
+        for record, response in zip(records, self.responses, strict=True):
+            values = record.values.copy()
+            for name, row in zip(self.signals, response, strict=True):
+                values[record.signals.index(name)] -= row
+            done.append(replace(record, values=values))
+        return tuple(done)
+
+    @property
+    def words(self) -> str:
+        """One sentence without its stop."""
+        loads = ", ".join(f"{value:.3g} A on {axis}" for axis, value in self.loads.items())
+        return (
+            f"the magnets' own nonlinearity makes {100 * self.explains:.3g} % of the linear model's residual and is taken out: "
+            f"static loads of about {loads}, cubic terms {self.cubic:.2g} times the machine file's"
+        )
+
+
+def magnetic_force(
+    machine: Machine, records: Sequence[Record], controller: Any, experiment: Experiment, result: ParameterEstimate,
+    before: MagneticForce | None = None,
+) -> MagneticForce | None:  # fmt: skip
+    """What the magnets add to a fit of the linear loop; None where it is not certain, or not what magnets do.
+
+    records: those of ``experiment``, of which ``result`` is the fit; ``before`` is out of them already, and in what is found.
+    """
+    found = dict(zip(result.paths, result.values.tolist(), strict=True))
+    delay = found.get(CONTROLLER_DELAY, experiment.options.computing_delay * experiment.dt) / experiment.dt
+    values = {path: value for path, value in found.items() if path not in TIMING}
+    model = experiment.models[0]
+    try:
+        plants = [plant_at(machine, record.point, values, experiment.options.bending_modes) for record in records]
+        waves = []
+        for number, (plant, record) in enumerate(zip(plants, records, strict=True), 1):
+            law = deployed_controller(plant, controller, record.dt, round(delay))
+            turning = _turning_motion(plant, law, record, [wave for wave in result.turning if wave.record == number])
+            waves.append(nonlinear_responses(plant, law, record, model.excitations, experiment.signals, turning))
+    except InvalidInput:  # no magnet follows from these coefficients
+        return None
+    step, covariance, widening, gained = _step(*_normal(experiment, result.values, waves), len(result.values))
+    amplitudes = step if before is None else before.amplitudes + step
+    if not _plausible(amplitudes, covariance):
+        return None
+    axes = plants[0].axes
+    bias = [machine.bearings[j // 2].bias_current for j in range(len(axes))]
+    loads = {axis: float(_LOAD * i_0 * amplitude) for axis, i_0, amplitude in zip(axes, bias, amplitudes, strict=False)}
+    responses = tuple(np.tensordot(amplitudes, wave, 1) for wave in waves)
+    explains = gained if before is None else before.explains
+    return MagneticForce(loads, float(amplitudes[-1]), amplitudes, explains, widening, experiment.signals, responses)
+
+
+def _step(
+    H: np.ndarray, middle: np.ndarray, g: np.ndarray, cost: float, q: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """The best amplitudes (b,) beside q parameters, their covariance (b, b), the variances (q,) that this adds to the
+    parameters', and the share of the cost that is gained; zero where a signal is."""
+    size = np.sqrt(np.diag(H))
+    own, extra = np.arange(q), q + np.flatnonzero(size[q:] > 1e-9 * size[q:].max(initial=0.0))
+    X = np.linalg.solve(H[np.ix_(own, own)], H[np.ix_(own, extra)])
+    slope = g[extra] - X.T @ g[own]
+    W, both, unit = np.vstack([-X, np.eye(len(extra))]), np.concatenate([own, extra]), np.outer(size[extra], size[extra])
+    inverse = np.linalg.pinv((H[np.ix_(extra, extra)] - H[np.ix_(extra, own)] @ X) / unit, rcond=1e-8, hermitian=True) / unit
+    found = inverse @ W.T @ middle[np.ix_(both, both)] @ W @ inverse
+    step, covariance = np.zeros(len(H) - q), np.zeros((len(H) - q, len(H) - q))
+    step[extra - q] = inverse @ slope
+    covariance[np.ix_(extra - q, extra - q)] = found
+    return step, covariance, np.einsum("qb,bc,qc->q", X, found, X), float(slope @ inverse @ slope) / cost
+
+
+def _plausible(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
+    """Whether noise cannot make it, and magnets can. Cubic terms resemble changed parameters: the quadratic ones must tell."""
+    even, deviations = np.flatnonzero(np.diag(covariance)[:-1] > 0), np.sqrt(np.diag(covariance))
+    if not len(even):
+        return False
+    statistic = amplitudes[even] @ np.linalg.pinv(covariance[np.ix_(even, even)], hermitian=True) @ amplitudes[even]
+    certain = scipy.special.chdtrc(len(even), statistic) < 2 * scipy.special.ndtr(-_CERTAIN)
+    loads = np.abs(amplitudes[:-1]) <= _OFF / _LOAD + _CERTAIN * deviations[:-1]
+    return bool(certain and loads.all() and abs(amplitudes[-1] - 1) <= _OFF + _CERTAIN * deviations[-1])
+
+
+def _normal(
+    experiment: Experiment, theta: np.ndarray, waves: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """J'J (q + b, q + b), the covariance of J'r, J'r and r'r at theta (q,), with the signals (b, p, k) of every record."""
+    loops = LeastSquares(experiment, normal_equations).loops(theta)
+    parts = []
+    for task, given in zip(experiment.tasks, waves, strict=True):
+        loop, directions = loops[task.place]
+        turning = synchronised(loop, task)
+        solution = normal_equations(loop, directions, turning)
+        start = getattr(experiment.models[task.place], "skipped", 0)
+        D = _cleaned((given[:, :, start : start + task.samples] / experiment.sizes[:, None]).astype(np.float32), turning)
+        covariance = residual_scores(loop, turning, solution, ["e"] * len(task.e), experiment.signals, 1).covariance
+
+        H, g = 0.0, 0.0
+
+        def pieces(made: Any = (loop, directions, turning, solution), D: np.ndarray = D) -> Iterator[np.ndarray]:
+            return _stacked(jacobian_pieces(*made), D)
+
+        for J, r in zip(pieces(), residual_pieces(loop, turning, solution), strict=True):
+            rows, left = J.reshape(len(J), -1), r[: len(experiment.signals)].ravel()
+            H, g = H + rows @ rows.T, g + rows @ left
+        parts.append((H, coloured_products(pieces(), covariance), g, solution.equations.cost))
+    return tuple(sum(items) for items in zip(*parts, strict=True))  # type: ignore[return-value]
+
+
+def _stacked(pieces: Iterable[np.ndarray], D: np.ndarray) -> Iterator[np.ndarray]:
+    """Pieces of J (q, p, length) with those of D (b, p, k) below."""
+    begin = 0
+    for J in pieces:
+        yield np.concatenate([J, D[:, :, begin : begin + J.shape[2]]])
+        begin += J.shape[2]
+
+
+def _cleaned(D: np.ndarray, task: Task) -> np.ndarray:
+    """The signals (b, p, k) without what constants and turning waves explain."""
+    W = task.waves_at(0, task.samples)
+    if not len(W):
+        return D
+    for j, rows in enumerate(D):
+        D[j] = rows - np.linalg.solve(W @ W.T, W @ rows.T).T @ W
+    return D
+
+
+def without_magnets(
+    machine: Machine, records: Sequence[Record], controller: Any, experiment: Experiment, result: ParameterEstimate
+) -> tuple[MagneticForce | None, tuple[Record, ...], Experiment, ParameterEstimate]:
+    """What the magnets add to ``result``, and the records, their experiment and its fit without it; as given where nothing."""
+    found, kept = None, (tuple(records), experiment, result)
+    for _ in range(_PASSES):
+        further = magnetic_force(machine, kept[0], controller, kept[1], kept[2], found)
+        if further is None:
+            break
+        left = further.less(records)
+        task = build_experiment(machine, left, controller, result.paths, experiment.options)
+        fitted = fit(task, dict(zip(result.paths, kept[2].values.tolist(), strict=True)))
+        if not fitted.converged:
+            break
+        found, kept = further, (left, task, fitted)
+    if found is None:
+        return None, *kept
+    moved = np.abs(kept[2].values / result.values - 1)
+    kinds = np.array([path if path in TIMING else parse_parameter(path).quantity for path in result.paths])
+    further_terms = np.array([_TRUNCATED * moved[kinds == kind].max() for kind in kinds]) * np.abs(kept[2].values)
+    sure = np.hypot(kept[2].standard_deviations, np.hypot(np.sqrt(found.widening), further_terms))
+    return found, kept[0], kept[1], kept[2].widened(sure)
+
+
+def _turning_motion(plant: Plant, law: StateSpace, record: Record, waves: Sequence[TurningWave]) -> np.ndarray:
+    """Coil currents, then displacements (2 a, k) of what turns with the rotor: y_ as it was fitted, and what the controller
+    makes of it."""
+    axes, k = plant.axes, record.values.shape[1]
+    motion = np.zeros((2 * len(axes), k))
+    for frequency in dict.fromkeys(wave.frequency for wave in waves):
+        own = {wave.signal: wave.amplitude * np.exp(1j * wave.phase) for wave in waves if wave.frequency == frequency}
+        y = np.array([own.get(f"y_{axis}", 0.0) for axis in axes])
+        omega = np.array([2 * np.pi * frequency])
+        held = np.exp(-0.5j * omega[0] * record.dt) * np.sinc(frequency * record.dt)
+        coils = select(plant.system, plant.named("u"), [f"i_{axis}" for axis in axes])
+        i = -frequency_response(coils, omega).values[0] @ frequency_response(law, omega).values[0] @ y * held
+        motion += (np.concatenate([i, y])[:, None] * np.exp(1j * omega[0] * record.dt * np.arange(k))).real
+    return motion
+
+
+def nonlinear_responses(
+    plant: Plant, law: StateSpace, record: Record, excitations: Sequence[str], signals: Sequence[str], turning: np.ndarray
+) -> np.ndarray:
+    """The candidates (a + 1, p, k) in the signals (p,) of a record: quadratic terms of every axis, then all cubic ones.
+
+    plant: reduced, with the parameters that were found; law: the controller as it runs; turning (2 a, k): currents, then
+    displacements, that no excitation makes. Raises InvalidInput where no magnet follows from the coefficients.
+    """
+    loop = closed_loop(plant, law)
+    axes, driven = plant.axes, np.array(signal_rows(record, excitations))
+    moved = simulate(select(loop, excitations, [*(f"i_{axis}" for axis in axes), *(f"q_{axis}" for axis in axes)]), driven)
+    moved = moved + turning
+    quadratic, cubic = np.zeros((2, len(axes), driven.shape[1]))
+    largest = np.abs(moved).max(axis=1)
+    for j, axis in enumerate(axes):
+        bearing = plant.machine.bearings[j // 2]
+        i, x = moved[j], moved[len(axes) + j]
+        if not largest[j] or not largest[len(axes) + j]:
+            continue
+        for force, load, powers in ((quadratic, _LOAD * bearing.bias_current, 2), (cubic, 0.0, 3)):
+            terms = _terms(bearing, axis, load, float(largest[j]), float(largest[len(axes) + j]))
+            chosen = _POWERS.sum(axis=1) == powers
+            force[j] = sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True))
+    answer = select(loop, [f"f_{axis}" for axis in axes], signals)
+    one_by_one = (simulate(answer, np.where(np.arange(len(axes))[:, None] == j, quadratic, 0.0)) for j in range(len(axes)))
+    return np.array([*one_by_one, simulate(answer, cubic)], np.float32)
+
+
+def _terms(bearing: MagneticBearing, axis: str, load: float, i: float, x: float) -> np.ndarray:
+    """Coefficients (10,) of i^m x^n in an axis' force about a load [A], up to currents i [A] and displacements x [m]."""
+    p, second = magnet.parameters(bearing), axis.endswith("_eta")
+    at = np.linspace(-1.0, 1.0, _GRID)
+    force = np.zeros((_GRID, _GRID))
+    for j, current in enumerate(load + i * at):
+        for k, shift in enumerate(p[9 if second else 6] + x * at):
+            zeta, eta = ((0.0, 0.0), (current, shift)) if second else ((current, shift), (0.0, 0.0))
+            force[j, k] = magnet.force(zeta[0], eta[0], zeta[1], eta[1], p)[second]
+    basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in _POWERS], axis=-1).reshape(-1, len(_POWERS))
+    fitted = np.linalg.lstsq(basis, force.ravel())[0]
+    return np.asarray(fitted / i ** _POWERS[:, 0] / x ** _POWERS[:, 1])

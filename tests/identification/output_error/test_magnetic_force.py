@@ -1,0 +1,74 @@
+"""Magnets that carry a rotor are nonlinear: on the rig, standing and turning, the values are found as without."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ambrose import identify
+from ambrose.identification.output_error import closed_loop
+from ambrose.identification.output_error.magnetic_force import _terms
+from ambrose.identification.output_error.problem import FitOptions, build_experiment
+from ambrose.physics import magnet
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.disturbances import Unbalance
+from ambrose.simulation.scenario import load_scenario
+from ambrose.synthesis.pid import pid_controller
+from coarse import coarse
+
+UNKNOWN = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")
+RIG = coarse("seal-rig")
+LAW = pid_controller(RIG.controller, RIG)
+
+
+@cache
+def record(speed, weight=True):
+    machine = RIG if weight else replace(RIG, gravity_direction=None)
+    unbalance = (Unbalance("center", grade=6.3e-3, grade_speed=3141.0),) if speed else ()
+    scenario = replace(load_scenario("prbs"), speed=speed, duration=1.2, unbalances=unbalance)
+    whole = virtual_rig.run(machine, LAW, scenario).record
+    seen = whole.select([name for name in whole.signals if name[:2] in {"y_", "e_"}])
+    noise = 5e-8 * np.random.default_rng(1).standard_normal(seen.values.shape)
+    noise[[name[0] == "e" for name in seen.signals]] = 0.0
+    return replace(seen, values=seen.values + noise), {axis: float(whole[f"u_{axis}"].mean()) for axis in machine.axes}
+
+
+def errors(result, loads):
+    """Relative, against the coefficients of the nonlinear magnets at their loads."""
+    truth = []
+    for quantity in ("force_per_current", "negative_stiffness"):
+        for bearing in RIG.bearings:
+            truth += getattr(magnet.loaded(bearing, (loads[f"{bearing.name}_zeta"], loads[f"{bearing.name}_eta"])), quantity)
+    return result.values / np.array(truth) - 1
+
+
+@pytest.mark.parametrize("speed", [0.0, 314.0])
+def test_values_are_those_of_small_motion_and_loads_are_found(speed):
+    """No current is recorded: the quadratic terms alone tell the loads, within a tenth."""
+    data, loads = record(speed)
+    linear = closed_loop.fit(build_experiment(RIG, data, LAW, UNKNOWN, FitOptions()))
+    found = identify(RIG, data, LAW, unknown=UNKNOWN)
+    assert np.abs(errors(linear, loads)).max() > 0.01 and np.abs(errors(found.result, loads)).max() < 0.004
+    assert found.passed and found.magnets.explains > 0.5 and found.magnets.cubic == pytest.approx(1, abs=0.3)
+    assert list(found.magnets.loads.values()) == pytest.approx(list(loads.values()), rel=0.12)
+    assert (np.abs(errors(found.result, loads)) < 3 * found.result.standard_deviations / found.result.values).all()
+    assert found.remarks[0] == found.magnets.words and "static loads of about" in found.remarks[0]
+    assert any("A_zeta carries a mean current" in remark for remark in found.remarks[1:])
+
+
+def test_without_a_load_nothing_is_taken_out():
+    """Cubic terms alone are too like changed parameters to be told from them."""
+    found = identify(RIG, record(0.0, weight=False)[0], LAW, unknown=UNKNOWN)
+    assert found.magnets is None and found.remarks == ()
+
+
+def test_terms_are_the_derivatives_of_the_force():
+    """Without iron: f = c ((i_0 + i)^2/(s_0 - x)^2 - (i_0 - i)^2/(s_0 + x)^2), its Taylor terms about a load."""
+    bearing = replace(RIG.bearings[0], iron=None)
+    i_0, _, _, _, c, s_0, *_ = magnet.parameters(bearing)
+    load = 0.3 * i_0
+    found = _terms(bearing, "A_zeta", load, 1e-2 * i_0, 1e-2 * s_0)
+    assert found[4] == pytest.approx(8 * c * load / s_0**3, rel=2e-3)  # i x
+    assert found[5] == pytest.approx(12 * c * i_0 * load / s_0**4, rel=2e-3)  # x^2
+    assert _terms(bearing, "A_eta", 0.0, 1e-2 * i_0, 1e-2 * s_0)[3:6] == pytest.approx(0.0, abs=1e-6 * found[4] / i_0)
