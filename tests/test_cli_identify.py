@@ -82,7 +82,7 @@ def test_the_chain_from_a_record_to_a_controller(identified, tmp_path):
     assert "]      # N/A\n" in out.read_text() and "]   # N/m\n" in out.read_text()
     assert len(after.tolerances) == 10
     text = page.read_text()
-    assert "<html" in text and "Correlation of the parameters" in text and "http" not in text.split("<script")[0]
+    assert "<html" in text and "Correlation and column cosine" in text and "http" not in text.split("<script")[0]
     assert call("check", out).exit_code == 0
     made = call("synthesize", out, "--method", "pid", "-o", tmp_path / "again.json", "--json")
     assert made.exit_code == 0 and json.loads(made.stdout)["status"] == "verified"
