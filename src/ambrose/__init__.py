@@ -30,6 +30,7 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
     "ExportOptions": "deployment.pipeline",
     "Study": "workflow",
     **dict.fromkeys(("accept", "Acceptance"), "evaluation.acceptance"),
+    "calibrate": "identification.calibration",
     "balance": "identification.balancing.correction",
     "hinf_synthesis": "synthesis.hinf.synthesis",
     "mu_synthesis": "synthesis.mu.synthesis",

@@ -15,6 +15,7 @@ from click.exceptions import NoArgsIsHelpError
 
 from ambrose.cli.accept import accept
 from ambrose.cli.balance import balance
+from ambrose.cli.calibrate import calibrate
 from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
 from ambrose.cli.convert_controller import convert_controller
@@ -97,6 +98,7 @@ for command in (
     verify,
     simulate,
     identify,
+    calibrate,
     balance,
     accept,
     convert,
