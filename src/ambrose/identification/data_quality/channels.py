@@ -123,7 +123,9 @@ def compared_responses(
     """The responses of a record's signals, and those of what a model leaves of them, residual (a, k); None as above."""
     kept = record.select([*names, *[name for name in record.signals if name[:2] == "e_"]])
     whole = measured_responses([kept], axes)
-    rest = measured_responses([replace(kept, values=np.vstack([residual, kept.values[len(names) :]]))], axes)
+    left = np.vstack([residual, kept.values[len(names) :]])
+    left.flags.writeable = False  # or the record would copy it
+    rest = measured_responses([replace(kept, values=left)], axes)
     return None if whole is None or rest is None else (whole, rest)
 
 

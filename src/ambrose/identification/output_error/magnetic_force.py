@@ -68,13 +68,16 @@ class MagneticForce:
     responses: tuple[np.ndarray, ...]
 
     def less(self, records: Sequence[Record]) -> tuple[Record, ...]:
-        """The records without what the nonlinearity makes of the fitted signals."""
+        """The records without what the nonlinearity makes of the fitted signals; others that no fit needs are left out."""
         done = []
         for record, response in zip(records, self.responses, strict=True):
-            values = record.values.copy()
+            rest = {name for name in record.signals if name.startswith(("i_", "q_", "f_magnet_"))} - set(self.signals)
+            kept = [j for j, name in enumerate(record.signals) if name not in rest]
+            names, values = tuple(record.signals[j] for j in kept), record.values[kept]
             for name, row in zip(self.signals, response, strict=True):
-                values[record.signals.index(name)] -= row
-            done.append(replace(record, values=values))
+                values[names.index(name)] -= row
+            values.flags.writeable = False  # or the record would copy it
+            done.append(replace(record, signals=names, units=tuple(record.units[j] for j in kept), values=values))
         return tuple(done)
 
     @property
@@ -106,6 +109,7 @@ def magnetic_force(
             law = deployed_controller(plant, controller, record.dt, round(delay))
             turning = _turning_motion(plant, law, record, [wave for wave in result.turning if wave.record == number])
             waves.append(nonlinear_responses(plant, law, record, model.excitations, experiment.signals, turning))
+            waves[-1] /= experiment.sizes[:, None].astype(np.float32)
     except InvalidInput:  # no magnet follows from these coefficients
         return None
     step, covariance, widening, gained = _step(*_normal(experiment, result.values, waves), len(result.values))
@@ -115,7 +119,7 @@ def magnetic_force(
     axes = plants[0].axes
     bias = [machine.bearings[j // 2].bias_current for j in range(len(axes))]
     loads = {axis: float(_LOAD * i_0 * amplitude) for axis, i_0, amplitude in zip(axes, bias, amplitudes, strict=False)}
-    responses = tuple(np.tensordot(amplitudes, wave, 1) for wave in waves)
+    responses = tuple(experiment.sizes[:, None] * np.tensordot(amplitudes.astype(np.float32), wave, 1) for wave in waves)
     explains = gained if before is None else before.explains
     return MagneticForce(loads, float(amplitudes[-1]), amplitudes, explains, widening, experiment.signals, responses)
 
@@ -152,7 +156,8 @@ def _plausible(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
 def _normal(
     experiment: Experiment, theta: np.ndarray, waves: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """J'J (q + b, q + b), the covariance of J'r, J'r and r'r at theta (q,), with the signals (b, p, k) of every record."""
+    """J'J (q + b, q + b), the covariance of J'r, J'r and r'r at theta (q,), with the signals (b, p, k) of every record over the
+    weights, which are left without the nuisances."""
     loops = LeastSquares(experiment, normal_equations).loops(theta)
     parts = []
     for task, given in zip(experiment.tasks, waves, strict=True):
@@ -160,7 +165,8 @@ def _normal(
         turning = synchronised(loop, task)
         solution = normal_equations(loop, directions, turning)
         start = getattr(experiment.models[task.place], "skipped", 0)
-        D = _cleaned((given[:, :, start : start + task.samples] / experiment.sizes[:, None]).astype(np.float32), turning)
+        D = given[:, :, start : start + task.samples]
+        _clean(D, turning)
         covariance = residual_scores(loop, turning, solution, ["e"] * len(task.e), experiment.signals, 1).covariance
 
         H, g = 0.0, 0.0
@@ -183,14 +189,11 @@ def _stacked(pieces: Iterable[np.ndarray], D: np.ndarray) -> Iterator[np.ndarray
         begin += J.shape[2]
 
 
-def _cleaned(D: np.ndarray, task: Task) -> np.ndarray:
-    """The signals (b, p, k) without what constants and turning waves explain."""
+def _clean(D: np.ndarray, task: Task) -> None:
+    """Take out of the signals (b, p, k) what constants and turning waves explain, which are nuisances anyway."""
     W = task.waves_at(0, task.samples)
-    if not len(W):
-        return D
-    for j, rows in enumerate(D):
+    for j, rows in enumerate(D if len(W) else ()):
         D[j] = rows - np.linalg.solve(W @ W.T, W @ rows.T).T @ W
-    return D
 
 
 def without_magnets(
@@ -204,10 +207,10 @@ def without_magnets(
             break
         left = further.less(records)
         task = build_experiment(machine, left, controller, result.paths, experiment.options)
-        fitted = fit(task, dict(zip(result.paths, kept[2].values.tolist(), strict=True)))
+        fitted = replace(fit(task, dict(zip(result.paths, kept[2].values.tolist(), strict=True))), start=result.start)
         if not fitted.converged:
             break
-        found, kept = further, (left, task, fitted)
+        found, kept = replace(further, responses=()), (left, task, fitted)
     if found is None:
         return None, *kept
     moved = np.abs(kept[2].values / result.values - 1)
@@ -217,9 +220,11 @@ def without_magnets(
     return found, kept[0], kept[1], kept[2].widened(sure)
 
 
-def _turning_motion(plant: Plant, law: StateSpace, record: Record, waves: Sequence[TurningWave]) -> np.ndarray:
+def _turning_motion(plant: Plant, law: StateSpace, record: Record, waves: Sequence[TurningWave]) -> np.ndarray | None:
     """Coil currents, then displacements (2 a, k) of what turns with the rotor: y_ as it was fitted, and what the controller
-    makes of it."""
+    makes of it. None where nothing turns."""
+    if not waves:
+        return None
     axes, k = plant.axes, record.values.shape[1]
     motion = np.zeros((2 * len(axes), k))
     for frequency in dict.fromkeys(wave.frequency for wave in waves):
@@ -234,31 +239,39 @@ def _turning_motion(plant: Plant, law: StateSpace, record: Record, waves: Sequen
 
 
 def nonlinear_responses(
-    plant: Plant, law: StateSpace, record: Record, excitations: Sequence[str], signals: Sequence[str], turning: np.ndarray
-) -> np.ndarray:
+    plant: Plant, law: StateSpace, record: Record, excitations: Sequence[str], signals: Sequence[str],
+    turning: np.ndarray | None,
+) -> np.ndarray:  # fmt: skip
     """The candidates (a + 1, p, k) in the signals (p,) of a record: quadratic terms of every axis, then all cubic ones.
 
     plant: reduced, with the parameters that were found; law: the controller as it runs; turning (2 a, k): currents, then
     displacements, that no excitation makes. Raises InvalidInput where no magnet follows from the coefficients.
     """
-    loop = closed_loop(plant, law)
-    axes, driven = plant.axes, np.array(signal_rows(record, excitations))
-    moved = simulate(select(loop, excitations, [*(f"i_{axis}" for axis in axes), *(f"q_{axis}" for axis in axes)]), driven)
-    moved = moved + turning
-    quadratic, cubic = np.zeros((2, len(axes), driven.shape[1]))
-    largest = np.abs(moved).max(axis=1)
-    for j, axis in enumerate(axes):
-        bearing = plant.machine.bearings[j // 2]
-        i, x = moved[j], moved[len(axes) + j]
-        if not largest[j] or not largest[len(axes) + j]:
-            continue
-        for force, load, powers in ((quadratic, _LOAD * bearing.bias_current, 2), (cubic, 0.0, 3)):
-            terms = _terms(bearing, axis, load, float(largest[j]), float(largest[len(axes) + j]))
-            chosen = _POWERS.sum(axis=1) == powers
-            force[j] = sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True))
-    answer = select(loop, [f"f_{axis}" for axis in axes], signals)
-    one_by_one = (simulate(answer, np.where(np.arange(len(axes))[:, None] == j, quadratic, 0.0)) for j in range(len(axes)))
-    return np.array([*one_by_one, simulate(answer, cubic)], np.float32)
+    loop, axes = closed_loop(plant, law), plant.axes
+    inside = [f"{kind}_{axis}" for kind in "iq" for axis in axes]
+    force = simulate(select(loop, excitations, inside), np.array(signal_rows(record, excitations)))
+    if turning is not None:
+        force += turning
+    found = np.empty((len(axes) + 1, len(signals), force.shape[1]), np.float32)
+    for j, axis in enumerate(axes):  # row by row, currents and displacements become quadratic and cubic forces
+        found[j] = simulate(select(loop, [f"f_{axis}"], signals), _replaced(force[j :: len(axes)], plant, j)[:1])
+    found[-1] = simulate(select(loop, [f"f_{axis}" for axis in axes], signals), force[len(axes) :])
+    return found
+
+
+def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
+    """Current and displacement (2, k) of axis number j, replaced by its quadratic and its cubic force."""
+    largest = [float(np.abs(row).max()) for row in moved]
+    if not all(largest):
+        moved[:] = 0.0
+        return moved
+    bearing, (i, x) = plant.machine.bearings[j // 2], moved
+    made = []
+    for load, power in ((_LOAD * bearing.bias_current, 2), (0.0, 3)):
+        terms, chosen = _terms(bearing, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
+        made.append(sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True)))
+    moved[:] = made
+    return moved
 
 
 def _terms(bearing: MagneticBearing, axis: str, load: float, i: float, x: float) -> np.ndarray:
