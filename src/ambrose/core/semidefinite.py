@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import scipy.linalg as sla
@@ -55,17 +56,24 @@ class Minimum:
 
 def svec(M: np.ndarray) -> np.ndarray:
     """Upper triangles of symmetric matrices (..., d, d), column by column, off-diagonal entries times sqrt(2)."""
-    j, i = np.tril_indices(M.shape[-1])
-    return M[..., i, j] * np.where(i == j, 1.0, np.sqrt(2.0))
+    upper, _, weight = _places(M.shape[-1])
+    return M.reshape(*M.shape[:-2], -1).take(upper, -1) * weight
 
 
 def smat(v: np.ndarray) -> np.ndarray:
     """The inverse of ``svec``: v (..., d (d + 1)/2) -> (..., d, d)."""
     d = side(v.shape[-1])
+    upper, lower, weight = _places(d)
+    M = np.empty((*v.shape[:-1], d * d))
+    M[..., upper] = M[..., lower] = v / weight
+    return M.reshape(*v.shape[:-1], d, d)
+
+
+@cache
+def _places(d: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the entries of ``svec``: where they stand in the flat matrix, where their mirror images do, and their weights."""
     j, i = np.tril_indices(d)
-    M = np.zeros((*v.shape[:-1], d, d))
-    M[..., i, j] = M[..., j, i] = v / np.where(i == j, 1.0, np.sqrt(2.0))
-    return M
+    return d * i + j, d * j + i, np.where(i == j, 1.0, np.sqrt(2.0))
 
 
 def side(length: int) -> int:
@@ -106,6 +114,7 @@ class _Solver:
         self.cost = cost / self.size
         self.items = items
         self.rows = [item.rows / self.size[item.columns] for item in items]
+        self.wide = [smat(rows.T).transpose(1, 0, 2).reshape(i.side, -1) for i, rows in zip(items, self.rows, strict=True)]
         self.order = sum(item.side for item in items)
         reach = [
             np.sqrt(i.side) * (1 + np.abs(self.cost[i.columns]).max(initial=0)) / (1 + np.linalg.norm(r, axis=0).max(initial=0))
@@ -192,12 +201,12 @@ class _Solver:
     def schur_complement(self, inverse: Sequence[np.ndarray]) -> tuple[np.ndarray, bool]:
         """Cholesky factor of M_jk = sum_i tr(F_ij Z_i F_ik S_i^-1)."""
         M = np.zeros((len(self.cost), len(self.cost)))
-        for i, rows, Z, W in zip(self.items, self.rows, self.Z, inverse, strict=True):
+        for i, rows, F, Z, W in zip(self.items, self.rows, self.wide, self.Z, inverse, strict=True):
             d, k = i.side, len(i.columns)
-            F = smat(rows.T)
-            G = (Z @ F.transpose(1, 0, 2).reshape(d, k * d)).reshape(d, k, d).transpose(1, 0, 2).reshape(k * d, d) @ W
-            G = G.reshape(k, d, d)
-            M[np.ix_(i.columns, i.columns)] += svec((G + G.transpose(0, 2, 1)) / 2) @ rows
+            G = (Z @ F).reshape(d, k, d).transpose(1, 0, 2).reshape(k * d, d) @ W
+            G = G.reshape(k, d * d)
+            upper, lower, weight = _places(d)
+            M[np.ix_(i.columns, i.columns)] += ((G.take(upper, 1) + G.take(lower, 1)) * (weight / 2)) @ rows
         M = (M + M.T) / 2
         diagonal = np.diag_indices(len(M))
         M[diagonal] = np.where(M[diagonal] > 0, M[diagonal] * (1 + 1e-14), 1.0)  # 1: a variable that appears nowhere
