@@ -55,7 +55,7 @@ def run() -> list[dict[str, Any]]:
         rows.append({**_row(f"assembly + reduction to 8 states, {nodes} nodes", spent), **grows})
     rows[0]["target"] = "< 0.05"
     rows += [_facts(load_machine("turboexpander"), nodes) for nodes in (79, 157)]
-    rows += [row for nodes in (101, 201, 401) for row in _front_door(refined(rig, nodes), nodes - 1)]
+    rows += [row for nodes in (101, 201, 401, 801) for row in _front_door(refined(rig, nodes), nodes - 1)]
     rows.append(_closed_loop_response(rig))
     controller = pid_controller(rig.controller, rig)
     plant = assemble(rig)

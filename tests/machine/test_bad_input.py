@@ -82,8 +82,8 @@ SLIPS = {
     # the shaft
     "empty shaft": (re.compile(r"\[\[shaft\]\]\nlabel.*?(?=\n\[\[disc)", re.DOTALL), "", "[[shaft]] is missing", "length, outer_diameter"),
     "negative length": ("length = 0.4", "length = -0.4", "[[shaft]] 2", "length is -0.4 m", "must be positive"),
-    "zero elements": ("elements = 4", "elements = 0", "[[shaft]] 1", "elements is 0", "from 1 to 400"),
-    "far too many elements": ("elements = 4", "elements = 100000", "the shaft has 100008 elements in all", "at most 400"),
+    "zero elements": ("elements = 4", "elements = 0", "[[shaft]] 1", "elements is 0", "from 1 to 800"),
+    "far too many elements": ("elements = 4", "elements = 100000", "the shaft has 100008 elements in all", "at most 800"),
     "bore as wide as the shaft": ('inner_diameter = "20 mm"', 'inner_diameter = "60 mm"', "[[shaft]] 1", "inner_diameter is 0.06 m", "below the outer_diameter, 0.06 m"),
     "negative bore": ('inner_diameter = "20 mm"', 'inner_diameter = "-2 mm"', "[[shaft]] 1", "inner_diameter is -0.002 m", "zero or positive"),
     "mass inside the bore": ('inner_diameter = "20 mm"', 'inner_diameter = "20 mm"\nmass_diameter = "15 mm"', "[[shaft]] 1", "mass_diameter is 0.015 m", "above the inner_diameter"),

@@ -46,8 +46,8 @@ def several(table, count, rest):
 
 
 LARGE = {
-    "sections": (lambda: sections(401), "401 entries of [[shaft]], but at most 400"),
-    "elements in all": (lambda: sections(41, 10), "410 elements in all, but at most 400"),
+    "sections": (lambda: sections(801), "801 entries of [[shaft]], but at most 800"),
+    "elements in all": (lambda: sections(81, 10), "810 elements in all, but at most 800"),
     "discs": (lambda: several("disc", 9000, 'name = "d{}"\nposition = 0.1\nmass = 1'), "[[disc]], but at most 100"),
     "empty discs": (lambda: several("disc", 20_000, ""), "[[disc]], but at most 100"),
     "bearings": (lambda: several("bearing", 9000, 'name = "b{}"\nposition = 0.1\nbias_current = 1'), "[[bearing]], but at"),
@@ -88,8 +88,8 @@ def test_a_machine_file_with_too_much_is_refused_at_once(name):
 
 def test_a_machine_made_in_code_has_the_same_limits():
     machine = loads_machine(SMALL)
-    long = tuple(ShaftSection(0.001 * i, 0.001, 0.06, elements=2) for i in range(300))
-    with pytest.raises(InvalidInput, match="600 elements in all, but at most 400"):
+    long = tuple(ShaftSection(0.001 * i, 0.001, 0.06, elements=2) for i in range(450))
+    with pytest.raises(InvalidInput, match="900 elements in all, but at most 800"):
         replace(machine, shaft=long)
     with pytest.raises(InvalidInput, match=r"200 entries of \[\[disc\]\]"):
         replace(machine, discs=machine.discs * 200)

@@ -168,7 +168,7 @@ def test_the_rotor_is_assembled_once():
     assert assemble(machine).rotor_model is assemble(other).rotor_model
     assert finite_element_rotor(replace(machine, beam_theory="rayleigh")) is not finite_element_rotor(machine)
     with pytest.raises(ValueError, match="read-only"):
-        finite_element_rotor(machine).mass[0, 0] = 0.0
+        finite_element_rotor(machine).plane_mass[0, 0] = 0.0
 
 
 def test_modes_that_coincide_are_kept_together():

@@ -11,41 +11,62 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_finite, invalid
 from ambrose.core.mechanical import undamped_modes
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import Disc, MachineDescription, ShaftSection
+from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.physics.beam import BeamElement, beam_element, conical_element, shape
 
 STANDARD_GRAVITY = 9.80665  # [m/s2]
 
 # plane -> index of the deflection and of the rotation within a node, sign of the rotation (y' = -alpha)
 _PLANES = {"x": (0, 3, 1.0), "y": (1, 2, -1.0)}
+_CHORD = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0]])  # rotations at both ends, of their difference and their sum
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rotor(Presented):
     """A rotor of N nodes without bearings.
 
-    positions (N,) [m]: the nodes. mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node. plane_mass,
-    plane_gyroscopic, plane_stiffness (2N, 2N), all symmetric, in [w, theta] per node: with z = w_x + j w_y they give
-    M z'' - j Omega G z' + K z = f. shear (N-1,) [-]: phi of the elements' shape functions (beam.shape).
+    positions (N,) [m]: the nodes. plane_mass, plane_gyroscopic, plane_stiffness (2N, 2N), all symmetric, in [w, theta] per
+    node: with z = w_x + j w_y they give M z'' - j Omega G z' + K z = f. shear (N-1,) [-]: phi of the elements' shape functions
+    (beam.shape). bending (N-1, 2, 2) [N m]: the elements' stiffness against the difference and the sum of the rotations at
+    their ends, as seen from their chords.
+
+    mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node are made anew at every reading: nothing but tests
+    needs them.
     """
 
     positions: np.ndarray
-    mass: np.ndarray
-    gyroscopic: np.ndarray
-    stiffness: np.ndarray
     plane_mass: np.ndarray
     plane_gyroscopic: np.ndarray
     plane_stiffness: np.ndarray
     shear: np.ndarray
+    bending: np.ndarray
 
     @property
     def n_nodes(self) -> int:
         return len(self.positions)
+
+    @property
+    def mass(self) -> np.ndarray:
+        """The mass matrix of both planes."""
+        return _in_both(self.plane_mass)
+
+    @property
+    def gyroscopic(self) -> np.ndarray:
+        """The gyroscopic matrix, skew: from one plane into the other."""
+        from_y = to_plane(to_plane(self.plane_gyroscopic, "x").T, "y").T
+        return from_y - from_y.T
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """The stiffness of both planes."""
+        return _in_both(self.plane_stiffness)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -88,16 +109,8 @@ def finite_element_rotor(machine: MachineDescription) -> Rotor:
 def _rotor(shaft: tuple[ShaftSection, ...], discs: tuple[Disc, ...], theory: str) -> Rotor:
     positions, element = _mesh(shaft, theory)
     mass, gyroscopic = _add_discs(element, positions, discs)
-    arrays = (
-        positions,
-        _assemble(_both_planes(mass)),
-        _assemble(_both_planes(gyroscopic, skew=True)),
-        _assemble(_both_planes(element.stiffness)),
-        _assemble(mass),
-        _assemble(gyroscopic),
-        _assemble(element.stiffness),
-        element.shear,
-    )
+    bending = _CHORD.T @ element.stiffness[:, 1::2, 1::2] @ _CHORD
+    arrays = (positions, *(_assemble(part) for part in (mass, gyroscopic, element.stiffness)), element.shear, bending)
     for array in arrays:
         array.flags.writeable = False
     return Rotor(*arrays)
@@ -170,7 +183,7 @@ def gravity_load(rotor: Rotor, direction: float | None, acceleration: float = ST
     if direction is not None:
         translation, _ = _rigid_motions(rotor.positions, 0.0)
         for plane, part in (("x", np.cos(direction)), ("y", np.sin(direction))):
-            load += acceleration * part * (rotor.mass @ to_plane(translation, plane))
+            load += acceleration * part * to_plane(rotor.plane_mass @ translation, plane)
     return load
 
 
@@ -201,17 +214,33 @@ def free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
 
 def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (count,) [rad/s] and mass-orthonormal shapes (2N, count) of the bending modes of one plane."""
-    M, K = rotor.plane_mass, rotor.plane_stiffness
-    available = len(M) - 2
+    available = 2 * rotor.n_nodes - 2
     if not 0 < count <= available:
         raise invalid("the number of bending modes", count, f"between 1 and {available}", "refine the mesh or ask for fewer")
+    fine = count <= FINE_MESH_MODES and available > 2 * FINE_MESH_MODES  # computed once, however few are asked for
+    frequencies, shapes = _lowest_bending(rotor, FINE_MESH_MODES if fine else count)
+    return frequencies[:count], shapes[:, :count]
+
+
+@lru_cache(maxsize=16)
+def _lowest_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
+    M, K = rotor.plane_mass, rotor.plane_stiffness
     # Rounding of K moves the rigid modes off zero, to either side; a shift far below the bending modes keeps them positive.
     shift = 1e-10 * np.max(np.diag(K) / np.diag(M))
     _, shapes = undamped_modes(M, K + shift * M, count + 2)
     rigid = _rigid_modes(rotor)
     shapes = shapes[:, 2:] - rigid @ (rigid.T @ (M @ shapes[:, 2:]))
-    shapes /= np.sqrt(np.einsum("ik,ik->k", shapes, M @ shapes)) * np.where(shapes[0] < 0, -1.0, 1.0)
-    return np.sqrt(np.einsum("ik,ik->k", shapes, K @ shapes)), shapes
+    squares, mix = sla.eigh(_strain_energy(rotor, shapes), shapes.T @ M @ shapes)
+    shapes = shapes @ mix
+    return np.sqrt(squares), shapes * np.where(shapes[0] < 0, -1.0, 1.0)
+
+
+def _strain_energy(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
+    """shapes^T K shapes (k, k), element by element: K itself has rounding errors that many short elements make large."""
+    w, theta, length = shapes[0::2], shapes[1::2], np.diff(rotor.positions)[:, None]
+    left, right = theta[:-1], theta[1:]
+    e = np.stack([right - left, right + left - 2 * np.diff(w, axis=0) / length], axis=1)
+    return np.asarray(np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1])))
 
 
 def _rigid_modes(rotor: Rotor) -> np.ndarray:
@@ -293,9 +322,6 @@ def _assemble(blocks: np.ndarray) -> np.ndarray:
     return whole.reshape(k * (e + 1), k * (e + 1))
 
 
-def _both_planes(blocks: np.ndarray, skew: bool = False) -> np.ndarray:
-    """Element matrices (e, 4, 4) of one plane in both planes, (e, 8, 8): in each, or (skew) from y to x and negative back."""
-    basis = np.stack([to_plane(np.eye(4), plane) for plane in ("x", "y")])
-    if skew:
-        return basis[0] @ blocks @ basis[1].T - basis[1] @ blocks @ basis[0].T
-    return basis[0] @ blocks @ basis[0].T + basis[1] @ blocks @ basis[1].T
+def _in_both(plane: np.ndarray) -> np.ndarray:
+    """A symmetric matrix (2N, 2N) of one plane, in each of both (4N, 4N)."""
+    return to_plane(to_plane(plane, "x").T, "x") + to_plane(to_plane(plane, "y").T, "y")
