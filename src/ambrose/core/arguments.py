@@ -10,7 +10,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import wraps
+from functools import cache, wraps
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -93,9 +93,14 @@ def _evaluated(annotation: Any, module: str) -> Any:
     if not isinstance(annotation, str):
         return annotation
     try:
-        return eval(annotation, {}, _Names(vars(sys.modules[module])))
+        return _evaluated_once(annotation, module)
     except (NameError, TypeError, AttributeError):
         return Any
+
+
+@cache
+def _evaluated_once(annotation: str, module: str) -> Any:
+    return eval(annotation, {}, _Names(vars(sys.modules[module])))
 
 
 def _misfit(value: object, hint: Any) -> Misfit | None:

@@ -152,7 +152,9 @@ class Cost:
         L = self.P12 + self.P12 @ (K @ np.linalg.solve(E, self.P22))  # P12 (I - K P22)^-1
         M = self.P11 + self.P12 @ (K @ R)
         size = np.linalg.norm(M, axis=(2, 3))
-        used = size >= 0.35 * size.max()  # the others add nothing: sigma_max <= |M|_F <= sqrt(8) sigma_max
+        largest = float(largest_gain(M.reshape(-1, *M.shape[2:])[size.argmax()]))
+        # the others add nothing: sigma_max <= |M|_F <= sqrt(8) sigma_max
+        used = size >= max(0.35 * size.max(), largest * 1e-17 ** (1 / power))
         N = M[used]
         wide = N.shape[1] < N.shape[2]
         squares, V = np.linalg.eigh(N @ N.conj().swapaxes(1, 2) if wide else N.conj().swapaxes(1, 2) @ N)
