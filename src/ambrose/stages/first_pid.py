@@ -50,7 +50,7 @@ def holding_pid(machine: Machine) -> tuple[PidSettings, float]:
             break
     for _, settings in ranked[:_SURE]:
         law = pid_controller(settings, machine)
-        found = [certify(plant, law if timing is None else timing.in_loop(law)) for plant in full]
+        found = [certify(plant, law if timing is None else timing.in_loop(law), margins=False) for plant in full]
         if all(item.stable for item in found):
             return settings, max(item.closed_loop_norm for item in found)
     return ranked[0][1], math.inf

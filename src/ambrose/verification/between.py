@@ -25,7 +25,7 @@ def check_range(machine: Machine, area: OperatingRange, law: Any, timing: Timing
     point = found.worst(area)
     plant = assemble(machine, point)
     controller = match_controller(law, plant)
-    full = certify(plant, controller if timing is None else timing.in_loop(controller))
+    full = certify(plant, controller if timing is None else timing.in_loop(controller), margins=False)
     size = f"{len(found.speeds)} speeds x {len(found.pressures)} pressures, {100 * found.change:.2g} % between neighbours"
     wanted = demand("maximum singular value of a sensitivity", machine.requirements)
     abscissa = max(float(found.abscissa.max()), full.spectral_abscissa)

@@ -80,7 +80,7 @@ def check_over_box(
     peak = np.empty(len(points))
     for i, point in enumerate(points):
         delta = dict(zip(names, point.tolist(), strict=True))
-        certificate = certify(perturbed(small, delta, held), controller)
+        certificate = certify(perturbed(small, delta, held), controller, margins=False)
         abscissa[i], peak[i] = certificate.spectral_abscissa, certificate.closed_loop_norm
         if i < _FULL_POINTS:
             abscissa[i] = max(abscissa[i], _abscissa(perturbed(plant, delta, held), controller))

@@ -58,7 +58,7 @@ def search(machine: Machine, area: OperatingRange, law: Any, timing: Timing | No
         if (speed, pressure) not in known:
             plant = reduce(assemble(machine, area.at(speed, pressure)), modes)
             controller = match_controller(law, plant)
-            found = certify(plant, controller if timing is None else timing.in_loop(controller))
+            found = certify(plant, controller if timing is None else timing.in_loop(controller), margins=False)
             known[speed, pressure] = found.closed_loop_norm, found.spectral_abscissa
         return known[speed, pressure]
 
