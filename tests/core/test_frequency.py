@@ -13,6 +13,7 @@ from ambrose.core.frequency import (
     FrequencyResponse,
     evaluate,
     frequency_response,
+    largest_gain,
     schur_form,
     state_response_at,
     transfer_matrix,
@@ -45,6 +46,40 @@ def test_against_dense_solves(n, m, p, kind):
     form = schur_form(A, B, C, D)
     np.testing.assert_allclose(np.sort_complex(form.poles), np.sort_complex(np.linalg.eigvals(A)), atol=1e-10)
     assert np.array_equal(evaluate(form, s), transfer_matrix(A, B, C, D, s))  # the prepared form is the same computation
+
+
+@pytest.mark.parametrize(("n", "m", "p"), [(1, 1, 1), (17, 2, 5), (34, 5, 2), (100, 4, 4)])
+@pytest.mark.parametrize("kind", ["real", "complex"])
+def test_partial_fractions_are_the_same_response(n, m, p, kind):
+    A, B, C, D = random_matrices(n, n, m, p)
+    if kind == "complex":
+        A = A + 1j * random_matrices(n + 1, n, m, p)[0]
+    s = np.concatenate([1j * np.linspace(-8, 8, 31), [3.0 + 0j]])
+    form = schur_form(A, B, C, D, expand=True)
+    assert form.expansion is not None
+    expected = evaluate(schur_form(A, B, C, D), s)
+    assert np.abs(evaluate(form, s) - expected).max() < 1e-11 * np.abs(expected).max()
+    with pytest.raises(InvalidInput, match="is a pole"):
+        evaluate(schur_form(np.diag([1j, -1j]), np.eye(2), np.eye(2), np.zeros((2, 2)), expand=True), np.array([2j, 1j]))
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-9, 1e-6])
+def test_poles_without_eigenvectors_of_their_own_stay_in_schur_form(distance):
+    A = np.array([[-1.0, 1.0], [0.0, -1.0 - distance]])
+    form = schur_form(A, np.eye(2), np.eye(2), np.zeros((2, 2)), expand=True)
+    assert form.expansion is None
+    assert evaluate(form, np.array([1j]))[0, 0, 1] == pytest.approx(1 / ((1j + 1) * (1j + 1 + distance)), rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (2, 7), (9, 3), (5, 1), (1, 5), (1, 1)])
+@pytest.mark.parametrize("scale", [1.0, 1e-170, 1e170])
+def test_largest_gain_is_the_largest_singular_value(shape, scale):
+    rng = np.random.default_rng(3)
+    values = scale * (rng.standard_normal((2, 30, *shape)) + 1j * rng.standard_normal((2, 30, *shape)))
+    values[0, 0] = 0.0
+    values[1, :, 1:] *= 1e-9  # the others far below it
+    np.testing.assert_allclose(largest_gain(values), np.linalg.norm(values, 2, axis=(-2, -1)), rtol=1e-14)
+    assert largest_gain(values[:, :0]).shape == (2, 0)
 
 
 @pytest.mark.parametrize(("n", "m", "p"), [(0, 2, 3), (3, 0, 2), (3, 2, 0)])

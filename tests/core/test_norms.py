@@ -77,6 +77,16 @@ def test_bisection_alone_finds_the_peak(kind, monkeypatch):
     assert found.steps > 1 or found.frequency in {0.0, np.inf}
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_partial_fractions_and_schur_form_agree_to_the_tolerance(kind, monkeypatch):
+    A, B, C, D, dt = random_system(kind, 300)
+    system = StateSpace(A, B, C, D, dt=dt)
+    fast = hinf_norm(system)
+    monkeypatch.setattr(norms, "_EXPANDED", np.inf)
+    safe = hinf_norm(system)
+    assert fast.value <= safe.upper * (1 + 1e-12) and safe.value <= fast.upper * (1 + 1e-12)
+
+
 class TestClosedForms:
     @pytest.mark.parametrize("zeta", [0.5, 0.1, 1e-3, 1e-6, 1e-8])
     @pytest.mark.parametrize("omega", [1e-5, 1.0, 1e6])

@@ -1,15 +1,19 @@
 """The assembled rotor: structure, mass properties, attachments between nodes, free modes, gyroscopic splitting."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg as sla
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BEAM_THEORIES, Amplifier, Disc, Material, ShaftSection
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import (
+    _strain_energy,
     displacement_row,
     finite_element_rotor,
     free_bending_frequencies,
@@ -394,3 +398,13 @@ def test_whirl_of_the_plane_equals_the_whole():
     half = np.linalg.eigvals(np.block([[np.zeros((k, k)), np.eye(k)], [-Kd[::2, ::2], 1j * speed * Gp]]))
     both = np.concatenate([half, half.conj()])
     assert np.sort(both.imag) == pytest.approx(np.sort(whole.imag), rel=1e-6)
+
+
+@pytest.mark.parametrize("theory", ["bernoulli-euler", "rayleigh", "timoshenko"])
+def test_strain_energy_by_elements_is_that_of_the_stiffness(theory):
+    """Of any motion, cones and discs included: what differs is rounding alone."""
+    machine = replace(load_machine("seal-rig"), beam_theory=theory)
+    cone = replace(machine.shaft[1], end_outer_diameter=0.7 * machine.shaft[1].outer_diameter)
+    rotor = finite_element_rotor(replace(machine, shaft=(machine.shaft[0], cone, *machine.shaft[2:])))
+    motion = np.random.default_rng(1).standard_normal((2 * rotor.n_nodes, 3))
+    assert _strain_energy(rotor, motion) == pytest.approx(motion.T @ rotor.plane_stiffness @ motion, rel=1e-12)

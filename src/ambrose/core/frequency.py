@@ -102,15 +102,13 @@ def largest_gain(values: np.ndarray) -> np.ndarray:
     From the Gram matrix's largest eigenvalue: as exact as an SVD for this one, and faster.
     """
     p, m = values.shape[-2:]
-    if min(p, m) <= 1:
-        return np.asarray(np.linalg.norm(values, axis=(-2, -1)))
     adjoint = values.conj().swapaxes(-1, -2)
     with np.errstate(over="ignore", invalid="ignore"):
         gram = adjoint @ values if m <= p else values @ adjoint
         size = np.einsum("...ii->...", gram).real
     if not ((size > 1e-280) & (size < 1e280)).all():  # squares that overflow or vanish
         return np.asarray(np.linalg.norm(values, 2, axis=(-2, -1)))
-    return np.asarray(np.sqrt(np.linalg.eigvalsh(gram)[..., -1]))
+    return np.asarray(np.sqrt(size if min(p, m) == 1 else np.linalg.eigvalsh(gram)[..., -1]))
 
 
 def check_nyquist(omega: np.ndarray, dt: float) -> None:
