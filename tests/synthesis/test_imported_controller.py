@@ -50,6 +50,13 @@ def test_difference_equations_of_unequal_length_in_csv_and_json(tmp_path):
     assert timing_of(None, amb.read_controller(tmp_path / "k.csv")).delay_samples == 2
 
 
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_other_separators_and_a_decimal_comma(mark, tmp_path):
+    text = f"channel{mark}b{mark}a{mark}rate_hz\nA_zeta{mark}5200 -9800 4650 12{mark}1 -1.61 0.65{mark}10000\n"
+    (tmp_path / "k.csv").write_text("\ufeff" + (text.replace(".", ",") if mark == ";" else text), encoding="utf-8")
+    np.testing.assert_allclose(response(amb.read_controller(tmp_path / "k.csv").controller)[:, 0, 0], digital(B, A), rtol=1e-9)
+
+
 def test_num_and_den_are_powers_of_z_and_of_s(tmp_path):
     sampled = read(tmp_path, {"Ts": 1 / RATE, "axes": ["A"], "num": [3.0], "den": [1.0, -0.5]}).controller
     np.testing.assert_allclose(response(sampled)[:, 0, 0], 3 / (np.exp(1j * OMEGA / RATE) - 0.5), rtol=1e-9)
@@ -167,6 +174,10 @@ WRONG = {
     "delay": ({"delay_samples": 1.5, "channels": {"a": {"b": [1], "a": [1]}}}, "delay_samples is 1.5, but must be a whole"),
     "sample time": ({"Ts": -1, "channels": {"a": {"b": [1], "a": [1]}}}, "the sample time is -1 s"),
     "leading zero": ({"rate_hz": 1, "channels": {"a": {"b": [1], "a": [0, 1]}}}, "begins with 0 .*divide by a factor"),
+    "list": ({"input": ["error"], "channels": {"a": {"b": [1], "a": [1]}}}, r"must be error \(r - y\) or displacement"),
+    "complex": ({"channels": {"a": {"b": ["1+2j"], "a": [1]}}}, "'1\\+2j' is complex, but a coefficient is real"),
+    "overflow": ({"channels": {"a": {"b": [1e300], "a": [1e-300]}}}, "finite"),
+    "empty": ({"b": [[[1.0]]], "a": [], "axes": ["a"]}, "the rows of a have different lengths"),
     "improper": ({"channels": {"a": {"b": [1, 0, 0], "a": [1, 1]}}}, "degree is not below the numerator's"),
     "half a name": ({"channels": {"a ->": {"b": [1], "a": [1]}}}, "name the axes, such as A_zeta, or A_zeta -> B_zeta"),
     "not square": ({"b": [[[1.0], [1.0]]], "a": [[[1.0], [1.0]]], "axes": ["a"]}, "must be square and the same"),

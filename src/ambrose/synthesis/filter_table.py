@@ -51,8 +51,13 @@ _Channel = tuple[str, tuple[str, ...], np.ndarray]  # from the error of an axis 
 
 def csv_table(text: str) -> dict[str, Any]:
     """A row for each section: channel, coefficients or zeros, poles and gain; facts have columns. Raises InvalidInput."""
+    first = text.lstrip("\ufeff").partition("\n")[0]
+    mark = next((mark for mark in ";\t" if mark in first), ",")
+    if mark == ";":
+        text = text.replace(",", ".")  # where a semicolon separates, a comma is the decimal mark
     try:
-        rows = list(csv.DictReader(io.StringIO(text), skipinitialspace=True, restkey="", restval=""))
+        lines = io.StringIO(text.lstrip("\ufeff"))
+        rows = list(csv.DictReader(lines, skipinitialspace=True, restkey="", restval="", delimiter=mark))
     except csv.Error as error:
         raise InvalidInput(f"it is no table in CSV ({error}); its first line must name the columns {_HEADER}") from None
     columns = {str(name).strip() for name in (rows[0] if rows else {})}
@@ -100,6 +105,7 @@ def mat_table(variables: Mapping[str, Any]) -> dict[str, Any]:
     return _own(variables)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers that overflow are refused as not finite
 def controller_of(table: Mapping[str, Any], **stated: Any) -> tuple[StateSpace, int | None]:
     """The controller of a table, from errors r - y [m] to currents [A], and the computing delay [samples] that is said of it.
 
@@ -181,7 +187,7 @@ def _fact(key: str, value: Any) -> Any:
     if key == "axes":
         return _texts(value)
     if key == "input":
-        if value not in _SIGN:
+        if not isinstance(value, str) or value not in _SIGN:
             raise invalid("input", quoted(value), "error (r - y) or displacement (y)", "say what the controller takes")
         return value
     if key in ("input_unit", "output_unit"):
@@ -263,7 +269,7 @@ def _transfer_matrix(table: Mapping[str, Any], form: str, axes: Sequence[str] | 
         shared = dict[tuple[float, ...], list[int]]()
         for i in range(len(axes)):
             if any(_number(form, value) for value in above[i, j]):
-                shared.setdefault(tuple(_number(form, value).real for value in below[i, j]), []).append(i)
+                shared.setdefault(tuple(_real(form, value) for value in below[i, j]), []).append(i)
         for denominator, rows in shared.items():
             where = f"the filter {source} -> {axes[rows[0]]}"
             theta = _rational(where, [above[i, j] for i in rows], list(denominator), form == "num" or dt is None)
@@ -273,7 +279,7 @@ def _transfer_matrix(table: Mapping[str, Any], form: str, axes: Sequence[str] | 
 def _cells(name: str, values: Any) -> np.ndarray:
     """A matrix of lists of coefficients."""
     rows = [[_flat(cell) for cell in _listed(name, row)] for row in _listed(name, values)]
-    if len({len(row) for row in rows}) > 1:
+    if len({len(row) for row in rows}) != 1:
         raise InvalidInput(f"the rows of {name} have different lengths; give a list of coefficients per output and input")
     cells = np.empty((len(rows), len(rows[0])), object)
     for i, row in enumerate(rows):
@@ -284,7 +290,7 @@ def _cells(name: str, values: Any) -> np.ndarray:
 
 def _rational(where: str, numerators: Sequence[Any], denominator: Any, falling: bool) -> np.ndarray:
     """Theta from one input through one denominator; falling: powers of s or z, otherwise rising ones of z^-1."""
-    rows = [np.array([_number(where, value).real for value in _listed(where, row)]) for row in (denominator, *numerators)]
+    rows = [np.array([_real(where, value) for value in _listed(where, row)]) for row in (denominator, *numerators)]
     size = max(map(len, rows))
     a, *above = (np.pad(row, (size - len(row), 0) if falling else (0, size - len(row))) for row in rows)
     first = int(np.flatnonzero(a)[0]) if a.any() else size
@@ -307,7 +313,7 @@ def _matrices(table: Mapping[str, Any]) -> list[np.ndarray]:
         rows = [_listed(key, row) for row in _listed(key, table.get(key, []))]
         if len({len(row) for row in rows}) > 1:
             raise InvalidInput(f"the rows of {key} have different lengths; give the matrix row by row")
-        numbers = [[_number(key, value).real for value in row] for row in rows]
+        numbers = [[_real(key, value) for value in row] for row in rows]
         read[key] = np.array(numbers).reshape(len(rows), -1 if rows and rows[0] else 0)
     A, B, C, D = (read[key] for key in "ABCD")
     p, m = (max(D.shape[0], C.shape[0]), max(D.shape[1], B.shape[1]))
@@ -355,7 +361,7 @@ def _zpk(where: str, item: Mapping[str, Any], gain: float) -> list[list[float]]:
 def _sections(where: str, rows: Any) -> Iterator[Section]:
     """Sections of six coefficients each. Raises InvalidInput."""
     for row in _listed(where, rows):
-        numbers = [_number(where, value).real for value in _listed(where, row)]
+        numbers = [_real(where, value) for value in _listed(where, row)]
         if len(numbers) != len(SOS):
             raise InvalidInput(f"{where}: a section has {len(numbers)} numbers, but must have six; give {', '.join(SOS)}")
         section = Section("sos", numerator=tuple(numbers[:3]), denominator=tuple(numbers[3:]))
@@ -398,7 +404,16 @@ def _listed(where: str, values: Any) -> Sequence[Any]:
 def _scalar(where: str, value: Any) -> float:
     while isinstance(value, list) and len(value) == 1:
         value = value[0]
-    return _number(where, value).real
+    return _real(where, value)
+
+
+def _real(where: str, value: Any) -> float:
+    number = _number(where, value)
+    if number.imag:
+        raise InvalidInput(
+            f"{where}: {quoted(value)} is complex, but a coefficient is real; write both roots of a pair into one"
+        )
+    return number.real
 
 
 def _number(where: str, value: Any) -> complex:

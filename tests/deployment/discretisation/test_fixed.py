@@ -116,7 +116,7 @@ def test_sample_time_that_means_nothing(sample_time):
         deploy(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), sample_time, force=True)
 
 
-@pytest.mark.parametrize(("method", "prewarp"), [("tustin", None), ("tustin", 600.0), ("zoh", None)])
+@pytest.mark.parametrize(("method", "prewarp"), [("tustin", None), ("tustin", 600.0), ("zoh", None), ("backward-euler", None)])
 def test_modal_form_is_the_same_controller(robust, method, prewarp):
     found = deploy(robust, DT, method=method, prewarp=prewarp, force=True)
     dense = c2d(robust.controller, DT, method, prewarp=prewarp)
@@ -124,6 +124,18 @@ def test_modal_form_is_the_same_controller(robust, method, prewarp):
     expected, got = (frequency_response(K, omega).values for K in (dense, found.controller))
     assert np.abs(got - expected).max() <= 1e-9 * np.abs(expected).max()
     assert (np.abs(found.increment[np.abs(np.subtract.outer(np.arange(20), np.arange(20))) > 1]) == 0).all()
+
+
+@pytest.mark.parametrize("prewarp", [None, 2000.0])
+def test_matched_channels_in_modal_form(pid, prewarp):
+    """The increment is A - I of the poles exp(s dt), with all digits of a slow one."""
+    found = deploy(pid, DT, method="matched", prewarp=prewarp, force=True)
+    omega = np.geomspace(1, 0.99 * np.pi / DT, 300)
+    dense = c2d(pid.controller, DT, "matched", prewarp=prewarp)
+    expected, got = (frequency_response(K, omega).values for K in (dense, found.controller))
+    assert np.abs(got - expected).max() <= 1e-9 * np.abs(expected).max()
+    held = np.sort(np.expm1(poles(pid.controller).real * DT))
+    np.testing.assert_allclose(np.sort(np.diag(found.increment)), held, rtol=1e-9, atol=1e-15)
 
 
 def test_slow_poles_keep_their_digits(robust):
