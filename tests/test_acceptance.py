@@ -105,6 +105,7 @@ def test_what_cannot_be_accepted_is_refused():
         (touched, "did not stay free"),
         (data.select([n for n in data.signals if n != "y_free-end_eta"]), "y_free-end_eta"),
         ([], "no record"),
+        (replace(data, sample_rate_hz=5000.0), "the controller's"),
     ):
         with pytest.raises(InvalidInput, match=words):
             accept(machine(), law(), item)

@@ -135,6 +135,9 @@ def accept(
         _check(machine, record, number)
         points.setdefault(replace(record.point, label=""), []).append(record)
     timing = timing_of(machine, controller) or Timing(read[0].dt)
+    if any(abs(record.dt / timing.sample_time - 1) > 1e-6 for record in read):
+        rates = ", ".join(sorted({f"{record.sample_rate_hz:g} Hz" for record in read}))
+        raise invalid("the sample rate of the records", rates, f"the controller's, {timing.rate:g} Hz", "record every sample")
     measured = tuple(_measure(machine, controller, timing, group, harmonics) for group in points.values())
     return Acceptance(machine, controller, str(timing), measured, names)
 

@@ -14,8 +14,10 @@ from ambrose.evaluation.acceptance import Acceptance, MeasuredLoop
 from ambrose.machine.criteria import SENSITIVITY
 from ambrose.machine.file.toml import machine_hash
 from ambrose.report import tables, theme, units
-from ambrose.report.figures.axes import drawn
+from ambrose.report.figures.axes import axes_of, drawn, set_ranges
+from ambrose.report.figures.limits import draw_limits, limit_levels
 from ambrose.report.page import Cell, Figure, Report, Section, Table
+from ambrose.verification.checks import Curve
 from ambrose.verification.criteria import zone_lines
 
 _MEASURED, _BAND = "#0072b2", "rgba(0,114,178,0.25)"
@@ -89,22 +91,18 @@ def _panels(
     """Moduli (w, n) with their intervals over frequency, a panel each, models (w, n) over them."""
     figure, places = _grid(len(titles), titles)
     f, looks = omega / units.TWO_PI, dict(zip(models, _LOOKS, strict=False))
-    floor = max(float(np.quantile(value, 0.002)) / 2, 1e-2 * float(value.max()))
+    curves = [("measured", Curve("acceptance", "", "frequency", omega, value.T, tuple(titles), "rad/s", "-", tuple(limits)))]
+    axes = axes_of(curves)
+    levels, line = limit_levels(curves, axes), {"color": _MEASURED, "width": 1.8}
     for i, place in enumerate(places):
-        theme.band(figure, place, f, np.maximum(low[:, i], floor / 10), high[:, i], _BAND, "95 %" if i == 0 else "")
-        line = {"color": _MEASURED, "width": 1.8}
+        theme.band(figure, place, f, np.maximum(low[:, i], axes.y_range[0] / 10), high[:, i], _BAND, "95 %" if i == 0 else "")
         theme.scatter(figure, place, drawn(f), drawn(value[:, i]), "measured", shown=i == 0, line=line)
         for label, rows in models.items():
             theme.scatter(figure, place, drawn(f), drawn(rows[:, i]), label, shown=i == 0, line=looks[label].line)
-        for number, (name, level) in enumerate(limits):
-            theme.guide(figure, place, [f[0], f[-1]], [level, level], color=theme.LIMIT, width=1.2, dash="1.5px,2px")
-            if i == 0:
-                at = np.log10(f[-1]) - 0.3 * number, np.log10(level)
-                theme.note(figure, place, name.removeprefix("zone "), *at, "right", "bottom", colour=theme.LIMIT)
+        draw_limits(figure, place, levels, axes, size=(410, _HEIGHT - 60), named=i == 0)
     theme.dress(figure, _HEIGHT * places[-1]["row"], legend=True)
-    figure.update_xaxes(**theme.decades(float(f[0]), float(f[-1])))
-    figure.update_yaxes(**theme.decades(floor, 1.4 * max(float(high.max()), *(level for _, level in limits[:1]), floor * 10)))
-    figure.update_xaxes(title_text="Frequency [Hz]", row=places[-1]["row"])
+    set_ranges(figure, axes)
+    figure.update_xaxes(title_text=axes.x_text, row=places[-1]["row"])
     return figure
 
 
