@@ -15,6 +15,7 @@ from ambrose.identification.calibration import calibrate
 from ambrose.machine.description import OperatingPoint, Runout
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet, sensor
+from ambrose.plant.sag import static_sag
 from ambrose.simulation.disturbances import Sine
 from ambrose.simulation.scenario import Scenario
 
@@ -87,12 +88,11 @@ def levitated(centre, bias, weight=1.0, place=0.0):
     """Means of a rotor held at ``place`` by currents that balance its weight about the magnets' centre."""
     from scipy.optimize import fsolve
 
-    from ambrose.identification.calibration import _weights
-
+    hangs, loads = static_sag(machine())
     rows, names = [], []
-    for bearing, load in zip(machine().bearings, _weights(machine()), strict=True):
+    for bearing, load, hang in zip(machine().bearings, loads, hangs, strict=True):
         p = magnet.parameters(replace(bearing, magnetic_offset=centre), bias)
-        i = fsolve(lambda i, p=p, load=load: np.add(magnet.force(*i, place, place, p), weight * load), np.zeros(2))
+        i = fsolve(lambda i, p=p, load=load, x=place + hang: np.add(magnet.force(*i, *x, p), weight * load), np.zeros(2))
         for kind, values in (("y", (place, place)), ("i", i)):
             names += [f"{kind}_{bearing.name}_{axis}" for axis in ("zeta", "eta")]
             rows += [np.full(50, v) for v in values]

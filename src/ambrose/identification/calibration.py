@@ -28,9 +28,9 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.record.files import read_record
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
-from ambrose.physics.rotor import STANDARD_GRAVITY, finite_element_rotor, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.ports import measured_ports, sensor_turn
+from ambrose.plant.sag import static_sag
 from ambrose.plant.unbalance import residual_unbalance
 
 _SAMPLES = 2000  # of a circle that are fitted, about
@@ -243,14 +243,14 @@ def _pressed(machine: Machine, record: Record, q: np.ndarray) -> np.ndarray:
     the record holds no currents."""
     forces = np.zeros(q.shape)
     kind = next((kind for kind in "iu" if all(f"{kind}_{axis}" in record.signals for axis in machine.axes)), "")
-    weight = _weights(machine)
+    _, weight = static_sag(machine)
     for b, bearing in enumerate(machine.bearings if kind else ()):
         rows = [f"{bearing.name}_{axis}" for axis in ("zeta", "eta")]
         i = record.select([f"{kind}_{row}" for row in rows]).values
         if kind == "u":
             i = i + np.stack(signal_rows(record, [f"e_{row}" for row in rows]))
         own = q[b] * np.exp(-1j * bearing.angle)
-        p, load = magnet.parameters(bearing, record.point.bias_current), np.zeros(2) if weight is None else weight[b]
+        p, load = magnet.parameters(bearing, record.point.bias_current), weight[b]
         pulls = np.array([magnet.force(*ends, p) for ends in zip(i[0], i[1], own.real, own.imag, strict=True)]) + load
         outward = pulls[:, 0] * own.real + pulls[:, 1] * own.imag
         forces[b] = np.maximum(outward / np.abs(own), 0.0)
@@ -345,15 +345,14 @@ def _centres(machine: Machine, records: list[Record], entries: list[Calibrated],
         places.append(back @ x.reshape(-1, 2))
         currents.append(record.select([f"{kind}_{axis}" for axis in machine.axes]).values.mean(axis=1).reshape(-1, 2))
         biases.append(record.point.bias_current)
-    weight = _weights(machine)
+    hangs, weight = static_sag(machine)
+    places = [place + hangs for place in places]
     free = len({(bias, tuple(np.round(place.ravel(), 6))) for bias, place in zip(biases, places, strict=True)}) > 1
-    if weight is None and not free:
-        raise InvalidInput("the weight on each of more than two bearings is not known; record at another bias current, too")
     bearings = []
     for k, bearing in enumerate(machine.bearings):
         own = replace(bearing, magnetic_offset=(0.0, 0.0))
         magnets = [magnet.parameters(own, bias) for bias in biases]
-        guess = np.zeros(2) if weight is None else weight[k]
+        guess = weight[k]
         k_s = np.array(magnet.linearised(bearing, biases[0]).negative_stiffness)
 
         def left(v: np.ndarray, k: int = k, magnets: Any = magnets, guess: Any = guess, k_s: Any = k_s) -> np.ndarray:
@@ -385,18 +384,3 @@ def _centres(machine: Machine, records: list[Record], entries: list[Calibrated],
     if not free:
         notes.append("the weight is the model's, taken as right to 2 %; a record at another bias current makes it an unknown")
     return replace(machine, bearings=tuple(bearings))
-
-
-def _weights(machine: Machine) -> np.ndarray | None:
-    """The weight (bearings, 2) [N] along every bearing's axes; None where statics do not tell it."""
-    direction = machine.gravity_direction
-    places = [bearing.position for bearing in machine.bearings]
-    if direction is None:
-        return np.zeros((len(places), 2))
-    if len(places) != 2:
-        return None
-    rotor = mass_properties(finite_element_rotor(machine))
-    second = (rotor.centre - places[0]) / (places[1] - places[0])
-    angle = np.array([direction - bearing.angle for bearing in machine.bearings])
-    total = rotor.mass * STANDARD_GRAVITY * np.array([1 - second, second])
-    return np.asarray(total[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))

@@ -59,23 +59,30 @@ def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> M
     )
 
 
-def loaded(bearing: MagneticBearing, currents: Pair, bias_current: float | None = None) -> MagneticBearing:
+def loaded(
+    bearing: MagneticBearing, currents: Pair, bias_current: float | None = None, displacement: Pair = (0.0, 0.0)
+) -> MagneticBearing:
     """The bearing with the coefficients that small motion sees while static currents [A] carry a load: the slopes of ``force``
-    there, at the magnetic centre. A load of half the bias raises k_s by a quarter.
+    there, at a displacement [m] from the magnetic centre. A load of half the bias raises k_s by a quarter.
 
     Raises InvalidInput as ``parameters`` does.
     """
     bias = bearing.bias_current if bias_current is None else bias_current
     p = parameters(replace(bearing, magnetic_offset=(0.0, 0.0)), bias)
     d_i, d_x = 1e-4 * bias, 1e-4 * min(p[5], p[8])
-    (i, j), half = currents, 0.5
-    k_i = [(force(i + d_i, j, 0.0, 0.0, p)[0] - force(i - d_i, j, 0.0, 0.0, p)[0]) * half / d_i,
-           (force(i, j + d_i, 0.0, 0.0, p)[1] - force(i, j - d_i, 0.0, 0.0, p)[1]) * half / d_i]  # fmt: skip
-    above, below = force(i, j, d_x, d_x, p), force(i, j, -d_x, -d_x, p)
-    k_s = [(high - low) * half / d_x for high, low in zip(above, below, strict=True)]
+
+    def slope(axis: int, current: float, motion: float) -> float:
+        ends = []
+        for sign in (1.0, -1.0):
+            i, x = list(currents), list(displacement)
+            i[axis], x[axis] = i[axis] + sign * current, x[axis] + sign * motion
+            ends.append(force(i[0], i[1], x[0], x[1], p)[axis])
+        return (ends[0] - ends[1]) / (2 * (current + motion))
+
     return replace(
-        bearing, bias_current=bias, measured=(), force_per_current=(k_i[0], k_i[1]), negative_stiffness=(k_s[0], k_s[1])
-    )
+        bearing, bias_current=bias, measured=(), force_per_current=(slope(0, d_i, 0.0), slope(1, d_i, 0.0)),
+        negative_stiffness=(slope(0, 0.0, d_x), slope(1, 0.0, d_x)),
+    )  # fmt: skip
 
 
 def force_constant(geometry: MagnetGeometry) -> float:

@@ -12,14 +12,20 @@ from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
+from ambrose.plant.sag import static_sag
 
 _TOLD = 0.01  # relative change of a coefficient that is worth a sentence
 
 
 def machine_at_load(machine: Machine, records: Iterable[Record]) -> Machine:
-    """The machine with the coefficients of its magnets at the mean currents, u_ or i_ of the first record that has them."""
+    """The machine with the coefficients of its magnets at the mean currents, u_ or i_ of the first record that has them, and as
+    far off the magnets' centre as the rotor hangs through there; as it is, where the records hold no currents."""
     means = _means(records)
-    return replace(machine, bearings=tuple(_at_load(bearing, means) or bearing for bearing in machine.bearings))
+    if not means:
+        return machine
+    hangs, _ = static_sag(machine)
+    bearings = (_at_load(bearing, means, place) or bearing for bearing, place in zip(machine.bearings, hangs, strict=True))
+    return replace(machine, bearings=tuple(bearings))
 
 
 def load_remarks(machine: Machine, records: Iterable[Record], loads: Mapping[str, float] | None = None) -> tuple[str, ...]:
@@ -39,10 +45,13 @@ def _means(records: Iterable[Record]) -> dict[str, float]:
     return means
 
 
-def _at_load(bearing: MagneticBearing, means: dict[str, float]) -> MagneticBearing | None:
-    """The bearing at its mean currents; None where no magnet follows from its coefficients."""
+def _at_load(bearing: MagneticBearing, means: dict[str, float], place: np.ndarray | None = None) -> MagneticBearing | None:
+    """The bearing at its mean currents, the rotor at a place (2,) [m] in it (None: the magnets' centre); None where no magnet
+    follows from its coefficients."""
+    zeta, eta = (means.get(f"{bearing.name}_{axis}", 0.0) for axis in ("zeta", "eta"))
+    off = (0.0, 0.0) if place is None else np.subtract(place, bearing.magnetic_offset)
     try:
-        return magnet.loaded(bearing, (means.get(f"{bearing.name}_zeta", 0.0), means.get(f"{bearing.name}_eta", 0.0)))
+        return magnet.loaded(bearing, (zeta, eta), displacement=(float(off[0]), float(off[1])))
     except InvalidInput:
         return None
 
