@@ -56,17 +56,17 @@ def test_third_order_convergence():
 
 @pytest.mark.parametrize("point", [OperatingPoint(), OperatingPoint(speed=300.0, seal_pressure=1e5)])
 def test_contact_at_the_default_step(point):
-    """5e-4 of the largest motion within 5 ms of the first touch, 1e-4 in how far the rotor goes (0.25 % and 0.05 % at one step
-    size for contact and flight). Later impacts multiply any difference: that is the machine, not the integrator."""
+    """5e-5 of the largest motion within 5 ms of the first touch, 1e-3 after 140 ms and many impacts, which multiply any
+    difference (1.4e-3 and 2e-2 where steps took no notice of where a contact begins)."""
     pulses = (Pulse("f_A_zeta", 2500.0, 5e-3, 8e-3), Pulse("f_B_eta", 1800.0, 5e-3, 8e-3))
-    scenario = Scenario("x", 0.02, pulses=pulses[: 2 if point.speed else 1], speed=point.speed or None)
+    scenario = Scenario("x", 0.15, pulses=pulses[: 2 if point.speed else 1], speed=point.speed or None)
     default, fine = (virtual_rig.run(RIG, PID, scenario, point=point, dt=dt) for dt in (None, 1e-6))
     assert fine.touchdown_at is not None and fine.touchdown_at == default.touchdown_at
     end = round((fine.touchdown_at + 5e-3) / 1e-4)
     signals = [name for name in fine.record.signals if name.startswith("q_")]
-    a, b = (run.record.select(signals).values[:, :end] for run in (default, fine))
-    assert np.abs(a - b).max() < 5e-4 * np.abs(b).max()
-    assert np.abs(a).max() == pytest.approx(np.abs(b).max(), rel=1e-4)
+    a, b = (run.record.select(signals).values for run in (default, fine))
+    assert np.abs(a - b)[:, :end].max() < 5e-5 * np.abs(b).max()
+    assert np.abs(a - b).max() < 1e-3 * np.abs(b).max()
 
 
 @pytest.mark.campaign

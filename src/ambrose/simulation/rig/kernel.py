@@ -18,7 +18,6 @@ from ambrose.simulation.rig.exponential import propagate, settled
 from ambrose.simulation.rig.inlined import (
     OPTIONS,
     amplifier_derivative,
-    by_address,
     coil_current,
     compiled,
     contact_force,
@@ -37,9 +36,11 @@ from ambrose.simulation.rig.inlined import (
 from ambrose.simulation.rig.inlined import (
     lag as sensor_lag,
 )
+from ambrose.simulation.rig.sampled import command, control, run_program
 
-_NEAR = 0.98  # of the clearance: what forces may add to the motion within a sample
-_IN_CONTACT = 8  # integration steps near contact for each of the others
+_NEAR, _FAR_OUT = 0.98, 0.4  # of the clearance: where a contact may begin within a sample, and where magnets bend much
+_DENSE = 32  # integration steps far out and near contact for each of the others
+_PARTS = 32  # of a step in which a contact begins or ends, and of the part in which it does
 
 _ROOM = 16 << 20  # bytes free where compiled code is kept, or it is compiled anew in every run
 
@@ -272,37 +273,72 @@ def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz:
 
 
 @compiled
-def _touching(rig: Any, work: Any, dt: float) -> bool:
-    """Whether the rotor may touch within dt [s], as it moves now: the contact's stiffness sets in at once, not smoothly."""
-    near = False
+def _farthest(rig: Any, work: Any, dt: float) -> float:
+    """How far the rotor may get within dt [s], as it moves now, of a touchdown bearing's clearance."""
+    farthest = 0.0
     for b in range(rig.touchdown.shape[0]):
         x, y, vx, vy = work.place[b, 0], work.place[b, 1], work.velocity[b, 0], work.velocity[b, 1]
-        near = near or np.sqrt(x * x + y * y) + np.sqrt(vx * vx + vy * vy) * dt > _NEAR * rig.touchdown[b, 0]
-    return near
+        farthest = max(farthest, (np.sqrt(x * x + y * y) + np.sqrt(vx * vx + vy * vy) * dt) / rig.touchdown[b, 0])
+    return farthest
 
 
 @compiled
-def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> None:
-    """One control sample in ``steps`` steps of the classical fourth-order Runge-Kutta method.
+def _inside(rig: Any, work: Any, z: Any) -> int:
+    """Which touchdown bearings the rotor touches, a bit each."""
+    _move(rig, work, z)
+    bits = 0
+    for b in range(rig.touchdown.shape[0]):
+        x, y, gap = work.place[b, 0], work.place[b, 1], rig.touchdown[b, 0]
+        if x * x + y * y > gap * gap:
+            bits |= 1 << b
+    return bits
 
-    The order is lost where a contact begins or ends: with eight times the steps there, what is left within 5 ms of the first
-    touch is 3e-5 to 6e-4 of the largest motion (docs/virtual-rig.md); every further impact multiplies it.
-    """
-    n, h = z.shape[0], drive.dt / steps
+
+@compiled
+def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: Any) -> None:
+    """One step of the classical fourth-order Runge-Kutta method from the fraction tau of sample k on, a fraction ``width``
+    long, into work.slopes[1]."""
+    n, h = z.shape[0], width * drive.dt
     dz, total, trial = work.slopes[0], work.slopes[1], work.slopes[2]
+    for i in range(n):
+        trial[i] = total[i] = z[i]
+    for stage in range(4):
+        inner = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        _derivative(rig, work, drive, k, tau + inner * width, trial, dz)
+        weight = h / 3 if inner == 0.5 else h / 6
+        ahead = h if stage == 2 else h / 2
+        for i in range(n):
+            total[i] += weight * dz[i]
+            trial[i] = z[i] + ahead * dz[i]
+
+
+@compiled
+def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, near: bool, z: Any) -> None:
+    """One control sample in ``steps`` steps; near: a contact may begin or end.
+
+    The order is lost in a step in which a contact begins or ends: that one is done again in parts, and the part in which it
+    happens once more, so that force and damping set in within nanoseconds of where they should.
+    """
+    n, total = z.shape[0], work.slopes[1]
+    touched = _inside(rig, work, z) if near else 0
     for step in range(steps):
-        for i in range(n):
-            trial[i] = total[i] = z[i]
-        for stage in range(4):
-            inner = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-            _derivative(rig, work, drive, k, (step + inner) / steps, trial, dz)
-            weight = h / 3 if inner == 0.5 else h / 6
-            ahead = h if stage == 2 else h / 2
+        tau, width = step / steps, 1.0 / steps
+        _step(rig, work, drive, k, tau, width, z)
+        if not near or _inside(rig, work, total) == touched:
             for i in range(n):
-                total[i] += weight * dz[i]
-                trial[i] = z[i] + ahead * dz[i]
-        for i in range(n):
-            z[i] = total[i]
+                z[i] = total[i]
+            continue
+        for part in range(_PARTS):
+            _step(rig, work, drive, k, tau + part * width / _PARTS, width / _PARTS, z)
+            if _inside(rig, work, total) == touched:
+                for i in range(n):
+                    z[i] = total[i]
+                continue
+            for piece in range(_PARTS):
+                _step(rig, work, drive, k, tau + (part + piece / _PARTS) * width / _PARTS, width / _PARTS**2, z)
+                for i in range(n):
+                    z[i] = total[i]
+            touched = _inside(rig, work, z)
 
 
 @compiled
@@ -316,57 +352,6 @@ def _measure(rig: Any, drive: Any, k: int, z: Any, y: Any) -> None:
         value = converted(value + drive.noise[c, k], rig.sensor[c])
         for a in range(y.shape[0]):
             y[a] += rig.mean[a, c] * value
-
-
-@compiled
-def _control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err: Any, ahead: Any) -> None:
-    """One sample of the controller: err = r - y, u (a,) what acts now, held (a,) what acts later; ahead (m,) is scratch."""
-    n, m = x.shape[0], y.shape[0]
-    for a in range(m):
-        u[a] = held[a]
-        err[a] = drive.reference[a, k] - y[a]
-    for a in range(m):
-        value = 0.0
-        for j in range(n):
-            value += law.C[a, j] * x[j]
-        for j in range(m):
-            value += law.D[a, j] * err[j]
-        held[a] = min(max(value, -law.limit[a]), law.limit[a])
-    for i in range(n):
-        value = 0.0
-        for j in range(n):
-            value += law.A[i, j] * x[j]
-        for j in range(m):
-            value += law.B[i, j] * err[j]
-        ahead[i] = value
-    for i in range(n):
-        x[i] = ahead[i]
-    if law.delay == 0:
-        for a in range(m):
-            u[a] = held[a]
-
-
-@compiled
-def _run_program(law: Any, program: Any, drive: Any, k: int, y: Any, held: Any, u: Any, err: Any) -> int:
-    """One sample of a program at an address: what it computes acts at the next one. Negative where it gave up."""
-    m = y.shape[0]
-    for a in range(m):
-        u[a] = held[a]
-        err[a] = drive.reference[a, k] - y[a]
-    for i in range(m):
-        program.signals[i] = err[program.into[i]]
-    at = program.place
-    failed: int = by_address(program.address, program.first, at, drive.speed[k], at + 8 * m)
-    for a in range(m):
-        held[a] = min(max(program.signals[m + program.out[a]], -law.limit[a]), law.limit[a])
-    return failed
-
-
-@compiled
-def _command(drive: Any, work: Any, k: int, u: Any) -> None:
-    """What the amplifiers are told: controller plus excitation; nothing without power."""
-    for a in range(u.shape[0]):
-        work.command[a] = (u[a] + drive.excitation[a, k]) * drive.powered[a, k]
 
 
 @compiled
@@ -408,8 +393,8 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
         """A stretch of K control samples; z, x and held (a,) end as the state after it.
 
         program: what runs in place of the law, address 0: nothing. P: the propagator; samples that it cannot do (contact near,
-        an amplifier at its limits, a bias that moves) take ``steps`` Runge-Kutta steps, more near contact. log (K, columns):
-        see ``_log``. errors (K, a) [m]: what the controller saw. Returns how many samples were done: fewer than K where the
+        an amplifier at its limits, a bias that moves) take ``steps`` Runge-Kutta steps, more far out. log (K, columns): see
+        ``_log``. errors (K, a) [m]: what the controller saw. Returns how many samples were done: fewer than K where the
         state overflowed or the program gave up.
         """
         assert fingerprint  # part of the cached function's identity
@@ -417,16 +402,16 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
         for k in range(errors.shape[0]):
             _measure(rig, drive, k, z, y)
             if program.address == 0:
-                _control(law, drive, k, y, x, held, u, errors[k], work.ahead)
-            elif _run_program(law, program, drive, k, y, held, u, errors[k]) < 0:
+                control(law, drive, k, y, x, held, u, errors[k], work.ahead)
+            elif run_program(law, program, drive, k, y, held, u, errors[k]) < 0:
                 return k
-            _command(drive, work, k, u)
+            command(drive, work, k, u)
             _log(rig, work, z, y, u, log[k])
-            near = _touching(rig, work, drive.dt)
-            if P.usable and not near and settled(rig, work, drive, k, z):
+            away = _farthest(rig, work, drive.dt)
+            if P.usable and away < _FAR_OUT and settled(rig, work, drive, k, z):
                 propagate(rig, work, drive, P, k, z)
             else:
-                _integrate(rig, work, drive, k, steps * _IN_CONTACT if near else steps, z)
+                _integrate(rig, work, drive, k, steps * _DENSE if away > _FAR_OUT else steps, away > _NEAR, z)
             if not np.isfinite(z.sum()):
                 return k
         return errors.shape[0]

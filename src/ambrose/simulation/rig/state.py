@@ -185,10 +185,11 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
 @cache
 def compiled() -> tuple[Any, Any]:
     """The compiled functions ``advance`` and ``slope`` of rig/kernel.py; half a minute on a machine that never ran them."""
-    from ambrose.simulation.rig import exponential, inlined
+    from ambrose.simulation.rig import exponential, inlined, sampled
     from ambrose.simulation.rig import kernel as rig_kernel
 
-    modules = (rig_kernel, exponential, inlined, amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance)
+    physics = (amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance)
+    modules = (rig_kernel, exponential, inlined, sampled, *physics)
     digest = hashlib.sha256()
     for module in modules:
         digest.update(Path(str(module.__file__)).read_bytes())
