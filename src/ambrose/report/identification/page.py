@@ -87,7 +87,7 @@ def identification_report(
         parameters.append(repeats_table(checked.repeats))
     if compared is not None:
         parameters.append(compared_table(compared))
-    remarks = " ".join(f"{remark}." for remark in checked.remarks)
+    remarks = " ".join(f"{remark[:1].upper()}{remark[1:]}." for remark in checked.remarks)
     change = Figure("Change from the start", change_figure(result), _CHANGE)
     sections = [Section("Parameters", remarks, (change,), tuple(parameters), True)]
     if seal is not None:
@@ -98,7 +98,8 @@ def identification_report(
     if checked.residual is not None:
         sections.append(_residual_section(checked.residual))
     beside = (fit_table(result), *((turning_table(result),) if result.turning else ()))
-    sections.append(Section("Measured over model", "", tuple(_comparisons(machine, checked)), beside))
+    without = "" if checked.magnets is None else "Measured is, here, without the part of the magnets' nonlinearity."
+    sections.append(Section("Measured over model", without, tuple(_comparisons(machine, checked)), beside))
     pictures = [Figure("Residual tests", residual_tests_figure(result), _TESTS)]
     if len(result.paths) > 1:
         pictures.append(Figure("Correlation and column cosine", correlation_figure(result), _CORRELATION))
