@@ -73,7 +73,7 @@ def identify_loop(
 
     progress(f"identifying {len(paths)} parameters")
     residual = None
-    magnets = None
+    magnets, measured = None, records
     if experiment is not None:
         result = closed_loop.fit(experiment, start)
         if result.converged and options.period is None:
@@ -96,7 +96,7 @@ def identify_loop(
     if result.converged and method == "closed-loop":
         result = judged(result, found, records[0].dt)
     if not result.adequate and not any(finding.code == Code.OTHER_DELAY for finding in checks):
-        checks += _other_delay(machine, records, controller, result, options)
+        checks += _other_delay(machine, measured, controller, result, options)  # what was taken out went by the wrong one
     done = LoopIdentification(
         given=machine, machine=machine, result=result, checks=checks, outputs=outputs, controller=controller,
         residual=residual, magnets=magnets, **setup,
