@@ -76,7 +76,7 @@ def test_energy_without_damping_is_kept():
     machine = replace(WEIGHTLESS, seals=(), tolerances=(), couplings=springs, modal_damping=0.0, controller=None)
     no_iron = tuple(replace(b, iron=None) for b in RIG.bearings)
     machine = replace(machine, amplifier=Amplifier(), bearings=no_iron)
-    rig = build(machine, OperatingPoint(speed=500.0))
+    rig = build(machine, OperatingPoint(speed=500.0), 1)
     k, p = rig.constants, rig.modes
     task = plan(rig, Scenario("x", 0.5, sample_time=1e-4), 1e-4, 0)
     law = sampled_law(pid_controller(PidSettings(gain=(0.0,)), RIG), RIG, 1e-4, 0.0, 1)
@@ -96,14 +96,14 @@ def test_energy_without_damping_is_kept():
 
     drift = []
     for steps in (1, 2):
-        z = state_at_rest(rig, np.tile([0.7e-4, 0.35e-4], p) * np.sqrt(70), np.zeros(4))
+        z = state_at_rest(rig, np.tile([0.3e-4, 0.15e-4], p) * np.sqrt(70), np.zeros(4))
         z[4:6] *= 0.05
         drive = stretch(task, 0, 5000)
         before = energy(z)
         log, errors = np.empty((5000, 16 + len(rig.port_names))), np.empty((5000, 4))
         ahead = propagator(rig, drive, drive, steps, state_at_rest(rig, np.zeros(2 * p), np.zeros(4)))
         done = compiled()[0](k, law, NO_PROGRAM, drive, ahead, steps, z, np.zeros(0), np.zeros(4), rig.work(), log, errors)
-        assert done == 5000 and np.hypot(log[:, 16], log[:, 17]).max() < 0.9 * RIG.bearings[0].touchdown_gap
+        assert done == 5000 and np.hypot(log[:, 16], log[:, 17]).max() < 0.4 * RIG.bearings[0].touchdown_gap
         drift.append(abs(energy(z) / before - 1))
     assert drift[0] < 5e-7 and 6 < drift[0] / drift[1] < 10
 
@@ -163,7 +163,7 @@ def test_run_up_is_that_of_the_linear_simulation():
         return closed_loop(plant, c2d(PID, 1e-4, "tustin", delay=1e-4))
 
     expected = linear.run(loop_at, scenario, mass=68.9758)
-    rig = virtual_rig.run(WEIGHTLESS, PID, scenario, point=point)
+    rig = virtual_rig.run(WEIGHTLESS, PID, scenario, point=point, bending_modes=1)
     assert max(largest(rig.record, expected.record, "yuiq").values()) < 5e-3
 
 
