@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ambrose import identify
 from ambrose.identification.output_error import closed_loop
-from ambrose.identification.output_error.magnetic_force import _terms
+from ambrose.identification.output_error.magnetic_force import _further_terms, _terms
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.physics import magnet
 from ambrose.simulation import virtual_rig
@@ -65,10 +66,23 @@ def test_without_a_load_nothing_is_taken_out():
 
 def test_terms_are_the_derivatives_of_the_force():
     """Without iron: f = c ((i_0 + i)^2/(s_0 - x)^2 - (i_0 - i)^2/(s_0 + x)^2), its Taylor terms about a load."""
-    bearing = replace(RIG.bearings[0], iron=None)
-    i_0, _, _, _, c, s_0, *_ = magnet.parameters(bearing)
+    p = magnet.parameters(replace(RIG.bearings[0], iron=None))
+    i_0, _, _, _, c, s_0, *_ = p
     load = 0.3 * i_0
-    found = _terms(bearing, "A_zeta", load, 1e-2 * i_0, 1e-2 * s_0)
+    found = _terms(p, "A_zeta", load, 1e-2 * i_0, 1e-2 * s_0)
     assert found[4] == pytest.approx(8 * c * load / s_0**3, rel=2e-3)  # i x
     assert found[5] == pytest.approx(12 * c * i_0 * load / s_0**4, rel=2e-3)  # x^2
-    assert _terms(bearing, "A_eta", 0.0, 1e-2 * i_0, 1e-2 * s_0)[3:6] == pytest.approx(0.0, abs=1e-6 * found[4] / i_0)
+    assert _terms(p, "A_eta", 0.0, 1e-2 * i_0, 1e-2 * s_0)[3:6] == pytest.approx(0.0, abs=1e-6 * found[4] / i_0)
+
+
+def test_the_part_for_further_terms_is_finite_for_delays_and_values_of_zero():
+    """A delay begins at zero: its change has no relative size."""
+    paths = (
+        "bearing.A.negative_stiffness.zeta",
+        "bearing.A.negative_stiffness.eta",
+        "excitation.delay",
+        "coupling.c.stiffness.zeta",
+    )
+    before = SimpleNamespace(paths=paths, values=np.array([1e6, 2e6, 0.0, 0.0]))
+    found = _further_terms(before, np.array([1.1e6, 2e6, 1e-6, 0.0]))
+    np.testing.assert_allclose(found, 0.05 * np.array([1e5, 2e6 / 11, 1e-6, 0.0]))

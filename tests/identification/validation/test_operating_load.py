@@ -7,6 +7,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.identification.validation.operating_load import load_remarks
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.record import Record
 
 RIG = load_machine("seal-rig")
@@ -29,3 +30,13 @@ def test_the_stiffness_grows_with_the_square_of_the_load(prefix):
 
 def test_a_rotor_without_load_gets_no_remark():
     assert load_remarks(RIG, [record(u_A_zeta=0.0, u_B_eta=0.1)]) == () == load_remarks(RIG, [])
+
+
+def test_the_bias_is_that_of_the_operating_point():
+    """At 6 A the same load is a smaller part of the bias; the machine file's own is 4 A."""
+    given = record(u_A_zeta=0.8)
+    own, other = (
+        float(load_remarks(RIG, [item])[0].split("k_i and +")[1].split(" %")[0])
+        for item in (given, replace(given, point=OperatingPoint(bias_current=6.0)))
+    )
+    assert own == pytest.approx(4.0, abs=0.1) and other == pytest.approx(100 * (0.8 / 6) ** 2, abs=0.1)

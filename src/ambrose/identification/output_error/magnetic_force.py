@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.special
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import AmbroseError
 from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.statespace import StateSpace, select
@@ -34,7 +34,6 @@ from ambrose.identification.output_error.problem import Experiment, build_experi
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import TurningWave
 from ambrose.identification.parameters import plant_at
-from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.machine.record.record import Record
@@ -47,8 +46,6 @@ _PASSES = 2
 _TRUNCATED = 0.05  # of the change that the correction makes: standard deviation for terms beyond the third; assumed
 _GRID = 7  # points of current and of displacement, on which the terms are fitted
 _POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])  # of i and x
-
-
 _CERTAIN = 4.0  # standard deviations from which on the nonlinearity is believed, and within which it may differ from the file's
 _OFF = 1.0  # by so much more the cubic terms may differ from the file's, and so many bias currents a load may have
 
@@ -110,14 +107,14 @@ def magnetic_force(
             turning = _turning_motion(plant, law, record, [wave for wave in result.turning if wave.record == number])
             waves.append(nonlinear_responses(plant, law, record, model.excitations, experiment.signals, turning))
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
-    except InvalidInput:  # no magnet follows from these coefficients
+    except AmbroseError:  # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
         return None
     step, covariance, widening, gained = _step(*_normal(experiment, result.values, waves), len(result.values))
     amplitudes = step if before is None else before.amplitudes + step
     if not _plausible(amplitudes, covariance):
         return None
     axes = plants[0].axes
-    bias = [machine.bearings[j // 2].bias_current for j in range(len(axes))]
+    bias = [_bias(plants[0], j) for j in range(len(axes))]
     loads = {axis: float(_LOAD * i_0 * amplitude) for axis, i_0, amplitude in zip(axes, bias, amplitudes, strict=False)}
     responses = tuple(experiment.sizes[:, None] * np.tensordot(amplitudes.astype(np.float32), wave, 1) for wave in waves)
     explains = gained if before is None else before.explains
@@ -193,7 +190,7 @@ def _clean(D: np.ndarray, task: Task) -> None:
     """Take out of the signals (b, p, k) what constants and turning waves explain, which are nuisances anyway."""
     W = task.waves_at(0, task.samples)
     for j, rows in enumerate(D if len(W) else ()):
-        D[j] = rows - np.linalg.solve(W @ W.T, W @ rows.T).T @ W
+        D[j] = rows - np.linalg.lstsq(W @ W.T, W @ rows.T)[0].T @ W
 
 
 def without_magnets(
@@ -206,18 +203,29 @@ def without_magnets(
         if further is None:
             break
         left = further.less(records)
-        task = build_experiment(machine, left, controller, result.paths, experiment.options)
-        fitted = replace(fit(task, dict(zip(result.paths, kept[2].values.tolist(), strict=True))), start=result.start)
+        try:
+            task = build_experiment(machine, left, controller, result.paths, experiment.options)
+            fitted = replace(fit(task, dict(zip(result.paths, kept[2].values.tolist(), strict=True))), start=result.start)
+        except AmbroseError:
+            break
         if not fitted.converged:
             break
         found, kept = replace(further, responses=()), (left, task, fitted)
     if found is None:
         return None, *kept
-    moved = np.abs(kept[2].values / result.values - 1)
-    kinds = np.array([path if path in TIMING else parse_parameter(path).quantity for path in result.paths])
-    further_terms = np.array([_TRUNCATED * moved[kinds == kind].max() for kind in kinds]) * np.abs(kept[2].values)
-    sure = np.hypot(kept[2].standard_deviations, np.hypot(np.sqrt(found.widening), further_terms))
+    sure = np.hypot(kept[2].standard_deviations, np.hypot(np.sqrt(found.widening), _further_terms(result, kept[2].values)))
     return found, kept[0], kept[1], kept[2].widened(sure)
+
+
+def _further_terms(result: ParameterEstimate, values: np.ndarray) -> np.ndarray:
+    """Standard deviations (q,) for what is left of the nonlinearity: a part of the change, relative the largest of its kind."""
+    change, size = np.abs(values - result.values), np.abs(values)
+    kinds = np.array([path if path in TIMING else parse_parameter(path).quantity for path in result.paths])
+    for kind in set(kinds):
+        alike = (kinds == kind) & (size > 0)
+        if alike.any():
+            change[alike] = (change[alike] / size[alike]).max() * size[alike]
+    return np.asarray(_TRUNCATED * change)
 
 
 def _turning_motion(plant: Plant, law: StateSpace, record: Record, waves: Sequence[TurningWave]) -> np.ndarray | None:
@@ -265,18 +273,24 @@ def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
     if not all(largest):
         moved[:] = 0.0
         return moved
-    bearing, (i, x) = plant.machine.bearings[j // 2], moved
+    bearing, bias, (i, x) = plant.machine.bearings[j // 2], _bias(plant, j), moved
     made = []
-    for load, power in ((_LOAD * bearing.bias_current, 2), (0.0, 3)):
-        terms, chosen = _terms(bearing, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
+    for load, power in ((_LOAD * bias, 2), (0.0, 3)):
+        terms, chosen = _terms(magnet.parameters(bearing, bias), plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
         made.append(sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True)))
     moved[:] = made
     return moved
 
 
-def _terms(bearing: MagneticBearing, axis: str, load: float, i: float, x: float) -> np.ndarray:
-    """Coefficients (10,) of i^m x^n in an axis' force about a load [A], up to currents i [A] and displacements x [m]."""
-    p, second = magnet.parameters(bearing), axis.endswith("_eta")
+def _bias(plant: Plant, j: int) -> float:
+    """The bias current [A] of axis number j at the plant's operating point."""
+    return plant.point.bias_current or plant.machine.bearings[j // 2].bias_current
+
+
+def _terms(p: tuple[float, ...], axis: str, load: float, i: float, x: float) -> np.ndarray:
+    """Coefficients (10,) of i^m x^n in an axis' force about a load [A], up to currents i [A] and displacements x [m]; p: what
+    ``magnet.force`` needs."""
+    second = axis.endswith("_eta")
     at = np.linspace(-1.0, 1.0, _GRID)
     force = np.zeros((_GRID, _GRID))
     for j, current in enumerate(load + i * at):

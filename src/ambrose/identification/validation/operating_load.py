@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,22 +17,30 @@ from ambrose.plant.sag import static_sag
 _TOLD = 0.01  # relative change of a coefficient that is worth a sentence
 
 
-def machine_at_load(machine: Machine, records: Iterable[Record]) -> Machine:
+def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     """The machine with the coefficients of its magnets at the mean currents, u_ or i_ of the first record that has them, and as
     far off the magnets' centre as the rotor hangs through there; as it is, where the records hold no currents."""
     means = _means(records)
     if not means:
         return machine
     hangs, _ = static_sag(machine)
-    bearings = (_at_load(bearing, means, place) or bearing for bearing, place in zip(machine.bearings, hangs, strict=True))
+    bearings = (
+        _at_load(bearing, means, _bias(records), place) or bearing
+        for bearing, place in zip(machine.bearings, hangs, strict=True)
+    )
     return replace(machine, bearings=tuple(bearings))
 
 
-def load_remarks(machine: Machine, records: Iterable[Record], loads: Mapping[str, float] | None = None) -> tuple[str, ...]:
+def load_remarks(machine: Machine, records: Sequence[Record], loads: Mapping[str, float] | None = None) -> tuple[str, ...]:
     """A sentence for each axis whose mean current changes k_i or k_s by over 1 %: u_ or i_ of the first record that has it,
     else the one of ``loads`` {axis: [A]}."""
     means = {**(loads or {}), **_means(records)}
-    return tuple(text for bearing in machine.bearings for text in _of_bearing(bearing, means))
+    return tuple(text for bearing in machine.bearings for text in _of_bearing(bearing, means, _bias(records)))
+
+
+def _bias(records: Sequence[Record]) -> float | None:
+    """The bias current [A] of the records, which is one for all; None: the bearings' own."""
+    return records[0].point.bias_current if records else None
 
 
 def _means(records: Iterable[Record]) -> dict[str, float]:
@@ -45,19 +53,21 @@ def _means(records: Iterable[Record]) -> dict[str, float]:
     return means
 
 
-def _at_load(bearing: MagneticBearing, means: dict[str, float], place: np.ndarray | None = None) -> MagneticBearing | None:
+def _at_load(
+    bearing: MagneticBearing, means: dict[str, float], bias: float | None, place: np.ndarray | None = None
+) -> MagneticBearing | None:
     """The bearing at its mean currents, the rotor at a place (2,) [m] in it (None: the magnets' centre); None where no magnet
     follows from its coefficients."""
     zeta, eta = (means.get(f"{bearing.name}_{axis}", 0.0) for axis in ("zeta", "eta"))
     off = (0.0, 0.0) if place is None else np.subtract(place, bearing.magnetic_offset)
     try:
-        return magnet.loaded(bearing, (zeta, eta), displacement=(float(off[0]), float(off[1])))
+        return magnet.loaded(bearing, (zeta, eta), bias, displacement=(float(off[0]), float(off[1])))
     except InvalidInput:
         return None
 
 
-def _of_bearing(bearing: MagneticBearing, means: dict[str, float]) -> Iterable[str]:
-    here, free = _at_load(bearing, means), _at_load(bearing, {})
+def _of_bearing(bearing: MagneticBearing, means: dict[str, float], bias: float | None) -> Iterable[str]:
+    here, free = _at_load(bearing, means, bias), _at_load(bearing, {}, bias)
     if here is None or free is None:
         return
     k_i, k_s = (
