@@ -48,6 +48,8 @@ class Code(StrEnum):
     MISSING_RESPONSE = "missing-response"  # what the model cannot reproduce at any parameter values
     TONE = "tone"  # most of what the model leaves of a signal is one frequency, which is not excited
     BURST = "burst"  # a short time in which a signal leaves the model
+    # A seal over pressure (seal/by_pressure.py)
+    SEAL_SCATTER = "seal-scatter"  # a point off the line through the others
     # Static loads (static_load/identify.py)
     ONE_SIDED = "one-sided-load"
     NOT_HELD = "position-not-held"

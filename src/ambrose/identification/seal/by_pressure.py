@@ -7,13 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.identification.findings import Finding
+from ambrose.core.checks import InvalidInput
+from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.parameters import COVERAGE, half_width
 from ambrose.identification.seal.model_updating import update_seal
-from ambrose.identification.seal.result import COEFFICIENTS, SealFit, line
+from ambrose.identification.seal.regression import fit_line
+from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
+from ambrose.plant.assemble import seal_coefficients
+
+_FAR = 3.0  # standard deviations from which a point is said to be off the line
+_SMALL = 0.02  # of a coefficient's largest value: what is less off is a note, no doubt (as identification.loop has it)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,16 +34,25 @@ class SealByPressure:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What makes the coefficients at some pressure doubtful."""
-        return tuple(replace(item, what=f"seal {self.fit.seal} {item.what}") for item in self.fit.warnings)
+        """What makes the coefficients at some pressure doubtful, points that lie off their line among it."""
+        found = (*self.fit.warnings, *(item for item, matters in self._scattered if matters))
+        return tuple(replace(item, what=f"seal {self.fit.seal} {item.what}") for item in found)
 
     @property
     def note(self) -> str:
-        """Where operating points lie above the highest pressure measured, to which the line goes on; else ""."""
-        top = float(self.fit.pressure.max())
-        if self.highest <= top * (1 + 1e-9):
-            return ""
-        return f"the lines of seal {self.fit.seal} go on to {self.highest:g} Pa; the highest pressure measured is {top:g} Pa"
+        """Where operating points lie above the highest pressure measured, to which the line goes on, and which points are
+        surely off their line, but hardly; else ""."""
+        top, said = float(self.fit.pressure.max()), []
+        if self.highest > top * (1 + 1e-9):
+            said = [
+                f"the lines of seal {self.fit.seal} go on to {self.highest:g} Pa; the highest pressure measured is {top:g} Pa"
+            ]
+        said += [f"seal {self.fit.seal} {item.what}: {item.evidence}" for item, matters in self._scattered if not matters]
+        return "; ".join(said)
+
+    @property
+    def _scattered(self) -> list[tuple[Finding, bool]]:
+        return scattered(self.fit) if self.form == "line" else []
 
     @property
     def origin(self) -> str:
@@ -71,6 +87,64 @@ class SealByPressure:
             "values": fit.values.tolist(), "deviations": fit.deviations.tolist(), "correlation": fit.correlation.tolist(),
             "lines": lines or None, "warnings": [str(finding) for finding in fit.warnings], "note": self.note,
         }  # fmt: skip
+
+
+def scattered(fit: SealFit) -> list[tuple[Finding, bool]]:
+    """Coefficients of which a point lies further than 3 standard deviations from the line through the others, and whether it is
+    off by more than 2 % of the coefficient's largest value (assumed), from where on it is a doubt."""
+    rows, found = fit if np.isnan(fit.frequency).all() else averaged(fit), []
+    for letter in COEFFICIENTS:
+        (values, deviations), apart = rows.column(letter), np.abs(line(rows, letter).apart)
+        at = int(np.argmax(apart))
+        if apart[at] <= _FAR:
+            continue
+        others = np.arange(len(values)) != at
+        told = others.sum() > 2 and np.ptp(rows.pressure[others]) > 0
+        rest = fit_line(rows.pressure[others], values[others], np.maximum(deviations[others], 1e-300)) if told else None
+        if rest is None:
+            off = float(values[at] - line(rows, letter).at(rows.pressure[at]))
+            remedy = "so few pressures do not tell which point is off: record at another one, or take the form table"
+        else:
+            off = float(values[at] - rest.at(rows.pressure[at]))
+            bent = np.abs(rest.apart).max() > _FAR
+            remedy = (
+                "without it the others scatter, too: take the form table"
+                if bent
+                else "the others lie on a line: record it again"
+            )
+        share = abs(off) / float(np.abs(values).max())
+        what = f"{letter} at {rows.pressure[at]:g} Pa is off the line over pressure"
+        through = "through all points" if rest is None else "through the other pressures"
+        evidence = f"by {apart[at]:.2g} standard deviations, {100 * share:.2g} % of its largest value, from the line {through}"
+        found.append((Finding(Code.SEAL_SCATTER, WARNING, what, evidence, remedy), share > _SMALL))
+    return found
+
+
+def beyond_tolerance(machine: Machine, fit: SealFit) -> tuple[Finding, ...]:
+    """Coefficients found further from the machine file's at their pressure than its tolerances and noise allow."""
+    item = next(one for one in machine.seals if one.name == fit.seal)
+    stated = [(parse_parameter(one.parameter), one) for one in machine.tolerances]
+    own = [(parameter, one) for parameter, one in stated if (parameter.table, parameter.name) == ("seal", fit.seal)]
+    point, far = machine.operation.nominal, []
+    for pressure, values, deviations in zip(fit.pressure.tolist(), fit.values, fit.deviations, strict=True):
+        try:
+            given = seal_coefficients(item, replace(point, seal_pressure=pressure))
+        except InvalidInput:  # beyond the file's table: it says nothing there
+            continue
+        for letter, value, deviation in zip(COEFFICIENTS, values.tolist(), deviations.tolist(), strict=True):
+            start, widths = float(getattr(given, letter)), []
+            for parameter, one in own:
+                if parameter.quantity == letter:
+                    widths.append(half_width(one, start))
+                elif parameter.quantity == "pressure" and pressure:
+                    widths.append(half_width(one, pressure) / pressure * abs(start))
+            if widths and start and abs(value - start) > max(widths) + COVERAGE * deviation:
+                said = f"{letter} at {pressure:g} Pa is {value / start:.3g} times the file's"
+                far.append(f"{said}, beyond its tolerance of {100 * max(widths) / abs(start):.3g} %")
+    if not far:
+        return ()
+    what, remedy = f"seal {fit.seal} is far from the machine file's", "look for another pressure or clearance, or a wrong scale"
+    return (Finding(Code.FAR_FROM_FILE, WARNING, what, ", ".join(far), remedy),)
 
 
 def is_of_seal(path: str, name: str) -> bool:

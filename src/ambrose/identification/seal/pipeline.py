@@ -13,7 +13,7 @@ from ambrose.identification.output_error.problem import FitOptions, build_experi
 from ambrose.identification.parameters import split_timing
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.seal import time_domain
-from ambrose.identification.seal.by_pressure import SealByPressure, is_of_seal, update_but_seal
+from ambrose.identification.seal.by_pressure import SealByPressure, beyond_tolerance, is_of_seal, update_but_seal
 from ambrose.identification.seal.model_updating import check_reach
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
@@ -70,7 +70,7 @@ def identify_seal(
     begin = {path: value for path, value in (start or {}).items() if is_of_seal(path, name)}
     known = update_but_seal(machine, result, name)
     fit = time_domain.identify(known, records, controller, seal=name, start=begin or None, progress=progress, **asdict(options))
-    checks = _check_fit(known, records, controller, fit, options)
+    checks = (*_check_fit(known, records, controller, fit, options), *beyond_tolerance(machine, fit))
     refuse(checks)
     highest = max(point.seal_pressure for point in machine.operation.envelope)
     return replace(done, checks=(*done.checks, *checks), seal=SealByPressure(fit, form, highest))

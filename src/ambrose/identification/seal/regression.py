@@ -16,7 +16,8 @@ class Line:
 
     covariance (2, 2) of (intercept, slope). scatter: sd of a point of unit weight about the line, over what its own sd says
     (1: as stated; larger: the points scatter more than they claim, and every band is widened by it). point_deviation: sd of a
-    further point, its own noise included. freedom: n - 2, or n - 1 for a line through the origin. r_squared [-].
+    further point, its own noise included. freedom: n - 2, or n - 1 for a line through the origin. r_squared [-]. apart (n,):
+    how far each point is from the line through all others, in standard deviations of that difference as the points state theirs.
     """
 
     intercept: float
@@ -26,6 +27,7 @@ class Line:
     point_deviation: float
     freedom: int
     r_squared: float
+    apart: np.ndarray
 
     def at(self, x: ArrayLike) -> np.ndarray:
         """The line at x."""
@@ -86,9 +88,13 @@ def fit_line(x: ArrayLike, y: ArrayLike, deviations: ArrayLike | None = None, *,
     spread = float(weight @ (y - weight @ y / weight.sum()) ** 2)
     share = 1 - float(rest @ rest) / spread if spread > 0 else 0.0
     typical = float(1 / np.sqrt(weight.mean()))
+    free = 1 - np.einsum("ij,jk,ik->i", X, inverse, X)  # what of a point's own deviation is left beside the line
+    apart = rest / np.sqrt(np.maximum(free, 1e-300)) / (1.0 if known or not birge else birge)
+    apart[free < 1e-9] = 0.0  # the others leave the line open there
     return Line(
-        float(coefficients[0]), float(coefficients[1]), whole / size / size[:, None], scatter, scatter * typical, freedom, share
-    )
+        float(coefficients[0]), float(coefficients[1]), whole / size / size[:, None], scatter, scatter * typical, freedom,
+        share, apart,
+    )  # fmt: skip
 
 
 def _student(freedom: int, level: float) -> float:
