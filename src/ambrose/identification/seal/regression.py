@@ -17,7 +17,7 @@ class Line:
     covariance (2, 2) of (intercept, slope). scatter: sd of a point of unit weight about the line, over what its own sd says
     (1: as stated; larger: the points scatter more than they claim, and every band is widened by it). point_deviation: sd of a
     further point, its own noise included. freedom: n - 2, or n - 1 for a line through the origin. r_squared [-]. apart (n,):
-    how far each point is from the line through all others, in standard deviations of that difference as the points state theirs.
+    how far each point is from the line through all others, in stated standard deviations of that difference.
     """
 
     intercept: float
