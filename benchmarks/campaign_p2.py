@@ -36,6 +36,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop as loop_of
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
+from ambrose.plant.static_load import operating_magnets
 from ambrose.report.page import Report, write
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Prbs, Pulse
@@ -120,10 +121,10 @@ def pistons(machine: Machine, most: float = 800.0, steps: int = 6, hold: float =
 def at_work(machine: Machine, record: Record, bias: float) -> np.ndarray:
     """K_i x4 and K_s x4: differences of the rig's magnet force where weight and control have put current and rotor."""
     k_i, k_s = [], []
-    for bearing in machine.bearings:
+    for bearing, working in zip(machine.bearings, operating_magnets(machine, bias), strict=True):
         names = [f"{bearing.name}_{axis}" for axis in ("zeta", "eta")]
         at = np.array([record[f"{kind}_{name}"].mean() for kind in ("i", "q") for name in names])
-        p = magnet.parameters(bearing, bias)
+        p = working.parameters
         for axis in range(2):
             for found, place, h in ((k_i, axis, 1e-4), (k_s, axis + 2, 1e-9)):
                 step = h * np.eye(4)[place]

@@ -16,8 +16,8 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values
+from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, match_controller
@@ -69,13 +69,7 @@ def nonlinear(grade, speed, modes, seed, duration=2.0):
     unbalance = Unbalance("center", grade=grade, grade_speed=BALANCED, phase=float(seed))
     scenario = replace(load_scenario("prbs"), speed=speed, duration=duration, unbalances=(unbalance,) if speed else ())
     data = virtual_rig.run(machine, law, scenario, bending_modes=modes, seed=seed).record
-    mean = {axis: float(data[f"u_{axis}"].mean()) for axis in machine.axes}
-    bearings = []
-    for bearing in machine.bearings:
-        here = magnet.loaded(bearing, (mean[f"{bearing.name}_zeta"], mean[f"{bearing.name}_eta"]))
-        values = {"force_per_current": here.force_per_current, "negative_stiffness": here.negative_stiffness}
-        bearings.append(replace(bearing, **values))
-    machine = replace(machine, bearings=tuple(bearings))
+    machine = machine_at_load(machine, [data])
     data, rng = seen(data), np.random.default_rng(seed)
     noise = [1e-7 * (name[0] == "y") * rng.standard_normal(data.values.shape[1]) for name in data.signals]
     return replace(data, values=data.values + noise), nominal_values(assemble(machine, data.point), expand(machine, UNKNOWN))

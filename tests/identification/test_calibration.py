@@ -15,7 +15,7 @@ from ambrose.identification.calibration import calibrate
 from ambrose.machine.description import OperatingPoint, Runout
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet, sensor
-from ambrose.plant.sag import static_sag
+from ambrose.plant.static_load import static_sag
 from ambrose.simulation.disturbances import Sine
 from ambrose.simulation.scenario import Scenario
 

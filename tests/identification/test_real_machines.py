@@ -3,15 +3,21 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+import ambrose as amb
 from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
+from ambrose.identification.findings import Code
 from ambrose.identification.seal.stepped_sine import _Model
 from ambrose.identification.static_load.identify import bearing_forces
 from ambrose.identification.static_load.levels import Levels
 from ambrose.machine.description import CasingMode, Support
-from ambrose.plant.assemble import assemble, magnet_coefficients
+from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
+from ambrose.plant.static_load import magnet_coefficients, operating_magnets
+from ambrose.simulation import virtual_rig
+from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
@@ -56,3 +62,18 @@ def test_the_rotor_between_seal_and_sensors():
     u = [plant.system.inputs.index(f"u_{a}") for a in REAL.axes]
     expected = G[:, y][:, :, u] @ np.linalg.inv(currents[:, :, u]) / model.k_i
     np.testing.assert_allclose(model.measured_by_force, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_magnets_stated_without_load_are_found_at_it():
+    """A rotor that hangs through, on magnets of a data sheet: the file that identify writes holds the same magnets."""
+    machine = load_machine("two-disc-rotor")
+    law = amb.design(machine, "pid")
+    record = virtual_rig.run(machine, law.controller, replace(load_scenario("prbs"), duration=0.6), bending_modes=2).record
+    done = amb.identify(machine, record, controller=law, bending_modes=2)
+    assert {bearing.coefficients_at for bearing in done.machine.bearings} == {"static-load"}
+    here, found = operating_magnets(machine), operating_magnets(done.machine)
+    for bearing, own, other in zip(machine.bearings, here, found, strict=True):
+        assert other.coefficients.negative_stiffness == pytest.approx(own.coefficients.negative_stiffness, rel=0.01)
+        assert min(np.divide(own.coefficients.negative_stiffness, bearing.negative_stiffness)) > 1.15  # what the load makes
+        assert [other.parameters[k] for k in (4, 5, 7, 8)] == pytest.approx([own.parameters[k] for k in (4, 5, 7, 8)], rel=0.01)
+    assert not any(finding.code is Code.FAR_FROM_FILE for finding in done.findings)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BiasPoint, MagnetGeometry, MagneticBearing
-from ambrose.physics.magnet import force_constant, linearised, loaded
+from ambrose.physics.magnet import force_constant, linearised
 from physical_numbers import physical
 
 GEOMETRY = MagnetGeometry(turns=36, pole_area=4e-4, gap=0.5e-3)
@@ -47,15 +47,6 @@ def test_bias_scales_current_gain_linearly_and_stiffness_quadratically():
     low, high = linearised(bearing, 4.0), linearised(bearing)
     assert high.force_per_current[0] == pytest.approx(2 * low.force_per_current[0])
     assert high.negative_stiffness[0] == pytest.approx(4 * low.negative_stiffness[0])
-
-
-def test_a_load_stiffens_by_its_share_of_the_bias_squared():
-    """k_s = c ((i_0 + i)^2 + (i_0 - i)^2)/s_0^3 without iron; without a load as in the file."""
-    free, here = loaded(GIVEN, (0.0, 0.0)), loaded(GIVEN, (1.6, -0.8))
-    for name in ("force_per_current", "negative_stiffness"):
-        np.testing.assert_allclose(getattr(free, name), getattr(GIVEN, name), rtol=1e-6)
-    np.testing.assert_allclose(here.force_per_current, GIVEN.force_per_current, rtol=1e-6)
-    np.testing.assert_allclose(np.divide(here.negative_stiffness, GIVEN.negative_stiffness), [1.04, 1.01], rtol=1e-6)
 
 
 def test_given_values_win_at_the_bearings_own_bias():

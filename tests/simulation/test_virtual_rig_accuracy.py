@@ -44,13 +44,13 @@ def test_third_order_convergence():
     scenario = Scenario("x", 0.3, sequences=(Prbs("e_A_zeta", 0.5, 1e-3, 7), Prbs("e_B_eta", 0.5, 1e-3, 7, 1)))
 
     def apart(modes, steps):
-        fine = virtual_rig.run(RIG, PID, scenario, dt=5e-6, bending_modes=modes).record
+        fine = virtual_rig.run(RIG, PID, scenario, dt=2e-6, bending_modes=modes).record
         runs = [virtual_rig.run(RIG, PID, scenario, dt=n and 1e-4 / n, bending_modes=modes).record for n in steps]
         assert np.abs(runs[0]["y_A_zeta"]).max() > 2e-5
         return [max(largest(run, fine, "yiq").values()) for run in runs]
 
-    errors = apart(1, (1, 2, 4))
-    np.testing.assert_allclose(np.log2(errors[:2]) - np.log2(errors[1:]), 3.0, atol=0.5)
+    errors = apart(1, (1, 2, 4, 8))  # measured: 3.5, 3.3, 3.2
+    np.testing.assert_allclose(np.log2(errors[1:3]) - np.log2(errors[2:]), 3.0, atol=0.4)
     assert max(errors[0], *apart(3, (None,))) < 1e-7
 
 
@@ -203,7 +203,7 @@ def test_a_magnet_with_iron_loses_force_at_large_currents():
     from ambrose.machine.description import MagnetIron
 
     air, iron = (
-        replace(RIG, bearings=tuple(replace(b, iron=kind) for b in RIG.bearings))
+        replace(RIG, bearings=tuple(replace(b, iron=kind, coefficients_at="no-load") for b in RIG.bearings))
         for kind in (None, MagnetIron(200.0, 1.6, 5e-5))
     )
     load = Scenario("load", 1.0, pulses=(Pulse("f_A_zeta", 150.0, 0.0),))

@@ -30,7 +30,7 @@ from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.ports import measured_ports, sensor_turn
-from ambrose.plant.sag import static_sag
+from ambrose.plant.static_load import operating_magnets, static_sag
 from ambrose.plant.unbalance import residual_unbalance
 
 _SAMPLES = 2000  # of a circle that are fitted, about
@@ -244,13 +244,14 @@ def _pressed(machine: Machine, record: Record, q: np.ndarray) -> np.ndarray:
     forces = np.zeros(q.shape)
     kind = next((kind for kind in "iu" if all(f"{kind}_{axis}" in record.signals for axis in machine.axes)), "")
     _, weight = static_sag(machine)
+    magnets = operating_magnets(machine, record.point.bias_current)
     for b, bearing in enumerate(machine.bearings if kind else ()):
         rows = [f"{bearing.name}_{axis}" for axis in ("zeta", "eta")]
         i = record.select([f"{kind}_{row}" for row in rows]).values
         if kind == "u":
             i = i + np.stack(signal_rows(record, [f"e_{row}" for row in rows]))
         own = q[b] * np.exp(-1j * bearing.angle)
-        p, load = magnet.parameters(bearing, record.point.bias_current), weight[b]
+        p, load = magnets[b].of_force, weight[b]
         pulls = np.array([magnet.force(*ends, p) for ends in zip(i[0], i[1], own.real, own.imag, strict=True)]) + load
         outward = pulls[:, 0] * own.real + pulls[:, 1] * own.imag
         forces[b] = np.maximum(outward / np.abs(own), 0.0)
@@ -349,11 +350,12 @@ def _centres(machine: Machine, records: list[Record], entries: list[Calibrated],
     places = [place + hangs for place in places]
     free = len({(bias, tuple(np.round(place.ravel(), 6))) for bias, place in zip(biases, places, strict=True)}) > 1
     bearings = []
+    bare = replace(machine, bearings=tuple(replace(item, magnetic_offset=(0.0, 0.0)) for item in machine.bearings))
+    centred = [operating_magnets(bare, bias) for bias in biases]
     for k, bearing in enumerate(machine.bearings):
-        own = replace(bearing, magnetic_offset=(0.0, 0.0))
-        magnets = [magnet.parameters(own, bias) for bias in biases]
+        magnets = [own[k].of_force for own in centred]
         guess = weight[k]
-        k_s = np.array(magnet.linearised(bearing, biases[0]).negative_stiffness)
+        k_s = np.array(centred[0][k].coefficients.negative_stiffness)
 
         def left(v: np.ndarray, k: int = k, magnets: Any = magnets, guess: Any = guess, k_s: Any = k_s) -> np.ndarray:
             load = guess + v[2:] * k_s * _UNIT if free else guess

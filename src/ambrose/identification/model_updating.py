@@ -15,6 +15,7 @@ from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, Parameter, find
 from ambrose.machine.seals import constant_under_pressure
 from ambrose.physics import magnet
 from ambrose.physics.seal import coefficients
+from ambrose.plant.static_load import stated_at_load
 
 
 def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep_wider: bool = False) -> Machine:
@@ -58,7 +59,7 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
     return replace(
         machine,
         controller=replace(pid, delay=delays[CONTROLLER_DELAY]) if pid is not None and CONTROLLER_DELAY in delays else pid,
-        bearings=tuple(_bearing(item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
+        bearings=tuple(_bearing(machine, item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
         couplings=tuple(couplings),
         amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
         seals=seals,
@@ -156,9 +157,11 @@ def _pair(pair: Pair, quantity: str, values: _Values) -> Pair:
     return zeta, eta
 
 
-def _bearing(item: MagneticBearing, point: OperatingPoint, values: _Values) -> MagneticBearing:
+def _bearing(machine: Machine, item: MagneticBearing, point: OperatingPoint, values: _Values) -> MagneticBearing:
+    """A bearing with values found while it carried the rotor; what was not found becomes what it is there."""
     if not values:
         return item
+    item = stated_at_load(machine, item)
     bias = item.bias_current if point.bias_current is None else point.bias_current
     before = magnet.linearised(item, bias)
     k_i = _pair(before.force_per_current, "force_per_current", values)

@@ -58,6 +58,7 @@ Pair = tuple[float, float]  # (zeta, eta)
 
 SCHEMA_VERSION = 1  # of the machine file
 BEARING_TERMS = ("first", "last", "every")  # what scenarios call bearings, whatever their names are
+COEFFICIENTS_AT = ("no-load", "static-load")
 BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
 AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "none": (),
@@ -179,7 +180,8 @@ class MagneticBearing(Part):
     """A radial magnetic bearing with two axes; f = k_i i + k_s x on each, k_s > 0 destabilising.
 
     Either force_per_current and negative_stiffness are given, or ``geometry``; ``measured`` holds coefficients at other bias
-    currents. gap, touchdown_gap, max_current (amplitude of the control current) and max_force are limits used in verification.
+    currents. The plant has those at the static load, computed where they are of the magnet without it (``coefficients_at``).
+    gap, touchdown_gap, max_current (amplitude of the control current) and max_force are limits used in verification.
     """
 
     name: Annotated[Name, "name, first part of its axes' names: A gives A_zeta and A_eta"]
@@ -201,10 +203,13 @@ class MagneticBearing(Part):
     iron: Annotated[MagnetIron | None, "the magnet's iron"] = None
     touchdown: Annotated[Touchdown | None, "contact in the touchdown bearing"] = None
     cross_coupling: Annotated[Ratio, "part of the other axis' control current that acts on an axis; for the virtual rig"] = 0.0
-    magnetic_offset: Annotated[Pair, PairOf("length"), "magnetic centre from the sensors' zero; for the virtual rig"] = (
-        0.0,
-        0.0,
-    )
+    magnetic_offset: Annotated[Pair, PairOf("length"), "magnetic centre from the sensors' zero"] = (0.0, 0.0)
+    coefficients_at: Annotated[
+        str,
+        Choice(COEFFICIENTS_AT),
+        "of what the coefficients and measured rows are: the magnet without load (a data sheet), or while it carries the "
+        "rotor's weight (as identified)",
+    ] = "no-load"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -410,7 +415,7 @@ class MachineDescription(Part):
     modal_damping: Annotated[Ratio, "damping ratio of every bending mode"] = 0.005
     beam_theory: Annotated[str, Choice(BEAM_THEORIES), "theory of the shaft's beam elements"] = "bernoulli-euler"
     gravity_direction: Annotated[
-        Angle | None, "where the rotor's weight points, from the global x towards y; default: no weight; for the virtual rig"
+        Angle | None, "where the rotor's weight points, from the global x towards y; default: no weight"
     ] = None
     assumed: tuple[tuple[str, str], ...] = ()
     file_text: str = field(default="", compare=False)

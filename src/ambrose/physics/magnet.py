@@ -13,7 +13,7 @@ of the two coefficients is the bias flux whatever the iron does, which is how ``
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class MagnetCoefficients:
 
 
 def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> MagnetCoefficients:
-    """The coefficients of a bearing at a bias current [A] (None: the bearing's own).
+    """The coefficients of a bearing as they are stated, at a bias current [A] (None: the bearing's own).
 
     At the bearing's own bias the given values win. Elsewhere measured rows are interpolated linearly (the given values count
     as one more row) and never extrapolated; without rows the geometry decides. Raises InvalidInput where nothing applies.
@@ -59,30 +59,10 @@ def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> M
     )
 
 
-def loaded(
-    bearing: MagneticBearing, currents: Pair, bias_current: float | None = None, displacement: Pair = (0.0, 0.0)
-) -> MagneticBearing:
-    """The bearing with the coefficients that small motion sees while static currents [A] carry a load: the slopes of ``force``
-    there, at a displacement [m] from the magnetic centre. A load of half the bias raises k_s by a quarter.
-
-    Raises InvalidInput as ``parameters`` does.
-    """
-    bias = bearing.bias_current if bias_current is None else bias_current
-    p = parameters(replace(bearing, magnetic_offset=(0.0, 0.0)), bias)
-    d_i, d_x = 1e-4 * bias, 1e-4 * min(p[5], p[8])
-
-    def slope(axis: int, current: float, motion: float) -> float:
-        ends = []
-        for sign in (1.0, -1.0):
-            i, x = list(currents), list(displacement)
-            i[axis], x[axis] = i[axis] + sign * current, x[axis] + sign * motion
-            ends.append(force(i[0], i[1], x[0], x[1], p)[axis])
-        return (ends[0] - ends[1]) / (2 * (current + motion))
-
-    return replace(
-        bearing, bias_current=bias, measured=(), force_per_current=(slope(0, d_i, 0.0), slope(1, d_i, 0.0)),
-        negative_stiffness=(slope(0, 0.0, d_x), slope(1, 0.0, d_x)),
-    )  # fmt: skip
+def from_geometry(bearing: MagneticBearing, bias: float) -> bool:
+    """Whether the coefficients at a bias current [A] are not stated, but those of the geometry, which has no load."""
+    given = _given(bearing)
+    return not bearing.measured and (given is None or not _same(bias, given.bias_current))
 
 
 def force_constant(geometry: MagnetGeometry) -> float:

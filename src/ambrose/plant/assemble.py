@@ -22,12 +22,13 @@ from ambrose.machine.description import OperatingPoint, Seal
 from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
-from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor
+from ambrose.physics import amplifier, coupling, seal, seal_rational, sensor
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes
 from ambrose.physics.seal_rational import has_states
 from ambrose.physics.support import foundation
 from ambrose.plant.model import Plant
 from ambrose.plant.ports import ports, sensor_ports, supported_ports
+from ambrose.plant.static_load import magnet_coefficients
 
 _RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state: the pace of a levitated rotor
 
@@ -99,9 +100,8 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
     mass = np.eye(count + len(base))
     damping = np.diag([*2 * machine.modal_damping * modes.frequencies, *base.damping])
     stiffness = np.diag([*modes.frequencies**2, *base.stiffness])
-    for bearing in machine.bearings:
-        pair = np.array([rows[f"{bearing.name}_zeta"], rows[f"{bearing.name}_eta"]])
-        stiffness -= pair.T @ np.diag(magnet.linearised(bearing, point.bias_current).negative_stiffness) @ pair
+    control = np.array([rows[axis] for axis in machine.axes])
+    stiffness -= control.T @ (magnet_coefficients(machine, point)[1][:, None] * control)
     for item in machine.couplings:
         pair = np.array([rows[f"{item.name}_zeta"], rows[f"{item.name}_eta"]])
         k, d = coupling.matrices(item)
@@ -233,13 +233,6 @@ def force_sums(machine: Machine) -> dict[str, list[str]]:
     """
     names, on = [p.name for p in ports(machine)], supported_ports(machine)
     return {f"F_{n}": [f"f_{n}"] * (n not in on) + [f"m_{n}"] * (n in machine.axes) for n in names}
-
-
-def magnet_coefficients(machine: Machine, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:
-    """k_i (a,) [N/A] and k_s (a,) [N/m] of the control axes at an operating point's bias current."""
-    found = [magnet.linearised(bearing, point.bias_current) for bearing in machine.bearings]
-    k_i = np.array([value for item in found for value in item.force_per_current])
-    return k_i, np.array([value for item in found for value in item.negative_stiffness])
 
 
 def magnets(machine: Machine, point: OperatingPoint) -> StateSpace:

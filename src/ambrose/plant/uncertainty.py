@@ -18,7 +18,7 @@ from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
 from ambrose.machine.description import Amplifier, Seal, Tolerance
 from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
-from ambrose.physics import magnet, seal_rational, sensor
+from ambrose.physics import seal_rational, sensor
 from ambrose.physics.rotor import free_modes
 from ambrose.physics.seal_rational import has_states
 from ambrose.plant.assemble import (
@@ -32,6 +32,7 @@ from ambrose.plant.assemble import (
     seal_model,
 )
 from ambrose.plant.model import Plant
+from ambrose.plant.static_load import operating_magnets
 
 NEXT = "next"
 
@@ -234,9 +235,9 @@ def _impedance(plant: Plant, item: Seal, letter: str) -> tuple[float, dict[str, 
 
 
 def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
-    bearing = next(item for item in plant.machine.bearings if item.name == parameter.name)
-    values = getattr(magnet.linearised(bearing, plant.point.bias_current), parameter.quantity)
-    return _pair(parameter, values, "i" if parameter.quantity == "force_per_current" else "q", 1.0)
+    magnets = zip(plant.machine.bearings, operating_magnets(plant.machine, plant.point.bias_current), strict=True)
+    found = next(magnet.coefficients for bearing, magnet in magnets if bearing.name == parameter.name)
+    return _pair(parameter, getattr(found, parameter.quantity), "i" if parameter.quantity == "force_per_current" else "q", 1.0)
 
 
 def _coupling_channels(plant: Plant, parameter: Parameter) -> list[Channel]:

@@ -14,8 +14,9 @@ from ambrose.machine.controller import Notch, PidSettings
 from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.plant.assemble import assemble, magnet_coefficients
+from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce_from
+from ambrose.plant.static_load import magnet_coefficients
 from ambrose.plant.timing import machine_timing
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.fixed_order.job import bending_modes_for

@@ -35,7 +35,8 @@ from ambrose.machine.rotor_model import RotorModel
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.physics.magnet import VACUUM_PERMEABILITY
 from ambrose.physics.rotor import STANDARD_GRAVITY, finite_element_rotor, free_modes, mass_properties, plane_rows
-from ambrose.plant.assemble import assemble, magnet_coefficients
+from ambrose.plant.assemble import assemble
+from ambrose.plant.static_load import magnet_coefficients
 from ambrose.plant.unavoidable import unavoidable_sensitivity
 from ambrose.stages.first_pid import holding_pid, in_hertz, rounded
 from ambrose.stages.plausibility import shares

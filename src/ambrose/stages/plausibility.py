@@ -28,11 +28,12 @@ from ambrose.physics.rotor import (
     mass_properties,
     plane_rows,
 )
-from ambrose.plant.assemble import assemble, attached_rotor, bending_modes_of, magnet_coefficients
+from ambrose.plant.assemble import assemble, attached_rotor, bending_modes_of
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.ports import measured_ports, sensor_turn
 from ambrose.plant.reduce import free_mode_reduction
+from ambrose.plant.static_load import magnet_coefficients, operating_magnets
 from ambrose.plant.timing import machine_timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
@@ -202,6 +203,7 @@ def _gaps(bearing: MagneticBearing) -> Iterator[str]:
 
 
 def _forces(machine: Machine, bearings: list[Capacity]) -> Iterator[str]:
+    yield from (item.doubt for item in operating_magnets(machine, machine.operation.design.bias_current) if item.doubt)
     lies = machine.gravity_direction is not None
     for item in bearings:
         what = f"bearing {item.name} reaches {item.force:,.4g} N and carries {item.load:,.4g} N of the weight"

@@ -12,10 +12,11 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import assemble, bending_modes_of, magnet_coefficients
+from ambrose.plant.assemble import assemble, bending_modes_of
 from ambrose.plant.loop import closed_loop, law_at
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce_from
+from ambrose.plant.static_load import magnet_coefficients
 from ambrose.plant.timing import Timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.synthesis.pid import channel_chains

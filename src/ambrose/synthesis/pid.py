@@ -18,9 +18,9 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.validation.controller import channel_problems
 from ambrose.physics import sensor
 from ambrose.physics.rotor import finite_element_rotor, mass_properties
-from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.model import Plant
 from ambrose.plant.ports import measured_ports, sensor_turn
+from ambrose.plant.static_load import magnet_coefficients
 from ambrose.plant.timing import Timing, machine_timing
 from ambrose.synthesis.as_it_runs import certify_as_it_runs
 from ambrose.synthesis.certificate import certify

@@ -21,8 +21,8 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.machine.criteria import CURRENT_PULSE, Pulse, demand
 from ambrose.machine.description import Requirements
-from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.model import Plant
+from ambrose.plant.static_load import magnet_coefficients
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import information, judge
 from ambrose.verification.peaks import Peak

@@ -34,10 +34,10 @@ from ambrose.core.frequency import largest_gain
 from ambrose.machine.criteria import TWO_PI, demand, machine_limit
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import magnet_coefficients
 from ambrose.plant.loop import Law
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.separation import runs_within
+from ambrose.plant.static_load import magnet_coefficients
 from ambrose.plant.unbalance import Unbalance, residual_unbalance
 from ambrose.verification.checks import Check, Curve
 from ambrose.verification.criteria import judge

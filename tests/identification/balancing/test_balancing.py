@@ -15,7 +15,8 @@ from ambrose.identification.balancing.correction import balance
 from ambrose.identification.balancing.vectors import revolution
 from ambrose.machine.description import Runout
 from ambrose.machine.record.record import Record
-from ambrose.physics import magnet, sensor
+from ambrose.physics import sensor
+from ambrose.plant.static_load import stated_at_load
 from ambrose.simulation.disturbances import Sine, Unbalance
 from ambrose.simulation.scenario import Scenario
 
@@ -91,7 +92,7 @@ def test_trial_weights_measure_what_a_wrong_model_has_wrong():
     bare = replace(machine(), sensors=tuple(replace(item, runout=()) for item in machine().sensors))
     result = found(seen[:1], described=bare, trials=list(zip(seen[1:], [w for _, w in trials], strict=True)))
     assert result.method == "trial weights" and off(result) < 1e-3
-    given = [magnet.loaded(bearing, (0.0, 0.0)) for bearing in bare.bearings]
+    given = [stated_at_load(bare, bearing) for bearing in bare.bearings]
     wrong = tuple(replace(b, force_per_current=tuple(1.3 * k for k in b.force_per_current)) for b in given)
     again = found([record(TOP, (), False)], described=replace(bare, bearings=wrong), trials=trials)
     assert off(again) < 1e-3
@@ -166,14 +167,6 @@ def test_run_out_phasors_are_those_of_the_profile():
             for _, pair, way in sensor.channels(pairs, axes)
         ]
         np.testing.assert_allclose((phasors * np.exp(1j * spin)).real, seen, atol=1e-12)
-
-
-def test_a_load_of_half_the_bias_raises_the_negative_stiffness_by_a_quarter():
-    bearing = magnet.loaded(replace(machine().bearings[0], iron=None), (0.0, 0.0))
-    half = magnet.loaded(bearing, (0.5 * bearing.bias_current, 0.0))
-    k_i, k_s = (np.array(getattr(half, n)) / getattr(bearing, n) for n in ("force_per_current", "negative_stiffness"))
-    np.testing.assert_allclose(k_s, [1.25, 1.0], rtol=1e-6)
-    np.testing.assert_allclose(k_i, 1.0, rtol=1e-6)
 
 
 def test_the_command_prints_grams_and_degrees(tmp_path):

@@ -23,6 +23,7 @@ from ambrose.physics import magnet
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
+from ambrose.plant.static_load import operating_magnets
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Prbs
@@ -223,10 +224,10 @@ def test_on_the_nonlinear_rig():
 def at_work(machine, record):
     """K_i and K_s of the four axes where the weight has moved the working point: differences of the rig's magnet force."""
     k_i, k_s = [], []
-    for bearing in machine.bearings:
+    for bearing, working in zip(machine.bearings, operating_magnets(machine), strict=True):
         names = [f"{bearing.name}_{axis}" for axis in ("zeta", "eta")]
         at = np.array([record[f"{kind}_{name}"].mean() for kind in ("i", "q") for name in names])
-        p = magnet.parameters(bearing)
+        p = working.parameters
         for axis in range(2):
             for found, place, h in ((k_i, axis, 1e-4), (k_s, axis + 2, 1e-9)):
                 step = h * np.eye(4)[place]

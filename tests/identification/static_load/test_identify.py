@@ -14,6 +14,7 @@ from ambrose.identification.static_load.levels import Levels, steady_levels
 from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
 from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
+from ambrose.plant.static_load import operating_magnets
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Pulse
 from ambrose.simulation.scenario import Scenario, load_scenario
@@ -250,9 +251,9 @@ def loaded(scenario, bias=None):
 def tangents(machine, record, bias):
     """K_i of the rig's own force where the record rests."""
     found = []
-    for j, bearing in enumerate(machine.bearings):
+    for j, working in enumerate(operating_magnets(machine, bias)):
         at = np.array([record[f"{kind}_{axis}"].mean() for kind in ("i", "q") for axis in AXES[2 * j : 2 * j + 2]])
-        p = magnet.parameters(bearing, bias)
+        p = working.parameters
         for axis in range(2):
             step = 1e-4 * np.eye(4)[axis]
             found.append((magnet.force(*(at + step), p)[axis] - magnet.force(*(at - step), p)[axis]) / 2e-4)

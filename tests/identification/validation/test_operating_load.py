@@ -1,4 +1,4 @@
-"""A rotor that hangs in its magnets: what its weight makes of their coefficients is said."""
+"""A rotor that hangs in its magnets otherwise than the machine file says: what that makes of the coefficients is said."""
 
 from dataclasses import replace
 
@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.identification.validation.operating_load import load_remarks
+from ambrose.identification.validation.operating_load import load_remarks, machine_at_load
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.record import Record
+from ambrose.plant.static_load import operating_magnets
 
 RIG = load_machine("seal-rig")
-RIG = replace(RIG, bearings=tuple(replace(bearing, iron=None) for bearing in RIG.bearings))
+UPRIGHT = replace(RIG, bearings=tuple(replace(bearing, iron=None) for bearing in RIG.bearings), gravity_direction=None)
 
 
 def record(**means):
@@ -22,21 +23,42 @@ def record(**means):
 @pytest.mark.parametrize("prefix", ["u", "i"])
 def test_the_stiffness_grows_with_the_square_of_the_load(prefix):
     """Without iron k_s is c ((i_0 + i)^2 + (i_0 - i)^2)/s^3: 1 + (i/i_0)^2 of that without load, and k_i is the same."""
-    bias = RIG.bearings[0].bias_current
-    found = load_remarks(RIG, [record(**{f"{prefix}_A_zeta": 0.2 * bias, f"{prefix}_A_eta": 0.05 * bias})])
-    assert len(found) == 1 and found[0].startswith("A_zeta carries a mean current")
+    bias = UPRIGHT.bearings[0].bias_current
+    data = record(**{f"{prefix}_A_zeta": 0.2 * bias, f"{prefix}_A_eta": 0.05 * bias})
+    found = load_remarks(UPRIGHT, [data])
+    assert len(found) == 1 and found[0].startswith(
+        "A_zeta carries a mean current of 0.8 A, by the weight in the machine file 0 A"
+    )
     assert "+4 % of k_s" in found[0]
+    here = machine_at_load(UPRIGHT, [data]).bearings[0]
+    assert np.divide(here.negative_stiffness, UPRIGHT.bearings[0].negative_stiffness) == pytest.approx([1.04, 1.0025], rel=1e-6)
 
 
 def test_a_rotor_without_load_gets_no_remark():
-    assert load_remarks(RIG, [record(u_A_zeta=0.0, u_B_eta=0.1)]) == () == load_remarks(RIG, [])
+    assert load_remarks(UPRIGHT, [record(u_A_zeta=0.0, u_B_eta=0.1)]) == () == load_remarks(UPRIGHT, [])
 
 
 def test_the_bias_is_that_of_the_operating_point():
     """At 6 A the same load is a smaller part of the bias; the machine file's own is 4 A."""
     given = record(u_A_zeta=0.8)
     own, other = (
-        float(load_remarks(RIG, [item])[0].split("k_i and +")[1].split(" %")[0])
+        float(load_remarks(UPRIGHT, [item])[0].split("k_i and +")[1].split(" %")[0])
         for item in (given, replace(given, point=OperatingPoint(bias_current=6.0)))
     )
     assert own == pytest.approx(4.0, abs=0.1) and other == pytest.approx(100 * (0.8 / 6) ** 2, abs=0.1)
+
+
+def test_the_load_of_the_machine_file_is_no_news():
+    """The rig lies: its file knows what its magnets carry, and its coefficients are those there."""
+    currents = dict(zip(RIG.axes, (i for item in operating_magnets(RIG) for i in item.currents), strict=True))
+    as_told = record(**{f"i_{axis}": value for axis, value in currents.items()})
+    assert load_remarks(RIG, [as_told]) == ()
+    for given, here in zip(RIG.bearings, machine_at_load(RIG, [as_told]).bearings, strict=True):
+        assert here.negative_stiffness == pytest.approx(given.negative_stiffness, rel=1e-6)
+    more = record(**{f"i_{axis}": 1.3 * value for axis, value in currents.items()})
+    assert "of k_s" in load_remarks(RIG, [more])[0]
+
+
+def test_currents_without_their_mean_are_no_load():
+    flat = record(**{f"i_{axis}": 0.0 for axis in RIG.axes})
+    assert load_remarks(RIG, [flat]) == () and machine_at_load(RIG, [flat]) is RIG

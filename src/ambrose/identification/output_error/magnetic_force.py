@@ -40,6 +40,7 @@ from ambrose.machine.record.record import Record
 from ambrose.physics import magnet
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant
+from ambrose.plant.static_load import operating_magnets
 
 _LOAD = 0.25  # of the bias current: the load that amplitude 1 of a quadratic signal stands for
 _PASSES = 2
@@ -273,10 +274,10 @@ def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
     if not all(largest):
         moved[:] = 0.0
         return moved
-    bearing, bias, (i, x) = plant.machine.bearings[j // 2], _bias(plant, j), moved
-    made = []
+    bias, (i, x), made = _bias(plant, j), moved, []
+    p = operating_magnets(plant.machine, plant.point.bias_current)[j // 2].of_force
     for load, power in ((_LOAD * bias, 2), (0.0, 3)):
-        terms, chosen = _terms(magnet.parameters(bearing, bias), plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
+        terms, chosen = _terms(p, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
         made.append(sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True)))
     moved[:] = made
     return moved

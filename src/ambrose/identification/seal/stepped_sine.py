@@ -25,8 +25,9 @@ from ambrose.identification.seal.result import SealFit
 from ambrose.machine.description import OperatingPoint, Seal
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
-from ambrose.physics import amplifier, magnet, sensor
+from ambrose.physics import amplifier, sensor
 from ambrose.plant.assemble import assemble, seal_coefficients
+from ambrose.plant.static_load import magnet_coefficients
 
 CURRENTS = ("measured", "commanded")
 _ONE_DIRECTION = 1e-3  # of the larger singular value: below, the motions at the seal do not span the plane
@@ -154,7 +155,7 @@ class _Model:
         self.measured_by_force = lag @ H[:, :c, :n]
         self.measured_by_seal = lag @ H[:, :c, n:]
         self.moved_by_force, self.moved_by_seal = H[:, c:, :n], H[:, c:, n:]
-        self.k_i = np.concatenate([magnet.linearised(item, point.bias_current).force_per_current for item in machine.bearings])
+        self.k_i = magnet_coefficients(machine, point)[0]
         hold = (1 - np.exp(-1j * omega * dt)) / (1j * omega * dt)
         drive: StateSpace = amplifier.linearised(machine.amplifier, machine.axes)
         self.current_by_command = frequency_response(drive, omega).values * hold[:, None, None]

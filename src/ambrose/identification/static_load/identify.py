@@ -24,10 +24,11 @@ from ambrose.identification.static_load.levels import Levels, steady_levels
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
-from ambrose.physics import magnet, sensor
+from ambrose.physics import sensor
 from ambrose.physics.rotor import finite_element_rotor
 from ambrose.plant.assemble import attached_rotor, bending_modes_of
 from ambrose.plant.ports import sensor_ports
+from ambrose.plant.static_load import magnet_coefficients
 
 _BENDING = 20  # modes per plane that make the rotor's static flexibility; more change nothing
 _MOVED = 0.05  # share of the magnet's force that comes from displacement, above which K_s must be well known
@@ -117,7 +118,7 @@ def identify(
     local = tuple(_local(levels, i, force[:, i] - _unloaded(levels, force[:, i])) for i in range(len(axes)))
     values, deviations, at_rest, rest_deviations, linearity = (np.array(column) for column in zip(*rows, strict=True))
     warnings = tuple(_warnings(axes, relative, share, linearity, values, at_rest))
-    own = np.concatenate([magnet.linearised(b, point.bias_current).force_per_current for b in machine.bearings])
+    own = magnet_coefficients(machine, point)[0]
     return StaticLoad(
         machine.name, point, axes, own, values, deviations, at_rest, rest_deviations, linearity, share, effect, levels,
         relative, local, warnings, _verdict(axes, linearity, values, at_rest),
@@ -156,7 +157,7 @@ def bearing_forces(machine: Machine, point: OperatingPoint, levels: Levels) -> t
 def _stiffness(machine: Machine, point: OperatingPoint, given: ArrayLike | None) -> np.ndarray:
     if given is not None:
         return check_shape(given, "negative_stiffness", "(a)", a=len(machine.axes))
-    return np.concatenate([magnet.linearised(b, point.bias_current).negative_stiffness for b in machine.bearings])
+    return magnet_coefficients(machine, point)[1]
 
 
 def _check_range(machine: Machine, levels: Levels, places: np.ndarray) -> None:

@@ -1,41 +1,45 @@
-"""What a static load makes of a magnet's coefficients: a fit finds those at the load, a machine file gives those without."""
+"""What the load in a record makes of the magnets' coefficients, beside the load that the machine file lets them carry."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
-from ambrose.plant.sag import static_sag
+from ambrose.physics.loaded_magnet import LoadedMagnet, slopes, with_coefficients
+from ambrose.physics.magnet import MagnetCoefficients
+from ambrose.plant.static_load import operating_magnets, static_sag
 
 _TOLD = 0.01  # relative change of a coefficient that is worth a sentence
+_CARRIED = 0.1  # of the current that the weight needs, below which a record's mean is not the load
 
 
 def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     """The machine with the coefficients of its magnets at the mean currents, u_ or i_ of the first record that has them, and as
-    far off the magnets' centre as the rotor hangs through there; as it is, where the records hold no currents."""
+    far off the magnets' centre as the rotor hangs through there; as it is, where the records hold no currents, or hold them
+    without their mean."""
     means = _means(records)
-    if not means:
+    if not means or _without_mean(machine, means, _bias(records)):
         return machine
-    hangs, _ = static_sag(machine)
-    bearings = (
-        _at_load(bearing, means, _bias(records), place) or bearing
-        for bearing, place in zip(machine.bearings, hangs, strict=True)
-    )
+    bias, bearings = _bias(records), list(machine.bearings)
+    for j, (item, here) in enumerate(_at_currents(machine, means, bias)):
+        if here is not None and item.parameters is not None:
+            bearings[j] = with_coefficients(bearings[j], item.parameters[0], here)
     return replace(machine, bearings=tuple(bearings))
 
 
 def load_remarks(machine: Machine, records: Sequence[Record], loads: Mapping[str, float] | None = None) -> tuple[str, ...]:
-    """A sentence for each axis whose mean current changes k_i or k_s by over 1 %: u_ or i_ of the first record that has it,
-    else the one of ``loads`` {axis: [A]}."""
-    means = {**(loads or {}), **_means(records)}
-    return tuple(text for bearing in machine.bearings for text in _of_bearing(bearing, means, _bias(records)))
+    """A sentence for each axis whose mean current changes k_i or k_s by over 1 % against the load of the machine file: u_ or i_
+    of the first record that has it, else the one of ``loads`` {axis: [A]}."""
+    means = _means(records)
+    if _without_mean(machine, means, _bias(records)):
+        means = {}
+    means = {**(loads or {}), **means}
+    found = zip(machine.bearings, _at_currents(machine, means, _bias(records)), strict=True)
+    return tuple(text for bearing, (item, here) in found for text in _of_bearing(bearing.name, item, here, means))
 
 
 def _bias(records: Sequence[Record]) -> float | None:
@@ -53,30 +57,39 @@ def _means(records: Iterable[Record]) -> dict[str, float]:
     return means
 
 
-def _at_load(
-    bearing: MagneticBearing, means: dict[str, float], bias: float | None, place: np.ndarray | None = None
-) -> MagneticBearing | None:
-    """The bearing at its mean currents, the rotor at a place (2,) [m] in it (None: the magnets' centre); None where no magnet
-    follows from its coefficients."""
-    zeta, eta = (means.get(f"{bearing.name}_{axis}", 0.0) for axis in ("zeta", "eta"))
-    off = (0.0, 0.0) if place is None else np.subtract(place, bearing.magnetic_offset)
-    try:
-        return magnet.loaded(bearing, (zeta, eta), bias, displacement=(float(off[0]), float(off[1])))
-    except InvalidInput:
-        return None
+def _without_mean(machine: Machine, means: Mapping[str, float], bias: float | None) -> bool:
+    """Whether recorded currents hold next to nothing of what the weight needs: a logger or a linear loop left it out."""
+    needed = dict(zip(machine.axes, (i for item in operating_magnets(machine, bias) for i in item.currents), strict=True))
+    known = [axis for axis in means if axis in needed]
+    return float(np.linalg.norm([means[a] for a in known])) < _CARRIED * float(np.linalg.norm([needed[a] for a in known]))
 
 
-def _of_bearing(bearing: MagneticBearing, means: dict[str, float], bias: float | None) -> Iterable[str]:
-    here, free = _at_load(bearing, means, bias), _at_load(bearing, {}, bias)
-    if here is None or free is None:
+def _at_currents(
+    machine: Machine, means: Mapping[str, float], bias: float | None
+) -> Iterator[tuple[LoadedMagnet, MagnetCoefficients | None]]:
+    """Every bearing's magnets as the machine file lets them work, and their coefficients at mean currents; None where it has
+    none of them, or no magnet follows from the file."""
+    magnets = operating_magnets(machine, bias)
+    for bearing, item, place in zip(machine.bearings, magnets, static_sag(machine)[0], strict=True):
+        axes = [f"{bearing.name}_{way}" for way in ("zeta", "eta")]
+        if item.parameters is None or not any(axis in means for axis in axes):
+            yield item, None
+            continue
+        zeta, eta = (means.get(axis, current) for axis, current in zip(axes, item.currents, strict=True))
+        yield item, slopes(item.parameters, (zeta, eta), (float(place[0]), float(place[1])))
+
+
+def _of_bearing(name: str, item: LoadedMagnet, here: MagnetCoefficients | None, means: Mapping[str, float]) -> Iterator[str]:
+    if here is None:
         return
     k_i, k_s = (
-        np.array(getattr(here, name)) / np.array(getattr(free, name)) - 1
-        for name in ("force_per_current", "negative_stiffness")
+        np.array(getattr(here, quantity)) / np.array(getattr(item.coefficients, quantity)) - 1
+        for quantity in ("force_per_current", "negative_stiffness")
     )
-    for axis, of_k_i, of_k_s in zip((f"{bearing.name}_zeta", f"{bearing.name}_eta"), k_i, k_s, strict=True):
-        if max(abs(of_k_i), abs(of_k_s)) > _TOLD:
+    for way, own, of_k_i, of_k_s in zip(("zeta", "eta"), item.currents, k_i, k_s, strict=True):
+        axis = f"{name}_{way}"
+        if axis in means and max(abs(of_k_i), abs(of_k_s)) > _TOLD:
             yield (
-                f"{axis} carries a mean current of {means.get(axis, 0.0):.3g} A: a magnet as in the machine file has there "
-                f"{100 * of_k_i:+.2g} % of k_i and {100 * of_k_s:+.2g} % of k_s, which the values found contain"
+                f"{axis} carries a mean current of {means[axis]:.3g} A, by the weight in the machine file {own:.3g} A: this "
+                f"makes {100 * of_k_i:+.2g} % of k_i and {100 * of_k_s:+.2g} % of k_s, which the values found contain"
             )

@@ -22,6 +22,7 @@ from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor,
 from ambrose.physics.support import foundation
 from ambrose.plant.assemble import bending_modes_of, gyroscopic_of, seal_model
 from ambrose.plant.ports import ports, sensor_ports
+from ambrose.plant.static_load import operating_magnets
 
 _MODES = 3  # bending modes per plane, as many as identification models
 _NO_BIAS_LAG = 5000.0  # rad/s at which the bias current follows an ideal amplifier
@@ -146,7 +147,7 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
         mean=sensor.means(machine.sensor_pairs, machine.axes),
         direction=np.column_stack([np.cos(angles), np.sin(angles)]),
         angle=angles,
-        magnet=np.array([magnet.parameters(b, point.bias_current) for b in bearings]),
+        magnet=np.array([item.of_force for item in operating_magnets(machine, point.bias_current)]),
         touchdown=np.array([touchdown.parameters(machine, b) for b in bearings]),
         coupling=np.array([coupling.parameters(c) for c in machine.couplings]).reshape(-1, 4),
         amplifier=np.array([amplifier.parameters(machine.amplifier, b.max_current) for b in bearings for _ in "zh"]),

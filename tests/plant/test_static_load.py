@@ -7,7 +7,7 @@ import pytest
 
 import ambrose as amb
 from ambrose.physics.rotor import STANDARD_GRAVITY, finite_element_rotor, mass_properties
-from ambrose.plant.sag import static_sag
+from ambrose.plant.static_load import static_sag
 from ambrose.simulation.scenario import Scenario
 
 
