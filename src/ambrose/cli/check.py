@@ -97,4 +97,6 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _bearing(item: dict[str, Any]) -> tuple[str, str]:
     force = f"{item['max_force']:.4g} N for {item['weight']:.4g} N of the weight"
+    if item["current"]:
+        force += f", which takes {item['current']:.3g} A"
     return f"bearing {item['name']}", f"k_i {item['k_i']:.4g} N/A, k_s {item['k_s'] / 1e6:.4g} N/um, {force}"

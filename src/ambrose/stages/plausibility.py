@@ -33,7 +33,7 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.ports import measured_ports, sensor_turn
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.static_load import magnet_coefficients, operating_magnets
+from ambrose.plant.static_load import magnet_coefficients, operating_magnets, static_sag
 from ambrose.plant.timing import machine_timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
@@ -56,13 +56,15 @@ _POINTS = 8  # at most, at which the reference controller is looked at
 @dataclass(frozen=True, slots=True)
 class Capacity:
     """What a bearing has, SI: force_per_current and negative_stiffness (the weaker, the larger axis), largest force (of the
-    file, else k_i times the smaller of largest and bias current) and what it carries of the rotor's weight."""
+    file, else k_i times the smaller of largest and bias current), what it carries of the rotor's weight, and the larger static
+    current that this takes."""
 
     name: str
     force_per_current: float
     negative_stiffness: float
     force: float
     load: float
+    current: float
 
 
 def shares(weight: float, centre: float, places: Any) -> np.ndarray:
@@ -119,14 +121,20 @@ def _plane(shapes: np.ndarray) -> np.ndarray:
 
 
 def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
-    loads = shares(properties.mass * STANDARD_GRAVITY, properties.centre, [b.position for b in machine.bearings])
+    loads = np.linalg.norm(static_sag(machine)[1], axis=1)
+    if machine.gravity_direction is None:
+        loads = shares(properties.mass * STANDARD_GRAVITY, properties.centre, [b.position for b in machine.bearings])
+    held = operating_magnets(machine, machine.operation.design.bias_current)
     k_i, k_s = (values.reshape(-1, 2) for values in magnet_coefficients(machine, machine.operation.design))
     found = []
     for number, bearing in enumerate(machine.bearings):
         current = min(bearing.max_current or bearing.bias_current, bearing.bias_current)
         force = bearing.max_force or float(k_i[number].min() * current)
         found.append(
-            Capacity(bearing.name, float(k_i[number].min()), float(k_s[number].max()), force, float(loads[number]))
+            Capacity(
+                bearing.name, float(k_i[number].min()), float(k_s[number].max()), force, float(loads[number]),
+                float(np.abs(held[number].currents).max()),
+            )
         )  # fmt: skip
     return found
 
@@ -144,7 +152,14 @@ def insight(plant: Plant) -> dict[str, Any]:
         critical = []
     return {
         "bearings": [
-            {"name": b.name, "k_i": b.force_per_current, "k_s": b.negative_stiffness, "max_force": b.force, "weight": b.load}
+            {
+                "name": b.name,
+                "k_i": b.force_per_current,
+                "k_s": b.negative_stiffness,
+                "max_force": b.force,
+                "weight": b.load,
+                "current": b.current,
+            }
             for b in bearings
         ],
         "stiffness_margin": margin,
