@@ -90,6 +90,7 @@ def test_every_value_of_the_small_machine():
         couplings=(d.Coupling("coupling", 0.0, (0.40e6, 0.42e6), (10.0, 10.0), 45 * deg),),
         supports=(d.Support("A", (300.0, 300.0), (80e6, 120e6), (40e3, 40e3), 10 * deg, "ground", ("center",)),),
         casing_modes=(d.CasingMode(140 * hz, 900.0, ("A", "balance"), (1.0, 0.7), (0.0, 0.1), 0.02, "ground"),),
+        bending_modes=(d.BendingMode(1, 630 * hz, 0.008),),
         controller=d.PidSettings(
             (18e3,), 0.2, 3.5e-3, 0.1, (d.Notch(550 * hz, 0.5, 0.05),), (100 * hz, 500 * hz), 2e3 * hz, 0.7,
             "tilt-translate", 1.2, 1e-4, 1e-4, (d.Channel(("tilt_x", "tilt_y"), 22e3, (
@@ -400,6 +401,7 @@ def machines(draw):
         discs=tuple(d.Disc(f"disc{i}", draw(place), draw(positive), 1.5 * i, 1.0 * i) for i in range(draw(st.integers(0, 2)))),
         seals=(draw(seals("seal", place)),),
         couplings=couplings,
+        bending_modes=draw(st.sampled_from([(), (d.BendingMode(1, 1234.5), d.BendingMode(2, None, 0.002))])),
         controller=draw(maybe(st.just(controller))),
         operation=d.Operation(points, tuple(sorted(draw(pair))), "", areas),
         tolerances=tuple(tolerances[: draw(st.integers(0, 2))]),
@@ -483,6 +485,7 @@ class TestHash:
             replace(machine, seals=(replace(machine.seals[0], C=2001.0), machine.seals[1])),
             replace(machine, supports=(replace(machine.supports[0], mass=(300.0, 301.0)),)),
             replace(machine, casing_modes=(replace(machine.casing_modes[0], x=(1.0, 0.71)),)),
+            replace(machine, bending_modes=(replace(machine.bending_modes[0], damping=0.009),)),
             replace(machine, tolerances=machine.tolerances[:1]),
             replace(machine, bearings=machine.bearings[::-1]),
             replace(machine, requirements=replace(machine.requirements, gain_margin=2.5)),

@@ -19,7 +19,7 @@ from ambrose.plant import assemble as assembly
 from ambrose.plant.reduce import reduce
 from ambrose.stages.plants import facts
 
-Bare = namedtuple("Bare", "shaft discs beam_theory")
+Bare = namedtuple("Bare", "shaft discs beam_theory bending_modes", defaults=((),))
 OMEGA = np.geomspace(1.0, 2e4, 24)
 MODES = assembly.FINE_MESH_MODES
 

@@ -22,7 +22,7 @@ METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, whic
     "--unknown", multiple=True, metavar="PATH",
     help='What to identify, "*" for every name or axis: bearing.*.negative_stiffness.* (repeatable). '
     "Default: what the machine file marks as uncertain, K_i and K_s of every axis, and the amplifier's lag; "
-    "a delay alone adds to these.",
+    "delay, and bending (bending_2, ...) for frequency and damping of a bending mode, add to these.",
 )  # fmt: skip
 @click.option("--start", multiple=True, metavar="PATH=VALUE", help="SI value to begin at; default: the machine's (repeatable).")
 @click.option("--signals", multiple=True, metavar="NAME", help="Signals to fit, y_, u_ or i_<axis>; default: every y_<axis>.")

@@ -162,8 +162,6 @@ def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[st
     pressed = any(record.point.seal_pressure for record in records) or not records
     for tolerance in machine.tolerances:
         parameter = parse_parameter(tolerance.parameter)
-        if parameter.table == "rotor":  # the machine file has no key that a found value could be written to
-            continue
         if parameter.quantity == "pressure":
             parameter = parse_parameter(f"seal.{parameter.name}.k")
         if parameter.table == "seal":

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.identification.parameters import COVERAGE, Estimate, half_width, part_names
+from ambrose.identification.parameters import COVERAGE, Estimate, half_width, part_names, with_bending
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, Parameter, find_uncertain, parse_parameter
@@ -26,7 +26,8 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
     operation. A seal holds one coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry,
     as found or as it was, and the tolerance of the coefficient covers both with their uncertainty. origin: where the values
     are from, added to
-    ``source``; a delay that was found goes into the controller's settings. Entries of ``assumed`` about a quantity whose every
+    ``source``; a delay that was found goes into the controller's settings, a bending mode's frequency and damping into its
+    [[bending_mode]]. Entries of ``assumed`` about a quantity whose every
     value was identified are taken out; a seal's coefficient that does not follow the pressure as others do gets one.
     Raises InvalidInput for what a machine cannot hold (a coefficient from a table or a geometry).
     """
@@ -56,8 +57,10 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
         if still := ", ".join(constant_under_pressure(seal)):
             remark = f"{still}: found at {result.point.seal_pressure:g} Pa; how it follows the pressure is not known"
             reasons.setdefault(f"seal.{seal.name}.scales_with_pressure", remark)
+    modes = {parameter.path: value for parameter, value in values if parameter.table == "rotor"}
     return replace(
         machine,
+        bending_modes=with_bending(machine, modes).bending_modes,
         controller=replace(pid, delay=delays[CONTROLLER_DELAY]) if pid is not None and CONTROLLER_DELAY in delays else pid,
         bearings=tuple(_bearing(machine, item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
         couplings=tuple(couplings),

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.description import BendingMode, OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import CONTROLLER_DELAY, QUANTITIES, TIMING, find_uncertain, parse_parameter
+from ambrose.machine.parameters import BENDING, CONTROLLER_DELAY, QUANTITIES, TIMING, find_uncertain, parse_parameter
 from ambrose.machine.units import DIMENSIONS
 from ambrose.plant.assemble import assemble, bending_modes_of
 from ambrose.plant.model import Plant
@@ -18,6 +19,7 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import channels, perturbed
 
 COVERAGE = 1.96  # standard deviations of a normal 95 % interval
+_PORT = 0.01  # of a mode's frequency or damping: a tolerance is what gives it ports, its width is of no matter
 
 
 class Estimate(Protocol):
@@ -56,7 +58,8 @@ def part_names(machine: Machine) -> dict[str, list[str]]:
 
 def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
     """The paths with every "*" replaced by all names (second part), both axes (fourth part) or a seal's entries:
-    "bearing.*.negative_stiffness.*", "seal.*.K_*".
+    "bearing.*.negative_stiffness.*", "seal.*.K_*"; "bending" (the first mode), "bending_2" and so on by frequency and damping
+    of the mode.
 
     Raises InvalidInput for a path that leads nowhere, and for two that name the same number.
     """
@@ -66,6 +69,10 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
     expanded: list[str] = []
     for path in paths:
         parts = path.split(".")
+        if len(parts) == 1 and path.startswith(BENDING.rstrip("_")):
+            mode = f"rotor.{BENDING}1" if path == BENDING.rstrip("_") else f"rotor.{path}"
+            expanded += [f"{mode}.frequency", f"{mode}.damping"]
+            continue
         spelled = [parts]
         if len(parts) > 1 and parts[1] == "*":
             spelled = [[parts[0], name, *parts[2:]] for name in names.get(parts[0], [])]
@@ -84,8 +91,6 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
         if one.quantity == "pressure":
             remedy = f"name its coefficients, seal.{one.name}.k and so on"
             raise InvalidInput(f'parameter "{one.path}" is an operating point\'s, known with the record; {remedy}')
-        if one.table == "rotor":
-            raise InvalidInput(f'parameter "{one.path}" has no key in the machine file; correct the shaft or modal_damping')
         for other in parameters[:i]:
             if one.overlaps(other):
                 raise InvalidInput(f'parameters "{other.path}" and "{one.path}" are the same number; name it once')
@@ -120,9 +125,32 @@ def nominal_values(plant: Plant, paths: Sequence[str]) -> np.ndarray:
     return np.array(values)
 
 
-def reduced_plant(plant: Plant, bending_modes: int) -> Plant:
-    """The plant with the rotor's free modes, ``bending_modes`` per plane or as many as the mesh has."""
+def reduced_plant(machine: Machine, point: OperatingPoint, bending_modes: int, paths: Sequence[str] = ()) -> Plant:
+    """The plant at an operating point with the rotor's free modes, ``bending_modes`` per plane or as many as the mesh has, and
+    ports for the modes among ``paths``. Raises InvalidInput for a mode that is not kept."""
+    named = {item.parameter for item in machine.tolerances}
+    wanted = [path for path in paths if path.startswith("rotor.")]
+    for path in wanted:
+        if mode_number(path) > bending_modes:
+            remedy = f"take {mode_number(path)} bending modes (--bending-modes), or leave it out"
+            raise InvalidInput(f'parameter "{path}" is not in a model of {bending_modes} bending modes; {remedy}')
+    ports = tuple(Tolerance(path, relative=_PORT) for path in wanted if path not in named)
+    plant = assemble(replace(machine, tolerances=(*machine.tolerances, *ports)) if ports else machine, point)
     return free_mode_reduction(plant, min(bending_modes, bending_modes_of(plant.rotor_model)))
+
+
+def mode_number(path: str) -> int:
+    """k of "rotor.bending_k.frequency" or damping."""
+    return int(parse_parameter(path).name.removeprefix(BENDING))
+
+
+def with_bending(machine: Machine, values: Mapping[str, float]) -> Machine:
+    """The machine with frequencies [rad/s] and damping ratios of bending modes, by their paths, as measured ones."""
+    modes = {mode.number: mode for mode in machine.bending_modes}
+    for path, value in values.items():
+        k = mode_number(path)
+        modes[k] = replace(modes.get(k, BendingMode(k)), **{parse_parameter(path).quantity: value})  # type: ignore[arg-type]
+    return replace(machine, bending_modes=tuple(modes[k] for k in sorted(modes))) if values else machine
 
 
 def plant_at(machine: Machine, point: OperatingPoint, values: Mapping[str, float], bending_modes: int = 3) -> Plant:
@@ -130,7 +158,9 @@ def plant_at(machine: Machine, point: OperatingPoint, values: Mapping[str, float
 
     Raises InvalidInput.
     """
-    plant = reduced_plant(assemble(machine, point), bending_modes)
+    machine = with_bending(machine, {path: value for path, value in values.items() if path.startswith("rotor.")})
+    values = {path: value for path, value in values.items() if not path.startswith("rotor.")}
+    plant = reduced_plant(machine, point, bending_modes)
     moves = {path: value - channels(plant, path)[0].nominal for path, value in values.items() if path not in TIMING}
     moves = {path: move for path, move in moves.items() if move}
     if not moves:

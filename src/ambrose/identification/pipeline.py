@@ -79,8 +79,8 @@ def identify(
     none is given) or anything with A, B, C, D.
     method: "closed-loop"; "youla" (needs every u_<axis>); "static" (loads f_<port> and currents give K_i, no controller).
     unknown: paths such as "bearing.*.negative_stiffness.*" (none: what the machine marks as uncertain, K_i and K_s of every
-    axis, the amplifier's lag; delays alone are added to these); start: path -> SI value to begin at. repeats: the records
-    repeat one experiment. seal_form: "line" or "table", the seal at every pressure of the records; seal: which one.
+    axis, the amplifier's lag; "delay" and "bending" alone are added to these); start: path -> SI value to begin at.
+    repeats: the records repeat one experiment. seal_form: "line" or "table", the seal at every pressure of the records; seal: which one.
     provenance: the names of the files.
     options: those of FitOptions (output_error/problem.py), and for static loads average and drift
     (static_load/identify.py). Raises InvalidInput with every reason why no number can be trusted.
@@ -107,7 +107,7 @@ def identify(
     else:
         own = (getattr(getattr(controller, "provenance", None), "settings", None) or {}).get("delay_samples")
         law, how = _law(controller), FitOptions(**({} if own is None else {"computing_delay": own}) | options)
-        if set(unknown) <= {"delay", *TIMING}:  # delays alone: beside what is usual
+        if all("." not in path or path in TIMING for path in unknown):  # delays and "bending" alone: beside what is usual
             unknown = (*usual_unknowns(machine, measured), *unknown)
             progress(f"unknown: {', '.join(path for kind in split_timing(machine, unknown) for path in kind)}")
         pressures = {record.point.seal_pressure for record in measured}

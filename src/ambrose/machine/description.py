@@ -27,9 +27,7 @@ from ambrose.machine.kinds import (
     Current,
     Damping,
     ForcePerCurrentPair,
-    Inertia,
     Length,
-    Mass,
     Name,
     PairOf,
     Pressure,
@@ -38,11 +36,14 @@ from ambrose.machine.kinds import (
     Ratio,
     Stiffness,
     StiffnessPair,
-    Text,
     Time,
     Words,
 )
 from ambrose.machine.part import Part
+from ambrose.machine.rotor_model import BendingMode as BendingMode  # noqa: PLC0414
+from ambrose.machine.rotor_model import Disc as Disc  # noqa: PLC0414
+from ambrose.machine.rotor_model import Material as Material  # noqa: PLC0414
+from ambrose.machine.rotor_model import ShaftSection as ShaftSection  # noqa: PLC0414
 from ambrose.machine.seals import FREQUENCY_DEPENDENCE as FREQUENCY_DEPENDENCE  # noqa: PLC0414
 from ambrose.machine.seals import SEAL_AXES as SEAL_AXES  # noqa: PLC0414
 from ambrose.machine.seals import SEAL_COEFFICIENTS as SEAL_COEFFICIENTS  # noqa: PLC0414
@@ -66,69 +67,6 @@ AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "twice-first": ("bandwidth", "eddy_bandwidth"),
     "second": ("natural_frequency", "damping"),
 }
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Material(Part):
-    """A material, [material.NAME], that shaft sections refer to by name; the name is not compared."""
-
-    density: Annotated[float, Quantity("density"), "mass density"] = 7850.0
-    youngs_modulus: Annotated[float, Quantity("elastic modulus"), "Young's modulus"] = 2.1e11
-    poisson_ratio: Annotated[Ratio, "Poisson's ratio"] = 0.3
-    name: str = field(default="", compare=False)
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class ShaftSection(Part):
-    """A cylindrical or conical piece of shaft; the sections follow each other from the left end to the right, without gap or
-    overlap.
-
-    mass_diameter lets shrunk-on laminations add inertia without stiffness. A cone has other diameters at its right end.
-    """
-
-    start: Annotated[Length, "where the section starts; default: the end of the previous one"] = field(
-        metadata={"required": False}
-    )
-    length: Annotated[Length, "axial length"]
-    outer_diameter: Annotated[Length, "outer diameter, for the stiffness"]
-    inner_diameter: Annotated[Length, "bore"] = 0.0
-    mass_diameter: Annotated[
-        Length | None, "outer diameter for the mass, where laminations add mass without stiffness; default: outer_diameter"
-    ] = None
-    elements: Annotated[int, Count(), "number of finite elements"] = 1
-    material: Annotated[
-        Material, Text("the name of a [material.NAME] table"), "name of a [material.NAME] table; default: steel"
-    ] = field(default_factory=Material)
-    label: Annotated[Words, "a name for drawings and messages"] = ""
-    end_outer_diameter: Annotated[
-        Length | None, "outer diameter at the right end of a cone, linear in between; default: outer_diameter"
-    ] = None
-    end_inner_diameter: Annotated[Length | None, "bore at the right end of a cone; default: inner_diameter"] = None
-
-    @property
-    def conical(self) -> bool:
-        return self.diameters(0.0) != self.diameters(1.0)
-
-    def diameters(self, place: float) -> tuple[float, float, float]:
-        """Outer diameter, bore and outer diameter of the mass [m] at a place from 0 (left end) to 1 (right end)."""
-        outer = _between(self.outer_diameter, self.end_outer_diameter, place)
-        mass = outer if self.mass_diameter is None else self.mass_diameter
-        return outer, _between(self.inner_diameter, self.end_inner_diameter, place), mass
-
-
-def _between(start: float, end: float | None, place: float) -> float:
-    return start if end is None else start + place * (end - start)
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Disc(Part):
-    """A rigid disc on the shaft: an impeller, a wheel, a thrust collar."""
-
-    name: Annotated[Name, "name, different from all other attachments"]
-    position: Annotated[Length, "axial position of its centre of mass, from the left end"]
-    mass: Annotated[Mass, "mass"]
-    polar_inertia: Annotated[Inertia, "moment of inertia about the shaft's axis"] = 0.0
-    diametral_inertia: Annotated[Inertia, "moment of inertia about a diameter through its centre of mass"] = 0.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -405,6 +343,9 @@ class MachineDescription(Part):
     couplings: Annotated[tuple[Coupling, ...], "flexible couplings to ground"] = field(default=(), metadata={"key": "coupling"})
     supports: Annotated[tuple[Support, ...], "supports under bearings"] = field(default=(), metadata={"key": "support"})
     casing_modes: Annotated[tuple[CasingMode, ...], "modes of the casing"] = field(default=(), metadata={"key": "casing_mode"})
+    bending_modes: Annotated[tuple[BendingMode, ...], "bending modes of the rotor as measured"] = field(
+        default=(), metadata={"key": "bending_mode"}
+    )
     controller: Annotated[PidSettings | None, "the reference controller"] = None
     operation: Annotated[Operation, "operating points and speed range"] = field(default_factory=Operation)
     tolerances: Annotated[tuple[Tolerance, ...], "uncertain parameters"] = field(default=(), metadata={"key": "tolerance"})

@@ -24,6 +24,7 @@ TABLES: Mapping[str, int] = {
     "shaft": ELEMENTS,
     "material": 100,
     "disc": 100,
+    "bending_mode": 20,
     "bearing": 8,
     "sensor": 32,
     "seal": 40,

@@ -8,7 +8,7 @@ from typing import Any
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.presentation import html_table
-from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Material, OperatingPoint, Tolerance
+from ambrose.machine.description import SCHEMA_VERSION, BendingMode, MachineDescription, Material, OperatingPoint, Tolerance
 from ambrose.machine.part import Part
 from ambrose.machine.validation.machine import check_machine
 
@@ -40,6 +40,7 @@ class Machine(MachineDescription):
             ("bearings", _places(self.bearings)),
             ("sensors", ", ".join(f"of {sensor.bearing} at {sensor.position:.4g} m" for sensor in self.sensors)),
             ("discs", ", ".join(f"{disc.name} at {disc.position:.4g} m, {disc.mass:.4g} kg" for disc in self.discs)),
+            ("bending modes as measured", ", ".join(map(_mode_in_words, self.bending_modes))),
             ("seals", _places(self.seals)),
             ("couplings", _places(self.couplings)),
             ("supports", ", ".join(f"of {item.bearing}, {item.mass[0]:.4g} kg" for item in self.supports)),
@@ -64,7 +65,7 @@ class Machine(MachineDescription):
             table.pop("material", None)
             if section.material in materials:
                 table["material"] = materials[section.material]
-        several = ("disc", "bearing", "sensor", "seal", "coupling", "support", "casing_mode", "tolerance")
+        several = ("disc", "bearing", "sensor", "seal", "coupling", "support", "casing_mode", "bending_mode", "tolerance")
         document.update({key: given[key] for key in several if key in given})
         document["amplifier"] = {"order": self.amplifier.order, **given.get("amplifier", {})}  # a file must name the order
         document.update({key: given[key] for key in ("controller", "weights", "operation", "requirements") if key in given})
@@ -88,6 +89,11 @@ def _material_names(machine: Machine) -> dict[Material, str]:
 
 def _places(entries: Any) -> str:
     return ", ".join(f"{entry.name} at {entry.position:.4g} m" for entry in entries)
+
+
+def _mode_in_words(mode: BendingMode) -> str:
+    given = [("", mode.frequency, " rad/s"), ("damping ratio ", mode.damping, "")]
+    return f"{mode.number}: " + ", ".join(f"{name}{value:.4g}{unit}" for name, value, unit in given if value is not None)
 
 
 def _point_in_words(point: OperatingPoint) -> str:

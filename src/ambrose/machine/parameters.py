@@ -106,7 +106,7 @@ def find_parameter(machine: MachineDescription, path: str) -> Parameter:
         "seal": [seal.name for seal in machine.seals],
         "bearing": [bearing.name for bearing in machine.bearings],
         "coupling": [coupling.name for coupling in machine.couplings],
-        "rotor": [f"{BENDING}{k + 1}" for k in range(_bending_modes(machine))],
+        "rotor": [f"{BENDING}{k + 1}" for k in range(bending_modes_of_mesh(machine))],
     }[parameter.table]
     if parameter.table == "rotor" and parameter.name not in names:
         raise _wrong(path, f"names no bending mode of this mesh; write {BENDING}1 to {BENDING}{len(names)}")
@@ -158,7 +158,7 @@ def operating_point(
     return replace(point, label="", **changed)  # type: ignore[arg-type]
 
 
-def _bending_modes(machine: MachineDescription) -> int:
+def bending_modes_of_mesh(machine: MachineDescription) -> int:
     """How many bending modes per plane the full model has, as ``plant.assemble.bending_modes_of`` counts them."""
     available = 2 * sum(section.elements for section in machine.shaft)
     return available if available <= 2 * FINE_MESH_MODES else FINE_MESH_MODES

@@ -7,7 +7,7 @@ elements' shape functions interpolate. The planes decouple at standstill; ``plan
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -35,7 +35,9 @@ class Rotor(Presented):
     positions (N,) [m]: the nodes. plane_mass, plane_gyroscopic, plane_stiffness (2N, 2N), all symmetric, in [w, theta] per
     node: with z = w_x + j w_y they give M z'' - j Omega G z' + K z = f. shear (N-1,) [-]: phi of the elements' shape functions
     (beam.shape). bending (N-1, 2, 2) [N m]: the elements' stiffness against the difference and the sum of the rotations at
-    their ends, as seen from their chords.
+    their ends, as seen from their chords. corrected (2N, m), correction (m,) [1/s2]: M phi of the m bending modes of which the
+    machine states a measured frequency, and by how much its square is above that of shaft and discs; plane_stiffness has
+    it, so that the modes keep their shapes.
 
     mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node are made anew at every reading: nothing but tests
     needs them.
@@ -47,6 +49,8 @@ class Rotor(Presented):
     plane_stiffness: np.ndarray
     shear: np.ndarray
     bending: np.ndarray
+    corrected: np.ndarray
+    correction: np.ndarray
 
     @property
     def n_nodes(self) -> int:
@@ -95,14 +99,50 @@ class FreeModes:
     shapes: np.ndarray
     frequencies: np.ndarray
 
+    def damping_ratios(self, machine: MachineDescription) -> np.ndarray:
+        """Of every mode (4 + 2 n,): what was measured, else modal_damping."""
+        ratios = np.full(len(self.frequencies), machine.modal_damping)
+        for mode in machine.bending_modes:
+            if mode.damping is not None:
+                ratios[2 + 2 * mode.number : 4 + 2 * mode.number] = mode.damping
+        return ratios
+
 
 def finite_element_rotor(machine: MachineDescription) -> Rotor:
     """Assemble the shaft (``elements`` equal elements per section) and the discs of a machine; N = all elements + 1.
 
-    Discs may lie between nodes: their inertia is spread by the shape functions. Assembled once: machines of the same shaft and
-    discs share one rotor, whose arrays are read-only.
+    Discs may lie between nodes: their inertia is spread by the shape functions. Bending modes of which the machine states a
+    measured frequency have it. Assembled once: machines of the same shaft and discs share one rotor, whose arrays are
+    read-only. Raises InvalidInput where a measured frequency would change the order of the modes.
     """
-    return _rotor(machine.shaft, machine.discs, machine.beam_theory)
+    rotor = _rotor(machine.shaft, machine.discs, machine.beam_theory)
+    measured = tuple((mode.number, mode.frequency) for mode in machine.bending_modes if mode.frequency is not None)
+    return _with_frequencies(rotor, tuple(sorted(measured))) if measured else rotor
+
+
+@lru_cache(maxsize=8)
+def _with_frequencies(rotor: Rotor, measured: tuple[tuple[int, float], ...]) -> Rotor:
+    """The rotor with bending modes (number, frequency [rad/s]) as measured: K + sum (w^2 - w_0^2) M phi phi' M."""
+    numbers = [number for number, _ in measured]
+    own, shapes = _plane_bending(rotor, min(max(numbers) + 1, 2 * rotor.n_nodes - 2))
+    found = own.copy()
+    for number, frequency in measured:
+        found[number - 1] = frequency
+    for k in np.flatnonzero(np.diff(found) <= 0)[:1]:
+        number, frequency = next(one for one in measured if one[0] in {k + 1, k + 2})
+        low = found[number - 2] if number > 1 else 0.0
+        high = found[number] if number < len(found) else np.inf
+        raise invalid(
+            f"the frequency of [[bending_mode]] {number}", f"{frequency / (2 * np.pi):g} Hz",
+            f"between those of its neighbours, {low / (2 * np.pi):.4g} and {high / (2 * np.pi):.4g} Hz",
+            "check which mode was measured, or correct the shaft",
+        )  # fmt: skip
+    places = [number - 1 for number in numbers]
+    corrected, correction = rotor.plane_mass @ shapes[:, places], found[places] ** 2 - own[places] ** 2
+    stiffness = rotor.plane_stiffness + (corrected * correction) @ corrected.T
+    for array in (corrected, correction, stiffness):
+        array.flags.writeable = False
+    return replace(rotor, plane_stiffness=stiffness, corrected=corrected, correction=correction)
 
 
 @lru_cache(maxsize=8)
@@ -110,7 +150,10 @@ def _rotor(shaft: tuple[ShaftSection, ...], discs: tuple[Disc, ...], theory: str
     positions, element = _mesh(shaft, theory)
     mass, gyroscopic = _add_discs(element, positions, discs)
     bending = _CHORD.T @ element.stiffness[:, 1::2, 1::2] @ _CHORD
-    arrays = (positions, *(_assemble(part) for part in (mass, gyroscopic, element.stiffness)), element.shear, bending)
+    arrays = (
+        positions, *(_assemble(part) for part in (mass, gyroscopic, element.stiffness)), element.shear, bending,
+        np.zeros((2 * len(positions), 0)), np.zeros(0),
+    )  # fmt: skip
     for array in arrays:
         array.flags.writeable = False
     return Rotor(*arrays)
@@ -240,7 +283,8 @@ def _strain_energy(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
     w, theta, length = shapes[0::2], shapes[1::2], np.diff(rotor.positions)[:, None]
     left, right = theta[:-1], theta[1:]
     e = np.stack([right - left, right + left - 2 * np.diff(w, axis=0) / length], axis=1)
-    return np.asarray(np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1])))
+    seen = rotor.corrected.T @ shapes
+    return np.asarray(np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1])) + seen.T @ (rotor.correction[:, None] * seen))
 
 
 def _rigid_modes(rotor: Rotor) -> np.ndarray:

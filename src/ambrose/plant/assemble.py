@@ -98,7 +98,7 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
     N, S = np.hstack([N, -stators]), np.hstack([S, -fixed])
     rows = {p.name: row for p, row in zip(places, N, strict=True)}
     mass = np.eye(count + len(base))
-    damping = np.diag([*2 * machine.modal_damping * modes.frequencies, *base.damping])
+    damping = np.diag([*2 * modes.damping_ratios(machine) * modes.frequencies, *base.damping])
     stiffness = np.diag([*modes.frequencies**2, *base.stiffness])
     control = np.array([rows[axis] for axis in machine.axes])
     stiffness -= control.T @ (magnet_coefficients(machine, point)[1][:, None] * control)

@@ -255,9 +255,11 @@ def _rotor_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
         raise InvalidInput(
             f'parameter "{parameter.path}" has no port in this plant; name it in a [[tolerance]] of the machine file'
         )
-    omega = float(free_modes(plant.rotor_model, int(parameter.name.removeprefix(BENDING))).frequencies[-1])
+    modes = free_modes(plant.rotor_model, int(parameter.name.removeprefix(BENDING)))
+    omega = float(modes.frequencies[-1])
     if parameter.quantity == "damping":
-        return [Channel(f"F_{p}", plant.machine.modal_damping, ((f"qdot_{p}", -2 * omega),)) for p in ports]
+        ratio = float(modes.damping_ratios(plant.machine)[-1])
+        return [Channel(f"F_{p}", ratio, ((f"qdot_{p}", -2 * omega),)) for p in ports]
     return [
         channel
         for p in ports

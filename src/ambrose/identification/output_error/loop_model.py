@@ -1,9 +1,10 @@
 """The sampled closed loop as a function of the unknown parameters, and its exact derivatives.
 
 The plant is affine in its parameters, A(theta) = A0 + sum (theta_j - theta0_j) A_j and B likewise: a changed parameter is a
-feedback through the block that plant/uncertainty.py gives it. The loop is the one of core/lft.py, as it runs: plant held
-between the samples, sampled controller, computing delay. So the derivative of the loop is exact through that of the matrix
-exponential (core/response.py: held_derivative), and that of the outputs through the sampled sensitivity equations.
+feedback through the block that plant/uncertainty.py gives it. A bending mode enters by w^2 and 2 zeta w. The loop is the one
+of core/lft.py, as it runs: plant held between the samples, sampled controller, computing delay. So the derivative of the loop
+is exact through that of the matrix exponential (core/response.py: held_derivative), and that of the outputs through the sampled
+sensitivity equations.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from ambrose.core.response import SystemDerivative, held_derivative
 from ambrose.core.statespace import StateSpace, index_of
 from ambrose.machine.description import Tolerance
 from ambrose.plant.model import Plant
-from ambrose.plant.uncertainty import uncertain
+from ambrose.plant.uncertainty import channels, uncertain
 
 
 class ParametricModel(Protocol):
@@ -37,13 +38,39 @@ class ParametricModel(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BendingTerm:
+    """A bending mode of frequency w0 [rad/s] and damping ratio zeta0; w, zeta: their places in theta (None: known there).
+
+    by_stiffness, by_damping (n, n): what A gains with w^2 and with 2 zeta w.
+    """
+
+    w: int | None
+    zeta: int | None
+    w0: float
+    zeta0: float
+    by_stiffness: np.ndarray
+    by_damping: np.ndarray
+
+    def add(self, theta: np.ndarray, A: np.ndarray, A_theta: np.ndarray) -> None:
+        """Add its part at theta (q,) to A (n, n) and to the derivatives A_theta (q, n, n)."""
+        w = self.w0 if self.w is None else float(theta[self.w])
+        zeta = self.zeta0 if self.zeta is None else float(theta[self.zeta])
+        A += (w**2 - self.w0**2) * self.by_stiffness + 2 * (zeta * w - self.zeta0 * self.w0) * self.by_damping
+        if self.w is not None:
+            A_theta[self.w] = 2 * w * self.by_stiffness + 2 * zeta * self.by_damping
+        if self.zeta is not None:
+            A_theta[self.zeta] = 2 * w * self.by_damping
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LoopModel:
     """A (n, n), B (n, a + m), C (p, n) of the continuous plant at theta0 (q,), with directions A_theta (q, n, n),
     B_theta (q, n, a + m).
 
     Inputs: the ``a`` commands u_<axis>, then the ``m`` excitations; outputs: y_<axis> (a), then the plant's part of ``signals``
     (i_, y_). ``controller``: sampled, delay included, from err_<axis> to u_<axis>. factor (q,): theta is given for a reference
-    point; at this one the parameters are factor * theta, and so they are in theta0.
+    point; at this one the parameters are factor * theta, and so they are in theta0. bending: the modes whose frequency or
+    damping is unknown; A_theta is zero for these.
     """
 
     theta0: np.ndarray
@@ -56,12 +83,16 @@ class LoopModel:
     excitations: tuple[str, ...]
     signals: tuple[str, ...]
     factor: np.ndarray
+    bending: tuple[BendingTerm, ...] = ()
 
     def plant(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, B of the continuous plant at theta (q,), and their derivatives (q, n, n), (q, n, a + m)."""
         step, scaled = self.factor * theta - self.theta0, self.factor[:, None, None]
         A, B = self.A + np.tensordot(step, self.A_theta, 1), self.B + np.tensordot(step, self.B_theta, 1)
-        return A, B, scaled * self.A_theta, scaled * self.B_theta
+        dA = scaled * self.A_theta
+        for mode in self.bending:
+            mode.add(theta, A, dA)
+        return A, B, dA, scaled * self.B_theta
 
     def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
         """The sampled loop from ``excitations`` to ``signals`` at theta (q,), and its derivative for each parameter."""
@@ -113,7 +144,9 @@ def loop_model(
     theta0 (q,): their values in the plant, SI. excitations: e_<axis> or f_<port>; signals: y_, u_, i_<axis>. factor (q,):
     see LoopModel (None: one). Raises InvalidInput for a path or a signal that is not there.
     """
-    general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in paths]) if paths else None
+    modes = dict.fromkeys(path.rpartition(".")[0] for path in paths if path.startswith("rotor."))
+    own = list(dict.fromkeys([*paths, *(f"{mode}.damping" for mode in modes)]))  # the damping 2 zeta w follows the frequency
+    general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in own]) if own else None
     system, axes = plant.system if general is None else general.system, plant.axes
     u = index_of([f"u_{axis}" for axis in axes], system.inputs, "input")
     m = index_of([f"u_{name[2:]}" if name.startswith("e_") else name for name in excitations], system.inputs, "input")
@@ -121,15 +154,32 @@ def loop_model(
     rows = index_of(shown, system.outputs, "output")
     B, C = system.B[:, [*u, *m]], system.C[rows]
     n, inputs = system.n_states, [*u, *m]
-    dA, dB, count, ports = np.zeros((0, n, n)), np.zeros((0, n, len(inputs))), 0, 0
+    dA, dB, count, inside = np.zeros((0, n, n)), np.zeros((0, n, len(inputs))), 0, np.zeros((0, 0))
     if general is not None:
         dA, dB = directions_of(general, inputs)
-        count, ports = general.n_w_blocks, general.n_z_blocks
-    if system.D[:ports, :count].any() or system.D[np.ix_(rows, [*range(count), *inputs])].any():
+        count, inside = general.n_w_blocks, system.D[: general.n_z_blocks, : general.n_w_blocks].copy()
+        first = 0
+        for block in general.blocks:  # a frequency enters by its square, which BendingTerm has
+            if block.name.startswith("rotor."):
+                inside[first : first + block.n_z, first : first + block.n_w] = 0.0
+            first += block.n_w
+    if inside.any() or system.D[np.ix_(rows, [*range(count), *inputs])].any():
         raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
+    bending = tuple(_bending(plant, mode, paths, own, dA) for mode in modes)
+    affine = np.array([not path.startswith("rotor.") for path in paths], dtype=float)[:, None, None]
+    dA, dB = affine * dA[: len(paths)], affine * dB[: len(paths)]
     factor = np.ones(len(paths)) if factor is None else factor
     names = tuple(excitations), tuple(signals)
-    return LoopModel(theta0, system.A, B, C, dA, dB, controller, *names, factor)
+    return LoopModel(theta0, system.A, B, C, dA, dB, controller, *names, factor, bending)
+
+
+def _bending(plant: Plant, mode: str, paths: Sequence[str], own: Sequence[str], dA: np.ndarray) -> BendingTerm:
+    """The term of the mode "rotor.bending_<k>" from the directions dA (., n, n) of the paths ``own``."""
+    frequency, damping = f"{mode}.frequency", f"{mode}.damping"
+    zeta0, w0 = channels(plant, damping)[0].nominal, channels(plant, frequency)[0].nominal
+    w, zeta = (paths.index(path) if path in paths else None for path in (frequency, damping))
+    by_stiffness = np.zeros_like(dA[0]) if w is None else dA[w] / (2 * w0)
+    return BendingTerm(w, zeta, w0, zeta0, by_stiffness, dA[own.index(damping)] / (2 * w0))
 
 
 def directions_of(general: GeneralizedPlant, inputs: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

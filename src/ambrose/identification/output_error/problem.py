@@ -21,7 +21,6 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
 from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import match_controller
 from ambrose.plant.model import Plant
 
@@ -82,8 +81,8 @@ def build_experiment(
     points, dt = operating_points(machine, records)
     _check_delay(computing_delay)
     reference = max(points, key=lambda point: abs(point.seal_pressure))
-    plants = [reduced_plant(assemble(machine, point), options.bending_modes) for point in points]
     paths, timing = split_timing(machine, unknown)
+    plants = [reduced_plant(machine, point, options.bending_modes, paths) for point in points]
     main = plants[points.index(reference)]
     shown = fitted_signals(main, records, options.signals)
     excitations = driven_inputs(main, records, -(-(len(paths) + len(timing)) // len(shown)))

@@ -170,6 +170,8 @@ def warnings_of(
         if value != 0 and deviation > _UNSURE * abs(value):
             what = f"{path} = {value:.4g} has the standard deviation {deviation:.2g}"
             remedy = "excite its axis more, record longer, or take it as known"
+            if path.startswith("rotor."):
+                remedy = "it may stand for a peak of the noise: take the mode as known, its frequency too, or excite it more"
             yield Finding(Code.HARDLY_VISIBLE, WARNING, what, "hardly visible in these records", remedy)
     known = np.sqrt(np.diag(covariance)) <= _TOLD * np.abs(minimum.x)
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1)), strict=True):

@@ -41,7 +41,7 @@ def _signs(result: ParameterEstimate) -> Iterator[Finding]:
         if path in TIMING:
             continue
         parameter = parse_parameter(path)
-        positive = parameter.table == "amplifier" or parameter.quantity == "force_per_current"
+        positive = parameter.table in {"amplifier", "rotor"} or parameter.quantity == "force_per_current"
         if positive and value <= 0:
             what = f"{path} = {value:.4g} cannot be"
             evidence = "it must be positive"

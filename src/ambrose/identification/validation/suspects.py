@@ -27,16 +27,20 @@ from ambrose.identification.output_error.statistics import verdict_of
 from ambrose.identification.parameters import unit_of
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import TIMING, parse_parameter
+from ambrose.machine.parameters import BENDING, TIMING, bending_modes_of_mesh, parse_parameter
 from ambrose.machine.record.record import Record
 
 _CERTAIN = 4.0  # standard deviations of a step, below which noise may make it
 _HARMLESS = 0.02  # of a value; assumed: less than a tolerance of a magnet's coefficients ever is
 _NOT_THESE = (  # what is left once every suspect was tried in vain
-    "the model lacks something that no one of delays, gains, stiffnesses, amplifier and seals explains; likeliest first: "
-    "magnets beyond their linear range, a different controller, a missing bending mode"
+    "the model lacks something that no one of delays, gains, stiffnesses, amplifier, seals and bending modes explains; "
+    "likeliest first: magnets beyond their linear range, a different controller"
 )
+_MODES = 2  # bending modes that may be wrong; assumed: those beyond hardly show
 _OWN, _SAMPLES = 0.5, 3.0  # of a parameter, of a delay in samples: a longer step is no correction, but another machine
+_DAMPED = (
+    3.0  # of a bending mode's damping, which nobody knows; where its frequency is far off, damping it away is the first step
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,10 +61,10 @@ def suspects(
     """The suspects that noise cannot make, the best explanation first; none where no further unknown can be tried.
 
     Tried are the delays of controller and excitation, the amplifier's other parameters, gains and stiffnesses of bearings and
-    couplings, and the seals' coefficients that the fit took as known.
+    couplings, the seals' coefficients and the first two bending modes, as far as the fit took them as known.
     """
     options = replace(options, period=None)
-    paths = [path for path in (*TIMING, *_others(machine)) if not _known(path, result.paths)]
+    paths = [path for path in (*TIMING, *_others(machine, options.bending_modes)) if not _known(path, result.paths)]
     timing, rest = [path for path in paths if path in TIMING], [path for path in paths if path not in TIMING]
 
     def scored(extra: list[str]) -> list[Suspect]:
@@ -120,7 +124,7 @@ def _sized(item: Suspect) -> str:
     return f"{1e6 * item.step:+.3g} us" if item.path in TIMING else f"{item.step:+.3g} {unit_of(item.path)}"
 
 
-def _others(machine: Machine) -> list[str]:
+def _others(machine: Machine, bending_modes: int) -> list[str]:
     paths = [f"amplifier.{name}" for name in AMPLIFIER_PARAMETERS[machine.amplifier.order]]
     paths += [
         f"bearing.{item.name}.{quantity}.{axis}"
@@ -130,7 +134,9 @@ def _others(machine: Machine) -> list[str]:
     ]
     paths += [f"coupling.{item.name}.stiffness.{axis}" for item in machine.couplings for axis in ("zeta", "eta")]
     plain = [item for item in machine.seals if item.geometry is None and item.table is None]
-    return paths + [f"seal.{item.name}.{letter}" for item in plain for letter in "kKC"]
+    paths += [f"seal.{item.name}.{letter}" for item in plain for letter in "kKC"]
+    modes = range(1, 1 + min(_MODES, bending_modes, bending_modes_of_mesh(machine)))
+    return paths + [f"rotor.{BENDING}{k}.{quantity}" for k in modes for quantity in ("frequency", "damping")]
 
 
 def _known(path: str, paths: Sequence[str]) -> bool:
@@ -162,8 +168,9 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
         weights = np.append(-x, 1.0)
         spread = float(weights @ middle[np.ix_([*own, c], [*own, c])] @ weights)
         step, score = slope / left, abs(slope) / np.sqrt(max(spread, 1e-300))
-        most = _SAMPLES if experiment.paths[c] in TIMING else _OWN
+        path = experiment.paths[c]
+        most = _SAMPLES if path in TIMING else _DAMPED if path.startswith("rotor.") and path.endswith("damping") else _OWN
         if score > _CERTAIN and abs(step) / size[c] < most * max(experiment.scale[c], abs(theta[c])):
             shift = -x * step / size[own]
-            found.append(Suspect(experiment.paths[c], step / size[c], float(score), float(slope**2 / left / cost), shift))
+            found.append(Suspect(path, step / size[c], float(score), float(slope**2 / left / cost), shift))
     return found

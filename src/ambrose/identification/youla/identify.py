@@ -40,7 +40,6 @@ from ambrose.identification.parameters import expand, nominal_values, reduced_pl
 from ambrose.identification.youla.residual_model import SampledResidual, held_residual, sampled_residual
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 
 _LOOKED_AT = 10_000  # samples on which the controller is compared with the one that ran
@@ -89,8 +88,8 @@ def identify(
             raise InvalidInput(f"{name} goes with the method closed-loop; {text}")
     records = as_records(records)
     point, dt = check_records(machine, records)
-    plant = reduced_plant(assemble(machine, point), how.bending_modes)
     paths = expand(machine, unknown)
+    plant = reduced_plant(machine, point, how.bending_modes, paths)
     nominal = nominal_values(plant, paths)
     begin = start_values(paths, nominal, start)
     _check_signals(plant, records)

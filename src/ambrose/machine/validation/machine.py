@@ -50,7 +50,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
     """Everything that is wrong with a machine, one line each; numbers that are not finite hide all else."""
     checks = (
         *(_whole, parts.shaft, _names, _places, parts.discs, parts.bearings, parts.sensors, parts.amplifier, parts.couplings),
-        parts.supports,
+        *(parts.bending_modes, parts.supports),
         *(validate_seals.seals, controller, _operation, _tolerances, _requirements, _weights),
     )
     found = tuple(_sizes(machine)) or tuple(_not_finite(machine, ""))
@@ -59,7 +59,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
 
 def _sizes(machine: MachineDescription) -> Iterator[str]:
     """More than is allowed hides all else, and is looked at first (machine/limits.py)."""
-    plural = {"disc", "bearing", "sensor", "seal", "coupling", "support", "casing_mode"}
+    plural = {"disc", "bending_mode", "bearing", "sensor", "seal", "coupling", "support", "casing_mode"}
     several = {key: getattr(machine, f"{key}s") for key in plural}
     pid, operation = machine.controller, machine.operation
     chains = {} if pid is None else {"notch": pid.notches, "channel": pid.channels}

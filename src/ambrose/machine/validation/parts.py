@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, BiasPoint, MachineDescription, MagneticBearing, ShaftSection
 from ambrose.machine.limits import ELEMENTS
 from ambrose.machine.messages import complaint, number, shown, suggestion
+from ambrose.machine.parameters import bending_modes_of_mesh
 from ambrose.machine.stator import SENSORS_ON, CasingMode, Support
 from ambrose.machine.validation.signs import not_positive
 
@@ -77,6 +78,27 @@ def discs(machine: MachineDescription) -> Iterator[str]:
             most = f"at most twice the diametral_inertia, {diametral:g} kg m^2"
             remedy = "no body has more; a thin disc has exactly twice"
             yield complaint(where, "polar_inertia", number(polar, "kg m^2"), most, remedy)
+
+
+def bending_modes(machine: MachineDescription) -> Iterator[str]:
+    available = bending_modes_of_mesh(machine)
+    seen: dict[int, float] = {}
+    for mode in machine.bending_modes if machine.shaft else ():
+        where = f"[[bending_mode]] {mode.number}"
+        if not 1 <= mode.number <= available:
+            yield complaint(where, "number", str(mode.number), f"from 1 to {available}, those of the mesh", "1 is the lowest")
+        if mode.number in seen:
+            yield f"{where}: number {mode.number} is taken by an earlier [[bending_mode]]; merge the two"
+        if mode.frequency is None and mode.damping is None:
+            yield f"{where}: neither frequency nor damping is given; give what was measured, or leave the mode out"
+        yield from not_positive(where, mode, "give the natural frequency of the free rotor", "frequency")
+        if mode.damping is not None and not 0 <= mode.damping < 1:
+            remedy = "0.005 is usual for a steel shaft"
+            yield complaint(where, "damping", f"{mode.damping:g}", "a ratio from 0 to below 1", remedy)
+        rate = mode.frequency or 0.0
+        if rate and any(other and (rate - other) * (mode.number - k) < 0 for k, other in seen.items()):
+            yield f"{where}: frequency {rate:g} rad/s is out of order; number the modes by ascending frequency"
+        seen.setdefault(mode.number, rate)
 
 
 def bearings(machine: MachineDescription) -> Iterator[str]:

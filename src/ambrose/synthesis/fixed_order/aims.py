@@ -85,7 +85,8 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
     bearings = [b for b in machine.bearings for _ in range(2)]
     allowed = [wanted.max_current or b.max_current for b in bearings]
     coil = machine.amplifier
-    bending = free_modes(finite_element_rotor(machine), 1).frequencies[-1]
+    modes = free_modes(finite_element_rotor(machine), 1)
+    bending = modes.frequencies[-1]
     return Aims(
         sensitivity=min(margins),
         gain=wanted.control_gain or _GAIN * float(np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()),
@@ -93,7 +94,7 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         forces=tuple(np.nan if b.max_force is None else float(b.max_force) for b in bearings),
         damping=damping,
         damped_to=max(1.1 * top, 0.5 * float(bending)),
-        guard=_GUARD * machine.modal_damping,
+        guard=_GUARD * float(modes.damping_ratios(machine)[-1]),
         highest=max(_BEYOND * highest_verified(machine), _ROLLED * (wanted.roll_off or 0.0)),
         unbalance=0.0 if residual is None else residual.moment,
         unbalance_to=wanted.unbalance_to or top or (0.0 if residual is None else residual.speed),
