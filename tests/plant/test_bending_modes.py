@@ -16,7 +16,7 @@ from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, free_modes, mass_properties
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.sag import static_sag
+from ambrose.plant.static_load import static_sag
 from ambrose.plant.uncertainty import perturbed
 from ambrose.simulation.rig.state import build
 from ambrose.stages.plausibility import critical_speeds

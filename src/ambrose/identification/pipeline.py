@@ -80,7 +80,8 @@ def identify(
     method: "closed-loop"; "youla" (needs every u_<axis>); "static" (loads f_<port> and currents give K_i, no controller).
     unknown: paths such as "bearing.*.negative_stiffness.*" (none: what the machine marks as uncertain, K_i and K_s of every
     axis, the amplifier's lag; "delay" and "bending" alone are added to these); start: path -> SI value to begin at.
-    repeats: the records repeat one experiment. seal_form: "line" or "table", the seal at every pressure of the records; seal: which one.
+    repeats: the records repeat one experiment.
+    seal_form: "line" or "table", the seal at every pressure of the records; seal: which one.
     provenance: the names of the files.
     options: those of FitOptions (output_error/problem.py), and for static loads average and drift
     (static_load/identify.py). Raises InvalidInput with every reason why no number can be trusted.
