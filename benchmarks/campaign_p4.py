@@ -44,7 +44,7 @@ from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Chirp, Prbs, Pulse, Sine, SteppedSine
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
-from benchmarks.stepped_frf import stepped
+from ambrose.identification.frf.stepped import stepped
 
 HZ, BAR, DT = 2 * np.pi, 1e5, 1e-4
 EIGHT = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")

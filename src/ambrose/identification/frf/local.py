@@ -33,13 +33,15 @@ def local_response(
     freedom: int = 20,
     band: tuple[float, float] = (0.0, np.inf),
     harmonics: int = 3,
+    periodic: bool = False,
 ) -> Frf:
     """The response of ``outputs`` to excitations ``inputs`` (e_, r_ or d_<axis>), which are free of noise, over all records.
 
     freedom: degrees of freedom of the noise estimate at every line, which with the number of unknowns makes the least band that
     is fitted together; up to nine times that where the polynomials leave no more. band [rad/s]: kept. harmonics: multiples of
-    the speed up to which unbalance and run-out are taken out. Bands overlap: neighbouring lines are not independent. Raises
-    InvalidInput where the records are too short, or the inputs alike.
+    the speed up to which unbalance and run-out are taken out. periodic: each record is one whole period, without transient.
+    Bands overlap: neighbouring lines are not independent. Raises InvalidInput where the records are too short, or the inputs
+    alike.
     """
     u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
     records = (records,) if isinstance(records, Record) else tuple(records)
@@ -51,7 +53,7 @@ def local_response(
     still = [name for name, row in zip(u, np.hstack([Z[:m] for Z in spectra]), strict=True) if not np.abs(row).any()]
     if still:
         raise InvalidInput(f"{', '.join(still)} never changes in these records; excite it, or leave it out")
-    unknowns = (_DEGREE + 1) * (m + len(records))
+    unknowns = (_DEGREE + 1) * (m + (0 if periodic else len(records)))
     width = 2 * np.pi * (unknowns + freedom + len(records)) / float(spans.sum())  # [rad/s], of the band around a line
     low, high = max(band[0], width), min(band[1], 0.98 * np.pi / dt - width / 2)
     if high <= low + 2 * width:
@@ -59,7 +61,7 @@ def local_response(
         raise invalid("the length of the records", f"{spans.sum():g} s", requirement, "record longer")
     lines, centre = [], low
     while centre < high:
-        found, wider = _line(spectra, spans, m, centre, width, dt)
+        found, wider = _line(spectra, spans, m, centre, width, dt, periodic)
         if found is not None:
             lines.append((centre, *found))
         centre += width * max(0.5, wider / 6)  # a third of half the band that was fitted
@@ -76,7 +78,7 @@ _Fit = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _line(
-    spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, width: float, dt: float
+    spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, width: float, dt: float, periodic: bool
 ) -> tuple[_Fit | None, float]:
     """``_fit`` in the widest band that is no worse than the least, and how many times wider that is; None where the inputs are
     not told apart."""
@@ -85,16 +87,20 @@ def _line(
         reach = wider * width / 2
         if best is not None and not reach < centre < 0.99 * np.pi / dt - reach:
             break
-        found = _fit(spectra, spans, m, centre, reach)
-        if found is None:
+        found = _fit(spectra, spans, m, centre, reach, periodic)
+        if found is None and best is not None:
             break
+        if found is None:  # lines that are excited may lie apart
+            continue
         if best is not None and np.mean(np.diag(found[1]).real / np.diag(best[1]).real) > _WORSE:
             break
         best, chosen = found, wider
     return best, chosen
 
 
-def _fit(spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, reach: float) -> _Fit | None:
+def _fit(
+    spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, reach: float, periodic: bool
+) -> _Fit | None:
     """Response (p, m), noise (p, p), share (m, m) and coherence (p,) in centre -+ reach [rad/s]; None: not told."""
     count = _DEGREE + 1
     rows, right = [], []
@@ -102,14 +108,15 @@ def _fit(spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, re
         step = 2 * np.pi / span
         at = np.arange(int(np.ceil((centre - reach) / step)), int((centre + reach) / step) + 1)
         powers = ((at * step - centre) / reach) ** np.arange(count)[:, None]
-        X = np.zeros((len(at), count * (m + len(spectra))), complex)
+        X = np.zeros((len(at), count * (m + (0 if periodic else len(spectra)))), complex)
         X[:, : count * m] = (powers[:, None] * Z[:m, at]).reshape(-1, len(at)).T
-        X[:, count * (m + number) : count * (m + number + 1)] = powers.T  # the record's transient
+        if not periodic:
+            X[:, count * (m + number) : count * (m + number + 1)] = powers.T  # the record's transient
         rows.append(X)
         right.append(Z[m:, at].T)
     X, Y = np.vstack(rows), np.vstack(right)
     size = np.linalg.norm(X, axis=0)
-    if not size.all():
+    if len(X) <= X.shape[1] or not size.all():
         return None
     Q, R = np.linalg.qr(X / size)
     s = np.linalg.svd(R, compute_uv=False)

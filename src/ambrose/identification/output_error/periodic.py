@@ -80,7 +80,7 @@ def period_of(task: Task, period: float | str, dt: float) -> int:
     if isinstance(period, str):
         if period != "auto":
             raise invalid("period", repr(period), 'a time in s, or "auto"', "leave it out for a fit in time domain")
-        shortest = _shortest(task)
+        shortest = shortest_period(task.e)
         if shortest is None:
             raise InvalidInput(
                 'period "auto": the excitation does not repeat within the record; leave period out, or record whole periods'
@@ -105,14 +105,15 @@ def _repeats(wave: np.ndarray, P: int) -> bool:
     return bool(np.abs(wave[P:] - wave[:-P]).max(initial=0.0) <= size) if len(wave) > P else True
 
 
-def _shortest(task: Task) -> int | None:
-    k = task.samples
+def shortest_period(waves: np.ndarray) -> int | None:
+    """The shortest number of samples after which all waves (m, k) repeat exactly; None: they do not."""
+    k = waves.shape[1]
     lags = np.arange(4, k // 2 + 1)
-    for wave in task.e:
+    for wave in waves:
         size = _SAME * float(np.abs(wave).max())
         for t in np.unique(np.linspace(0, k - k // 2 - 1, 200).astype(int)):  # a few samples rule out nearly all
             lags = lags[np.abs(wave[lags + t] - wave[t]) <= size]
-    return next((int(P) for P in lags if all(_repeats(wave, int(P)) for wave in task.e)), None)
+    return next((int(P) for P in lags if all(_repeats(wave, int(P)) for wave in waves)), None)
 
 
 def lines_of(task: Task, P: int) -> Lines:

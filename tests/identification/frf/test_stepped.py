@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
-from benchmarks.stepped_frf import stepped
+from ambrose.identification.frf.stepped import stepped
 
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.frf.phasors import steps_of
