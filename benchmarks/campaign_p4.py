@@ -26,6 +26,7 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.phasors import Step, steps_of
 from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.frf.stepped import stepped
 from ambrose.identification.frf.validity import Validity, compare
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop
@@ -44,7 +45,6 @@ from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Chirp, Prbs, Pulse, Sine, SteppedSine
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
-from ambrose.identification.frf.stepped import stepped
 
 HZ, BAR, DT = 2 * np.pi, 1e5, 1e-4
 EIGHT = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")

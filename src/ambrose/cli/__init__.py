@@ -13,15 +13,16 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
-from ambrose.cli.accept import accept
-from ambrose.cli.balance import balance
-from ambrose.cli.calibrate import calibrate
 from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
 from ambrose.cli.convert_controller import convert_controller
 from ambrose.cli.export import export
-from ambrose.cli.identify import identify
 from ambrose.cli.new import new
+from ambrose.cli.records.accept import accept
+from ambrose.cli.records.balance import balance
+from ambrose.cli.records.calibrate import calibrate
+from ambrose.cli.records.frf import frf
+from ambrose.cli.records.identify import identify
 from ambrose.cli.simulate import simulate
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
@@ -98,6 +99,7 @@ for command in (
     verify,
     simulate,
     identify,
+    frf,
     calibrate,
     balance,
     accept,

@@ -280,7 +280,7 @@ def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]
     words = "maximum singular value"
     found.append(_peak("sensitivity.output.max", words, loop.omega, loop.sigma, loop.low, loop.high, largest, wanted))
     for i, axis in enumerate(loop.axes):
-        phase, at = _phase_margin(loop.omega, loop.loops[:, i])
+        phase, at = phase_margin(loop.omega, loop.loops[:, i])
         detail = f"at {at / TWO_PI:.4g} Hz" if np.isfinite(at) else "no crossing of unit gain in the range"
         wanted = demand("phase margin", requirements)
         found.append(judge(f"margin.phase.output.{axis}", f"Measured phase margin, {axis}", phase, "rad", wanted, detail))
@@ -322,7 +322,7 @@ def _peak(
     return replace(check, value=float(value[k]), passed=met)
 
 
-def _phase_margin(omega: np.ndarray, L: np.ndarray) -> tuple[float, float]:
+def phase_margin(omega: np.ndarray, L: np.ndarray) -> tuple[float, float]:
     """Smallest angle [rad] between the loop at unit gain and the critical point, and where [rad/s]; inf, nan without any."""
     size = np.log(np.abs(L))
     i = np.flatnonzero(size[:-1] * size[1:] <= 0)

@@ -57,6 +57,8 @@ class Code(StrEnum):
     # Stepped sines at a seal (seal/stepped_sine.py)
     AT_SPEED = "step-at-speed"  # unbalance answers too
     NOISY = "noisy-step"
+    # Frequency responses (evaluation/response.py)
+    UNCERTAIN_LINES = "uncertain-lines"  # the excitation is too weak there
 
 
 @dataclass(frozen=True, slots=True)

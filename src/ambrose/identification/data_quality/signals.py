@@ -13,6 +13,7 @@ from ambrose.machine.record.record import Record
 _LONG, _FEW = 3, 2  # samples of a flat top, and how many flat tops make it clipping
 _CROWDED = 4.0  # samples at the extreme over those one step below it: 2.4 at the crest of a sine in coarse steps
 _STEPPED = 1e-3  # share of equal neighbours from which a signal comes in coarse steps
+_ROUNDING = 1e-9  # of a signal's size: less than this moves nothing
 _SERIOUS = 1e-3  # share of clipped or repeated samples from which a record is refused
 _AT_LIMIT = 0.999
 _STEADY = 0.05  # change of speed or pressure within a record, over its largest
@@ -62,6 +63,8 @@ def flat_tops(x: np.ndarray) -> tuple[int, float]:
 
 def _clipped(record: Record, name: str, where: str) -> list[Finding]:
     x = record[name]
+    if np.ptp(x) <= _ROUNDING * np.abs(x).max():
+        return []
     count, level = flat_tops(x)
     if not count or len(np.unique(x[:20000])) <= 3:  # two or three values alone: a switched signal
         return []

@@ -85,7 +85,7 @@ def _line(
     best, chosen = None, 1.0
     for wider in _WIDER:
         reach = wider * width / 2
-        if best is not None and not reach < centre < 0.99 * np.pi / dt - reach:
+        if wider > 1 and not reach < centre < 0.99 * np.pi / dt - reach:
             break
         found = _fit(spectra, spans, m, centre, reach, periodic)
         if found is None and best is not None:
@@ -98,9 +98,7 @@ def _line(
     return best, chosen
 
 
-def _fit(
-    spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, reach: float, periodic: bool
-) -> _Fit | None:
+def _fit(spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, reach: float, periodic: bool) -> _Fit | None:
     """Response (p, m), noise (p, p), share (m, m) and coherence (p,) in centre -+ reach [rad/s]; None: not told."""
     count = _DEGREE + 1
     rows, right = [], []

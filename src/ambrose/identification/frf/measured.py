@@ -8,13 +8,16 @@ noise, so what is measured against it has no bias by feedback; the plant is the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf.local import local_response
+from ambrose.identification.frf.phasors import find_steps
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.frf.stepped import is_stepped, stepped
 from ambrose.identification.output_error.periodic import shortest_period
@@ -29,6 +32,7 @@ IN_WORDS = {
 }
 _ALIKE = 1e-6  # relative difference of two excitations that are one
 _WEAK = 1e4  # times the least variance per unit of noise: lines that the excitation hardly reaches
+_SETTLE = 0.3  # [s]
 _FREEDOM = 12  # degrees of freedom of the noise at a line of repeated excitations, whose lines are few
 
 
@@ -77,13 +81,13 @@ class LoopFrf:
 
 def measure(
     records: Sequence[Record], axes: Sequence[str], *, method: str | None = None, band: tuple[float, float] = (0.0, np.inf),
-    harmonics: int = 3, settle: float = 0.3,
+    harmonics: int = 3, settle: float | None = None,
 ) -> LoopFrf:  # fmt: skip
     """The loop's responses from records of one operating point, to all excitations e_<axis>, r_<axis> and f_<port> in them.
 
     method: one of METHODS; None: the one that suits the excitation. Excitations that are driven alike in all records are one,
     the response to both together. band [rad/s]: kept. harmonics: multiples of the speed that are taken out of the signals;
-    settle [s]: left out of each sine. Raises InvalidInput.
+    settle [s]: left out of each sine (None: 0.3 s, or what three periods leave of the shortest). Raises InvalidInput.
     """
     if method is not None and method not in METHODS:
         raise invalid("method", repr(method), " or ".join(METHODS), "leave it out: the excitation tells")
@@ -94,14 +98,15 @@ def measure(
     outputs = [f"{kind}_{axis}" for kind in ("y", "v")[: 1 + commanded] for axis in axes]
     sines = all(is_stepped(record, [name for group in together for name in group]) for record in records)
     if method == "sines" or (method is None and sines):
-        found = stepped(ready, inputs, outputs, settle=settle)
+        found = stepped(ready, inputs, outputs, settle=_settling(ready) if settle is None else settle)
         return LoopFrf(_kept(found, band), "sines", together)
     calm = [without_synchronous(record, harmonics) for record in ready]
     folded = None if method == "polynomials" else _folded(calm, inputs, outputs)
     if folded is not None:
-        means, periods = folded
-        found = local_response(means, inputs, outputs, band=band, harmonics=0, freedom=_FREEDOM, periodic=True)
-        return LoopFrf(_reached(found), "periods", together, periods)
+        with suppress(*(() if method else (InvalidInput,))):  # a period too short for its lines to tell the inputs apart
+            options: dict[str, Any] = {"harmonics": 0, "freedom": _FREEDOM, "periodic": True}
+            found = local_response(folded[0], inputs, outputs, band=band, **options)
+            return LoopFrf(_reached(found), "periods", together, folded[1])
     if method == "periods":
         raise InvalidInput("the excitation does not repeat twice in every record; take the method polynomials")
     return LoopFrf(_reached(local_response(calm, inputs, outputs, band=band, harmonics=0)), "polynomials", together)
@@ -126,10 +131,16 @@ def _driven(records: Sequence[Record], axes: Sequence[str]) -> tuple[tuple[str, 
             groups.append([name])
     if not groups:
         raise InvalidInput(
-            "the records hold no excitation e_<axis>, r_<axis> or f_<port> that changes; excite the loop, as the scenarios chirp, "
-            "prbs, stepped-sine and acceptance do, and record what was added"
+            "the records hold no excitation e_<axis>, r_<axis> or f_<port> that changes; excite the loop, as the scenarios "
+            "chirp, prbs, stepped-sine and acceptance do, and record what was added"
         )
     return tuple(map(tuple, groups))
+
+
+def _settling(records: Sequence[Record]) -> float:
+    """Seconds left out of every sine, so that three periods of each remain (and a little, as ends are found to a sample)."""
+    steps = [(step, record.dt) for record in records for step in find_steps(record)]
+    return min(_SETTLE, *(max(s.stop - s.start - 3.01 * 2 * np.pi / s.frequency - dt, 0.0) for s, dt in steps))
 
 
 def _with_commands(record: Record, axes: Sequence[str], inputs: Sequence[str]) -> Record:
@@ -144,9 +155,7 @@ def _with_commands(record: Record, axes: Sequence[str], inputs: Sequence[str]) -
     )  # fmt: skip
 
 
-def _folded(
-    records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]
-) -> tuple[tuple[Record, ...], int] | None:
+def _folded(records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]) -> tuple[tuple[Record, ...], int] | None:
     """The records as means over their periods but the first, and the least number of periods averaged; None: none repeats."""
     means, least = [], 0
     for record in records:

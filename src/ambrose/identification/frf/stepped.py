@@ -24,7 +24,7 @@ def stepped(
     steps: Sequence[Step] | None = None,
     settle: float = 0.3,
 ) -> Frf:
-    """The response of ``outputs`` to ``inputs`` at the frequencies driven in as many ways as there are inputs, Y U^-1 of phasors.
+    """The response of ``outputs`` to ``inputs``, Y U^-1 of phasors, at the frequencies driven in as many ways as inputs.
 
     The ways may be steps of one record, or of several, driven in different directions; more of them are fitted by least
     squares. steps: the schedule of all records (None: found in each). settle [s]: left out of each step. Coherence: the part

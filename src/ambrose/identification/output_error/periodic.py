@@ -105,9 +105,9 @@ def _repeats(wave: np.ndarray, P: int) -> bool:
     return bool(np.abs(wave[P:] - wave[:-P]).max(initial=0.0) <= size) if len(wave) > P else True
 
 
-def shortest_period(waves: np.ndarray) -> int | None:
+def shortest_period(waves: Sequence[np.ndarray] | np.ndarray) -> int | None:
     """The shortest number of samples after which all waves (m, k) repeat exactly; None: they do not."""
-    k = waves.shape[1]
+    k = len(waves[0])
     lags = np.arange(4, k // 2 + 1)
     for wave in waves:
         size = _SAME * float(np.abs(wave).max())

@@ -33,13 +33,15 @@ def response_figure(
     *,
     valid_to: Mapping[str, float] | None = None,
     points: bool = False,
+    unit: str = "m/A",
 ) -> Any:
     """Magnitude, phase, coherence of measured responses, a column for each, models on the same lines and their error.
 
     The error is |model - measured| over |measured|; the pale band is the measurement's own, 95 %.
 
     measured: title -> Frf of one input and one output; models: title -> label -> response. valid_to: title -> frequency
-    [rad/s] marked by a dashed line. points: draw the measured lines as points (stepped sines). Raises InvalidInput.
+    [rad/s] marked by a dashed line. points: draw the measured lines as points (stepped sines). unit: SI, of the
+    values. Raises InvalidInput.
     """
     if not measured:
         raise InvalidInput("no measured response was given; a figure needs at least one")
@@ -51,7 +53,7 @@ def response_figure(
     labels = list(dict.fromkeys(label for each in models.values() for label in each))
     look = dict(zip(labels, theme.candidate_styles(labels).values(), strict=True))
     sizes = [np.abs(item.values[:, 0, 0]) for item in measured.values()]
-    factor, unit = units.scale("m/A", float(max(size.max() for size in sizes)))
+    factor, unit = units.scale(unit, float(max(size.max() for size in sizes)))
     for column, (title, item) in enumerate(measured.items(), 1):
         if item.values.shape[1:] != (1, 1):
             raise InvalidInput(f"the response {title!r} has {item.values.shape[1:]} entries, but must have one; select() it")
