@@ -89,6 +89,12 @@ CASES = {
     "50 Hz, G2.5, nothing taken out": lambda seed: linear(2.5e-3, SPEED, 1.0, 3, seed),
     "rig, standstill, 1 mode": lambda seed: nonlinear(0.0, 0.0, 1, seed),
     "rig, standstill, 2 modes": lambda seed: nonlinear(0.0, 0.0, 2, seed),
+    "standstill, 4 modes, model 1": lambda seed: linear(0.0, 0.0, 1.0, 4, seed),
+    "standstill, 4 modes, model 2": lambda seed: linear(0.0, 0.0, 1.0, 4, seed),
+    "rig, standstill, 4 modes, model 1": lambda seed: nonlinear(0.0, 0.0, 4, seed),
+    "rig, standstill, 4 modes, model 2": lambda seed: nonlinear(0.0, 0.0, 4, seed),
+    "rig, 50 Hz, G6.3, 4 modes, model 1": lambda seed: nonlinear(6.3e-3, SPEED, 4, seed),
+    "rig, 50 Hz, G6.3, 4 modes, model 2": lambda seed: nonlinear(6.3e-3, SPEED, 4, seed),
     "rig, standstill, 4 modes": lambda seed: nonlinear(0.0, 0.0, 4, seed),
     "rig, 50 Hz, G6.3, 1 mode": lambda seed: nonlinear(6.3e-3, SPEED, 1, seed),
     "rig, 50 Hz, G6.3, 2 modes": lambda seed: nonlinear(6.3e-3, SPEED, 2, seed),
@@ -104,6 +110,8 @@ def coverage(runs, chosen):
         for seed in range(runs):
             data, truth = CASES[title](seed)
             options = {"harmonics": 0} if title.endswith("nothing taken out") else {}
+            if ", model " in title:
+                options["bending_modes"] = int(title[-1])
             done = amb.identify(machine, data, law, unknown=UNKNOWN, **options)
             found, truths, good = [*found, done.result], [*truths, truth], good + done.passed
         truth = np.array(truths)

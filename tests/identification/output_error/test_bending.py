@@ -17,6 +17,7 @@ from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop as whole_loop
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values, plant_at
+from ambrose.identification.validation.suspects import suspects
 from ambrose.machine.description import BendingMode, OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.record.record import Record
@@ -52,9 +53,9 @@ def stiffer(factor, damping=0.005):
 
 
 @cache
-def record(factor=1.0, damping=0.005, speed=0.0, k=8000, noise=1e-8, seed=0):
+def record(factor=1.0, damping=0.005, speed=0.0, k=8000, noise=1e-8, seed=0, modes=3):
     point = OperatingPoint(speed=speed)
-    plant = free_mode_reduction(assemble(stiffer(factor, damping), point), 3)
+    plant = free_mode_reduction(assemble(stiffer(factor, damping), point), modes)
     e = np.stack([0.1 * waveforms.prbs(9, 10, k, shift=127 * i) for i in range(4)])
     names = [f"{kind}_{axis}" for kind in "ey" for axis in plant.axes]
     loop = closed_loop(plant, c2d(match_controller(law(), plant), DT, "tustin", delay=DT))
@@ -166,3 +167,18 @@ def test_a_result_changes_its_mode_alone():
     assert made.bending_modes[0] == BendingMode(1, float(found.values[0]), 0.004)
     assert made.bending_modes[1] == given.bending_modes[1]
     assert made.tolerances == (Tolerance(MODE[0], relative=made.tolerances[0].relative),)
+
+
+def test_modes_beyond_the_model_are_named_and_their_effect_is_in_the_intervals():
+    data = record(noise=1e-7, modes=8)
+    truth = nominal_values(assemble(machine(), data.point), expand(machine(), NINE))
+    bare = whole_loop.identify(machine(), data, law(), NINE, bending_modes=1)
+    assert np.mean(np.abs(bare.values - truth) < COVERAGE * bare.standard_deviations) < 0.7
+    done = amb.identify(machine(), data, law(), unknown=NINE, bending_modes=1)
+    assert "4 bending modes instead of 1" in done.verdict
+    assert np.all(np.abs(done.result.values - truth) < COVERAGE * done.result.standard_deviations)
+    (cut,) = [item for item in suspects(machine(), [data], law(), bare, FitOptions(bending_modes=1)) if "modes" in item.path]
+    more = whole_loop.identify(machine(), data, law(), NINE, bending_modes=4)
+    np.testing.assert_allclose(bare.values + cut.shift, more.values, rtol=0, atol=0.2 * np.abs(cut.shift).max())
+    enough = amb.identify(machine(), data, law(), unknown=NINE)
+    assert "instead of" not in enough.verdict

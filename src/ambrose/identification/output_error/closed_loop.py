@@ -19,6 +19,7 @@ from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.findings import Code, Finding
 from ambrose.identification.output_error import statistics
+from ambrose.identification.output_error.freedom import restored
 from ambrose.identification.output_error.lagged_products import coloured_products
 from ambrose.identification.output_error.levenberg_marquardt import Linearised, Minimum, minimise
 from ambrose.identification.output_error.loop_model import ParametricModel, over_weights
@@ -210,7 +211,8 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
         tasks, begun = further, begun + minimum.iterations
         minimum = problem.minimise(tasks, minimum.x, floor=_EXACT * total, negligible=small)
     loops, signals, models = problem.loops(minimum.x), experiment.models[0].signals, experiment.models
-    middle = np.zeros_like(minimum.parts[0].equations.H)
+    H = np.sum([part.equations.H for part in minimum.parts], axis=0)
+    middle = np.zeros_like(H)
     fits: list[tuple[int, str, float]] = []
     tests: list[statistics.ResidualTest] = []
     turning: list[statistics.TurningWave] = []
@@ -220,7 +222,8 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
         loop, directions = loops[task.place]
         names = [_names(models[task.place], mix) for mix in task.mix.T]
         scores = residual_scores(loop, task, part, names, signals, count)
-        middle += coloured_products(jacobian_pieces(loop, directions, task, part), scores.covariance)
+        coloured = coloured_products(jacobian_pieces(loop, directions, task, part), scores.covariance)
+        middle += restored(coloured, loop, directions, task, part, H)
         fits += [(number, name, percent) for name, percent in zip(signals, scores.fit, strict=True)]
         tests += scores.tests
         if task.synchronous is not None:

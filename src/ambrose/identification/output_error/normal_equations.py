@@ -266,10 +266,27 @@ def jacobian_pieces(
 ) -> Iterator[np.ndarray]:
     """J (q, p, length) piece by piece, without the part that initial state and waves could explain."""
     loop, directions = _driven(system, directions, task)
-    for start, F in stream(lift(loop, directions), list(task.e), solution.x0, solution.dx0, _long(task)):
-        piece = _in_time(F[1:], min(F.shape[1] * F.shape[3], task.samples - start))
-        piece += solution.db @ task.waves_at(start, start + piece.shape[2])
-        yield piece
+    for start, piece in _pieces(loop, directions, task, solution.x0, solution.dx0):
+        yield piece + solution.db @ task.waves_at(start, start + piece.shape[2])
+
+
+def explained_columns(system: StateSpace, task: Task) -> np.ndarray:
+    """Orthonormal columns (r, p, k) of all that initial state and waves can explain in a short record."""
+    loop, _ = _driven(system, [], task)
+    n, p, still = loop.n_states, len(loop.outputs), lift(loop, [])
+    basis = _nuisance_basis(loop, still, task)
+    nothing = SystemDerivative(np.zeros_like(loop.A), np.zeros_like(loop.B), np.zeros_like(loop.C), np.zeros_like(loop.D))
+    x0, b = basis[:n].T, basis[n:].T.reshape(basis.shape[1], p, task.waves)
+    seen = [piece for _, piece in _pieces(loop, [nothing] * len(x0), task, np.zeros(n), x0)]
+    return np.concatenate(seen, axis=2) + b @ task.waves_at(0, task.samples)
+
+
+def _pieces(
+    loop: StateSpace, directions: list[SystemDerivative], task: Task, x0: np.ndarray, dx0: np.ndarray
+) -> Iterator[tuple[int, np.ndarray]]:
+    """The first sample and the derivatives (q, p, length) piece by piece."""
+    for start, F in stream(lift(loop, directions), list(task.e), x0, dx0, _long(task)):
+        yield start, _in_time(F[1:], min(F.shape[1] * F.shape[3], task.samples - start))
 
 
 def _long(task: Task) -> int:

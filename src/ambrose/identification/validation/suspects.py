@@ -36,6 +36,9 @@ _NOT_THESE = (  # what is left once every suspect was tried in vain
     "the model lacks something that no one of delays, gains, stiffnesses, amplifier, seals and bending modes explains; "
     "likeliest first: magnets beyond their linear range, a different controller"
 )
+BENDING_MODES = "bending modes"
+_FURTHER = 3  # bending modes beyond those modelled, which are tried
+_SEEN = 0.3  # standard deviations of a value, below which the modes beyond are left alone
 _MODES = 2  # bending modes that may be wrong; assumed: those beyond hardly show
 _OWN, _SAMPLES = 0.5, 3.0  # of a parameter, of a delay in samples: a longer step is no correction, but another machine
 _DAMPED = (
@@ -64,6 +67,9 @@ def suspects(
     couplings, the seals' coefficients and the first two bending modes, as far as the fit took them as known.
     """
     options = replace(options, period=None)
+    more = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
+    cut = None if more <= options.bending_modes else _truncation(machine, records, controller, result, options, more)
+    options = replace(options, bending_modes=max(more, options.bending_modes))
     paths = [path for path in (*TIMING, *_others(machine, options.bending_modes)) if not _known(path, result.paths)]
     timing, rest = [path for path in paths if path in TIMING], [path for path in paths if path not in TIMING]
 
@@ -76,7 +82,27 @@ def suspects(
             half = len(extra) // 2
             return [] if not half else scored(extra[:half]) + scored(extra[half:])
 
-    return tuple(sorted(scored(timing) + scored(rest), key=lambda item: -item.explains))
+    found = [*scored(timing), *scored(rest), *([] if cut is None else [cut])]
+    return tuple(sorted(found, key=lambda item: -item.explains))
+
+
+def _truncation(
+    machine: Machine, records: Sequence[Record], controller: Any, result: ParameterEstimate, options: FitOptions, modes: int
+) -> Suspect | None:
+    """What ``modes`` bending modes would do to the values, by one step of Gauss and Newton; None where noise hides it."""
+    costs, step = [], np.zeros(0)
+    for count in (options.bending_modes, modes):
+        try:
+            experiment = build_experiment(machine, records, controller, result.paths, replace(options, bending_modes=count))
+        except AmbroseError:
+            return None
+        H, g, cost = _equations(experiment, result.values)[:3]
+        size = np.sqrt(np.diag(H))
+        step = np.linalg.solve(H / size / size[:, None], g / size) / size
+        costs.append(cost - float(g @ step))
+    if not np.any(np.abs(step) > _SEEN * result.standard_deviations):
+        return None
+    return Suspect(f"{modes} {BENDING_MODES}", 0.0, np.inf, max(1 - costs[1] / costs[0], 0.0), step)
 
 
 def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> ParameterEstimate:
@@ -121,6 +147,8 @@ def causes(found: Sequence[Suspect]) -> str:
 
 
 def _sized(item: Suspect) -> str:
+    if item.path.endswith(BENDING_MODES):
+        return f"instead of {int(item.path.split()[0]) - _FURTHER}"
     return f"{1e6 * item.step:+.3g} us" if item.path in TIMING else f"{item.step:+.3g} {unit_of(item.path)}"
 
 
@@ -145,18 +173,27 @@ def _known(path: str, paths: Sequence[str]) -> bool:
     )
 
 
-def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
-    theta, own = experiment.nominal.copy(), [experiment.paths.index(path) for path in result.paths]
-    theta[own] = result.values
+def _equations(
+    experiment: Experiment, theta: np.ndarray, coloured: bool = False
+) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """J'J (q, q), J'r (q,), r'r at theta (q,), and, ``coloured``, the covariance of J'r (q, q)."""
     loops = LeastSquares(experiment, normal_equations).loops(theta)
     H, middle, g, cost = np.zeros((len(theta), len(theta))), np.zeros((len(theta), len(theta))), np.zeros(len(theta)), 0.0
     for task in experiment.tasks:
         loop, directions = loops[task.place]
         task = synchronised(loop, task)  # noqa: PLW2901
         part = normal_equations(loop, directions, task)
-        covariance = residual_scores(loop, task, part, ["e"] * len(task.e), experiment.signals, 1).covariance
-        middle += coloured_products(jacobian_pieces(loop, directions, task, part), covariance)
+        if coloured:
+            covariance = residual_scores(loop, task, part, ["e"] * len(task.e), experiment.signals, 1).covariance
+            middle += coloured_products(jacobian_pieces(loop, directions, task, part), covariance)
         H, g, cost = H + part.equations.H, g + part.equations.g, cost + part.equations.cost
+    return H, g, cost, middle
+
+
+def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
+    theta, own = experiment.nominal.copy(), [experiment.paths.index(path) for path in result.paths]
+    theta[own] = result.values
+    H, g, cost, middle = _equations(experiment, theta, coloured=True)
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     H, g, middle = H / size / size[:, None], g / size, middle / size / size[:, None]
     found = []
