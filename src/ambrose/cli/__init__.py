@@ -23,6 +23,7 @@ from ambrose.cli.records.balance import balance
 from ambrose.cli.records.calibrate import calibrate
 from ambrose.cli.records.frf import frf
 from ambrose.cli.records.identify import identify
+from ambrose.cli.records.seal import seal
 from ambrose.cli.simulate import simulate
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
@@ -100,6 +101,7 @@ for command in (
     simulate,
     identify,
     frf,
+    seal,
     calibrate,
     balance,
     accept,

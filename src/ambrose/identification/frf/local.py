@@ -34,12 +34,14 @@ def local_response(
     band: tuple[float, float] = (0.0, np.inf),
     harmonics: int = 3,
     periodic: bool = False,
+    at: Sequence[float] | None = None,
 ) -> Frf:
     """The response of ``outputs`` to excitations ``inputs`` (e_, r_ or d_<axis>), which are free of noise, over all records.
 
     freedom: degrees of freedom of the noise estimate at every line, which with the number of unknowns makes the least band that
     is fitted together; up to nine times that where the polynomials leave no more. band [rad/s]: kept. harmonics: multiples of
     the speed up to which unbalance and run-out are taken out. periodic: each record is one whole period, without transient.
+    at [rad/s]: the lines wanted, of which those that cannot be told are left out (None: as dense as the record allows).
     Bands overlap: neighbouring lines are not independent. Raises InvalidInput where the records are too short, or the inputs
     alike.
     """
@@ -59,8 +61,10 @@ def local_response(
     if high <= low + 2 * width:
         requirement = f"so long that {width / 2 / np.pi:.3g} Hz, the band fitted together, is far below the highest frequency"
         raise invalid("the length of the records", f"{spans.sum():g} s", requirement, "record longer")
-    lines, centre = [], low
+    lines, centre, wanted = [], low, None if at is None else iter(sorted(w for w in at if low <= w <= high))
     while centre < high:
+        if wanted is not None and (centre := next(wanted, np.inf)) == np.inf:
+            break
         found, wider = _line(spectra, spans, m, centre, width, dt, periodic)
         if found is not None:
             lines.append((centre, *found))

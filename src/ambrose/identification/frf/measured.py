@@ -91,7 +91,7 @@ def measure(
     """
     if method is not None and method not in METHODS:
         raise invalid("method", repr(method), " or ".join(METHODS), "leave it out: the excitation tells")
-    together = _driven(records, axes)
+    together = driven_groups(records, axes)
     inputs = tuple(group[0] for group in together)
     commanded = all(f"u_{axis}" in record.signals for record in records for axis in axes)
     ready = [_with_commands(record, axes, inputs) if commanded else record for record in records]
@@ -112,7 +112,7 @@ def measure(
     return LoopFrf(_reached(local_response(calm, inputs, outputs, band=band, harmonics=0)), "polynomials", together)
 
 
-def _driven(records: Sequence[Record], axes: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+def driven_groups(records: Sequence[Record], axes: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     """The excitations that change, those together that are proportional in every record by one factor."""
     named = dict.fromkeys(name for record in records for name in record.signals)
     wanted = [n for n in named if (n[:2] in {"e_", "r_"} and n[2:] in axes) or (n[:2] == "f_" and n[:9] != "f_magnet_")]

@@ -55,6 +55,12 @@ class SealFit:
         """The rows (n,) bool or indices only."""
         return replace(self, **{name: getattr(self, name)[kept] for name in _PER_ROW})
 
+    def joined(self, *others: SealFit) -> SealFit:
+        """The rows of all, by pressure, then frequency."""
+        parts = {name: np.concatenate([getattr(one, name) for one in (self, *others)]) for name in _PER_ROW}
+        order = np.lexsort((parts["frequency"], parts["pressure"]))
+        return replace(self, **{name: part[order] for name, part in parts.items()})
+
     def at(self, pressure: float) -> SealFit:
         """The rows at one pressure [Pa]; raises InvalidInput listing the known ones."""
         kept = np.isclose(self.pressure, pressure, rtol=1e-6, atol=1.0)

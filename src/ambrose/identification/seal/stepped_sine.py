@@ -9,7 +9,7 @@ pressure, noise that does not repeat) drops out. What the model lacks shows as a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,8 +19,9 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.findings import WARNING, Code, Finding
-from ambrose.identification.frf.phasors import Phasors, Step, find_steps, phasors
+from ambrose.identification.frf.phasors import Step, find_steps, phasors
 from ambrose.identification.output_error.problem import operating_points
+from ambrose.identification.seal.broadband import Driven, at_lines
 from ambrose.identification.seal.result import SealFit
 from ambrose.machine.description import OperatingPoint, Seal
 from ambrose.machine.machine import Machine
@@ -45,6 +46,8 @@ def identify(
     settle: float = 0.3,
     currents: str | None = None,
     reference: bool = True,
+    lines: Sequence[float] | None = None,
+    harmonics: int = 3,
 ) -> SealFit:
     """The coefficients of a seal at every pressure and frequency of the records.
 
@@ -53,7 +56,9 @@ def identify(
     several. steps: the schedule of all records (None: found in each). settle [s]: left out at the begin of each step. currents:
     "measured" coil currents or "commanded" ones through the amplifier's model (None: measured where recorded). reference: the
     records at zero pressure tell what the model lacks, which is taken off all others and reported as ``systematic``; without,
-    the machine must be exact. Raises InvalidInput.
+    the machine must be exact. lines (f,) [rad/s]: instead of stepped sines the records hold chirps, binary sequences or
+    noise along both directions, whose responses are taken at these frequencies (broadband.py), harmonics: multiples of the
+    speed taken out of them. Raises InvalidInput.
     """
     name = seal_name(machine, seal)
     operating_points(machine, records, one_rate=False)
@@ -62,9 +67,15 @@ def identify(
         groups.setdefault(record.point.seal_pressure, []).append(record)
     if reference and 0.0 not in groups:
         raise InvalidInput("no record was taken without pressure; add one, or pass reference=False and trust the model")
-    stiffness = {
-        pressure: _at_pressure(machine, name, groups[pressure], steps, settle, currents) for pressure in sorted(groups)
-    }
+    if currents not in (None, *CURRENTS):
+        raise invalid("currents", repr(currents), " or ".join(CURRENTS), "correct it")
+
+    def driven(group: list[Record]) -> dict[float, list[Driven]]:
+        if lines is None:
+            return _steps(machine, group, steps, settle, currents)
+        return at_lines(group, _signals(machine, group, currents), [_key(w) for w in lines], harmonics)
+
+    stiffness = {pressure: _at_pressure(machine, name, groups[pressure], driven) for pressure in sorted(groups)}
     lacking = _lacking(machine, name, stiffness[0.0], groups[0.0][0].point) if reference else {}
     rows = [
         (pressure, _corrected(item, lacking, stiffness[0.0] if reference else []))
@@ -75,7 +86,10 @@ def identify(
         raise InvalidInput(
             "no frequency was driven both with and without pressure; add records under pressure, with the same frequencies"
         )
-    return replace(_result(machine, name, rows), warnings=tuple(_warnings(records, rows)))
+    fit = _result(machine, name, rows)
+    how = "stepped sine" if lines is None else "responses to broadband excitation"
+    method = how + (", less the reference without pressure" if lacking else "")
+    return replace(fit, method=method, warnings=tuple(_warnings(records if lines is None else (), rows)))
 
 
 def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]) -> Iterator[Finding]:
@@ -89,7 +103,7 @@ def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]
                 yield Finding(Code.AT_SPEED, WARNING, what, "unbalance answers too", remedy)
     for pressure, item in rows:
         k, deviation = item.pair[1].real, float(np.std(item.pairs[:, 1].real, ddof=1)) / len(item.pairs) ** 0.5
-        if deviation > _UNSURE * abs(k):
+        if pressure and deviation > _UNSURE * abs(k):
             where = f"at {pressure:g} Pa and {item.frequency / 2 / np.pi:g} Hz"
             what = f"{where} k = {k:.3g} has the standard deviation {deviation:.2g}"
             remedy = "excite more, dwell longer, or leave the frequency out"
@@ -110,18 +124,26 @@ class _Stiffness:
 
 
 def _at_pressure(
-    machine: Machine, name: str, records: list[Record], steps: Sequence[Step] | None, settle: float, currents: str | None
+    machine: Machine, name: str, records: list[Record], driven: Callable[[list[Record]], dict[float, list[Driven]]]
 ) -> list[_Stiffness]:
+    experiments = driven(records)
+    model = _Model(machine, name, records[0].point, np.array(list(experiments)), records[0].dt)
+    found = [_stiffness(model, i, own) for i, own in enumerate(experiments.values())]
+    return sorted(found, key=lambda item: item.frequency)
+
+
+def _steps(
+    machine: Machine, records: list[Record], steps: Sequence[Step] | None, settle: float, currents: str | None
+) -> dict[float, list[Driven]]:
+    """The phasors of all steps at every frequency."""
     schedules = [find_steps(record) if steps is None else tuple(steps) for record in records]
     keys = [key for key in dict.fromkeys(_key(s.frequency) for plan in schedules for s in plan)]
-    point = records[0].point
-    model = _Model(machine, name, point, np.array(keys), records[0].dt)
-    result = []
-    for i, key in enumerate(keys):
+    result: dict[float, list[Driven]] = {}
+    for key in keys:
         pairs = [(r, s) for r, plan in zip(records, schedules, strict=True) for s in plan if _key(s.frequency) == key]
-        driven = [_measure(machine, record, step, settle, currents) for record, step in pairs]
-        result.append(_stiffness(model, i, driven))
-    return sorted(result, key=lambda item: item.frequency)
+        told = [(_signals(machine, [r], currents), r, s) for r, s in pairs]
+        result[key] = [(phasors(r, s, names, settle), names[-1].startswith("i_")) for names, r, s in told]
+    return result
 
 
 def _key(frequency: float) -> float:
@@ -129,13 +151,12 @@ def _key(frequency: float) -> float:
     return 2 * np.pi * round(frequency / 2 / np.pi, 2)
 
 
-def _measure(machine: Machine, record: Record, step: Step, settle: float, currents: str | None) -> tuple[Phasors, bool]:
+def _signals(machine: Machine, records: Sequence[Record], currents: str | None) -> list[str]:
+    """Displacements and measured currents, or what the amplifiers were told."""
     axes = machine.axes
-    measured = currents == "measured" or (currents is None and all(f"i_{a}" in record.signals for a in axes))
-    if currents not in (None, *CURRENTS):
-        raise invalid("currents", repr(currents), " or ".join(CURRENTS), "correct it")
-    names = [f"y_{a}" for a in axes] + [f"{kind}_{a}" for kind in ("i" if measured else "ue") for a in axes]
-    return phasors(record, step, names, settle), measured
+    there = all(f"i_{a}" in record.signals for record in records for a in axes)
+    measured = currents == "measured" or (currents is None and there)
+    return [f"y_{a}" for a in axes] + [f"{kind}_{a}" for kind in ("i" if measured else "ue") for a in axes]
 
 
 class _Model:
@@ -160,7 +181,7 @@ class _Model:
         drive: StateSpace = amplifier.linearised(machine.amplifier, machine.axes)
         self.current_by_command = frequency_response(drive, omega).values * hold[:, None, None]
 
-    def seal_force(self, i: int, driven: tuple[Phasors, bool], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def seal_force(self, i: int, driven: Driven, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Force on the rotor and displacement at the seal, (2,) each, from the signals' phasors (s,) at frequency i."""
         item, measured = driven
         at = dict(zip(item.signals, values, strict=True))
@@ -175,7 +196,7 @@ class _Model:
         return f, self.moved_by_force[i] @ force + self.moved_by_seal[i] @ f
 
 
-def _stiffness(model: _Model, i: int, driven: list[tuple[Phasors, bool]]) -> _Stiffness:
+def _stiffness(model: _Model, i: int, driven: list[Driven]) -> _Stiffness:
     """Z from all experiments at one frequency, from the means and again from every block."""
     omega = float(model.omega[i])
 
@@ -247,8 +268,7 @@ def _result(machine: Machine, name: str, rows: list[tuple[float, _Stiffness]]) -
         np.array([_deviation(_four(item.pairs, np.full(len(item.pairs), item.frequency))) for item in items]),
         _eight(np.array([item.matrix for item in items]), omega),
         np.array([_deviation(_eight(item.matrices, np.full(len(item.matrices), item.frequency))) for item in items]),
-        cosine, inverse / scale[:, :, None] / scale[:, None, :], _four(taken, omega),
-        "stepped sine" + (", less the reference without pressure" if taken.any() else ""),
+        cosine, inverse / scale[:, :, None] / scale[:, None, :], _four(taken, omega), "",
     )  # fmt: skip
 
 
