@@ -59,7 +59,7 @@ class SealFit:
         """The rows of all, by pressure, then frequency."""
         parts = {name: np.concatenate([getattr(one, name) for one in (self, *others)]) for name in _PER_ROW}
         order = np.lexsort((parts["frequency"], parts["pressure"]))
-        return replace(self, **{name: part[order] for name, part in parts.items()})
+        return replace(self, **{name: part[order] for name, part in parts.items()})  # type: ignore[arg-type]
 
     def at(self, pressure: float) -> SealFit:
         """The rows at one pressure [Pa]; raises InvalidInput listing the known ones."""
