@@ -32,14 +32,14 @@ from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.problem import design_plant
 from ambrose.synthesis.weights import machine_weights
-from ambrose.verification.robust import box_loops
-from benchmarks.worst_case_responses import (
+from ambrose.verification.family.responses import (
     BoxUnbalance,
     PulseFamily,
     loop_over_box,
     pulse_family,
     unbalance_over_box,
 )
+from ambrose.verification.robust import box_loops
 
 HZ = 2 * np.pi
 POINT = "140 Hz (P3)"

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.worst_case_responses import loop_over_box
 
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.sampling import c2d
@@ -22,6 +21,7 @@ from ambrose.synthesis.certificate import certify, generalized_certificate
 from ambrose.synthesis.pid import pid_controller
 from ambrose.verification import nominal, robust
 from ambrose.verification.campbell import speed_stability_check
+from ambrose.verification.family.responses import loop_over_box
 from ambrose.verification.loop_response import loop_at, loop_evaluator
 
 TOLERANCES = (Tolerance("seal.center.k", relative=0.5),)

@@ -17,6 +17,7 @@ from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
 from ambrose.cli.convert_controller import convert_controller
 from ambrose.cli.export import export
+from ambrose.cli.map import map_command
 from ambrose.cli.new import new
 from ambrose.cli.records.accept import accept
 from ambrose.cli.records.balance import balance
@@ -98,6 +99,7 @@ for command in (
     synthesize,
     trade_off,
     verify,
+    map_command,
     simulate,
     identify,
     frf,

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.worst_case_responses import loop_over_box, pulse_family, unbalance_over_box
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
@@ -20,6 +19,7 @@ from ambrose.simulation import linear
 from ambrose.simulation.disturbances import Pulse
 from ambrose.simulation.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
+from ambrose.verification.family.responses import loop_over_box, pulse_family, unbalance_over_box
 
 MACHINE = load_machine("turboexpander")
 PLANT = reduce(assemble(MACHINE, MACHINE.operation.points[4]), 1)
