@@ -118,9 +118,7 @@ def pole_picture(item: PoleMap) -> Any:
     right = max(1.2 * float(item.abscissa.max()), 0.1 * reach)
     picture.add_vline(x=0, row=1, col=1, line={"color": theme.LIMIT, "width": 1})
     picture.add_hline(y=0, row=1, col=2, line={"color": theme.LIMIT, "width": 1})
-    picture.update_xaxes(
-        title_text="Real part [1/s]", range=[-reach, max(1.2 * float(item.abscissa.max()), 0.1 * reach)], **first
-    )
+    picture.update_xaxes(title_text="Real part [1/s]", range=[-reach, right], **first)
     picture.update_yaxes(title_text="Imaginary part [Hz]", **first)
     picture.update_xaxes(title_text=f"{item.over.capitalize()} [{unit}]", **second)
     picture.update_yaxes(title_text="Largest real part [1/s]", **second)
