@@ -24,8 +24,8 @@ _POLES = (
 )
 _CAMPBELL = "Damped natural frequencies of the closed loop over speed, every mode followed by its shape, and their damping."
 _PULSES = (
-    "Every member of the tolerances (nominal, corners, samples) after 100 N for 2 ms at {port}. Pale: what the stable ones fill; "
-    "dark: nominal; dashed: the stable member that swings longest."
+    "Every member of the tolerances (nominal, corners, samples) after 100 N for 2 ms at {port}. Pale: what the stable "
+    "ones fill; dark: nominal; dashed: the stable member that swings longest."
 )
 _UNBALANCE = (
     "Largest orbit at a bearing over speed, for the worst distribution of the residual unbalance: nominal, and the worst found "
