@@ -45,6 +45,8 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
         ("coprime_factors", "injection_gain", "observer_controller", "residual_system"), "core.realisation.coprime"
     ),
     "trade_off": "synthesis.fixed_order.trade_off",
+    **dict.fromkeys(("least", "price"), "sizing.least"),
+    "size": "sizing.map",
     "minimal": "core.realisation.zeros",
     "delayed": "core.sampling",
     "lft": "core.lft",

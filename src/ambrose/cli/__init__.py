@@ -26,6 +26,7 @@ from ambrose.cli.records.frf import frf
 from ambrose.cli.records.identify import identify
 from ambrose.cli.records.seal import seal
 from ambrose.cli.simulate import simulate
+from ambrose.cli.size import size
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
 from ambrose.cli.terminal import say, streams_settled
@@ -98,6 +99,7 @@ for command in (
     check,
     synthesize,
     trade_off,
+    size,
     verify,
     map_command,
     simulate,

@@ -59,6 +59,15 @@ def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> M
     )
 
 
+def of_size(p: tuple[float, ...], bias: float, area: float = 1.0) -> MagnetCoefficients:
+    """Coefficients without load of magnets p (``parameters``) at another bias current [A], poles ``area`` times as large."""
+    found = []
+    for c, gap in ((p[4], p[5]), (p[7], p[8])):
+        b, slope = _flux(bias, gap, p[2], p[3])
+        found.append((4 * area * c * b * slope, 4 * area * c * b**2 * slope))
+    return MagnetCoefficients((found[0][0], found[1][0]), (found[0][1], found[1][1]))
+
+
 def from_geometry(bearing: MagneticBearing, bias: float) -> bool:
     """Whether the coefficients at a bias current [A] are not stated, but those of the geometry, which has no load."""
     given = _given(bearing)

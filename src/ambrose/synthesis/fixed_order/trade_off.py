@@ -39,7 +39,8 @@ TRADED: Mapping[str, str] = {
 }
 _EXACT = 0.02  # how far the worst ratio may be from 1
 _AIMS = 3  # sensitivities aimed at, for each value
-_HIGHEST = 12.0  # aimed at; what is not met there is not met
+_HIGHEST = 12.0  # sensitivity aimed at; what is not met there is not met
+_RANGES = {"sensitivity": (1.02, _HIGHEST), "gain": (1e-3, float("inf"))}  # of what is aimed at; the gain in A/m
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -111,7 +112,7 @@ def trade_off(
             elif over == ORDER:
                 law = with_states(cast(StateSpace, law), int(value) - cast(StateSpace, law).n_states, job.groups)
             progress(f"{over} {value:.4g} {unit_of(over)}")
-            best = _lowest(job, law, options.structure, again, time_limit, progress)
+            best = lowest(job, law, options.structure, again, time_limit, progress)
             rows.append((value, *best))
             again, found = best[1], best[-1]
             if again and found is not None:
@@ -154,13 +155,22 @@ def _checked(over: str, values: Sequence[float]) -> list[float]:
     return sorted(set(map(float, values)), reverse=over not in {ORDER, "log_decrement"})
 
 
-def _lowest(
-    job: Job, law: Law, structure: str, again: bool, time_limit: float, progress: Callable[[str], None]
+def lowest(
+    job: Job,
+    law: Law,
+    structure: str,
+    again: bool,
+    time_limit: float,
+    progress: Callable[[str], None],
+    lever: str = "sensitivity",
+    trials: int = _AIMS,
 ) -> tuple[float, bool, str, Synthesis | None]:
-    """Sensitivity, whether all else is met, what binds, and the controller, of the best aim."""
+    """The lowest sensitivity, or the lowest "gain" [A/m] of K S_o, as ``lever``; whether all else is met, what binds, and the
+    controller, of the best of so many aims."""
     best: tuple[float, bool, str, Synthesis | None] = (float("inf"), False, "nothing holds every point", None)
-    for _ in range(_AIMS):
-        job.clock, aim = TimeLimit(time_limit), job.aims.sensitivity
+    least, most = _RANGES[lever]
+    for _ in range(trials):
+        job.clock, aim = TimeLimit(time_limit), getattr(job.aims, lever)
         try:
             found = tuned(job, law, structure, again=again)
         except NumericalFailure as error:
@@ -169,16 +179,17 @@ def _lowest(
         if found.stopped_early == INTERRUPTED:  # the value at work has not come to its end
             raise KeyboardInterrupt
         ratios = {k.removeprefix("ratio_"): v for k, v in found.certificate.margins.items() if k.startswith("ratio_")}
-        peak = aim * ratios["sensitivity"]
-        others = max(value for name, value in ratios.items() if name != "sensitivity")
+        peak = aim * ratios[lever]
+        others = max(value for name, value in ratios.items() if name != lever)
         here = peak, others <= 1 + _EXACT, max(ratios, key=lambda name: ratios[name]), found
         early = f" ({found.stopped_early})" if found.stopped_early else ""
-        progress(f"aimed at {aim:.3g}: sensitivity {peak:.3g}, {here[2]} binds at {found.gamma:.3f} of its limit{early}")
+        progress(f"aimed at {aim:.3g}: {lever} {peak:.3g}, {here[2]} binds at {found.gamma:.3f} of its limit{early}")
         if (not here[1], here[0]) < (not best[1], best[0]):
             best = here
         law, again = found.controller, True
-        if abs(found.gamma - 1) <= _EXACT or (aim >= _HIGHEST and not here[1]):
+        if abs(found.gamma - 1) <= _EXACT or (aim >= most and not here[1]):
             break
-        aim = min(max(aim * found.gamma**1.5 if found.gamma > 1 else aim * found.gamma, 1.02), _HIGHEST)
-        job.aims = replace(job.aims, sensitivity=aim)
+        begin = aim if lever == "sensitivity" else min(peak, aim)  # the guard of the gain may be far off
+        aim = min(max(aim * found.gamma**1.5 if found.gamma > 1 else begin * found.gamma, least), most)
+        job.aims = replace(job.aims, **{lever: aim})
     return best
