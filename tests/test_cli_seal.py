@@ -10,12 +10,10 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.core.sampling import c2d
 from ambrose.identification.seal.by_frequency import identify_by_frequency
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.files import write_record
 from ambrose.plant.assemble import seal_coefficients
-from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Prbs, SteppedSine
 from ambrose.simulation.scenario import Scenario
 
@@ -34,13 +32,9 @@ def noisy(record, size=5e-8):
 def runs(machine, scenario, pressures, rate=1e4):
     law = amb.design(machine, "pid")
     return [
-        noisy(virtual_rig.run(machine, c2d_of(law, rate), scenario, point=OperatingPoint(seal_pressure=p), seed=i).record)
+        noisy(amb.simulate(machine, law, scenario, point=OperatingPoint(seal_pressure=p), seed=i, rate=rate).record)
         for i, p in enumerate(pressures)
     ]
-
-
-def c2d_of(law, rate):
-    return c2d(law.law, 1 / rate, "tustin", delay=1 / rate)
 
 
 @pytest.fixture(scope="module")

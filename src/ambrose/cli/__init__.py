@@ -21,6 +21,7 @@ from ambrose.cli.map import map_command
 from ambrose.cli.new import new
 from ambrose.cli.records.accept import accept
 from ambrose.cli.records.balance import balance
+from ambrose.cli.records.bias import bias
 from ambrose.cli.records.calibrate import calibrate
 from ambrose.cli.records.frf import frf
 from ambrose.cli.records.identify import identify
@@ -106,6 +107,7 @@ for command in (
     identify,
     frf,
     seal,
+    bias,
     calibrate,
     balance,
     accept,
