@@ -11,7 +11,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.identification import pipeline
 from ambrose.identification.findings import Code
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
-from ambrose.identification.validation.plausibility import _tone, diagnose_result
+from ambrose.identification.validation.plausibility import _bursts, _tone, diagnose_result
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.record.record import Record
 
@@ -61,3 +61,22 @@ def test_forces_that_were_recorded_are_no_excitation():
         record = Record("m", 1e4, (name,), ("A" if name == "e_A_zeta" else "N",), (wave + noise[0])[None])
         output = SimpleNamespace(record=record, signals=("y_A_zeta",), residual=(wave + noise[1])[None])
         assert [item.code for item in _tone(output, 1)] == [Code.TONE] * told
+
+
+def test_a_record_that_begins_before_the_machine_has_settled_holds_no_burst():
+    """What decays from its beginning on is no knock; a knock at its beginning, or after it, is."""
+    rng = np.random.default_rng(3)
+    quiet = 1e-8 * rng.standard_normal(5000)
+    t = np.arange(5000)
+    start = 1e-6 * np.exp(-t / 80) * np.cos(t / 15)
+    knock = 1e-6 * ((t >= 3000) & (t < 3004)) + 1e-6 * ((t >= 40) & (t < 44))
+
+    def bursts(row):
+        output = SimpleNamespace(
+            signals=("y",), residual=row[None], measured=1e-6 * np.sin(t)[None], record=SimpleNamespace(time=t * 1e-4)
+        )
+        return [finding.evidence for finding in _bursts(output, 1)]
+
+    assert bursts(quiet) == [] and bursts(quiet + start) == []
+    assert "t = 0.004 s, 0.3 s" in bursts(quiet + knock)[0]
+    assert "t = 0.3 s" in bursts(quiet + start + knock)[0]

@@ -18,7 +18,8 @@ _MISSED, _FAR, _ALIKE, _MOVED = 0.3, 2.0, 0.02, 0.05
 _CLEARLY = 0.7  # of what is left unexplained, or of what still follows the excitation: another delay must leave less
 _DELAYED, _SURE = 0.1, 5.0  # samples, and standard deviations, by which a delay must differ
 _MOST, _PEAK = 0.5, 5.0  # share of what is left at one frequency, from which it is told; an excitation's line over all about it
-_BURST = 15.0  # over the median size of the residual
+_BURST, _APART = 15.0, 500  # over the median size of the residual; samples from one to the next
+_SETTLING, _UNSETTLED = 100, 3.0  # samples at a record's beginning, a tenth of them beyond so many median sizes: not settled
 
 
 def diagnose_result(machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]) -> tuple[Finding, ...]:
@@ -138,7 +139,9 @@ def _bursts(output: SimulatedOutput, number: int) -> Iterator[Finding]:
         size = np.abs(row)
         quiet = 1.4826 * float(np.median(size))
         large = np.flatnonzero(size > max(_BURST * quiet, 1e-2 * float(np.std(output.measured))))
-        starts = [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > 500]
+        starts = [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > _APART]
+        if starts and starts[0] < _APART and np.mean(size[:_SETTLING] > _UNSETTLED * quiet) > 0.1:
+            starts = starts[1:]  # the machine had not settled yet, at amplitudes where the magnets are another machine
         if quiet > 0 and 0 < len(starts) <= 20:
             at = ", ".join(f"{output.record.time[i]:.4g} s" for i in starts[:4])
             what = f"record {number}: {name} leaves the model for a short time"
