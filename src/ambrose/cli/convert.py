@@ -72,6 +72,7 @@ def _convert_machine(
         left = [*(seal.name for seal in machine.seals), *(item.name for item in machine.couplings)]
         left += [f"support of {item.bearing}" for item in machine.supports]
         left += [f"{len(machine.casing_modes)} casing modes"] * bool(machine.casing_modes)
+        left += [f"{len(machine.bending_modes)} measured bending modes"] * bool(machine.bending_modes)
         told: dict[str, object] = {"rotor_model": str(output), "left_out": left}
         springy = "a model of ROSS, bearings as springs of the reference controller"
         words = f"{output}: {springy}; left out: {', '.join(left) or 'nothing'}"

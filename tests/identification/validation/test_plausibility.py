@@ -1,7 +1,6 @@
 """Values found against what the machine file itself allows, and which unknowns a delay joins."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from ambrose.identification import pipeline
 from ambrose.identification.findings import Code
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.validation.plausibility import _bursts, _tone, diagnose_result
+from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.record.record import Record
 
@@ -58,8 +58,9 @@ def test_forces_that_were_recorded_are_no_excitation():
     """A record of the rig holds the magnets' forces: they turn as all else does, and an untold speed went unnoticed."""
     wave, noise = np.sin(0.3 * np.arange(2000)), 0.1 * np.random.default_rng(0).standard_normal((2, 2000))
     for name, told in (("f_magnet_A_zeta", True), ("f_center_x", False), ("e_A_zeta", False)):
-        record = Record("m", 1e4, (name,), ("A" if name == "e_A_zeta" else "N",), (wave + noise[0])[None])
-        output = SimpleNamespace(record=record, signals=("y_A_zeta",), residual=(wave + noise[1])[None])
+        units = "A" if name == "e_A_zeta" else "N", "m"
+        record = Record("m", 1e4, (name, "y_A_zeta"), units, wave + noise)
+        output = SimulatedOutput(record, ("y_A_zeta",), np.zeros((1, 2000)))
         assert [item.code for item in _tone(output, 1)] == [Code.TONE] * told
 
 
@@ -72,9 +73,8 @@ def test_a_record_that_begins_before_the_machine_has_settled_holds_no_burst():
     knock = 1e-6 * ((t >= 3000) & (t < 3004)) + 1e-6 * ((t >= 40) & (t < 44))
 
     def bursts(row):
-        output = SimpleNamespace(
-            signals=("y",), residual=row[None], measured=1e-6 * np.sin(t)[None], record=SimpleNamespace(time=t * 1e-4)
-        )
+        model = 1e-6 * np.sin(t)[None]
+        output = SimulatedOutput(Record("m", 1e4, ("y_A_zeta",), ("m",), model + row), ("y_A_zeta",), model)
         return [finding.evidence for finding in _bursts(output, 1)]
 
     assert bursts(quiet) == [] and bursts(quiet + start) == []

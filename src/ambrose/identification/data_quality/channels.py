@@ -83,17 +83,19 @@ class Responses:
     mix: np.ndarray
 
 
-def measured_responses(records: Sequence[Record], axes: Sequence[str]) -> Responses | None:
-    """The responses of the records, or None where excitations or their number of segments do not allow any."""
+def measured_responses(records: Sequence[Record], axes: Sequence[str], of: str = "yui") -> Responses | None:
+    """The responses of the records' signals of these kinds, or None where excitations or their number of segments do not
+    allow any."""
     from scipy.special import betaincinv
 
-    e = np.hstack([np.stack(signal_rows(record, [f"e_{axis}" for axis in axes])) for record in records])
-    if not e.any():
+    parts_of = zip(*(signal_rows(record, [f"e_{axis}" for axis in axes]) for record in records), strict=True)
+    e = [rows[0] if len(rows) == 1 else np.concatenate(rows) for rows in parts_of]
+    if not any(row.any() for row in e):
         return None
-    _, mix = distinct(list(e))
+    _, mix = distinct(e)
     names = [f"e_{axes[int(np.flatnonzero(column)[0])]}" for column in mix.T]
     signs = np.array([column[np.flatnonzero(column)[0]] for column in mix.T])
-    kinds = [kind for kind in "yui" if all(f"{kind}_{axis}" in record.signals for record in records for axis in axes)]
+    kinds = [kind for kind in of if all(f"{kind}_{axis}" in record.signals for record in records for axis in axes)]
     shortest = min(record.values.shape[1] for record in records)
     total = sum(record.values.shape[1] for record in records)
     dt = records[0].dt
@@ -118,14 +120,17 @@ def measured_responses(records: Sequence[Record], axes: Sequence[str]) -> Respon
 
 
 def compared_responses(
-    record: Record, names: Sequence[str], residual: np.ndarray, axes: Sequence[str]
+    record: Record, names: Sequence[str], residual: Sequence[np.ndarray] | np.ndarray, axes: Sequence[str]
 ) -> tuple[Responses, Responses] | None:
     """The responses of a record's signals, and those of what a model leaves of them, residual (a, k); None as above."""
-    kept = record.select([*names, *[name for name in record.signals if name[:2] == "e_"]])
-    whole = measured_responses([kept], axes)
-    left = np.vstack([residual, kept.values[len(names) :]])
+    driven = [name for name in record.signals if name[:2] == "e_"]
+    whole = measured_responses([record], axes, names[0][0])
+    left = np.empty((len(names) + len(driven), record.values.shape[1]))
+    for row, values in zip(left, [*residual, *signal_rows(record, driven)], strict=True):
+        row[:] = values
     left.flags.writeable = False  # or the record would copy it
-    rest = measured_responses([replace(kept, values=left)], axes)
+    units = tuple(record.units[record.signals.index(name)] for name in (*names, *driven))
+    rest = measured_responses([replace(record, signals=(*names, *driven), units=units, values=left)], axes)
     return None if whole is None or rest is None else (whole, rest)
 
 

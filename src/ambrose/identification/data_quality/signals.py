@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ambrose.identification.excitation import signal_rows
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
@@ -112,8 +113,7 @@ def _repeated(record: Record, names: list[str], where: str) -> list[Finding]:
     """All measured channels equal to their last sample at once: a logger that repeats, or a slower rate than stated."""
     if len(names) < 2:
         return []
-    values = record.select(names).values
-    same = values[:, 1:] == values[:, :-1]
+    same = np.array([row[1:] == row[:-1] for row in signal_rows(record, names)])
     moving = np.flatnonzero(~same.all(axis=0))
     if not len(moving):
         return []

@@ -127,7 +127,8 @@ def closed_loop(
     if excitations is not None:
         e = (excitations,) if isinstance(excitations, str) else tuple(excitations)
     records = (records,) if isinstance(records, Record) else tuple(records)
-    frames = _frames(tuple(without_synchronous(record, harmonics) for record in records), segment, overlap, window)
+    needed = {*e, *u, *y, *(f"{kind}_{name[2:]}" for name in u if name[:2] == "v_" for kind in "ue")}
+    frames = _frames(tuple(without_synchronous(record, harmonics, needed) for record in records), segment, overlap, window)
     if not e or not y or len(e) != len(u):
         raise invalid("the number of excitations and inputs", (len(e), len(u)), "equal, with an output", "one per input")
     m = len(u)

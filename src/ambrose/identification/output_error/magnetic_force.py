@@ -45,6 +45,7 @@ from ambrose.plant.static_load import operating_magnets
 _LOAD = 0.25  # of the bias current: the load that amplitude 1 of a quadratic signal stands for
 _PASSES = 2
 _TRUNCATED = 0.05  # of the change that the correction makes: standard deviation for terms beyond the third; assumed
+_PIECE = 65_536  # samples at a time
 _GRID = 7  # points of current and of displacement, on which the terms are fitted
 _POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])  # of i and x
 _CERTAIN = 4.0  # standard deviations from which on the nonlinearity is believed, and within which it may differ from the file's
@@ -69,8 +70,9 @@ class MagneticForce:
         """The records without what the nonlinearity makes of the fitted signals; others that no fit needs are left out."""
         done = []
         for record, response in zip(records, self.responses, strict=True):
-            rest = {name for name in record.signals if name.startswith(("i_", "q_", "f_magnet_"))} - set(self.signals)
-            kept = [j for j, name in enumerate(record.signals) if name not in rest]
+            needed = ("y_", "u_", "e_", "f_", "r_", "p_", "speed")
+            rest = {name for name in record.signals if not name.startswith(needed) or name.startswith("f_magnet_")}
+            kept = [j for j, name in enumerate(record.signals) if name not in rest - set(self.signals)]
             names, values = tuple(record.signals[j] for j in kept), record.values[kept]
             for name, row in zip(self.signals, response, strict=True):
                 values[names.index(name)] -= row
@@ -105,7 +107,7 @@ def magnetic_force(
         waves = []
         for number, (plant, record) in enumerate(zip(plants, records, strict=True), 1):
             law = deployed_controller(plant, controller, record.dt, round(delay))
-            turning = _turning_motion(plant, law, record, [wave for wave in result.turning if wave.record == number])
+            turning = _turning_motion(plant, law, record.dt, [wave for wave in result.turning if wave.record == number])
             waves.append(nonlinear_responses(plant, law, record, model.excitations, experiment.signals, turning))
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
     except AmbroseError:  # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
@@ -189,9 +191,21 @@ def _stacked(pieces: Iterable[np.ndarray], D: np.ndarray) -> Iterator[np.ndarray
 
 def _clean(D: np.ndarray, task: Task) -> None:
     """Take out of the signals (b, p, k) what constants and turning waves explain, which are nuisances anyway."""
-    W = task.waves_at(0, task.samples)
-    for j, rows in enumerate(D if len(W) else ()):
-        D[j] = rows - np.linalg.lstsq(W @ W.T, W @ rows.T)[0].T @ W
+    if not task.waves:
+        return
+    square, product = np.zeros((task.waves, task.waves)), np.zeros((*D.shape[:2], task.waves))
+    for part in _stretches(task.samples):
+        W = task.waves_at(part.start, part.stop)
+        square, product = square + W @ W.T, product + D[:, :, part] @ W.T
+    found = np.linalg.lstsq(square, product.reshape(-1, task.waves).T)[0].T.reshape(product.shape)
+    for part in _stretches(task.samples):
+        D[:, :, part] -= found @ task.waves_at(part.start, part.stop)
+
+
+def _stretches(samples: int) -> Iterator[slice]:
+    """A long record piece by piece, so that what is made on the way does not grow with it."""
+    for start in range(0, samples, _PIECE):
+        yield slice(start, min(start + _PIECE, samples))
 
 
 def without_magnets(
@@ -229,42 +243,44 @@ def _further_terms(result: ParameterEstimate, values: np.ndarray) -> np.ndarray:
     return np.asarray(_TRUNCATED * change)
 
 
-def _turning_motion(plant: Plant, law: StateSpace, record: Record, waves: Sequence[TurningWave]) -> np.ndarray | None:
-    """Coil currents, then displacements (2 a, k) of what turns with the rotor: y_ as it was fitted, and what the controller
-    makes of it. None where nothing turns."""
-    if not waves:
-        return None
-    axes, k = plant.axes, record.values.shape[1]
-    motion = np.zeros((2 * len(axes), k))
+def _turning_motion(plant: Plant, law: StateSpace, dt: float, waves: Sequence[TurningWave]) -> list[tuple[float, np.ndarray]]:
+    """Frequency [rad/s] and phasors (2 a,) of coil currents, then displacements, of what turns with the rotor: y_ as it was
+    fitted, and what the controller makes of it."""
+    axes, found = plant.axes, []
     for frequency in dict.fromkeys(wave.frequency for wave in waves):
         own = {wave.signal: wave.amplitude * np.exp(1j * wave.phase) for wave in waves if wave.frequency == frequency}
         y = np.array([own.get(f"y_{axis}", 0.0) for axis in axes])
         omega = np.array([2 * np.pi * frequency])
-        held = np.exp(-0.5j * omega[0] * record.dt) * np.sinc(frequency * record.dt)
+        held = np.exp(-0.5j * omega[0] * dt) * np.sinc(frequency * dt)
         coils = select(plant.system, plant.named("u"), [f"i_{axis}" for axis in axes])
         i = -frequency_response(coils, omega).values[0] @ frequency_response(law, omega).values[0] @ y * held
-        motion += (np.concatenate([i, y])[:, None] * np.exp(1j * omega[0] * record.dt * np.arange(k))).real
-    return motion
+        found.append((float(omega[0]), np.concatenate([i, y])))
+    return found
 
 
 def nonlinear_responses(
     plant: Plant, law: StateSpace, record: Record, excitations: Sequence[str], signals: Sequence[str],
-    turning: np.ndarray | None,
+    turning: Sequence[tuple[float, np.ndarray]] = (),
 ) -> np.ndarray:  # fmt: skip
     """The candidates (a + 1, p, k) in the signals (p,) of a record: quadratic terms of every axis, then all cubic ones.
 
-    plant: reduced, with the parameters that were found; law: the controller as it runs; turning (2 a, k): currents, then
-    displacements, that no excitation makes. Raises InvalidInput where no magnet follows from the coefficients.
+    plant: reduced, with the parameters that were found; law: the controller as it runs; turning: frequency and
+    phasors (2 a,) of currents, then displacements, that no excitation makes. Raises InvalidInput where no magnet follows from
+    the coefficients.
     """
     loop, axes = closed_loop(plant, law), plant.axes
-    inside = [f"{kind}_{axis}" for kind in "iq" for axis in axes]
-    force = simulate(select(loop, excitations, inside), np.array(signal_rows(record, excitations)))
-    if turning is not None:
-        force += turning
-    found = np.empty((len(axes) + 1, len(signals), force.shape[1]), np.float32)
-    for j, axis in enumerate(axes):  # row by row, currents and displacements become quadratic and cubic forces
-        found[j] = simulate(select(loop, [f"f_{axis}"], signals), _replaced(force[j :: len(axes)], plant, j)[:1])
-    found[-1] = simulate(select(loop, [f"f_{axis}" for axis in axes], signals), force[len(axes) :])
+    driven = np.array(signal_rows(record, excitations))
+    found = np.empty((len(axes) + 1, len(signals), driven.shape[1]), np.float32)
+    cubic = np.empty((len(axes), driven.shape[1]), np.float32)
+    for j, axis in enumerate(axes):
+        moved = simulate(select(loop, excitations, [f"i_{axis}", f"q_{axis}"]), driven)
+        for part in _stretches(moved.shape[1] if turning else 0):
+            t = record.dt * np.arange(part.start, part.stop)
+            for omega, phasors in turning:
+                moved[:, part] += (phasors[j :: len(axes), None] * np.exp(1j * omega * t)).real
+        _replaced(moved, plant, j)
+        found[j], cubic[j] = simulate(select(loop, [f"f_{axis}"], signals), moved[:1]), moved[1]
+    found[-1] = simulate(select(loop, [f"f_{axis}" for axis in axes], signals), cubic)
     return found
 
 

@@ -8,7 +8,7 @@ is known nearly, the angle is the one under which most of the residual turns wit
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from ambrose.machine.record.record import Record
 _NEARLY = 0.02  # of the stated speed, within which the true one is looked for; assumed
 _CLEAR = 20.0  # power of the lines over what noise makes of it, from which they tell the speed
 _BLOCKS, _PAD = (64, 8192), 16
+_PIECE = 65_536  # samples at a time
 _TOLD = 1e-3  # rad: a smaller change of the angle is none
 _TOLD_APART = 0.1  # of a cycle over the record: by less, two waves are one
 _LINE, _SHARE = 30.0, 1e-3  # power of an excitation's line over that beside it, and of the excitation's own
@@ -173,20 +174,30 @@ def synchronous_of(record: Record, harmonics: int = 3, tones: Sequence[float] | 
     return Synchronous(rate, orders, ways, base=base) if orders or ways else None
 
 
-def without_synchronous(record: Record, harmonics: int = 3) -> Record:
+def without_synchronous(record: Record, harmonics: int = 3, names: Collection[str] | None = None) -> Record:
     """The record less what turns with the rotor, in every signal and its excitations: responses to the excitation stay as they
-    are, but where an excitation's line is a multiple of the speed."""
+    are, but where an excitation's line is a multiple of the speed. names: signals that are enough (None: all); a record in
+    which nothing turns is given back as it is."""
     turning = synchronous_of(record, harmonics)
     if turning is None:
         return record
     k = record.values.shape[1]
+    parts = [slice(start, min(start + _PIECE, k)) for start in range(0, k, _PIECE)]
     shown = [row for name, row in zip(record.signals, record.values, strict=True) if name[:2] in {"y_", "ep"} and np.ptp(row)]
     if shown:
-        y = np.array([(row - row.mean()) / row.std() for row in shown])
-        turning = turning.refined([y], k) or turning
-    moving = np.array([name[:2] in {"y_", "u_", "i_", "e_", "v_", "f_", "ep", "al"} for name in record.signals])
-    W = np.vstack([np.ones(k), turning.waves(0, k)])
-    found = np.linalg.lstsq(W @ W.T, W @ record.values[moving].T)[0]
-    values = record.values.copy()
-    values[moving] -= found[1:].T @ W[1:]
-    return replace(record, values=values)
+        sizes = [(row, row.mean(), row.std()) for row in shown]
+        y = (np.array([(row[part] - mean) / size for row, mean, size in sizes]) for part in parts)
+        turning = turning.refined(y, k) or turning
+    kept = [i for i, name in enumerate(record.signals) if names is None or name in names]
+    values = record.values[kept]
+    moving = [j for j, i in enumerate(kept) if record.signals[i][:2] in {"y_", "u_", "i_", "e_", "v_", "f_", "ep", "al"}]
+    square, product = np.zeros((1 + turning.count, 1 + turning.count)), np.zeros((1 + turning.count, len(moving)))
+    for part in parts:
+        W = np.vstack([np.ones(part.stop - part.start), turning.waves(part.start, part.stop)])
+        square, product = square + W @ W.T, product + W @ values[moving, part].T
+    found = np.linalg.lstsq(square, product)[0][1:].T
+    for part in parts:
+        values[moving, part] -= found @ turning.waves(part.start, part.stop)
+    values.flags.writeable = False  # or the record would copy it
+    signals, units = (tuple(of[i] for i in kept) for of in (record.signals, record.units))
+    return replace(record, signals=signals, units=units, values=values)

@@ -111,8 +111,9 @@ def _missed(machine: Machine, output: SimulatedOutput, number: int) -> list[Find
     if any(f"y_{axis}" not in output.signals for axis in axes):
         return []
     names = [f"y_{axis}" for axis in axes]
-    residual = output.residual[[output.signals.index(name) for name in names]]
-    responses = compared_responses(output.record, names, residual, axes)
+    residual = dict(output.rows(names))
+    responses = compared_responses(output.record, names, [residual[name] for name in names], axes)
+    del residual
     if responses is None:
         return []
     measured, rest = responses
@@ -135,10 +136,11 @@ def _missed(machine: Machine, output: SimulatedOutput, number: int) -> list[Find
 
 def _bursts(output: SimulatedOutput, number: int) -> Iterator[Finding]:
     """Short times in which a signal leaves the model: lost samples, knocks, contact."""
-    for name, row in zip(output.signals, output.residual, strict=True):
+    spread = float(np.std(output.measured))
+    for name, row in output.rows():
         size = np.abs(row)
         quiet = 1.4826 * float(np.median(size))
-        large = np.flatnonzero(size > max(_BURST * quiet, 1e-2 * float(np.std(output.measured))))
+        large = np.flatnonzero(size > max(_BURST * quiet, 1e-2 * spread))
         starts = [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > _APART]
         if starts and starts[0] < _APART and np.mean(size[:_SETTLING] > _UNSETTLED * quiet) > 0.1:
             starts = starts[1:]  # the machine had not settled yet, at amplitudes where the magnets are another machine
@@ -154,7 +156,7 @@ def _tone(output: SimulatedOutput, number: int) -> Iterator[Finding]:
     """A frequency that holds most of what is left of a signal, and no line of the excitation: it hides all else."""
     named = zip(output.record.signals, output.record.values, strict=True)  # f_magnet_ is measured, and turns as all else does
     excited = [row for name, row in named if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")]
-    for name, row in zip(output.signals, output.residual, strict=True):
+    for name, row in output.rows():
         share, frequency = _strongest(row)
         if share > _MOST and not any(_has_line(e, frequency) for e in excited):
             what = f"record {number}: a tone at {frequency * output.record.sample_rate_hz:.4g} Hz hides what the model lacks"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,29 +16,38 @@ from ambrose.machine.record.record import Record
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedOutput:
-    """measured (p, k) and model (p, k) of ``signals``, SI; the model with the estimated initial state and offset, and what
-    turns with the rotor."""
+    """measured (p, k), as in the record, and model (p, k) of ``signals``, SI; the model with the estimated initial state and
+    offset, and what turns with the rotor."""
 
     record: Record
     signals: tuple[str, ...]
-    measured: np.ndarray
     model: np.ndarray
+
+    @property
+    def measured(self) -> np.ndarray:
+        return np.array([self.record[name] for name in self.signals])
 
     @property
     def residual(self) -> np.ndarray:
         return self.measured - self.model
 
+    def rows(self, names: Sequence[str] | None = None) -> Iterator[tuple[str, np.ndarray]]:
+        """Name and residual (k,) of one signal after the other, all or those named."""
+        for name, model in zip(self.signals, self.model, strict=True):
+            if names is None or name in names:
+                yield name, self.record[name] - model
+
 
 def simulate_outputs(experiment: Experiment, records: Sequence[Record], theta: np.ndarray) -> tuple[SimulatedOutput, ...]:
     """Every record of an experiment with the model's outputs at theta (q,); the signals are those of the experiment."""
-    signals, unit, outputs = experiment.signals, experiment.sizes[:, None], []
+    signals, unit, outputs = experiment.signals, experiment.sizes, []
     for record, task in zip(records, experiment.tasks, strict=True):
         model, free = experiment.models[task.place], replace(task, initial_state=True, offset=True)
         loop = over_weights(model, theta, experiment.sizes)[0]
-        residual = fit(loop, synchronised(loop, free))[0] * unit
-        part = _fitted_part(record, model, task.samples)
-        measured = part.select(signals).values
-        outputs.append(SimulatedOutput(part, signals, measured, measured - residual))
+        part, made = _fitted_part(record, model, task.samples), fit(loop, synchronised(loop, free))[0]
+        for name, row, size in zip(signals, made, unit, strict=True):  # of the residual, the model
+            row[:] = part[name] - row * size
+        outputs.append(SimulatedOutput(part, signals, made))
     return tuple(outputs)
 
 

@@ -125,6 +125,7 @@ def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> Pa
     effect = float(relative[:, k].max())
     named = causes(found)
     moved = f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals hold"
+    moved = moved if effect else "no value moves by more than its standard deviation, and the intervals hold that"
     lacking = f"one more unknown would explain a part of what is left, the likeliest first: {named}; with it {moved}"
     verdict = verdict_of(result.tests, result.converged, lacking)
     warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]

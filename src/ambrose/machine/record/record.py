@@ -126,9 +126,9 @@ class Record(Presented):
         from ambrose.core.statespace import index_of
 
         i = index_of(names, self.signals, "signal")
-        return replace(
-            self, signals=tuple(self.signals[j] for j in i), units=tuple(self.units[j] for j in i), values=self.values[i]
-        )
+        values = self.values[i]
+        values.flags.writeable = False  # or it would be copied once more
+        return replace(self, signals=tuple(self.signals[j] for j in i), units=tuple(self.units[j] for j in i), values=values)
 
     def between(self, start: float, stop: float) -> Record:
         """The samples with start <= t < stop [s]; raises InvalidInput where there are none."""
