@@ -25,6 +25,7 @@ from ambrose.cli.records.bias import bias
 from ambrose.cli.records.calibrate import calibrate
 from ambrose.cli.records.frf import frf
 from ambrose.cli.records.identify import identify
+from ambrose.cli.records.monitor import monitor
 from ambrose.cli.records.seal import seal
 from ambrose.cli.simulate import simulate
 from ambrose.cli.size import size
@@ -108,6 +109,7 @@ for command in (
     frf,
     seal,
     bias,
+    monitor,
     calibrate,
     balance,
     accept,
