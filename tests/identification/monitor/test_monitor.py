@@ -17,6 +17,7 @@ from ambrose.identification.monitor.signals import NOTCH, measuring_filter
 from ambrose.identification.monitor.watch import SealMonitor, monitor
 from ambrose.machine.description import Tolerance
 from ambrose.machine.record.record import Record
+from ambrose.machine.seals import SealTable
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction
@@ -213,6 +214,8 @@ def test_refusals():
     with pytest.raises(InvalidInput, match="zero at every operating point"):
         still = replace(machine, seals=(replace(machine.seals[0], C=0.0),))
         monitor(still, law, record, unknown=("C",))
+    with pytest.raises(InvalidInput, match="unstable together"):
+        monitor(machine, replace(law, D=-law.D, C=-law.C), record)
     with pytest.raises(InvalidInput, match="window"):
         monitor(machine, law, record, window=-1.0)
 
@@ -228,3 +231,24 @@ def test_of_two_seals_one_is_watched_and_the_other_is_at_its_pressure():
     record = replace(recorded(1.0, e), values=np.vstack([simulate(select(system, *names), e), e]))
     found = monitor(two, law, record, seal="second", unknown=("k",), doubts={}, rate=0.0)
     assert found.values[-1, 0] == pytest.approx(5e5, rel=5e-3)
+
+
+def test_a_seal_with_states_is_watched_by_its_pressure_and_refused_without():
+    machine, law = setting()
+    grid = (0.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)
+    rows = tuple(
+        (name, tuple(getattr(machine.seals[0], name) * (1 + slope * w / 3200) for w in grid))
+        for name, slope in (("K", 1.0), ("k", -0.3), ("C", -0.4), ("c", -0.2))
+    )
+    table = SealTable((("frequency", grid),), rows)
+    seal = replace(machine.seals[0], K=0.0, k=0.0, C=0.0, c=0.0, table=table, frequency_dependence="states")
+    rig, point = replace(machine, seals=(seal,)), machine.operation.nominal
+    plant = free_mode_reduction(assemble(rig, replace(point, seal_pressure=0.5 * point.seal_pressure)), 3)
+    system = closed_loop(plant, c2d(match_controller(law, plant), DT, "tustin", delay=DT))
+    e = excitation(0.02)
+    names = [[f"{k}_{axis}" for k in kinds for axis in machine.axes] for kinds in ("e", "yu")]
+    record = replace(recorded(1.0, e), values=np.vstack([simulate(select(system, *names), e), e]))
+    found = monitor(rig, law, record, doubts={}, rate=0.0)
+    assert found.values[-1, 0] == pytest.approx(0.5 * point.seal_pressure, rel=1e-3)
+    with pytest.raises(InvalidInput, match="with states"):
+        monitor(rig, law, replace(record, point=replace(point, seal_pressure=0.0, label="")))

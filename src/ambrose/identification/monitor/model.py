@@ -55,8 +55,8 @@ class SealModel:
     A (n, n), B (n, m), C (p, n): the machine without the watched seal; L (n, p): the observer's gain; W (p, p): makes the
     prediction error white and of unit size for the noise assumed. unknown: per parameter, each in units of ``reference`` (q,),
     SI; squares: per two of them, half the second derivative. doubts: per parameter taken as known, in units of its half width;
-    kinds: those of one kind err together. nominal (q,): theta at the point, as the file has it. law: the controller as it runs,
-    sampled, from errors to currents.
+    kinds: those of one kind err together. law: the controller as it runs, sampled, from errors to currents; loop: A and B of
+    the simulated loop, from e to the states of machine and law.
     """
 
     paths: tuple[str, ...]
@@ -69,7 +69,7 @@ class SealModel:
     C: np.ndarray
     L: np.ndarray
     W: np.ndarray
-    nominal: np.ndarray
+    loop: tuple[np.ndarray, np.ndarray]
     unknown: tuple[Direction, ...]
     squares: tuple[Direction, ...]
     doubts: tuple[Direction, ...]
@@ -126,10 +126,12 @@ def seal_model(
     Q = _FORCE * 9.81 * mass_properties(plant.rotor_model).mass * Bd[:, len(u) :]
     L, W = _kalman(Ad, C, Q @ Q.T, noise)
     directions = tuple(Direction(*pair) for pair in zip(D, N, strict=True))
+    law = deployed_controller(plant, controller, dt, computing_delay)
+    pairs = list(zip(D[:q], N[:q], strict=True))
+    loop = _stable_loop(law, Ad, Bd[:, : len(u)], C, [(here * d, here * n) for here, (d, n) in zip(here, pairs, strict=True)])
     return SealModel(
-        tuple(paths), reference, dt, plant.axes, plant.point, Ad, Bd[:, : len(u)], C, L, W, here, directions[:q],
-        tuple(squares[h][g] for g in range(q) for h in range(q)), directions[q:], tuple(kind for _, _, kind in doubted),
-        deployed_controller(plant, controller, dt, computing_delay),
+        tuple(paths), reference, dt, plant.axes, plant.point, Ad, Bd[:, : len(u)], C, L, W, loop, directions[:q],
+        tuple(squares[h][g] for g in range(q) for h in range(q)), directions[q:], tuple(kind for _, _, kind in doubted), law,
     )  # fmt: skip
 
 
@@ -144,6 +146,23 @@ def _reference(machine: Machine, paths: Sequence[str]) -> np.ndarray:
             raise invalid(f'parameter "{path}"', "zero at every operating point", "non-zero at one", "give it a value to watch")
         found.append(value)
     return np.array(found)
+
+
+def _stable_loop(
+    law: Any, A: np.ndarray, B: np.ndarray, C: np.ndarray, seal: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The simulated loop, with as much of the seal's forces at the point as leaves it stable: instruments need not be exact.
+
+    Raises InvalidInput where it is unstable without any."""
+    for share in (1.0, 0.75, 0.5, 0.25, 0.0):
+        a, b = A + share * sum(d for d, _ in seal), B + share * sum(n for _, n in seal)
+        closed = np.block([[a - b @ law.D @ C, b @ law.C], [-law.B @ C, law.A]])
+        if np.abs(np.linalg.eigvals(closed)).max() < 1:
+            return closed, np.vstack([b, np.zeros((len(law.A), b.shape[1]))])
+    raise InvalidInput(
+        "controller and machine without the seal's forces are unstable together, as modelled; check that the controller is the "
+        "one that ran, its delay (--delay-samples) and its sign"
+    )
 
 
 def _doubted(machine: Machine, widths: Mapping[str, float]) -> list[tuple[str, float, str]]:

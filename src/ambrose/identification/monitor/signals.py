@@ -82,8 +82,8 @@ class Signals:
     def _driven(
         self, name: str, direction: Direction, x: np.ndarray, v: np.ndarray | None = None, into: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        into = into + direction.D @ x + (0 if v is None else direction.N @ v)
-        return self._step(name, self.model.observer, np.eye(len(into)), into)
+        driven = into + direction.D @ x + (0 if v is None else direction.N @ v)
+        return self._step(name, self.model.observer, np.eye(len(driven)), driven)
 
     def _step(self, name: str, A: np.ndarray, B: np.ndarray, u: np.ndarray) -> np.ndarray:
         """The states x (n, k) of x+ = A x + B u."""
@@ -96,12 +96,7 @@ class Signals:
         return x
 
     def _loop(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States and command of the simulated loop with the seal as the file has it."""
+        """States and command of the simulated loop."""
         model, law = self.model, self.model.law
-        A = model.A + sum(here * d.D for here, d in zip(model.nominal, model.unknown, strict=True))
-        B = model.B + sum(here * d.N for here, d in zip(model.nominal, model.unknown, strict=True))
-        n = len(A)
-        closed = np.block([[A - B @ law.D @ model.C, B @ law.C], [-law.B @ model.C, law.A]])
-        into = np.vstack([B, np.zeros((len(law.A), B.shape[1]))])
-        x = self._step("loop", closed, into, e)
+        n, x = len(model.A), self._step("loop", *model.loop, e)
         return x[:n], law.C @ x[n:] - law.D @ model.C @ x[:n] + e
