@@ -55,7 +55,7 @@ def monitor(
     from ambrose.identification.monitor.watch import monitor as watched
     from ambrose.machine.atomic_write import write_text
     from ambrose.machine.record.files import read_record
-    from ambrose.report.monitor import monitor_report, monitor_table
+    from ambrose.report.identification.monitor import monitor_report, monitor_table
 
     description = load(machine)
     law = load_controller(controller, description).controller

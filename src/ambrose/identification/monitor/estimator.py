@@ -2,8 +2,8 @@
 
 With instruments z, sum z e = (sum z r1 + sum z r2 theta) theta over the window, each sample weighted by exp(-age/window). The
 interval has three parts: noise, by the scatter of the blocks' own sums around the estimate (whatever the noise's colour, with
-Student's t for the blocks that count); what is taken as known, by its exact effect on this estimate; the rate at which the seal
-may change times the estimate's own mean age. A faster change is seen by a second, short window that disagrees (watch.py).
+Student's t for half the blocks that count); what is taken as known, by its exact effect on this estimate; the rate at which the
+seal may change times the estimate's own mean age. A faster change is seen by a second, short window that disagrees (watch.py).
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Window:
         scatter = T @ self.squares @ T.T * counted / (counted - q)
         back = np.linalg.inv(slope)
         spread = np.sqrt(np.diag(back @ scatter @ back.T))
-        noise = students_t(counted - q) * spread
+        noise = students_t((counted - q) / 2) * spread  # neighbours are not quite independent: half of them count
         effect = np.abs(back @ self.known)
         groups = [effect[:, kinds == kind].sum(axis=1) for kind in np.unique(kinds)]
         known = np.sqrt(np.sum(np.square(groups), axis=0)) if groups else np.zeros(q)
@@ -106,7 +106,7 @@ class Window:
 
 
 def students_t(freedom: float) -> float:
-    """The 97.5 % quantile of Student's t, to 1 % from 4 degrees of freedom on (Abramowitz & Stegun 26.7.5)."""
+    """The 97.5 % quantile of Student's t, to 1 % from 3 degrees of freedom on (Abramowitz & Stegun 26.7.5)."""
     z, n = _Z, freedom
     return (
         z + (z**3 + z) / (4 * n) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * n**2)
