@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.machine.file.toml import load_machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
@@ -42,6 +43,8 @@ REFUSED = {
     "another structure": ("tuned", {"structure": "ring"}, "structure is 'ring'"),
     "half a bending mode": ("mu", {"bending_modes": 0.5}, "bending_modes is 0.5"),
     "speeds of a fixed controller": ("mu", {"speeds": (1.0, 2.0)}, "only method 'lpv' is scheduled"),
+    "rate of a fixed controller": ("mu", {"speed_rate": 100.0}, "only method 'lpv' follows the speed"),
+    "negative rate": ("lpv", {"speed_rate": -1.0}, "speed_rate"),
     "speeds exchanged": ("lpv", {"speeds": (2.0, 1.0)}, "speeds is 2 and 1 rad/s"),
     "one speed": ("lpv", {"speeds": (2.0,)}, "speeds"),
     "gain matched perhaps": ("mu", {"match_reference": "perhaps"}, "match_reference is 'perhaps'"),
@@ -111,3 +114,19 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
     assert DesignOptions().timing() is None
     runs = replace(plant, machine=replace(plant.machine, controller=replace(plant.machine.controller, sample_time=1e-4)))
     assert "1 sample late (machine file)" in design(runs, "pid").certificate.plant  # it was called given
+
+
+def test_the_rate_of_the_speed_reaches_the_synthesis(monkeypatch):
+    """The option is the rate that the inequalities take; None stays: however fast."""
+    told = []
+
+    def heard(plant, grid, **given):
+        told.append((grid, given["rate"]))
+        raise NumericalFailure("far enough")
+
+    monkeypatch.setattr("ambrose.synthesis.design.design_over_speed", heard)
+    plant = assemble(load_machine("turboexpander"))
+    for rate in (1760.0, None):
+        with pytest.raises(NumericalFailure, match="far enough"):
+            design(plant, "lpv", speeds=(700.0, 900.0), speed_rate=rate)
+    assert [rate for _, rate in told] == [1760.0, None]

@@ -57,6 +57,12 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
     default=None,
     help="With --method lpv: lowest and highest speed; default: those of the operating points at the same seal pressure.",
 )
+@click.option(
+    "--speed-rate",
+    type=float,
+    default=None,
+    help="With --method lpv: fastest run-up, rad/s^2, which the proof then takes; default: any.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("controller.json"), show_default=True)
 @click.option(
     "--machine-file",
@@ -78,6 +84,7 @@ def synthesize(
     delay_samples: int | None,
     loss: float | None,
     speeds_hz: tuple[float, float] | None,
+    speed_rate: float | None,
     output: Path,
     machine_file: Path | None,
     as_json: bool,
@@ -104,6 +111,7 @@ def synthesize(
         ("--loss", loss is not None, ("pid", "hinf", "mu", "polish", "lpv")),
         ("--envelope", envelope, ("hinf", "mu")),
         ("--speeds-hz", speeds_hz is not None, ("lpv",)),
+        ("--speed-rate", speed_rate is not None, ("lpv",)),
     ):
         if given and method not in methods:
             raise invalid(option, "given", f"left out with --method {method}", f"it goes with {' or '.join(methods)}")
@@ -117,6 +125,8 @@ def synthesize(
         raise invalid("--speeds-hz", f"{speeds_hz[0]:g} {speeds_hz[1]:g}", "the lower speed, then the higher", "swap the two")
     if rate_hz is not None:
         check_positive(rate_hz, "--rate-hz", "10000 is usual")
+    if speed_rate is not None:
+        check_positive(speed_rate, "--speed-rate", "give it in rad/s^2")
     options = DesignOptions(
         rate=rate_hz,
         delay_samples=delay_samples,
@@ -127,6 +137,7 @@ def synthesize(
         envelope=envelope,
         match_reference=match_reference,
         speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
+        speed_rate=speed_rate,
     )
     if machine_file is not None and (method != "tuned" or structure not in BANKS):
         raise invalid("--machine-file", str(machine_file), "given with a filter bank", "add --method tuned --structure pid")

@@ -73,7 +73,8 @@ def design(
     of the tolerances around each; the others know the plant's point alone), "pid" (the machine's reference controller), "hinf"
     (H-infinity for the nominal plant), "mu" (D-K iteration over the machine's tolerances), "polish" (the mu controller at half
     its order, refined for the worst case), "lpv" (scheduled over speed). options: all of them, or single ones by name as
-    ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, structure, envelope (DesignOptions).
+    ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, speed_rate, structure, envelope
+    (DesignOptions).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
     "lpv", nor of "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
@@ -98,6 +99,8 @@ def design(
         raise invalid("envelope", True, f"False for method {method!r}", "'hinf' and 'mu' can span it; 'tuned' always does")
     if options.speeds is not None and method != "lpv":
         raise invalid("speeds", options.speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
+    if options.speed_rate is not None and method != "lpv":
+        raise invalid("speed_rate", options.speed_rate, f"None for method {method!r}", "only method 'lpv' follows the speed")
     timing, options = options.timing(plant.machine), options.on(plant.machine)
     try:
         result = pid_synthesis(plant, timing=timing) if method == "pid" else _designed(plant, method, options, progress)
@@ -119,7 +122,8 @@ def design(
 def _designed(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:
     if method == "lpv":
         grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
-        return design_over_speed(plant, grid, bending_modes=options.bending_modes or 0, progress=progress)
+        modes = options.bending_modes or 0
+        return design_over_speed(plant, grid, bending_modes=modes, rate=options.speed_rate, progress=progress)
     return _tuned(plant, options, progress) if method == "tuned" else _by_weights(plant, method, options, progress)
 
 

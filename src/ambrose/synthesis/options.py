@@ -26,7 +26,8 @@ class DesignOptions:
     "axis" (each alone), "free", or a filter bank: "pid" (per channel a PID and a low pass), "filters" (and notches).
     match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so that
     controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds:
-    lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal pressure).
+    lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal pressure);
+    speed_rate [rad/s^2]: the fastest it runs up or down (None: any), for which gamma may be lower.
     envelope: "hinf" and "mu" are designed for all operating points at once, what changes between them being real parameters;
     "hinf" is then D-K iteration over those alone. Raises InvalidInput.
     """
@@ -39,6 +40,7 @@ class DesignOptions:
     structure: str = "free"
     match_reference: bool | None = None
     speeds: tuple[float, float] | None = None
+    speed_rate: float | None = None
     envelope: bool = False
 
     def __post_init__(self) -> None:
@@ -62,6 +64,9 @@ class DesignOptions:
             low, high = check_shape(self.speeds, "speeds", "(2)")
             if not 0 <= low < high:
                 raise invalid("speeds", f"{low:g} and {high:g} rad/s", "the lower speed, then the higher", "swap the two")
+
+        if self.speed_rate is not None:
+            check_positive(self.speed_rate, "speed_rate", "give it in rad/s^2, or leave it out for any")
 
     def on(self, machine: Machine) -> DesignOptions:
         """These options with the rate and the delay that hold on a machine. Raises InvalidInput for a loss without a rate."""
