@@ -48,7 +48,19 @@ def place(request, tmp_path_factory):
 def test_the_pressure_is_found_and_shown(place):
     name, folder = place
     done = call(
-        "monitor", name, folder / "pid.json", folder / "r.h5", "--json", "--csv", folder / "t.csv", "-o", folder / "p.html"
+        "monitor",
+        name,
+        folder / "pid.json",
+        folder / "r.h5",
+        "--json",
+        "--csv",
+        folder / "t.csv",
+        "-o",
+        folder / "p.html",
+        "--code",
+        folder / "code",
+        "--bending-modes",
+        1,
     )
     assert done.exit_code == 0, done.stdout + done.stderr
     told = json.loads(done.stdout)
@@ -58,6 +70,7 @@ def test_the_pressure_is_found_and_shown(place):
     assert told["limits"][0][0] < pressure < told["limits"][0][1] and told["findings"] == []
     rows = list(csv.reader((folder / "t.csv").read_text().splitlines()))
     assert len(rows) == len(told["time_s"]) + 1 and float(rows[-1][1]) == pytest.approx(value, rel=1e-4)
+    assert "Cost:" in (folder / "code" / "seal_monitor.h").read_text() and told["code"]
     page = (folder / "p.html").read_text()
     assert told["paths"][0] in page and "the seal is within its range" in page
 
@@ -80,6 +93,9 @@ def test_refusals(place, tmp_path):
     assert done.exit_code == 2 and "has no u_" in done.stderr
     done = call("monitor", name, folder / "pid.json", folder / "r.h5", "--seal", "none")
     assert done.exit_code == 2 and "correct the name" in done.stderr
+    two = ("--unknown", "k", "--unknown", "C", "--code", tmp_path / "code")
+    done = call("monitor", name, folder / "pid.json", folder / "r.h5", *two)
+    assert done.exit_code == 2 and "one parameter" in done.stderr and not (tmp_path / "code").exists()
     write_record(record.select([n for n in record.signals if n[:2] != "e_"]), tmp_path / "still.h5")
     done = call("monitor", name, folder / "pid.json", tmp_path / "still.h5")
     assert done.exit_code == 1 and "nothing can be said" in done.stdout

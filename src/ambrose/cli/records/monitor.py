@@ -39,12 +39,13 @@ from ambrose.cli.terminal import (
 @click.option("--harmonics", type=int, default=3, show_default=True, help="Multiples of the speed that are taken out.")
 @click.option("--delay-samples", type=int, default=1, show_default=True, help="From measured errors to currents set.")
 @click.option("--csv", "table", type=click.Path(path_type=Path), help="Every estimate as text (*.csv).")
+@click.option("--code", type=click.Path(path_type=Path), help="A folder for this monitor as C code.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="A page (*.html).")
 @AS_JSON
 def monitor(
     machine: str, controller: Path, record: Path, seal: str | None, unknown: tuple[str, ...], window: float, rate: float,
     current_gain: float, stiffness: float, amplifier: float, bending_modes: int, harmonics: int, delay_samples: int,
-    table: Path | None, output: Path | None, as_json: bool,
+    table: Path | None, code: Path | None, output: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """A seal against time, with 95 % intervals, from the running loop and a small excitation.
 
@@ -53,6 +54,7 @@ def monitor(
     given, or nothing can be said.
     """
     from ambrose.identification.monitor.watch import monitor as watched
+    from ambrose.identification.monitor.watch import seal_monitor
     from ambrose.machine.atomic_write import write_text
     from ambrose.machine.record.files import read_record
     from ambrose.report.identification.monitor import monitor_report, monitor_table
@@ -61,11 +63,18 @@ def monitor(
     law = load_controller(controller, description).controller
     claim(page=output, table=table)
     doubts = {"force_per_current": current_gain, "negative_stiffness": stiffness, "amplifier": amplifier}
+    measured = read_record(record)
+    options = {
+        "seal": seal, "unknown": unknown, "window": window, "rate": rate, "doubts": doubts, "bending_modes": bending_modes,
+        "harmonics": harmonics, "computing_delay": delay_samples,
+    }  # fmt: skip
     with progress_shown(as_json) as progress:
-        found = watched(
-            description, law, read_record(record), seal=seal, unknown=unknown, window=window, rate=rate, doubts=doubts,
-            bending_modes=bending_modes, harmonics=harmonics, computing_delay=delay_samples, progress=progress,
-        )  # fmt: skip
+        if code is not None:
+            from ambrose.deployment.c.monitor import write_monitor
+
+            progress("writing the code")
+            write_monitor(code, seal_monitor(description, law, measured.point, measured.dt, **options))  # type: ignore[arg-type]
+        found = watched(description, law, measured, progress=progress, **options)
         failures = []
         if table is not None:
             failures.append(kept(lambda path: write_text(path, found.to_csv(), "table"), table))
@@ -75,7 +84,8 @@ def monitor(
             progress("writing the page")
             failures.append(kept(lambda path: write(monitor_report(description, found), path), output))
     if as_json:
-        say_json({**found.to_dict(), "page": str(output) if output else None, "table": str(table) if table else None})
+        say_json({**found.to_dict(), "page": str(output) if output else None, "table": str(table) if table else None,
+                  "code": str(code) if code else None})  # fmt: skip
     else:
         rows = monitor_table(found)
         print_table(f"Seal {found.seal}", rows.columns, [tuple(cell.text for cell in row) for row in rows.cells])
@@ -83,7 +93,7 @@ def monitor(
             say(note)
         for finding in found.findings:
             say(f"finding: {finding}")
-        for what, place in (("Table", table), ("Page", output)):
+        for what, place in (("Code", code), ("Table", table), ("Page", output)):
             if place is not None:
                 say(f"{what}: {place}")
     for failure in failures:

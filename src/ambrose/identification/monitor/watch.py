@@ -14,16 +14,17 @@ from ambrose.identification.excitation import signal_rows
 from ambrose.identification.monitor.estimator import BLOCK, Estimate, Window, block_sums
 from ambrose.identification.monitor.history import SealHistory, findings_of
 from ambrose.identification.monitor.model import SealModel, seal_model
-from ambrose.identification.monitor.signals import Signals, measuring_filter
+from ambrose.identification.monitor.signals import Filter, Signals, measuring_filter
 from ambrose.identification.parameters import nominal_values, reduced_plant
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.machine.seals import Seal, not_straight
 
 WINDOW, SHORT, RATE = 2.0, 0.25, 0.01  # [s], [s], [reference/s]
 _STRETCH = 1.0  # [s] of the record worked on at once
-_OLD = 2.0  # windows: mean age of what an estimate rests on, beyond which nothing is said
-_WIDE = 1.0  # noise part of a half width, in units of the reference, beyond which nothing is said
+OLD = 2.0  # windows: mean age of what an estimate rests on, beyond which nothing is said
+WIDE = 1.0  # noise part of a half width, in units of the reference, beyond which nothing is said
 
 
 @dataclass(slots=True)
@@ -35,6 +36,7 @@ class SealMonitor:
     rate: float = RATE
     harmonics: int = 3
     settling: float = field(init=False)
+    filters: Filter = field(init=False)
     _signals: Signals = field(init=False)
     _long: Window = field(init=False)
     _short: Window = field(init=False)
@@ -42,14 +44,19 @@ class SealMonitor:
     _wait: int = field(init=False)
 
     def __post_init__(self) -> None:
-        filters = measuring_filter(self.model.point.speed, self.model.dt, self.harmonics)
-        self._signals, self.settling = Signals(self.model, filters), filters.settling
+        self.filters = measuring_filter(self.model.point.speed, self.model.dt, self.harmonics)
+        self._signals, self.settling = Signals(self.model, self.filters), self.filters.settling
         self._wait = round(self.settling / self.model.dt)
         self._begin()
 
     def _begin(self) -> None:
         q, c, step = len(self.model.unknown), len(self.model.doubts), self.block * self.model.dt
-        self._long, self._short = (Window(q, c, size, step) for size in (self.window, min(SHORT, 0.5 * self.window)))
+        self._long, self._short = (Window(q, c, size, step) for size in self.windows)
+
+    @property
+    def windows(self) -> tuple[float, float]:
+        """Long and short memory [s]."""
+        return self.window, min(SHORT, 0.5 * self.window)
 
     @property
     def block(self) -> int:
@@ -85,10 +92,11 @@ class SealMonitor:
 
 
 @names_wrong_types
-def monitor(
+def seal_monitor(
     machine: Machine,
     controller: Any,
-    record: Record,
+    point: OperatingPoint,
+    dt: float,
     *,
     seal: str | None = None,
     unknown: Sequence[str] = (),
@@ -98,11 +106,10 @@ def monitor(
     computing_delay: int = 1,
     harmonics: int = 3,
     doubts: Mapping[str, float] | None = None,
-    progress: Callable[[str], None] = lambda stage: None,
-) -> SealHistory:
-    """A seal's parameters against time from one record of the loop, with y_<axis>, u_<axis> and a small excitation e_<axis>.
+) -> SealMonitor:
+    """A monitor for samples every dt [s] at an operating point.
 
-    seal: which one is watched (None: the only one); the others stay as the file has them at the record's pressure. unknown:
+    seal: which one is watched (None: the only one); the others stay as the file has them at the point's pressure. unknown:
     "pressure" (the pressure that its forces tell), or some of K, k, C, c, the others as the file has them (none: the pressure
     where the seal's forces are a straight line over it, else k). window [s]: memory of the estimate; rate [1/s]: how fast the
     seal may change, in units of the reference; faster changes restart the window. doubts: relative half widths of
@@ -112,17 +119,31 @@ def monitor(
     check_positive(rate, "rate", "say how fast the seal may change per second, such as 0.01", zero_allowed=True)
     watched = _watched(machine, seal)
     paths = [f"seal.{watched.name}.{quantity}" for quantity in unknown or _usual(watched)]
-    names = [f"{kind}_{axis}" for kind in "yu" for axis in machine.axes]
-    missing = [name for name in names if name not in record.signals]
-    if missing:
-        raise InvalidInput(
-            f"the record has no {', '.join(missing)}; the monitor needs every displacement and command of the loop"
-        )
     model = seal_model(
-        machine, controller, record.point, paths, record.dt, bending_modes=bending_modes, computing_delay=computing_delay,
-        doubts=doubts,
-    )  # fmt: skip
-    following = SealMonitor(model, window, rate, harmonics)
+        machine, controller, point, paths, dt, bending_modes=bending_modes, computing_delay=computing_delay, doubts=doubts
+    )
+    return SealMonitor(model, window, rate, harmonics)
+
+
+@names_wrong_types
+def monitor(
+    machine: Machine,
+    controller: Any,
+    record: Record,
+    *,
+    progress: Callable[[str], None] = lambda stage: None,
+    **options: Any,
+) -> SealHistory:
+    """A seal's parameters against time from one record of the loop, with y_<axis>, u_<axis> and a small excitation e_<axis>.
+
+    options: those of ``seal_monitor``. Raises InvalidInput.
+    """
+    watched = _watched(machine, options.get("seal"))
+    missing = [name for name in (f"{kind}_{axis}" for kind in "yu" for axis in machine.axes) if name not in record.signals]
+    if missing:
+        needs = "the monitor needs every displacement and command of the loop; record them"
+        raise InvalidInput(f"the record has no {', '.join(missing)}; {needs}")
+    following = seal_monitor(machine, controller, record.point, record.dt, **options)
     stretch = max(following.block, round(_STRETCH * record.sample_rate_hz))
     total = record.values.shape[1]
     if following.settling + 10 * BLOCK > total * record.dt:
@@ -138,7 +159,7 @@ def monitor(
         found += following.follow(y[:, part], u[:, part] + e[:, part], e[:, part])
         if start and start % (20 * stretch) == 0:
             progress(f"{start * record.dt:.0f} of {total * record.dt:.0f} s")
-    return _history(machine, watched, model, following, record, found)
+    return _history(machine, watched, following.model, following, record, found)
 
 
 def _watched(machine: Machine, name: str | None) -> Seal:
@@ -184,7 +205,7 @@ def _history(
 
     values, half, noise = rows("theta"), rows("half_width"), rows("noise")
     ages = np.array([item.age for item in found])
-    silent = ~((ages < _OLD * following.window) & (noise < _WIDE * model.reference).all(axis=1) & np.isfinite(half).all(axis=1))
+    silent = ~((ages < OLD * following.window) & (noise < WIDE * model.reference).all(axis=1) & np.isfinite(half).all(axis=1))
     values[silent], half[silent] = np.nan, np.nan
     measured = None
     if "p_seal" in record.signals:
