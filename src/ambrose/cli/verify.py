@@ -27,16 +27,34 @@ from ambrose.cli.terminal import (
 @click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
 @RATE
 @DELAY
+@click.option(
+    "--pressure-rate",
+    metavar="RATE",
+    default=None,
+    help='Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; default: the machine file\'s.',
+)
 @ALL
 @AS_JSON
-def verify(machine: str, path: Path, rate_hz: float | None, delay_samples: int | None, everything: bool, as_json: bool) -> None:
+def verify(
+    machine: str,
+    path: Path,
+    rate_hz: float | None,
+    delay_samples: int | None,
+    pressure_rate: str | None,
+    everything: bool,
+    as_json: bool,
+) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
     from ambrose.evaluation.verdict import verify_controller
+    from ambrose.verification.moving.pressure import pressure_spans
 
     description = load(machine)
     controller = load_controller(path, description)
+    fastest = None if pressure_rate is None else _rate(pressure_rate)
     with progress_shown(as_json) as progress:
-        result = verify_controller(description, controller, rate=rate_hz, delay_samples=delay_samples, progress=progress)
+        result = verify_controller(
+            description, controller, rate=rate_hz, delay_samples=delay_samples, pressure_rate=fastest, progress=progress
+        )
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:
@@ -45,8 +63,29 @@ def verify(machine: str, path: Path, rate_hz: float | None, delay_samples: int |
         say(f"The loop that was judged is {result.timing}.")
         for words in result.not_varied:
             say(f"Not varied around {words}.")
+        if not result.moving and pressure_spans(description):
+            known = fastest is not None or description.operation.pressure_rate is not None
+            remedy = (
+                "the loop must hold every point, with a fixed law"
+                if known
+                else "give --pressure-rate or the file's pressure_rate"
+            )
+            say(f"Nothing is proved for a seal pressure that changes: {remedy}.")
         for label in result.left_out:
             say(f"{label}: left out, the schedule does not cover this operating point")
         failed = [label for label, checks in result.labelled if not checks.passed] + list(result.left_out)
         say(f"Failed: {'; '.join(failed)}." if failed else f"Passed: every check of all {len(result.labelled)} tables.")
     sys.exit(0 if result.passed else 1)
+
+
+def _rate(text: str) -> float:
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.units import DIMENSIONS, read_quantity
+
+    try:
+        rate = read_quantity(text, DIMENSIONS["pressure per time"])
+    except ValueError as error:
+        raise InvalidInput(f"--pressure-rate {error}") from error
+    if not rate > 0:
+        raise InvalidInput(f"--pressure-rate is {text}, but must be positive; leave it out where nothing is known")
+    return rate

@@ -25,6 +25,7 @@ from ambrose.synthesis.weights import machine_weights
 from ambrose.verification import nominal, robust, sampled
 from ambrose.verification.between import check_range
 from ambrose.verification.checks import Check, Checks
+from ambrose.verification.moving.pressure import check_pressure, covered_spans
 from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
 
@@ -37,6 +38,7 @@ def verify_controller(
     tolerances: bool = True,
     rate: float | None = None,
     delay_samples: int | None = None,
+    pressure_rate: float | None = None,
     progress: Progress = lambda stage: None,
 ) -> Verification:
     """The checks of a controller on the full plant at every operating point, and over the tolerances around each.
@@ -44,9 +46,10 @@ def verify_controller(
     machine: or the plants to verify on, one or several. controller: a Synthesis, a schedule over speed, or anything with A, B,
     C, D. points: operating points or labels (None: all). tolerances: whether the tolerance boxes are examined. rate [Hz],
     delay_samples: the loop as it runs, sampled by Tustin's map and late; None: as the controller or the machine file says
-    (``plant.timing.timing_of``); where neither knows a rate the continuous loop is judged, and ``timing`` says so. Operating
-    points that a schedule does not cover are listed as left out. Raises InvalidInput where the controller is not one for this
-    machine.
+    (``plant.timing.timing_of``); where neither knows a rate the continuous loop is judged, and ``timing`` says so.
+    pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the machine file's; without one nothing is proved for a
+    pressure that changes). Operating points that a schedule does not cover are listed as left out. Raises InvalidInput where the
+    controller is not one for this machine.
     """
     law = getattr(controller, "law", controller)
     if not isinstance(machine, Machine):
@@ -62,11 +65,13 @@ def verify_controller(
     checks = verify_points(within, law, progress, timing)
     boxes = verify_tolerances(within, law, checks, progress, timing) if tolerances else ()
     ranges: tuple[Checks, ...] = ()
+    moving: tuple[Checks, ...] = ()
     if points is None and isinstance(machine, Machine):
         ranges, beyond = verify_ranges(machine, law, checks, progress, timing)
         left_out = (*left_out, *beyond)
+        moving = verify_moving(machine, law, checks, progress, timing, pressure_rate)
     still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
-    return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still, ranges)
+    return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still, ranges, moving)
 
 
 def running_law(law: Any, plant: Plant, timing: Timing | None) -> StateSpace:
@@ -101,6 +106,19 @@ def verify_ranges(
             progress(f"verifying between the points of {area.label}")
             found.append(check_range(machine, area, law, timing))
     return tuple(found), tuple(beyond)
+
+
+def verify_moving(
+    machine: Machine, law: Any, points: Sequence[Checks], progress: Progress, timing: Timing | None, rate: float | None
+) -> tuple[Checks, ...]:
+    """The checks while the seal pressure changes between the points, at up to ``rate`` [Pa/s] (None: the machine file's).
+
+    Without a rate, with an unstable point, or for a schedule over speed there are none.
+    """
+    rate = machine.operation.pressure_rate if rate is None else rate
+    if rate is None or isinstance(law, ScheduledSystem) or not all(checks.stable for checks in points):
+        return ()
+    return tuple(check_pressure(machine, span, law, timing, rate, progress) for span in covered_spans(machine, law))
 
 
 def verify_tolerances(

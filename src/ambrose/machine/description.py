@@ -236,6 +236,9 @@ class Operation(Part):
     ranges: Annotated[tuple[OperatingRange, ...], "ranges of speed and pressure in which the machine runs"] = field(
         default=(), metadata={"key": "range"}
     )
+    pressure_rate: Annotated[
+        float | None, Quantity("pressure per time"), "fastest change of the seal pressure, for a proof while it changes"
+    ] = None
 
     @property
     def envelope(self) -> tuple[OperatingPoint, ...]:

@@ -84,6 +84,7 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("force per current", "N/A", "180 N/A", "N/A=1"),
         _dimension("stiffness", "N/m", "2.4 N/um", "N/m=1,N/mm=1e3,N/um=1e6,kN/m=1e3,kN/mm=1e6,MN/m=1e6"),
         _dimension("damping", "N s/m", "300 N s/m", "N s/m=1,Ns/m=1,kN s/m=1e3,kNs/m=1e3,N s/mm=1e3,Ns/mm=1e3"),
+        _dimension("pressure per time", "Pa/s", "20 bar/s", "Pa/s=1,kPa/s=1e3,MPa/s=1e6,bar/s=1e5,mbar/s=1e2"),
         _dimension("velocity", "m/s", "2.5 mm/s", "m/s=1,mm/s=1e-3"),
         _dimension("compliance", "m/N", "0.1 um/N", "m/N=1,mm/N=1e-3,um/N=1e-6"),
         _dimension("current per displacement", "A/m", "18 A/mm", "A/m=1,A/mm=1e3,A/um=1e6"),

@@ -24,7 +24,8 @@ def box_label(point: str) -> str:
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Verification(Presented):
     """points: the checks at each operating point. boxes: those over the tolerances around each, labelled by ``box_label``.
-    ranges: those over each of the machine's ranges of speed and pressure, labelled as it is.
+    ranges: those over each of the machine's ranges of speed and pressure, labelled as it is. moving: those of a seal pressure
+    that changes, where its fastest rate is known.
 
     A point without a box has no tolerance around it, or an unstable loop. left_out: the operating points that could not be
     verified, such as those outside a controller's schedule; a verification that leaves a point out is not passed. timing: what
@@ -38,14 +39,15 @@ class Verification(Presented):
     timing: str = CONTINUOUS
     not_varied: tuple[str, ...] = ()
     ranges: tuple[Checks, ...] = ()
+    moving: tuple[Checks, ...] = ()
 
     def __post_init__(self) -> None:
         check_types(type(self).__post_init__, (self,), {})
 
     @property
     def labelled(self) -> tuple[tuple[str, Checks], ...]:
-        """Every point's label with its checks, then those over the tolerances and over the ranges."""
-        return tuple((checks.label, checks) for checks in (*self.points, *self.boxes, *self.ranges))
+        """Every point's label with its checks, then those over the tolerances, over the ranges and of what changes."""
+        return tuple((checks.label, checks) for checks in (*self.points, *self.boxes, *self.ranges, *self.moving))
 
     @property
     def tolerances(self) -> Checks | None:
@@ -111,6 +113,7 @@ class Verification(Presented):
             "points": [checks.to_dict() for checks in self.points],
             "tolerances": [checks.to_dict() for checks in self.boxes],
             "ranges": [checks.to_dict() for checks in self.ranges],
+            "moving": [checks.to_dict() for checks in self.moving],
             "left_out": list(self.left_out),
             "timing": self.timing,
             "not_varied": list(self.not_varied),

@@ -153,6 +153,7 @@ def _operation(machine: MachineDescription) -> Iterator[str]:
     if not 0 <= low <= high:
         wanted = "[lowest, highest], neither negative"
         yield complaint("[operation]", "speed_range", f"[{low:g}, {high:g}] rad/s", wanted, "swap or correct the two")
+    yield from not_positive("[operation]", operation, "leave it out where it is not known", "pressure_rate")
     if not operation.points:
         yield "[operation]: there is no point; add at least one [[operation.point]], the nominal one first"
     labels: set[str] = set()
