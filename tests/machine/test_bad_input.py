@@ -130,6 +130,7 @@ SLIPS = {
     "no filter": ("derivative_filter = 0.1", "derivative_filter = 0", "[controller]", "derivative_filter is 0", "positive"),
     "notch without poles": ("pole_damping = 0.5", "pole_damping = 0", "[[controller.notch]] 1", "pole_damping is 0", "positive"),
     "controller that sees ahead": ('delay = "100 us"', 'delay = "-100 us"', "[controller]", "delay is -0.0001 s", "ahead"),
+    "pressure rate of zero": ('pressure_rate = "20 bar/s"', "pressure_rate = 0", "[operation]", "pressure_rate", "leave it out"),
     "design point that is none": ('design_point = "nominal"', 'design_point = "nominl"', "[operation]", 'design_point is "nominl"', "no point's label"),
     "speed range upside down": ('[0, "12000 rpm"]', '["12000 rpm", 0]', "[operation]", "speed_range is [1256.64, 0] rad/s", "[lowest, highest]"),
     "negative pressure": ('seal_pressure = "2 bar"', 'seal_pressure = "-2 bar"', '[[operation.point]] 1 "nominal"', "seal_pressure is -200000 Pa", "difference"),

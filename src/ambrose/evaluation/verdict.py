@@ -48,8 +48,8 @@ def verify_controller(
     delay_samples: the loop as it runs, sampled by Tustin's map and late; None: as the controller or the machine file says
     (``plant.timing.timing_of``); where neither knows a rate the continuous loop is judged, and ``timing`` says so.
     pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the machine file's; without one nothing is proved for a
-    pressure that changes). Operating points that a schedule does not cover are listed as left out. Raises InvalidInput where the
-    controller is not one for this machine.
+    pressure that changes). Operating points that a schedule does not cover are listed as left out. Raises InvalidInput where
+    the controller is not one for this machine.
     """
     law = getattr(controller, "law", controller)
     if not isinstance(machine, Machine):

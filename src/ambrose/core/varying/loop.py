@@ -1,10 +1,10 @@
 """A loop with real parameters that move: each delta(t) anywhere in -1 .. 1 and, where a bound is known, |delta'| <= rate.
 
 The parameters are pulled out of a stable system: w = delta z, channel by channel. For a bounded rate the loop carries filters
-xi' = F xi + H z and eta' = F eta + H w, which change nothing about it. The product obeys (delta xi)' = F delta xi + H w + delta' xi,
-hence delta xi = eta + zeta with zeta' = F zeta + delta' xi: the pairs (z, w) and (xi, eta + zeta) both belong to delta, and xi
-with the input delta' xi belongs to its rate (swapping lemma; Jonsson & Rantzer 1996, Int. J. Robust Nonlinear Control 6). A rate
-of zero is a parameter that is not known but stays.
+xi' = F xi + H z and eta' = F eta + H w, which change nothing about it. As (delta xi)' = F delta xi + H w + delta' xi,
+delta xi = eta + zeta with zeta' = F zeta + delta' xi: the pairs (z, w) and (xi, eta + zeta) both belong to delta, and xi
+with the input delta' xi belongs to its rate (swapping lemma; Jonsson & Rantzer 1996, Int. J. Robust Nonlinear Control 6).
+A rate of zero is a parameter that is not known but stays.
 """
 
 from __future__ import annotations

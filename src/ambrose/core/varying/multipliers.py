@@ -1,7 +1,7 @@
 """Constant multipliers of moving parameters and their rates, found by cutting planes over the frequency.
 
-With D = D^T >= 0 and G = -G^T the form sigma = z^T D z - w^T D w + 2 z^T G w is not negative where w = delta z, |delta| <= 1, at
-every instant, however delta moves; likewise for xi and w2 = (delta'/rate) xi. If sigma + |y|^2 - gamma^2 |d|^2 is negative
+With D = D^T >= 0 and G = -G^T the form sigma = z^T D z - w^T D w + 2 z^T G w is not negative where w = delta z, |delta| <= 1,
+at every instant, however delta moves; likewise for xi and w2 = (delta'/rate) xi. If sigma + |y|^2 - gamma^2 |d|^2 is negative
 definite in (w, w2, d) at every frequency, gamma bounds the gain (S-procedure; Megretski & Rantzer 1997, IEEE Trans. Autom.
 Control 42; Scherer 2001, Automatica 37). The search satisfies this at finitely many frequencies and adds those where it fails;
 ``proof`` proves what it finds.
