@@ -2,8 +2,8 @@
 
 python -m benchmarks.varying_attack [--runs 1000]
 
-The attack looks for the largest energy gain along each motion of two seconds (power iteration with the adjoint); the proof is of
-the full plant.
+The attack looks for the largest energy gain along each motion of two seconds (power iteration with the adjoint); the
+proof is of the full plant.
 """
 
 from __future__ import annotations
