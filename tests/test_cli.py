@@ -251,6 +251,8 @@ BAD = {
     "a negative computing delay": (["synthesize", RIG, "--rate-hz", "10000", "--delay-samples", "-1"], "computing delay"),
     "a design at an unknown operating point": (["synthesize", RIG, "--point", "mars"], "nominal pressure"),
     "no controller given": (["verify", RIG], "--controller"),
+    "pressure rate in kg": (["verify", RIG, "--controller", "{controller}", "--pressure-rate", "2 kg"], "20 bar/s"),
+    "pressure rate negative": (["verify", RIG, "--controller", "{controller}", "--pressure-rate=-2 bar/s"], "must be positive"),
 }
 
 

@@ -104,7 +104,7 @@ def test_every_value_of_the_small_machine():
         ),
         operation=d.Operation(
             (d.OperatingPoint(6000 * rpm, 2e5, 4.0, 40 * hz, "nominal"), d.OperatingPoint(label="standstill")),
-            (0.0, 12000 * rpm), "nominal", (d.OperatingRange("running", (0.0, 3000 * rpm), (1e5, 1e5), 3.0),),
+            (0.0, 12000 * rpm), "nominal", (d.OperatingRange("running", (0.0, 3000 * rpm), (1e5, 1e5), 3.0),), 20e5,
         ),
         tolerances=(
             d.Tolerance("seal.center.K", absolute=0.1e6),
@@ -403,7 +403,7 @@ def machines(draw):
         couplings=couplings,
         bending_modes=draw(st.sampled_from([(), (d.BendingMode(1, 1234.5), d.BendingMode(2, None, 0.002))])),
         controller=draw(maybe(st.just(controller))),
-        operation=d.Operation(points, tuple(sorted(draw(pair))), "", areas),
+        operation=d.Operation(points, tuple(sorted(draw(pair))), "", areas, draw(maybe(positive))),
         tolerances=tuple(tolerances[: draw(st.integers(0, 2))]),
         requirements=d.Requirements(**demands),
         weights=draw(maybe(st.just(weights))),
