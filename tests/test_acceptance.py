@@ -86,6 +86,19 @@ def test_another_controller_than_the_file_says_is_noticed():
     assert not other.passed and other.value == pytest.approx(0.2, abs=0.05)
 
 
+def test_another_delay_than_was_told_fails_and_can_be_told():
+    """One sample more turns the currents by less than the tenth that is allowed in size: the delay is judged by itself."""
+    late = amb.simulate(
+        machine(), law(), replace(load_scenario("acceptance"), duration=4.0), linear=True, delay_samples=2
+    ).record
+    late = late.select([name for name in late.signals if name[:2] in {"y_", "e_", "u_"}])
+    told, right = (
+        {c.name: c for c in accept(machine(), law(), late, delay_samples=delay).points[0].checks.checks} for delay in (None, 2)
+    )
+    assert not told["controller.delay"].passed and "with 2 samples instead of 1" in told["controller.delay"].detail
+    assert right["controller.delay"].passed and right["controller.difference"].value < 0.01
+
+
 def test_operating_points_are_told_apart():
     both = accept(machine(), law(), [record(), record(2 * np.pi * 120)])
     assert [loop.point.speed for loop in both.points] == [0.0, 2 * np.pi * 120]

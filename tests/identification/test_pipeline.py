@@ -134,6 +134,6 @@ def test_findings_are_told_apart_by_code():
 
 
 def test_every_code_is_given_somewhere():
-    folder = Path(ambrose.__file__).parent / "identification"
+    folder = Path(ambrose.__file__).parent
     used = {name for path in folder.rglob("*.py") for name in re.findall(r"\bCode\.([A-Z_]+)", path.read_text("utf-8"))}
     assert used == {code.name for code in Code}

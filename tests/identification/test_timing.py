@@ -18,7 +18,7 @@ from ambrose.identification.validation import suspects
 from ambrose.machine.record.record import Record
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.timing import timing_of
-from ambrose.simulation.scenario import read_scenario
+from ambrose.simulation.scenario import load_scenario, read_scenario
 from linear_rig import AXES, DT, E, Y, rig
 
 U = tuple(f"u_{axis}" for axis in AXES)
@@ -104,3 +104,15 @@ def test_how_one_row_late_looks(late, delay, samples, words, error, monkeypatch)
     if samples:
         step, _, part = done.result.verdict.partition("the likeliest first: excitation.delay ")[2].split()[:3]
         assert float(step) == pytest.approx(100 * samples, rel=0.02) and float(part[1:]) > 95
+
+
+def test_a_delay_that_the_record_shows_is_taken_and_goes_into_the_file():
+    """u follows the controller after two samples, the machine file says one: what is asked for is not fitted, but seen."""
+    machine = amb.load_machine("seal-rig")
+    machine = replace(machine, controller=replace(machine.controller, sample_time=DT, delay=DT))
+    pid = amb.design(machine, "pid").controller
+    record = amb.simulate(machine, pid, replace(load_scenario("prbs"), duration=0.6), linear=True, delay_samples=2).record
+    done = amb.identify(machine, record, controller=pid, unknown=("delay", *KNOWN[:2]), bending_modes=3)
+    assert done.seen_delay == 2 and "after 2 samples" in " ".join(done.remarks)
+    assert done.machine.controller.delay == pytest.approx(2 * DT) and len(done.result.paths) == 2
+    assert amb.design(done.machine, "pid").certificate is not None and timing_of(done.machine).delay_samples == 2

@@ -7,7 +7,7 @@ import pytest
 
 from ambrose import StateSpace, load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.machine.description import OperatingPoint, Runout
+from ambrose.machine.description import OperatingPoint, Runout, Touchdown
 from ambrose.machine.record.files import read_record
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import Failure, PressureChange, Pulse
@@ -182,6 +182,14 @@ def test_interrupted_run_leaves_a_readable_record(tmp_path):
     whole = virtual_rig.run(RIG, PID, RUN_UP).record
     assert 2000 < partial.values.shape[1] < 8000
     np.testing.assert_allclose(partial.values, whole.values[:, : partial.values.shape[1]], rtol=0, atol=1e-9)
+
+
+def test_a_rotor_pulled_through_its_touchdown_bearing_has_left_the_machine():
+    """A soft bearing and a large static current: the magnet's force grows faster than the contact's."""
+    soft = tuple(replace(b, touchdown=Touchdown(stiffness=2e5, damping=50.0)) for b in RIG.bearings)
+    pull = Scenario("pull", 0.5, pulses=(Pulse("f_A_zeta", 5e3, 0.05, 0.2),))
+    trace = virtual_rig.run(replace(RIG, bearings=soft), PID, pull, bending_modes=0)
+    assert trace.outcome == "diverged" and "beyond the air gap of bearing A" in trace.text
 
 
 def test_without_touchdown_bearings_it_diverges_and_no_nan_leaves():

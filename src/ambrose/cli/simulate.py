@@ -59,6 +59,7 @@ def simulate(
     from ambrose.core.checks import invalid
     from ambrose.evaluation.trial import simulate_scenario
     from ambrose.machine.record.files import check_suffix, write_record
+    from ambrose.plant.timing import DEFAULT, timing_of
 
     for option, value in (("--bending-modes", bending_modes), ("--seed", seed), ("--second", second)):
         if linear and value is not None:
@@ -77,6 +78,7 @@ def simulate(
             description, controller, scenario, point=point, linear=linear, rate=rate_hz, delay_samples=delay_samples,
             progress=progress, **options,
         )  # fmt: skip
+    timing = timing_of(description, controller, rate_hz, delay_samples) or (None if linear else DEFAULT)
     failure = None if growing else kept(lambda path: write_record(trace.record, path), output)
     if report is not None:
         from ambrose.report.page import write
@@ -89,9 +91,14 @@ def simulate(
         "outcome": trace.outcome,
         "text": trace.text,
         "stable": trace.stable,
+        "timing": None if timing is None else str(timing),
         "report": str(report) if report else None,
     }
-    say_json(summary) if as_json else say(f"{output}: {trace.text}")
+    if as_json:
+        say_json(summary)
+    else:
+        say(f"{output}: {trace.text}")
+        say(f"Controller: {timing or 'continuous'}")
     if failure is not None:
         raise failure
     sys.exit(0 if trace.outcome == "completed" and trace.stable else 1)

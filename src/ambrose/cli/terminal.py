@@ -29,7 +29,10 @@ AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON o
 MACHINE = click.argument("machine")
 RATE = click.option("--rate-hz", type=float, default=None, help="Sample rate; default: the controller's or the machine file's.")
 DELAY = click.option(
-    "--delay-samples", type=int, default=None, help="From measured errors to currents set; default: the machine file's, or 1."
+    "--delay-samples",
+    type=int,
+    default=None,
+    help="From measured errors to currents set; default: the controller's, the machine file's, or 1.",
 )
 _SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html", "page": ".html"}
 _KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}  # endings that mean a file of this package, or a record

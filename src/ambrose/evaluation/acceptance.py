@@ -9,7 +9,7 @@ accepted = accept(machine, controller, ["standstill.h5", "running.h5"])
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from ambrose.plant.timing import Timing, timing_of
 from ambrose.verification.checks import Check, Checks
 from ambrose.verification.criteria import holds, information, judge
 
+_LATE, _BETTER, _EXACT = 4, 0.5, 1e-3  # samples more that are tried; by how much better another delay must agree; clearly equal
 _SAME_LAW = 0.1  # of the measured response of the controller, by which the file's may differ
 _CURVED = 0.01  # of T_o: by how much the magnets' curvature may move it, at the size of the test's motion; assumed
 _ALL_LINES = 2.3  # half-widths of one line that hold a thousand lines together (Bonferroni)
@@ -117,13 +118,14 @@ def accept(
     records: Record | str | Path | Sequence[Record | str | Path],
     *,
     harmonics: int = 3,
+    delay_samples: int | None = None,
 ) -> Acceptance:
     """The loop of a machine measured from records with its controller running, one operating point or several.
 
     controller: the one that ran, a Synthesis or anything with A, B, C, D. records: as they are or their files, with
     displacements y_<axis> and excitations e_<axis> [A] or r_<axis> [m] of every axis, alike in no two of them; with u_<axis>
-    the controller is checked, too. harmonics: multiples of the speed up to which unbalance and run-out are taken out. Raises
-    InvalidInput.
+    the controller is checked, too. harmonics: multiples of the speed up to which unbalance and run-out are taken out.
+    delay_samples: of the controller (None: as it or the machine file says). Raises InvalidInput.
     """
     several = [records] if isinstance(records, Record | str | Path) else list(records)
     if not several:
@@ -135,6 +137,8 @@ def accept(
         _check(machine, record, number)
         points.setdefault(replace(record.point, label=""), []).append(record)
     timing = timing_of(machine, controller) or Timing(read[0].dt)
+    if delay_samples is not None:
+        timing = Timing(timing.sample_time, delay_samples)
     if any(abs(record.dt / timing.sample_time - 1) > 1e-6 for record in read):
         rates = ", ".join(sorted({f"{record.sample_rate_hz:g} Hz" for record in read}))
         raise invalid("the sample rate of the records", rates, f"the controller's, {timing.rate:g} Hz", "record every sample")
@@ -204,7 +208,7 @@ def _measure(machine: Machine, controller: Any, timing: Timing, records: list[Re
     )
     checks = _checks(loop, machine, highest)
     if currents:
-        checks.append(_law_check(both, K, kind))
+        checks += _law_checks(both, K, kind, timing)
     return replace(loop, checks=replace(loop.checks, checks=tuple(checks)))
 
 
@@ -236,18 +240,26 @@ def _spread(T: Frf, left: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(out * np.einsum("wi,wij,wj->w", right, share, right.conj()).real, 0.0))
 
 
-def _law_check(both: Frf, K: np.ndarray, kind: str) -> Check:
-    """Whether the currents in the records are those of the controller: u = -K y, or K (r - y)."""
+def _law_checks(both: Frf, K: np.ndarray, kind: str, timing: Timing) -> Iterator[Check]:
+    """Whether the currents in the records are those of the controller, u = -K y or K (r - y), and as late as was told."""
     a = K.shape[1]
     y, u = both.values[:, :a], both.values[:, a:]
     expected = K @ ((np.eye(a) if kind == "r" else 0.0) - y)
     told = (both.coherence[:, :a] > _WHOLE).all(axis=1)
     told = told if told.any() else np.ones_like(told)
-    off = np.linalg.norm((u - expected)[told], axis=(1, 2)) / np.linalg.norm(u[told], axis=(1, 2))
-    value = float(np.median(off))
+    late = np.arange(-timing.delay_samples, _LATE + 1)
+    turned = np.exp(-1j * both.omega[told, None] * late * timing.sample_time)
+    left = np.linalg.norm(u[told, None] - turned[..., None, None] * expected[told, None], axis=(2, 3))
+    off = np.median(left / np.linalg.norm(u[told], axis=(1, 2))[:, None], axis=0)
+    value, best = float(off[timing.delay_samples]), int(np.argmin(off))
     title = "Currents beside those of the controller file"
     detail = "median over the lines that tell; more: another controller, delay or sample rate ran, or currents at their limit"
-    return judge("controller.difference", title, value, "-", Demand(_SAME_LAW, "<=", ""), detail)
+    yield judge("controller.difference", title, value, "-", Demand(_SAME_LAW, "<=", ""), detail)
+    other = int(late[best]) if off[best] < _BETTER * value and value > _EXACT else 0
+    words = f"with {timing.delay_samples + other} samples instead of {timing.delay_samples} they agree to {off[best]:.2g}"
+    remedy = "tell it (delay_samples, --delay-samples), and design for it" if other else "no other delay agrees clearly better"
+    title = "Samples of delay beside those told"
+    yield judge("controller.delay", title, abs(other), "-", Demand(0.0, "<=", ""), f"{words}: {remedy}" if other else remedy)
 
 
 def _together(T: Frf) -> tuple[np.ndarray, np.ndarray]:

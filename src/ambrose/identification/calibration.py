@@ -22,7 +22,7 @@ from ambrose.identification.balancing.influence import NONE, influence, source_o
 from ambrose.identification.balancing.vectors import revolution
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf.phasors import Step
-from ambrose.identification.validation.operating_load import machine_at_load
+from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
 from ambrose.machine.description import Pair, Runout, Sensor
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.files import read_record
@@ -114,6 +114,8 @@ def calibrate(
             found = _circle(found, around, find, entries, notes)
         if rolling is not None:
             found = _runout(found, rolling, harmonics, settle, entries, notes)
+            if doubt := load_doubt(machine, [rolling]):
+                notes.append(doubt)
         if still:
             found = _centres(found, still, entries, notes)
         before = {entry.name: entry.before for entry in entries} | before

@@ -8,13 +8,14 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from ambrose.core.checks import InvalidInput
+from ambrose.identification.data_quality.controller import controller_match, seen_delay
 from ambrose.identification.data_quality.diagnosis import diagnose_records
 from ambrose.identification.findings import WARNING, Code, Finding, refuse
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.magnetic_force import without_magnets
-from ambrose.identification.output_error.problem import FitOptions, build_experiment
-from ambrose.identification.parameters import COVERAGE, split_timing
+from ambrose.identification.output_error.problem import FitOptions, build_experiment, deployed_controller
+from ambrose.identification.parameters import COVERAGE, plant_at, split_timing
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.identification.validation.repeatability import of_estimates
@@ -57,6 +58,15 @@ def identify_loop(
         for path in paths:
             if path in TIMING:
                 raise InvalidInput(f"{path} as an unknown goes with the method closed-loop; its delay must be known here")
+    seen = None
+    if CONTROLLER_DELAY in paths and CONTROLLER_DELAY not in (start or {}):
+        law = deployed_controller(plant_at(machine, records[0].point, {}), controller, records[0].dt, 0)
+        seen = seen_delay(controller_match(machine, records[0], law))
+    if seen is not None and len(paths) > 1:
+        progress(f"u follows the controller after {seen} samples: taken as its delay (leave u_ out of the records to fit it)")
+        options = replace(options, computing_delay=seen)
+        paths = [path for path in paths if path != CONTROLLER_DELAY]
+        unknown = tuple(paths)
     setup: dict[str, Any] = {"bending_modes": options.bending_modes, "computing_delay": options.computing_delay}
     progress("checking the records")
     known = {path: value for path, value in (start or {}).items() if path not in TIMING}
@@ -101,6 +111,8 @@ def identify_loop(
         given=machine, machine=machine, result=result, checks=checks, outputs=outputs, controller=controller,
         residual=residual, magnets=magnets, **setup,
     )  # fmt: skip
+    if seen is not None:
+        done = replace(done, seen_delay=seen)
     return _with_repeats(done, records, identify_alone, progress) if repeats else done
 
 

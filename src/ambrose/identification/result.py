@@ -24,6 +24,7 @@ from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import one_line
+from ambrose.machine.parameters import CONTROLLER_DELAY
 from ambrose.version import __version__
 
 
@@ -186,7 +187,8 @@ class LoopIdentification(Identification):
     """From closed-loop records. outputs: every record beside the model; controller, computing_delay [samples], bending_modes:
     how the loop was modelled. residual: what else the method "youla" gave (None: the method was "closed-loop"). seal: the
     seal's coefficients at every pressure, all else as in ``result``, where they were asked for. magnets: the nonlinearity
-    that was taken out of the records beforehand (None: it was not certain, or the method another).
+    that was taken out of the records beforehand (None: it was not certain, or the method another). seen_delay [samples]: of u
+    behind the controller, taken as known although it was asked for.
     """
 
     result: ParameterEstimate
@@ -197,6 +199,7 @@ class LoopIdentification(Identification):
     residual: ResidualIdentification | None = None
     seal: SealByPressure | None = None
     magnets: MagneticForce | None = None
+    seen_delay: int | None = None
 
     @property
     def method(self) -> str:
@@ -207,6 +210,8 @@ class LoopIdentification(Identification):
         """What the reader must know of the values beside the file's, a sentence each without its stop; no doubts."""
         loads = {} if self.magnets is None else self.magnets.loads
         own = load_remarks(self.given, [output.record for output in self.outputs], loads)
+        if self.seen_delay is not None:
+            own = (f"u follows the controller after {self.seen_delay} samples, which was taken as its delay", *own)
         own = own if self.magnets is None else (self.magnets.words, *own)
         return own if self.seal is None or not self.seal.note else (*own, self.seal.note)
 
@@ -238,9 +243,20 @@ class LoopIdentification(Identification):
 
     def updated(self) -> Identification:
         if self.seal is None:
-            return Identification.updated(self)
+            done = Identification.updated(self)
+            return replace(done, machine=self._as_late(done.machine))
         made = self.seal.update(self.given, self.result)
         return replace(self, machine=replace(made, source="; ".join(part for part in (self.given.source, self.origin) if part)))
+
+    def _as_late(self, machine: Machine) -> Machine:
+        """The machine whose [controller] is as late as the one that ran, where it states a rate and that is the records'."""
+        settings, dt = machine.controller, self.outputs[0].record.dt
+        if settings is None or settings.sample_time is None or CONTROLLER_DELAY in self.result.paths:
+            return machine
+        stated = settings.sample_time if settings.delay is None else settings.delay
+        if abs(settings.sample_time / dt - 1) > 1e-6 or abs(stated / dt - self.computing_delay) < 1e-6:
+            return machine
+        return replace(machine, controller=replace(settings, delay=self.computing_delay * dt))
 
     def to_dict(self) -> dict[str, Any]:
         result, residual = self.result, self.residual

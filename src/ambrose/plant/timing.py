@@ -113,4 +113,5 @@ def timing_of(
         return found
     if found is None:
         raise invalid("delay_samples", delay_samples, "given with a rate", "say at which rate [Hz] the controller runs")
-    return Timing(found.sample_time, delay_samples, found.source)
+    given = delay_samples != found.delay_samples and found.source != "given"
+    return Timing(found.sample_time, delay_samples, f"{found.source}, delay given" if given else found.source)

@@ -42,7 +42,12 @@ def balancing_tables(result: Balancing) -> tuple[Table, Table]:
         "of the measured y, less its run-out" if result.quantity == "y" else "of y - G u, less run-out (no controller is known)"
     )
     head = ("Axis", "Speed", "Now", "Predicted", "At most (95 %)")
-    return masses, Table("1x, zero to peak", head, tuple(shown), f"What unbalance makes {what}.")
+    return masses, Table(
+        "1x, zero to peak",
+        head,
+        tuple(shown),
+        f"What unbalance makes {what}; run-out, which a monitor shows as well, is not in it.",
+    )
 
 
 def in_words(result: Balancing) -> list[str]:

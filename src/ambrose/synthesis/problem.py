@@ -56,7 +56,7 @@ def design_plant(
     """
     if weights is None:
         if not isinstance(plant, Plant):
-            raise InvalidInput("no weights were given, and a generalized plant carries none; pass Weights")
+            raise InvalidInput("no weights were given, and a generalized plant carries none; give them")
         weights = machine_weights(plant.machine)
     model = open_model(plant, tolerances, uncertain)
     axes = [name.removeprefix("u_") for name in model.u]

@@ -116,7 +116,7 @@ def machine_weights(machine: Machine | DesignWeights) -> Weights:
     settings = machine.weights if isinstance(machine, Machine) else machine
     if settings is None:
         name = machine.name if isinstance(machine, Machine) else ""
-        raise InvalidInput(f"machine {name!r} has no weights; add a [weights] table or pass Weights")
+        raise InvalidInput(f"machine {name!r} has no weights; add a [weights] table to its file")
     return Weights(
         performance_weight(settings.peak, settings.bandwidth, settings.low_frequency_error),
         control_weight(settings.control_level, settings.control_crossover, settings.control_order, settings.control_limit),

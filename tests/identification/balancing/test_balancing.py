@@ -174,7 +174,7 @@ def test_the_command_prints_grams_and_degrees(tmp_path):
         amb.write_record(r, tmp_path / f"{name}.h5")
     amb.save_machine(machine(), tmp_path / "m.toml")
     call = ["balance", str(tmp_path / "m.toml"), str(tmp_path / "slow.h5"), str(tmp_path / "top.h5")]
-    call += ["--plane", "impeller=50 mm", "--plane", "free-end=0.05", "--settle", "1.5"]
+    call += ["--plane", "impeller=50 mm", "--plane", "free-end=5 cm", "--settle", "1.5"]
     printed = CliRunner().invoke(main, call)
     assert printed.exit_code == 0, printed.output
     assert "Correction masses" in printed.output and "ISO 21940-11" in printed.output
@@ -184,3 +184,9 @@ def test_the_command_prints_grams_and_degrees(tmp_path):
     assert first["angle_deg"] == pytest.approx(np.degrees(0.8) + 180, abs=1)
     trial = CliRunner().invoke(main, [*call, "--trial", str(tmp_path / "top.h5"), "impeller=2 g"])
     assert trial.exit_code == 2 and "PLANE=MASS@DEGREES" in trial.output
+    for wrong in (
+        ["--plane", "impeller=50"],
+        ["--plane", "impeller=50 mm", "--trial", str(tmp_path / "top.h5"), "impeller=2@30"],
+    ):
+        bare = CliRunner().invoke(main, [*call[:4], *wrong])
+        assert bare.exit_code == 2 and "has no unit; write it as in" in bare.stderr

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.identification.validation.operating_load import load_remarks, machine_at_load
+from ambrose.identification.validation.operating_load import load_doubt, load_remarks, machine_at_load
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.record.record import Record
 from ambrose.plant.static_load import operating_magnets
@@ -62,3 +62,12 @@ def test_the_load_of_the_machine_file_is_no_news():
 def test_currents_without_their_mean_are_no_load():
     flat = record(**{f"i_{axis}": 0.0 for axis in RIG.axes})
     assert load_remarks(RIG, [flat]) == () and machine_at_load(RIG, [flat]) is RIG
+
+
+def test_a_machine_that_needs_other_currents_for_its_weight_is_doubted():
+    """Balancing and calibration go by the model: magnets a quarter weaker than stated would pass their error on."""
+    currents = dict(zip(RIG.axes, (i for item in operating_magnets(RIG) for i in item.currents), strict=True))
+    for share, doubted in ((1.0, False), (1.05, False), (1.25, True), (0.8, True), (0.0, False)):
+        told = load_doubt(RIG, [record(**{f"i_{axis}": share * value for axis, value in currents.items()})])
+        assert bool(told) is doubted and (not doubted or "identify the machine first" in told)
+    assert load_doubt(UPRIGHT, [record(i_A_zeta=0.5)]) == ""

@@ -73,7 +73,7 @@ def test_tables_of_vendors_are_read(tmp_path, kind, encoding):
         ("t;x;i\n" + "0;1;2\n" * 50 + "0;1\n" + "0;1;2\n" * 50, "no table of 3 numbers"),
         ("t;x;i\n" + "0;1;2\n" * 50 + "0;1;2;3\n" + "0;1;2\n" * 50, "no table of 3 numbers|not 3 numbers"),
         ("t;x;i\nnothing here\n", "are no numbers"),
-        ("", "are no numbers"),
+        ("", "the file is empty"),
         ("t;x;x\n0;1;2\n1;2;3\n", "'x' stands there 2 times"),
         ("t;y;i\n0;1;2\n1;2;3\n", "there is no column 'x' in the file; it has t, y, i"),
         ("t [s];x;i [A]\n0;1;2\n1;2;3\n", "no unit"),

@@ -10,6 +10,7 @@ import click
 from ambrose.cli.terminal import (
     ALL,
     AS_JSON,
+    DELAY,
     MACHINE,
     claim,
     kept,
@@ -26,6 +27,7 @@ from ambrose.cli.terminal import (
 @MACHINE
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
+@DELAY
 @click.option("--harmonics", type=int, default=3, show_default=True, help="Multiples of the speed that are taken out.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="The page to sign (*.html).")
 @ALL
@@ -34,6 +36,7 @@ def accept(
     machine: str,
     controller: Path,
     records: tuple[Path, ...],
+    delay_samples: int | None,
     harmonics: int,
     output: Path | None,
     everything: bool,
@@ -52,7 +55,7 @@ def accept(
     claim(page=output)
     with progress_shown(as_json) as progress:
         progress("measuring the loop")
-        result = accepted(description, law, records, harmonics=harmonics)
+        result = accepted(description, law, records, harmonics=harmonics, delay_samples=delay_samples)
         failure = None
         if output is not None:
             from ambrose.report.acceptance import acceptance_report

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import math
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -65,8 +66,11 @@ def _read(text: str, option: str, dimension: str, example: str) -> float:
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.units import DIMENSIONS, read_quantity
 
+    bare = False
     with suppress(ValueError):
-        return float(text)
+        bare = math.isfinite(float(text))
+    if bare:
+        raise InvalidInput(f'{option} {text!r} has no unit; write it as in "{example}"')
     try:
         return read_quantity(text, DIMENSIONS[dimension])
     except ValueError as error:

@@ -21,7 +21,7 @@ from ambrose.core.presentation import Presented
 from ambrose.identification.balancing.influence import NONE, Influence, influence, source_of_currents
 from ambrose.identification.balancing.vectors import revolution
 from ambrose.identification.parameters import COVERAGE
-from ambrose.identification.validation.operating_load import machine_at_load
+from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.machine.record.files import read_record
@@ -58,7 +58,8 @@ class Balancing(Presented):
     covariance (p, p) [kg2 m2] of the correction; factor: radius of a 95 % circle per standard deviation. radii (p,) [m] where
     the masses go. condition: of the weighted matrix. model_error: the relative error of the coefficients that the misfit asks
     for. method: "model" or "trial weights". quantity: what the rows are of. runout (a,) [m], complex, and whether it was found.
-    scale: model over measured coefficients, where trial weights tell. allowed: by the machine's grade, or None.
+    scale: model over measured coefficients, where trial weights tell. allowed: by the machine's grade, or None. trusted:
+    whether the machine file's magnets carry the rotor with the currents that were recorded.
     """
 
     machine: str
@@ -77,6 +78,7 @@ class Balancing(Presented):
     scale: complex | None
     allowed: Unbalance | None
     notes: tuple[str, ...] = ()
+    trusted: bool = True
 
     @property
     def masses(self) -> np.ndarray:
@@ -101,8 +103,9 @@ class Balancing(Presented):
 
     @property
     def passed(self) -> bool:
-        """Whether the planes are told apart, run-out is known, and the vibration falls with 95 %."""
-        return self.condition <= _ILL and self.remaining < 1 and (self.runout_found or bool(self.runout.any()))
+        """Whether the planes are told apart, run-out is known, the model is trusted, and the vibration falls with 95 %."""
+        known = self.runout_found or bool(self.runout.any())
+        return self.condition <= _ILL and self.remaining < 1 and known and self.trusted
 
     def grade(self, moments: np.ndarray) -> float | None:
         """Balance quality G [m/s] at the balancing speed of planes with these moments (p,) [kg m] all in phase."""
@@ -178,7 +181,7 @@ def balance(
 
     none = np.zeros(len(names), complex)
     runs, with_weights = [run(record, none) for record in read], [run(record, weights) for record, weights in tried]
-    notes = []
+    notes = [doubt] if (doubt := load_doubt(machine, read)) else []
     if not any(name in r.signals for r in read for name in ("key", "angle")):
         notes.append("no record holds key or angle: its time zero is taken as the passage of the key mark")
     sources = {source_of_currents(one.record, one.plant, controller) for one in (*runs, *with_weights)}
@@ -217,7 +220,7 @@ def balance(
     return Balancing(
         machine.name, names, radii, -first.unbalance, covariance, first.factor, first.condition, first.model_error,
         first.method, "y" if in_y else "y - G u", tuple(rows), first.runout, first.runout_found, first.scale,
-        residual_unbalance(machine), tuple(notes),
+        residual_unbalance(machine), tuple(notes), not doubt,
     )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ _BLOCK = 8000  # samples that are compared at once, with an initial state of the
 _REMEMBERED = 200  # samples of the law's impulse response
 _MARGINAL = 1 + 1e-9
 _AT_LIMIT = 0.999
+_FOLLOWS = 0.01  # residual of u below which its delay counts as seen
 _BURST, _VISIBLE = 60.0, 3e-4  # over the median jump of the residual, and over the rms of the signal
 
 
@@ -82,6 +83,13 @@ def controller_match(machine: Machine, record: Record, law: StateSpace) -> Contr
                 jumps += [(int(i), begin + lag + at) for at in _jumps(comparison.left[i], part.u[i])]
     jumps = jumps if len(jumps) <= a * max(20, total // 500) else []
     return ControllerMatch(axes, residual, best, gain, scaled, left, tuple(jumps))
+
+
+def seen_delay(match: ControllerMatch | None) -> int | None:
+    """After how many samples u follows the controller, the same on every axis and clearly so; None where that is not seen."""
+    if match is None or len(set(match.lag.tolist())) > 1 or match.least.max() > _FOLLOWS:
+        return None
+    return int(match.lag[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

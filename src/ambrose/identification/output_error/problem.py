@@ -198,7 +198,9 @@ def fitted_signals(plant: Plant, records: Sequence[Record], signals: Sequence[st
         for number, record in enumerate(records, 1):
             if name not in record.signals:
                 known = ", ".join(record.signals)
-                raise InvalidInput(f"record {number} has no signal {name}; it has {known}; pass signals= with those to fit")
+                raise InvalidInput(
+                    f"record {number} has no signal {name}; it has {known}; say which are to be fitted (signals)"
+                )
     if not wanted:
         raise InvalidInput("no signal is fitted; name at least one in signals")
     return wanted

@@ -11,6 +11,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.levenberg_marquardt import Minimum
+from ambrose.machine.parameters import TIMING
 
 _VISIBLE = 1e-12  # of the strongest parameter's effect; and the least eigenvalue of J'J with a unit diagonal
 _CONFIDENCE = 0.99
@@ -86,7 +87,8 @@ def check_visible(names: Sequence[str], H: np.ndarray, scale: np.ndarray) -> Non
     effect = np.sqrt(np.maximum(np.diag(H), 0.0)) * scale
     for name, value in zip(names, effect, strict=True):
         if not value > _VISIBLE * effect.max():
-            raise InvalidInput(f"these records say nothing about {name}; excite its axis, or take it as known")
+            remedy = "give the delay as it is (--delay-samples)" if name in TIMING else "excite its axis"
+            raise InvalidInput(f"these records say nothing about {name}; {remedy}, or take it as known")
     values, vectors = np.linalg.eigh(H * scale * scale[:, None] / effect / effect[:, None])
     if values[0] < _VISIBLE:
         together = [name for name, part in zip(names, vectors[:, 0], strict=True) if abs(part) > 0.1]

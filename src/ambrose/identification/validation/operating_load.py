@@ -14,6 +14,7 @@ from ambrose.physics.magnet import MagnetCoefficients
 from ambrose.plant.static_load import operating_magnets, static_sag
 
 _TOLD = 0.01  # relative change of a coefficient that is worth a sentence
+_DOUBTED = 0.1  # relative difference of the static currents from which on the machine file is doubted
 _CARRIED = 0.1  # of the current that the weight needs, below which a record's mean is not the load
 
 
@@ -40,6 +41,24 @@ def load_remarks(machine: Machine, records: Sequence[Record], loads: Mapping[str
     means = {**(loads or {}), **means}
     found = zip(machine.bearings, _at_currents(machine, means, _bias(records)), strict=True)
     return tuple(text for bearing, (item, here) in found for text in _of_bearing(bearing.name, item, here, means))
+
+
+def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
+    """Why a machine file whose magnets need other currents for the weight than were recorded is not to be relied on; "" where
+    they agree within a tenth, or there is nothing to compare."""
+    means, bias = _means(records), _bias(records)
+    needed = dict(zip(machine.axes, (i for item in operating_magnets(machine, bias) for i in item.currents), strict=True))
+    known = [axis for axis in means if axis in needed]
+    size = float(np.linalg.norm([needed[axis] for axis in known]))
+    if size == 0.0 or _without_mean(machine, means, bias):
+        return ""
+    share = float(np.linalg.norm([means[axis] for axis in known])) / size
+    if abs(share - 1) <= _DOUBTED:
+        return ""
+    return (
+        f"the magnets carry the rotor with {share:.3g} times the current that the machine file says: k_i, bias or weight are "
+        "others, and what the model says is as wrong; identify the machine first"
+    )
 
 
 def _bias(records: Sequence[Record]) -> float | None:

@@ -31,6 +31,7 @@ from typing import Annotated, Any
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.kinds import Name, Quantity, Text, Words
+from ambrose.machine.messages import shown
 from ambrose.machine.part import Part
 
 
@@ -73,6 +74,12 @@ class ColumnMap(Part):
         for name, times in Counter(column.name for column in self.columns).items():
             if times > 1:
                 raise InvalidInput(f"the signal {name} is named {times} times, but must be once; rename one")
+        measured = [column for column in self.columns if column.name[:2] in {"y_", "i_", "u_"}]
+        for (kind, source), times in Counter((column.name[:2], column.source) for column in measured).items():
+            if times > 1:
+                alike = [column.name for column in measured if (column.name[:2], column.source) == (kind, source)]
+                names = " and ".join(alike)
+                raise InvalidInput(f"{names} both come from {shown(source)}, but are measured apart; correct one source")
         if self.sample_rate_hz is not None:
             check_positive(self.sample_rate_hz, "sample_rate_hz", "give the sampling frequency in Hz")
 

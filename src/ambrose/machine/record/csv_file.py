@@ -56,6 +56,10 @@ def read_csv(path: Path) -> Record:
             time, values = _rows(file, file.tell(), columns)
         except InvalidInput:
             raise
+        except UnicodeDecodeError as error:
+            raise InvalidInput(
+                "it is no CSV file of this package (it is not in UTF-8); give the column map of a foreign log (--columns)"
+            ) from error
         except ValueError as error:
             raise InvalidInput(f"the rows below the header cannot be read ({error}); give a number in every cell") from error
     _check_complete(path, attributes, len(time))

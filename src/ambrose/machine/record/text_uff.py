@@ -106,6 +106,8 @@ def _form(lines: list[str]) -> tuple[str | None, bool, int, int]:
                 if _width(line, separator, comma) == width:
                     return separator, comma, start, width
     remedy = "export numbers in columns, separated by comma, semicolon, tab or spaces"
+    if not any(line.strip() for line in lines):
+        raise InvalidInput(f"the file is empty; {remedy}")
     raise InvalidInput(
         f"its last rows are no numbers in equally many columns (line {len(lines)}); {remedy}, and copy all of it"
     )

@@ -32,6 +32,7 @@ class Watch:
     contact: float = 0.0
     deepest: float = 0.0
     limited: list[tuple[float, str]] = field(default_factory=list)
+    inside: tuple[float, str] | None = None  # when the rotor first was beyond a magnet's air gap [s], and at which bearing
 
     def follow(self, task: Plan, number: int, log: np.ndarray) -> None:
         """One stretch: number of its first sample, log (k, columns) as rig/kernel.py writes it."""
@@ -41,6 +42,10 @@ class Watch:
         gaps = self.rig.constants.touchdown[:, 0]
         distance = np.hypot(places[0::2], places[1::2])
         depth = distance - gaps[:, None]
+        air = np.array([np.inf if b.gap is None else b.gap for b in self.rig.machine.bearings])
+        if self.inside is None and (beyond := distance > air[:, None]).any():
+            at = int(np.flatnonzero(beyond.any(axis=0))[0])
+            self.inside = float(time[at]), self.rig.machine.bearings[int(np.argmax(beyond[:, at]))].name
         touching = (depth > 0).any(axis=0)
         if self.lifted_at is None:
             self._lift(time, (distance > _OFF * gaps[:, None]).any(axis=0))
@@ -85,6 +90,13 @@ def classify_outcome(monitor: Watch, scenario: Scenario, overflow: float | None,
     side = "" if pole is None else f"; {loop}: rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s"
     if overflow is not None:
         return "diverged", f"diverged: the motion left all bounds at t = {overflow:.6g} s; the record ends before{side}"
+    if monitor.inside is not None:
+        at, where = monitor.inside
+        return (
+            "diverged",
+            f"diverged: at t = {at:.6g} s the rotor is beyond the air gap of bearing {where}, where nothing can be: the magnet "
+            f"pulls it through the touchdown bearing; lower the current, or correct [bearing.touchdown] stiffness{side}",
+        )
     if monitor.lifted_at is None:
         return "not levitated", f"not levitated: the rotor did not get free of the touchdown bearings{side}"
     lifted = "" if scenario.initial == LEVITATED else f", levitated since t = {monitor.lifted_at:.4g} s"
