@@ -9,7 +9,9 @@ from ambrose.version import __version__
 TYPE_CHECKING = False  # as type checkers understand it; typing itself is most of the time that this import takes
 
 _HOME = {  # public name -> module[:name there]; imported on first use, so that ``import ambrose`` stays fast
-    **dict.fromkeys(("assemble", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"),
+    **dict.fromkeys(
+        ("assemble", "campaign", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"
+    ),
     **dict.fromkeys(("bundled_machines", "load_machine"), "machine.file.toml"),
     **dict.fromkeys(("read_record", "write_record"), "machine.record.files"),
     **dict.fromkeys(("read_controller", "write_controller"), "synthesis.controller_file"),
@@ -29,6 +31,7 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
     "Identification": "identification.result",
     "ExportOptions": "deployment.pipeline",
     "Study": "workflow",
+    "Campaign": "campaigns.result",
     **dict.fromkeys(("accept", "Acceptance"), "evaluation.acceptance"),
     "calibrate": "identification.calibration",
     "balance": "identification.balancing.correction",

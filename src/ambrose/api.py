@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 from ambrose.core.checks import InvalidInput, invalid
 
 if TYPE_CHECKING:
+    from ambrose.campaigns.result import Campaign
     from ambrose.deployment.pipeline import Delivery, ExportOptions, Target
     from ambrose.identification.result import Identification
     from ambrose.machine.description import OperatingPoint
@@ -188,6 +189,32 @@ def study(machine: Machine | str, directory: str | os.PathLike[str] = "study", *
     from ambrose.workflow import study as studied
 
     return studied(machine_of(machine), Path(directory), progress)
+
+
+def campaign(
+    plan: Any,
+    directory: str | os.PathLike[str] = "campaign",
+    *,
+    engine: str = "processes",
+    workers: int | None = None,
+    progress: Progress = _quiet,
+) -> Campaign:
+    """A plan of many cases computed, and what it gave; what ``directory`` holds of it already is not computed again.
+
+    plan: the path of a plan file, its content as a dict, or a Plan. engine: "processes" on this computer, "dask" for a Dask
+    cluster on it, or the address of a running scheduler. workers: None: one for each processor. In a script call it below
+    ``if __name__ == "__main__"``: the workers import the script. Raises InvalidInput.
+    """
+    from ambrose.campaigns.plan import Plan, plan_of, read_plan
+    from ambrose.campaigns.result import read_campaign
+    from ambrose.campaigns.run import executors, processors, run_plan
+
+    wanted = plan if isinstance(plan, Plan) else plan_of(plan) if isinstance(plan, dict) else read_plan(plan)
+    with executors(engine, workers or processors()) as (make, count):
+        run_plan(wanted, Path(directory), make=make, workers=count, progress=progress)
+    result = read_campaign(wanted, Path(directory))
+    result.write(Path(directory))
+    return result
 
 
 def plot(item: Any) -> Any:

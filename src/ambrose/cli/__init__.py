@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
+from ambrose.cli.campaign import campaign
 from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
 from ambrose.cli.convert_controller import convert_controller
@@ -116,6 +117,7 @@ for command in (
     convert,
     export,
     study_command,
+    campaign,
 ):
     main.add_command(command)
 main.add_command(convert_controller, "convert controller")

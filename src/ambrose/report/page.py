@@ -39,7 +39,8 @@ class Cell:
     for a signature) or "".
 
     A first cell marked "heading" makes its row a heading across the table. best: the best of its kind, set off quietly;
-    detail: more words, small, on a line of their own; shade: the colour of its ground in a map, one of SHADES.
+    detail: more words, small, on a line of their own; shade: the colour of its ground in a map, one of SHADES. link: a page
+    beside this one that the text leads to.
     """
 
     text: str
@@ -47,6 +48,7 @@ class Cell:
     best: bool = False
     detail: str = ""
     shade: str = ""
+    link: str = ""
 
     def __post_init__(self) -> None:
         if self.mark not in MARKS:

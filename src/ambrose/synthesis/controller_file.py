@@ -207,17 +207,22 @@ def write_controller(
     one of the synthesis. date: None: that of the synthesis, else now. Raises InvalidInput for other signals or a path that
     cannot be written.
     """
+    path = check_path(path, "controller file")
+    return write_text(path, controller_text(result, machine, date), "controller file")
+
+
+def controller_text(result: Synthesis | StateSpace | Any, machine: Machine | None = None, date: datetime | None = None) -> str:
+    """What ``write_controller`` writes. Raises InvalidInput."""
     result = result if isinstance(result, Synthesis) else Synthesis(as_statespace(result))
     made = result.provenance
     if machine is not None:
         made = replace(made, package_version=__version__, machine=machine.name, machine_hash=machine_hash(machine))
     if date is not None or not made.date:
         made = replace(made, date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"))
-    path = check_path(path, "controller file")
     written = replace(result, provenance=made)
     content = replace(written, provenance=replace(made, digest=written.digest)).to_dict()
     signals = {side: _signals(content[side], side) for side in _UNITS}
-    return write_text(path, _layout({"format": FORMAT, "version": VERSION, **content, **signals}), "controller file")
+    return _layout({"format": FORMAT, "version": VERSION, **content, **signals})
 
 
 def _signals(names: Sequence[str], side: str) -> list[dict[str, str]]:
