@@ -55,7 +55,7 @@ def measured(plant: Plant, law: StateSpace, timing: Timing, omega: float) -> flo
 def main() -> None:
     machine = load_machine("seal-rig")
     sensors = tuple(replace(item, noise=0.0) for item in machine.sensors)
-    machine = replace(machine, sensors=sensors, gravity_direction=None)  # weight changes the magnets by some percent
+    machine = replace(machine, sensors=sensors)
     plant, law = assemble(machine, "zero pressure"), pid_controller(machine.controller, machine)
     print("| rate, delay | continuous | as it runs | rig | continuous off | as it runs off |\n|---|---|---|---|---|---|")
     for timing in (Timing(5e-5), Timing(1e-4), Timing(2e-4)):
