@@ -62,11 +62,8 @@ def identify_loop(
     if CONTROLLER_DELAY in paths and CONTROLLER_DELAY not in (start or {}):
         law = deployed_controller(plant_at(machine, records[0].point, {}), controller, records[0].dt, 0)
         seen = seen_delay(controller_match(machine, records[0], law))
-    if seen is not None and len(paths) > 1:
-        progress(f"u follows the controller after {seen} samples: taken as its delay (leave u_ out of the records to fit it)")
+    if seen is not None:
         options = replace(options, computing_delay=seen)
-        paths = [path for path in paths if path != CONTROLLER_DELAY]
-        unknown = tuple(paths)
     setup: dict[str, Any] = {"bending_modes": options.bending_modes, "computing_delay": options.computing_delay}
     progress("checking the records")
     known = {path: value for path, value in (start or {}).items() if path not in TIMING}
@@ -85,7 +82,21 @@ def identify_loop(
     residual = None
     magnets, measured = None, records
     if experiment is not None:
-        result = closed_loop.fit(experiment, start)
+        result = None
+        try:
+            result = closed_loop.fit(experiment, start)
+        except InvalidInput:
+            if seen is None or len(paths) == 1:
+                raise
+        if seen is not None and len(paths) > 1 and (result is None or _unsure(result, records[0].dt)):
+            progress(f"the delay cannot be told; u follows the controller after {seen} samples: taken as its delay")
+            paths = [path for path in paths if path != CONTROLLER_DELAY]
+            unknown = tuple(paths)
+            experiment = build_experiment(machine, records, controller, paths, options)
+            result = closed_loop.fit(experiment, start)
+        else:
+            seen = None
+        assert result is not None
         if result.converged and options.period is None:
             progress("taking out what the magnets' nonlinearity makes")
             magnets, records, experiment, result = without_magnets(machine, records, controller, experiment, result)
@@ -114,6 +125,12 @@ def identify_loop(
     if seen is not None:
         done = replace(done, seen_delay=seen)
     return _with_repeats(done, records, identify_alone, progress) if repeats else done
+
+
+def _unsure(result: ParameterEstimate, dt: float) -> bool:
+    """Whether a fitted delay of the controller says nothing: not converged, or known to half a sample at most."""
+    deviation = float(result.standard_deviations[result.paths.index(CONTROLLER_DELAY)])
+    return not result.converged or COVERAGE * deviation > 0.5 * dt
 
 
 def _other_delay(

@@ -93,7 +93,7 @@ def scattered(fit: SealFit) -> list[tuple[Finding, bool]]:
     """Coefficients of which a point lies further than 3 standard deviations from the line through the others, and whether it is
     off by more than 2 % of the coefficient's largest value (assumed), from where on it is a doubt."""
     rows, found = fit if np.isnan(fit.frequency).all() else averaged(fit), []
-    for letter in COEFFICIENTS:
+    for letter in COEFFICIENTS if len(np.unique(rows.pressure)) > 2 else ():  # two points are always on a line
         (values, deviations), apart = rows.column(letter), np.abs(line(rows, letter).apart)
         at = int(np.argmax(apart))
         if apart[at] <= _FAR:
