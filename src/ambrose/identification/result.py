@@ -250,9 +250,10 @@ class LoopIdentification(Identification):
 
     def _as_late(self, machine: Machine) -> Machine:
         """The machine whose [controller] is as late as the one that ran, where it states a rate and that is the records'."""
-        settings, dt = machine.controller, self.outputs[0].record.dt
-        if settings is None or settings.sample_time is None or CONTROLLER_DELAY in self.result.paths:
+        settings = machine.controller
+        if settings is None or settings.sample_time is None or CONTROLLER_DELAY in self.result.paths or not self.outputs:
             return machine
+        dt = self.outputs[0].record.dt
         stated = settings.sample_time if settings.delay is None else settings.delay
         if abs(settings.sample_time / dt - 1) > 1e-6 or abs(stated / dt - self.computing_delay) < 1e-6:
             return machine
