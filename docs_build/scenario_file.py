@@ -1,4 +1,7 @@
-"""The page of the scenario file, from the classes that its tables become and what the reader knows of their keys."""
+"""The page of the scenario file, from the classes that its tables become and what the reader knows of their keys.
+
+python -m docs_build.scenario_file      writes docs/scenario-file.md anew
+"""
 
 import inspect
 from dataclasses import MISSING, fields
@@ -6,6 +9,7 @@ from dataclasses import MISSING, fields
 from ambrose.machine.units import DIMENSIONS
 from ambrose.simulation import scenario as reader
 from ambrose.simulation.machine_terms import _QUANTITIES
+from docs_build import DOCS
 
 HEAD = """# Scenario file
 
@@ -20,11 +24,16 @@ In place of a bearing's name, in signals and ports, stand `first`, `last` (in th
 Signals that a disturbance may act on: current excitation `e_BEARING_AXIS` [A], output disturbance `d_BEARING_AXIS` [m],
 reference `r_BEARING_AXIS` [m], force `f_PORT_AXIS` [N] at a bearing, seal, disc or coupling. Axes of bearings and
 couplings are `zeta` and `eta`, of seals and discs `x` and `y`.
+
+Angles: x and y are the machine's axes, in the direction of spin from x to y; `zeta` of a bearing stands at its `angle` from x, `eta` a
+quarter turn further. The rotor's angle is zero at time zero and grows with the speed; the phase of an unbalance counts from the
+first axis of its port in the direction of spin: from x at a disc or a seal, from zeta at a bearing. The angles of `ambrose balance`
+count from x everywhere, so 30 deg at a bearing whose `angle` is 45 deg are 75 deg there.
 """
 
 
 def page():
-    """reference/scenario-file.md."""
+    """docs/scenario-file.md."""
     shares = ", ".join(f"`{name}`" for name in _QUANTITIES)
     parts = [
         HEAD.format(shares=shares),
@@ -57,3 +66,7 @@ def unit(key):
     if key == "amount":
         return "kg m"
     return DIMENSIONS[reader._KINDS[key]].unit + (", list" if key == "frequencies" else "")
+
+
+if __name__ == "__main__":
+    (DOCS / "scenario-file.md").write_text(page(), encoding="utf-8")

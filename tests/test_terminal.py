@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import h5py
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from ambrose.cli import main
+from ambrose.cli import main, terminal
 from ambrose.cli.terminal import print_table, say
 from ambrose.core.checks import InvalidInput
 from ambrose.deployment.block.names import check_identifier
@@ -434,3 +435,21 @@ def test_an_inherited_deafness_to_interruptions_stays():
     code += "sys.argv = ['ambrose', '--version']\ntry:\n    main()\nexcept SystemExit:\n    pass\n"
     code += "assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=60).returncode == 0
+
+
+@pytest.mark.parametrize("arguments", [["check", "no-such-machine"], ["check"], ["check", "seal-rig", "--no-such-option"]])
+def test_a_refusal_is_one_json_object_as_well(arguments):
+    done = CliRunner().invoke(main, [*arguments, "--json"])
+    said = json.loads(done.stdout)
+    assert done.exit_code == said["status"] == 2
+    assert " ".join(said["error"].split())[:40] in " ".join(done.stderr.split())
+
+
+def test_a_stage_that_lasts_says_so(monkeypatch, capsys):
+    monkeypatch.setattr(terminal, "_SILENCE", 0.02)
+    with terminal.progress_shown(False) as progress:
+        progress("thinking")
+        time.sleep(0.2)
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "  thinking" and len(said) > 2
+    assert all(line.startswith("  thinking: since ") for line in said[1:])

@@ -1,7 +1,8 @@
 """The `ambrose` command. Exit status: 0 done and all required checks passed, 1 done but a check failed, 2 bad input,
 130 interrupted.
 
-Results go to standard output (with --json exactly one JSON object), progress and errors to standard error.
+Results go to standard output (with --json exactly one JSON object, also where the input is refused: its error and status),
+progress and errors to standard error.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from ambrose.cli.simulate import simulate
 from ambrose.cli.size import size
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
-from ambrose.cli.terminal import say, streams_settled
+from ambrose.cli.terminal import say, say_json, streams_settled
 from ambrose.cli.trade_off import trade_off
 from ambrose.cli.verify import verify
 from ambrose.machine.messages import BULLET
@@ -52,14 +53,15 @@ class AmbroseCommand(click.Group):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         if not standalone_mode:
             return super().main(args, prog_name, standalone_mode=False, **extra)
+        as_json = "--json" in (sys.argv[1:] if args is None else args)
         with streams_settled():
             try:
                 status = super().main(args, prog_name, standalone_mode=False, **extra)
             except OSError as error:
                 remedy = "check that it exists, may be read or written, and has room"
-                stop(f"{error.filename or 'file'}: {error.strerror or error}; {remedy}")
+                stop(f"{error.filename or 'file'}: {error.strerror or error}; {remedy}", as_json=as_json)
             except (KeyboardInterrupt, click.Abort):
-                stop("interrupted; what was finished before stays on disk", 130)
+                stop("interrupted; what was finished before stays on disk", 130, as_json=as_json)
             except click.ClickException as error:
                 context = getattr(error, "ctx", None)
                 if isinstance(error, NoArgsIsHelpError):
@@ -68,21 +70,25 @@ class AmbroseCommand(click.Group):
                     usage = context.get_usage().splitlines() if context else ()
                     for line in (*usage, f"Error: {error.format_message()}"):
                         say(line, err=True)
+                    if as_json:
+                        say_json({"error": error.format_message(), "status": 2})
                 sys.exit(2)
             except Exception as error:
                 from ambrose.core.checks import AmbroseError  # with numpy, which --help does without
 
                 if not isinstance(error, AmbroseError):
                     raise
-                stop(str(error))
+                stop(str(error), as_json=as_json)
             sys.exit(status if isinstance(status, int) else 0)
 
 
-def stop(message: str, status: int = 2) -> NoReturn:
+def stop(message: str, status: int = 2, *, as_json: bool = False) -> NoReturn:
     first, *others = message.split(BULLET)
     say(f"ambrose: {first}", err=True)
     for line in others:
         say(f"  - {line}", err=True)
+    if as_json:
+        say_json({"error": message, "status": status})
     sys.exit(status)
 
 

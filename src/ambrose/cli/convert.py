@@ -25,8 +25,8 @@ def convert(
 ) -> None:
     """Write what another program wrote as a file of this one, by the suffix of the output.
 
-    As a record (*.h5, *.csv): a record; with a column map a file of MATLAB (*.mat) or LabVIEW (*.tdms), a universal file (*.uff
-    or *.unv) or a text table of any separator and decimal mark (*.csv, *.txt).
+    As a record (*.h5, *.csv): a record; with a column map a file of MATLAB (*.mat) or LabVIEW (*.tdms), any HDF5 (*.h5), a
+    universal file (*.uff or *.unv) or a text table of any separator and decimal mark (*.csv, *.txt).
 
     As a controller file (*.json): a controller of another program, as `ambrose convert controller` does with its options.
 

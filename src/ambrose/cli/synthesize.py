@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -168,14 +169,11 @@ def synthesize(
         }  # fmt: skip
         say_json(summary)
     else:
-        numbers = {**certificate, **certificate["margins"]}
+        rows = [("states", f"{result.controller.n_states}")]
+        numbers = _numbers(certificate)
         if method != "pid":  # which minimises nothing
             numbers = {"gamma": result.gamma, **numbers}
-        apart = {"margins", "envelope"}
-        if any(name.startswith("sampled_") for name in certificate["margins"]):  # the loop as it runs; the file keeps both
-            apart |= {"full_spectral_abscissa", "full_sensitivity_peak"}
-        rows = [("states", f"{result.controller.n_states}")]
-        rows += [(name.replace("_", " "), shown(value)) for name, value in numbers.items() if name not in apart]
+        rows += [(name.replace("_", " "), shown(value)) for name, value in numbers.items()]
         rows += [(f"abscissa, {label}", shown(value)) for label, value in certificate["envelope"].items()]
         if factor is not None:
             rows.append(("control weight factor", shown(factor)))
@@ -188,3 +186,21 @@ def synthesize(
         raise failure
     missed = method == "tuned" and result.gamma > 1
     sys.exit(0 if result.status is Status.VERIFIED and not missed else 1)
+
+
+def _numbers(certificate: dict[str, Any]) -> dict[str, Any]:
+    """What is told of a certificate: where the loop runs sampled those figures first, and no margins of another one that it
+    does not have. The controller file keeps all."""
+    margins, apart = certificate["margins"], {"margins", "envelope"}
+    numbers = {name: value for name, value in certificate.items() if name not in apart}
+    as_run = {name: value for name, value in margins.items() if name.startswith("sampled_")}
+    if not as_run:
+        return numbers | margins
+    told = {name: numbers.pop(name) for name in ("stable", "plant")} | as_run
+    if not certificate["stable"]:
+        return told
+    others = numbers | {name: value for name, value in margins.items() if name not in as_run}
+    full = {"full_spectral_abscissa", "full_sensitivity_peak"}
+    return told | {
+        name if name == "fastest_pole" else f"continuous {name}": value for name, value in others.items() if name not in full
+    }

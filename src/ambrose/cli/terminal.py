@@ -14,6 +14,7 @@ import os
 import re
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -36,6 +37,7 @@ DELAY = click.option(
 )
 _SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html", "page": ".html"}
 _KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}  # endings that mean a file of this package, or a record
+_SILENCE = 30.0  # s
 _GONE = {errno.EPIPE, errno.EINVAL, errno.EIO}  # nobody reads: as Unix, as Windows, and as a terminal that was closed says it
 _SPELLED = {
     "≤": "<=", "≥": ">=", "≠": "!=", "±": "+-", "×": "*", "·": "*", "−": "-", "–": "-", "→": "->", "…": "...", "°": " deg",
@@ -160,12 +162,16 @@ def load_controller(path: Path, machine: Any) -> Any:
 
 @contextmanager
 def progress_shown(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A spinner with the present stage and its time on a terminal, one line per stage elsewhere; nothing with --json."""
+    """A spinner with the present stage and its time on a terminal; nothing with --json.
+
+    Elsewhere a line per stage, and one every _SILENCE seconds of a stage that lasts.
+    """
     if quiet:
         yield lambda stage: None
         return
     if not sys.stderr.isatty():
-        yield lambda stage: say(f"  {stage}", err=True)
+        with _lines() as line:
+            yield line
         return
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -184,6 +190,27 @@ def progress_shown(quiet: bool) -> Iterator[Callable[[str], None]]:
         yield step
         if tasks:
             bar.update(tasks[-1], total=1, completed=1)
+
+
+@contextmanager
+def _lines() -> Iterator[Callable[[str], None]]:
+    now, over = ["", time.monotonic()], threading.Event()
+
+    def remind() -> None:
+        while not over.wait(_SILENCE):
+            stage, since = now
+            if stage and time.monotonic() - since >= _SILENCE:
+                say(f"  {stage}: since {time.monotonic() - since:.0f} s", err=True)
+
+    def line(stage: str) -> None:
+        now[:] = stage, time.monotonic()
+        say(f"  {stage}", err=True)
+
+    threading.Thread(target=remind, daemon=True).start()
+    try:
+        yield line
+    finally:
+        over.set()
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], marks: Sequence[str] = ()) -> None:

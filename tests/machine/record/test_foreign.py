@@ -59,6 +59,7 @@ SOURCES = {  # kind of file -> time, probe, current
     "matrix": ("Y(:,1)", "Y(:,2)", "Y(:, 3)"),
     "matrix, v7.3": ("Y(:,1)", "Y(:,2)", "Y(:, 3)"),
     "rows": ("Y(1,:)", "Y(2,:)", "Y(3,:)"),
+    "hdf5": ("t ms", "log/Probe (1)", "log/all(:, 3)"),
     "tdms": ("Rig/t", "Rig/cDAQ1Mod1/ai0", "Rig/i"),
 }
 
@@ -91,7 +92,7 @@ def write_tdms(path, channels, properties=None):
 
 
 def make(kind, folder, time=TIME * 1e3, probe=PROBE, current=CURRENT * 1e3):
-    path = folder / ("run.tdms" if kind == "tdms" else "run.mat")
+    path = folder / {"tdms": "run.tdms", "hdf5": "run.h5"}.get(kind, "run.mat")
     table = np.column_stack([time, probe, current]) if "matrix" in kind else np.vstack([time, probe, current])
     if kind == "v5":
         scipy.io.savemat(path, {"t": time, "probe": probe[:, None], "log": {"i": current, "note": "text"}, "text": "hello"})
@@ -99,6 +100,11 @@ def make(kind, folder, time=TIME * 1e3, probe=PROBE, current=CURRENT * 1e3):
         write_matlab73(path, {"t": time, "probe": probe[:, None], "log": {"i": current}})
     elif kind == "matrix, v7.3":
         write_matlab73(path, {"Y": table})
+    elif kind == "hdf5":
+        with h5py.File(path, "w") as file:
+            parts = {"t ms": time, "log/Probe (1)": probe, "log/all": np.column_stack([time, probe, current])}
+            for name, value in parts.items():
+                file[name] = value
     elif kind == "tdms":
         write_tdms(path, {"t": time, "cDAQ1Mod1/ai0": probe, "i": current})
     else:
@@ -225,7 +231,7 @@ def test_a_truncated_file_is_refused(tmp_path, kind, kept):
 
 def refused(path, columns, message):
     before = path.read_bytes()
-    with pytest.raises(InvalidInput, match=rf"run\.(mat|tdms): .*({message})"):
+    with pytest.raises(InvalidInput, match=rf"run\.(mat|tdms|h5): .*({message})"):
         read_foreign(path, columns)
     assert path.read_bytes() == before
 
@@ -292,7 +298,7 @@ def test_wrong_files_are_refused(tmp_path):
     with pytest.raises(InvalidInput, match=r"none\.mat is not a file"):
         read_foreign(tmp_path / "none.mat", columns)
     (tmp_path / "run.xlsx").write_bytes(b"PK")
-    with pytest.raises(InvalidInput, match=r"run\.xlsx: it is not of a kind known here \(\.mat, \.tdms, \.csv"):
+    with pytest.raises(InvalidInput, match=r"run\.xlsx: it is not of a kind known here \(\.mat, \.tdms, \.h5, \.hdf5, \.csv"):
         read_foreign(tmp_path / "run.xlsx", columns)
     with pytest.raises(InvalidInput, match=r"none\.toml is not a file"):
         read_foreign(make("v5", tmp_path), tmp_path / "none.toml")

@@ -39,10 +39,13 @@ EVERY = (
 )
 
 
-def every_kind(coordinates):
+def every_kind(coordinates, alike=False):
     """The chains of structure "filters" and a section of every other kind, off any symmetry; the unknowns."""
     settings = first_bank(replace(FIRST, coordinates=coordinates), MACHINE, "filters", None, FASTEST)
-    channels = tuple(replace(item, sections=(*item.sections, *EVERY)) for item in settings.channels)
+    channels = tuple(
+        replace(item, gain=item.gain * (1 if alike else 1 + 0.1 * c), sections=(*item.sections, *EVERY))
+        for c, item in enumerate(settings.channels)
+    )
     bank, x = filter_bank(replace(settings, channels=channels), MACHINE, FASTEST)
     return bank, x + 0.1 * np.random.default_rng(0).normal(size=len(x))
 
@@ -52,14 +55,15 @@ def differences(function, x, direction, step=1e-5):
     return np.array([function(x + k * step * direction) for k in (-2, -1, 1, 2)]) @ [1, -8, 8, -1] / (12 * step)
 
 
+@pytest.mark.parametrize("alike", [False, True])
 @pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
-def test_the_slope_goes_back_through_every_kind_of_section(coordinates):
-    bank, x = every_kind(coordinates)
+def test_the_slope_goes_back_through_every_kind_of_section(coordinates, alike):
+    bank, x = every_kind(coordinates, alike)
     theta = bank.theta(x)
     slope = np.random.default_rng(1).normal(size=theta.shape) / (np.abs(theta) + 1)
     exact = bank.gradient(x, slope)
-    assert len(exact) == 4 * (1 + 3 + 2 + 4 + 3 + 2) and np.abs(exact).min() > 0
-    first = [k for k, item in enumerate(bank.unknowns) if item.channel in {0, 3}]
+    assert len(exact) == (2 if alike else 4) * (1 + 3 + 2 + 4 + 3 + 2) and np.abs(exact).min() > 0
+    first = [k for k, item in enumerate(bank.unknowns) if {0, 3} & {*item.channels}]
     found = [differences(lambda v: (slope * bank.theta(v)).sum(), x, np.eye(len(x))[k]) for k in first]
     assert found == pytest.approx(exact[first], abs=1e-8 * np.abs(exact).max())
 
@@ -75,6 +79,22 @@ def test_the_gradient_of_the_objective_is_that_of_finite_differences():
         found = differences(lambda v, f=function: f(v)[0], x, direction)
         scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
         assert found == pytest.approx(gradient @ direction, abs=1e-6 * scale)
+
+
+@pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
+def test_axes_on_like_magnets_share_their_numbers(coordinates):
+    settings = first_bank(replace(FIRST, coordinates=coordinates), MACHINE, "pid", None, FASTEST)
+    bank, x = filter_bank(settings, MACHINE, FASTEST)
+    found = bank.settings(x + 0.1 * np.random.default_rng(0).normal(size=len(x))).channels
+    for one, other in zip(found[::2], found[1::2], strict=True):
+        assert (one.gain, one.sections) == (other.gain, other.sections)
+    soft, other = MACHINE.bearings[0].negative_stiffness
+    stiffer = replace(MACHINE.bearings[0], negative_stiffness=(1.5 * soft, other))
+    apart = filter_bank(settings, replace(MACHINE, bearings=(stiffer, *MACHINE.bearings[1:])), FASTEST)[0]
+    assert {item.channels for item in bank.unknowns} == {(0, 1), (2, 3)}
+    assert {item.channels for item in apart.unknowns} == (
+        {(0,), (1,), (2, 3)} if coordinates == "axes" else {(c,) for c in range(4)}
+    )
 
 
 def test_what_is_found_is_always_a_machine():
@@ -116,7 +136,7 @@ def test_what_ended_at_a_limit_is_told():
     bank, x = filter_bank(first_bank(FIRST, MACHINE, "filters", None, FASTEST), MACHINE, FASTEST)
     assert not at_limits(bank.settings(x), MACHINE, FASTEST)
     for k, item in enumerate(bank.unknowns):
-        if item.channel < 2 and (item.section, item.key) in {(0, "integral_time"), (1, "frequency"), (2, "zero_damping")}:
+        if item.channels[0] < 2 and (item.section, item.key) in {(0, "integral_time"), (1, "frequency"), (2, "zero_damping")}:
             x[k] = -30.0 if item.key == "zero_damping" else 30.0
     names = f"({', '.join(MACHINE.axes[:2])})"
     assert at_limits(bank.settings(x), MACHINE, FASTEST) == [

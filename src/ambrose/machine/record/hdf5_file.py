@@ -77,7 +77,9 @@ def read_hdf5(path: Path, first: Callable[[], None] = lambda: None) -> Record:
                 raise invalid("the number of attributes", len(file.attrs), f"at most {NOTES}", "remove some")
             attributes = read_attributes({key: _attribute(file.attrs, key, first) for key in file.attrs})
             if not isinstance(group, h5py.Group) or not len(group):
-                raise InvalidInput("the group /signals is missing or empty; a record keeps one dataset per signal there")
+                raise InvalidInput(
+                    "the group /signals is missing or empty, where a record keeps one dataset per signal; a file of another program needs --columns"
+                )
             if len(group) > SIGNALS:
                 raise invalid("the number of signals", len(group), f"at most {SIGNALS}", "split the record")
             datasets = {name: _dataset(group, name, h5py) for name in group}

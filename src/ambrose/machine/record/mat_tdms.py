@@ -39,9 +39,11 @@ def read_variables(path: Path, names: Iterable[str]) -> Iterator[Variable]:
 def _opened(path: Path) -> Iterator[Callable[[str], Variable]]:
     """A function from the name of a variable to its Variable, while the file is open for reading.
 
-    MATLAB: "y", a field "log.y", a column or row of a matrix "Y(:,2)", "Y(2,:)". TDMS: "group/channel". Raises InvalidInput.
+    MATLAB: "y", a field "log.y", a column or row of a matrix "Y(:,2)", "Y(2,:)". TDMS: "group/channel". HDF5: "group/dataset",
+    and columns or rows as of MATLAB's. Raises InvalidInput.
     """
-    readers = {".mat": _matlab, ".tdms": _tdms, **dict.fromkeys(_TABLES, text_table), **dict.fromkeys(_UNIVERSAL, universal)}
+    readers = {".mat": _matlab, ".tdms": _tdms, **dict.fromkeys((".h5", ".hdf5"), _hdf5)}
+    readers |= {**dict.fromkeys(_TABLES, text_table), **dict.fromkeys(_UNIVERSAL, universal)}
     if path.suffix.lower() not in readers:
         page = "see docs/records.md, Files of other programs"
         raise InvalidInput(f"{path}: it is not of a kind known here ({', '.join(readers)}); export it as one of them, {page}")
@@ -119,6 +121,15 @@ def _matlab(path: Path) -> Iterator[Callable[[str], Variable]]:
         yield lambda name: Variable(_part(name, lambda plain: _from_matlab5(load, known, plain)))
 
 
+@contextmanager
+def _hdf5(path: Path) -> Iterator[Callable[[str], Variable]]:
+    import h5py
+
+    with h5py.File(path, "r") as tree:
+        load = lru_cache(maxsize=1)(lambda plain: _from_tree(tree, plain, path, "/").T)
+        yield lambda name: Variable(_part(name, load))
+
+
 def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
     """The numbers of a vector, or of one row or column of a matrix."""
     match = _PART.fullmatch(name)
@@ -161,19 +172,20 @@ def _check_count(name: str, count: int) -> None:
         raise InvalidInput(f"{name} has {count} numbers, but at most {FOREIGN_NUMBERS} are read; save it in parts")
 
 
-def _from_tree(tree: Any, name: str, path: Path) -> np.ndarray:
+def _from_tree(tree: Any, name: str, path: Path, mark: str = ".") -> np.ndarray:
     import h5py
 
     from ambrose.machine.record.hdf5_file import check_packing
 
     node = tree
-    for i, key in enumerate(name.split(".")):
+    keys = name.strip("/").split(mark)
+    for i, key in enumerate(keys):
         members = [member for member in node if not member.startswith("#")] if isinstance(node, h5py.Group) else []
         if key not in members:
-            raise unknown(name, [".".join((*name.split(".")[:i], member)) for member in members], "variable")
+            raise unknown(name, [mark.join((*keys[:i], member)) for member in members], "variable")
         node = own_member(node, key, name)
     if not isinstance(node, h5py.Dataset):
-        raise unknown(name, [f"{name}.{member}" for member in node], "variable")
+        raise unknown(name, [f"{name}{mark}{member}" for member in node], "variable")
     if node.attrs.get("MATLAB_class", b"") in {b"char", b"cell"}:
         raise InvalidInput(f"the variable {name} holds no numbers, but must hold real ones in rows or columns; save its parts")
     _check_count(name, node.size or 0)

@@ -18,6 +18,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import SECTIONS, Channel, PidSettings, Section
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import finite_element_rotor, free_modes
+from ambrose.plant.static_load import magnet_coefficients
 from ambrose.synthesis.filters import DERIVATIVE_FILTER, bank, chain, embedded, section_matrix, section_text
 from ambrose.synthesis.pid import channel_chains, channel_names, first_settings, mixings, theta_system
 
@@ -32,15 +33,19 @@ _SLOWEST = 1.0  # s; longest integral time, without which the integrals are tune
 _DAMPING = 0.5  # of a notch that does nothing yet
 _LEAST = 0.01  # damping of a notch's zeros: a deeper one needs the mode's frequency to better than a percent
 _AT = 0.02  # of the room between limits: so near one a value is at it
+_SAME = 0.05  # coefficients of two axes that differ by less are alike
 _EXTRA = 1  # notch per channel with structure "filters"
 BANKS = ("pid", "filters")
 
 
 @dataclass(frozen=True, slots=True)
 class _Unknown:
-    """One unknown: a section's key or "gain", between limits; a phase is 3 tanh(x), a PID's filter its corner 1/(eps T_d)."""
+    """One unknown: a section's key or "gain", between limits; a phase is 3 tanh(x), a PID's filter its corner 1/(eps T_d).
 
-    channel: int
+    channels: those that share it (``_alike``).
+    """
+
+    channels: tuple[int, ...]
     section: int
     key: str
     limit: float = np.inf
@@ -94,7 +99,8 @@ class FilterBank:
         """The [controller] of the unknowns."""
         found: list[dict[Any, dict[str, float]]] = [{} for _ in self.base.channels]
         for item, value in zip(self.unknowns, x, strict=True):
-            found[item.channel].setdefault(item.section, {})[item.key] = float(item.value(max(-_FAR, min(value, _FAR))))
+            for c in item.channels:
+                found[c].setdefault(item.section, {})[item.key] = float(item.value(max(-_FAR, min(value, _FAR))))
         return replace(self.base, channels=tuple(
             replace(
                 channel, gain=numbers[-1]["gain"],
@@ -107,7 +113,7 @@ class FilterBank:
         """df/dx (k,) from df/dTheta (m+n, p+n)."""
         settings, m, result, start = self.settings(x), len(self.axes), np.zeros(len(x)), 0
         into, out = self.mixing
-        mine = [[k for k, item in enumerate(self.unknowns) if item.channel == c] for c in range(len(settings.channels))]
+        mine = [[k for k, item in enumerate(self.unknowns) if c in item.channels] for c in range(len(settings.channels))]
         for c, channel in enumerate(settings.channels):
             parts = embedded([section_matrix(section) for section in channel.sections])
             size = len(parts[0]) if parts else 1
@@ -122,7 +128,7 @@ class FilterBank:
                 before.append(part @ before[-1])
             for k in mine[c]:
                 if self.unknowns[k].key == "gain":
-                    result[k] = channel.gain * (back[0] @ before[-1][0])
+                    result[k] += channel.gain * (back[0] @ before[-1][0])
             back[0] *= channel.gain
             end = size
             for i in range(len(parts) - 1, -1, -1):
@@ -131,7 +137,7 @@ class FilterBank:
                 at = [0, *range(end - order, end)]
                 end -= order
                 for k in (k for k in mine[c] if self.unknowns[k].section == i):
-                    result[k] = float((share[np.ix_(at, at)] * self._derivative(x, k, mine[c], channel.sections[i])).sum())
+                    result[k] += float((share[np.ix_(at, at)] * self._derivative(x, k, mine[c], channel.sections[i])).sum())
                 back = parts[i].T @ back
         return result
 
@@ -149,14 +155,15 @@ def at_limits(settings: PidSettings, machine: Machine, fastest: float) -> list[s
     found, x = filter_bank(settings, machine, fastest)
     where: dict[str, list[str]] = {}
     for item, at in zip(found.unknowns, x, strict=True):
-        value, channel = float(item.value(at)), settings.channels[item.channel]
+        value, channel = float(item.value(at)), settings.channels[item.channels[0]]
+        names = [name for c in item.channels for name in settings.channels[c].names]
         room = item.limit - item.least if np.isfinite(item.limit) else item.least
         ends = [end for end in (item.least, item.limit) if 0 < end < np.inf and abs(value - end) <= _AT * room]
         for end in ends if item.key != "phase" else ():
             section = channel.sections[item.section]
             corner = item.key == "derivative_filter"
             words = f"filter frequency {end / (2 * np.pi):.4g} Hz" if corner else section_text(section, {item.key: end})
-            where.setdefault(f"{section.kind} {words}", []).extend(channel.names)
+            where.setdefault(f"{section.kind} {words}", []).extend(names)
     return [f"{text} ({', '.join(dict.fromkeys(names))})" for text, names in where.items()]
 
 
@@ -173,10 +180,14 @@ def _own(numbers: dict[str, Any]) -> dict[str, Any]:
 
 
 def filter_bank(settings: PidSettings, machine: Machine, fastest: float) -> tuple[FilterBank, np.ndarray]:
-    """The structure of settings with a chain for every channel, and its unknowns; fastest [rad/s]: limit of its poles."""
+    """The structure of settings with a chain for every channel, and its unknowns; fastest [rad/s]: limit of its poles.
+
+    The two channels of a bearing or a rigid mode share theirs where nothing tells them apart (``_alike``).
+    """
     unknowns, x = [], []
-    for c, channel in enumerate(settings.channels):
-        found = [_Unknown(c, -1, "gain")]
+    for group in _alike(settings, machine):
+        channel = settings.channels[group[0]]
+        found = [_Unknown(group, -1, "gain")]
         for i, section in enumerate(channel.sections):
             for key in SECTIONS[section.kind]:
                 if section.kind == "sos" or getattr(section, key) is None:
@@ -189,10 +200,25 @@ def filter_bank(settings: PidSettings, machine: Machine, fastest: float) -> tupl
                     limits = _LEAST, np.inf
                 if key == "integral_time":
                     limits = 0.0, max(_SLOWEST, getattr(section, key))
-                found.append(_Unknown(c, i, key, limits[1], limits[0]))
+                found.append(_Unknown(group, i, key, limits[1], limits[0]))
         unknowns += found
         x += [item.start(channel.sections[item.section] if item.section >= 0 else Section(""), channel.gain) for item in found]
     return FilterBank(settings, machine.axes, mixings(settings, machine), tuple(unknowns)), np.array(x)
+
+
+def _alike(settings: PidSettings, machine: Machine) -> list[tuple[int, ...]]:
+    """Which channels are one to the search: both of a bearing (of a mode: everywhere) that start alike, on magnets alike."""
+    pairs = np.reshape(magnet_coefficients(machine, machine.operation.design), (2, -1, 2))  # k_i, k_s; bearing; axis
+    same = (np.abs(pairs[..., 0] - pairs[..., 1]) <= _SAME * np.abs(pairs).max(axis=2)).all(axis=0)
+    groups: list[tuple[int, ...]] = []
+    for c, channel in enumerate(settings.channels):
+        before = settings.channels[c - 1]
+        twin = same.all() if settings.coordinates != "axes" else same[c // 2]
+        if c % 2 and twin and (before.gain, before.sections) == (channel.gain, channel.sections):
+            groups[-1] = (c - 1, c)
+        else:
+            groups.append((c,))
+    return groups
 
 
 def first_bank(settings: PidSettings, machine: Machine, structure: str, order: int | None, fastest: float) -> PidSettings:
