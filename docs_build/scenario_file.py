@@ -25,10 +25,10 @@ Signals that a disturbance may act on: current excitation `e_BEARING_AXIS` [A], 
 reference `r_BEARING_AXIS` [m], force `f_PORT_AXIS` [N] at a bearing, seal, disc or coupling. Axes of bearings and
 couplings are `zeta` and `eta`, of seals and discs `x` and `y`.
 
-Angles: x and y are the machine's axes, in the direction of spin from x to y; `zeta` of a bearing stands at its `angle` from x, `eta` a
-quarter turn further. The rotor's angle is zero at time zero and grows with the speed; the phase of an unbalance counts from the
-first axis of its port in the direction of spin: from x at a disc or a seal, from zeta at a bearing. The angles of `ambrose balance`
-count from x everywhere, so 30 deg at a bearing whose `angle` is 45 deg are 75 deg there.
+Angles: x and y are the machine's axes, in the direction of spin from x to y; `zeta` of a bearing stands at its `angle` from x,
+`eta` a quarter turn further. The rotor's angle is zero at time zero and grows with the speed; the phase of an unbalance counts
+from the first axis of its port in the direction of spin: from x at a disc or a seal, from zeta at a bearing. The angles of
+`ambrose balance` count from x everywhere, so 30 deg at a bearing whose `angle` is 45 deg are 75 deg there.
 """
 
 

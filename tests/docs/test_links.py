@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from docs_build import scenario_file
 
 ROOT = Path(__file__).parents[2]
 
@@ -18,3 +19,9 @@ def test_every_page_is_in_the_navigation():
     navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     for path in sorted((ROOT / "docs").rglob("*.md")):
         assert path.relative_to(ROOT / "docs").as_posix() in navigation
+
+
+def test_the_page_of_the_scenario_file_is_that_of_the_program():
+    assert (ROOT / "docs" / "scenario-file.md").read_text(encoding="utf-8") == scenario_file.page(), (
+        "run python -m docs_build.scenario_file"
+    )

@@ -302,7 +302,7 @@ def _timing(match: ControllerMatch, delay: int, where: str) -> list[Finding]:
             f"u differs from K(-y) by {100 * float(given.max()):.2g} % after {delay} and by "
             f"{100 * float(match.least.max()):.2g} % after {_samples(lag)}"
         )
-        remedy = f"give {lag} as delay (--delay-samples), unless u is recorded before it acts: one is 2 to 5 % of the stiffness"
+        remedy = f"give --delay-samples {lag}, unless u is recorded before it acts: one is 2 to 5 % of the stiffness"
         return [Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy)]
     names = ", ".join(f"{match.axes[i]} ({_samples(int(match.lag[i]))})" for i in late)
     what = f"{where}: channels are not recorded at the same time"

@@ -256,5 +256,5 @@ def _whole_delays(given: ParameterEstimate, delay: float, whole: Callable[[float
     figures = ", ".join(f"{value:.2g} % with {count:g}" for count, value in sorted(trials.items()))
     what = f"a computing delay of {best:g} instead of {delay:g} samples explains the records better"
     evidence = f"left unexplained of the signals: {figures}"
-    remedy = f"give {best:g} as delay (--delay-samples) if the controller may have it; one sample is 2 to 5 % in the stiffness"
+    remedy = f"give --delay-samples {best:g} if the controller may have it; one sample is 2 to 5 % in the stiffness"
     return (Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy),)

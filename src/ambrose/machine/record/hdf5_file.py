@@ -78,7 +78,7 @@ def read_hdf5(path: Path, first: Callable[[], None] = lambda: None) -> Record:
             attributes = read_attributes({key: _attribute(file.attrs, key, first) for key in file.attrs})
             if not isinstance(group, h5py.Group) or not len(group):
                 raise InvalidInput(
-                    "the group /signals is missing or empty, where a record keeps one dataset per signal; a file of another program needs --columns"
+                    "the group /signals is missing or empty, a record's datasets; a file of another program needs --columns"
                 )
             if len(group) > SIGNALS:
                 raise invalid("the number of signals", len(group), f"at most {SIGNALS}", "split the record")

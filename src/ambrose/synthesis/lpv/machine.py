@@ -33,8 +33,8 @@ def speed_grid(machine: Machine, point: OperatingPoint, count: int = POINTS) -> 
     speeds = sorted({p.speed for p in alike if p.speed > 0} | ({point.speed} if point.speed > 0 else set()))
     if len(speeds) < 2:
         raise InvalidInput(
-            f"machine {machine.name!r} has no range of speeds at the seal pressure of {point.label or 'this point'}; pass the "
-            "speeds, or add operating points at the lowest and the highest"
+            f"machine {machine.name!r} has no range of speeds at the seal pressure of {point.label or 'this point'}; give the "
+            "speeds (--speeds-hz), or add operating points at the lowest and the highest"
         )
     return np.linspace(speeds[0], speeds[-1], count)
 
