@@ -3,7 +3,7 @@
 import ambrose as amb
 
 machine = amb.load_machine("seal-rig")
-plant = amb.assemble(machine, "nominal pressure")  # 40 nodes, 320 rotor states and 8 amplifier states
+plant = amb.assemble(machine, "nominal pressure")  # 40 nodes, 144 rotor states and 8 amplifier states
 small = amb.reduce(plant, 0)  # 8 rotor states: what controllers are designed on
 pid = amb.design(machine, "pid")
 verdict = amb.verify(machine, pid, tolerances=False)  # on the full plant, bending modes included, at every operating point

@@ -4,7 +4,7 @@ import ambrose as amb
 
 machine = amb.load_machine("seal-rig")
 syntheses = {method: amb.design(machine, method) for method in ("pid", "hinf", "mu")}  # designed on 8 rotor states ...
-verdicts = {method: amb.verify(machine, result, points="nominal") for method, result in syntheses.items()}  # ... judged on 320
+verdicts = {method: amb.verify(machine, result, points="nominal") for method, result in syntheses.items()}  # ... judged on 144
 
 
 def picture():

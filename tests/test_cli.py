@@ -78,7 +78,7 @@ def test_check_tells_the_printed_figures():
     facts = json.loads(call("check", RIG, "--json").stdout)
     assert facts["mass_kg"] == pytest.approx(69.0, rel=1e-3)
     assert facts["bending_rad_s"][0] / 6.283185307179586 == pytest.approx(550.0, rel=1e-3)
-    assert (facts["rotor_states"], facts["reduced_rotor_states"]) == (320, 8)
+    assert (facts["rotor_states"], facts["reduced_rotor_states"]) == (144, 8)
     assert "69 kg" in call("check", RIG).stdout
 
 

@@ -132,7 +132,7 @@ def test_wheel_works_outside_the_checkout(installed):
     assert version == ambrose.__version__
     assert installed("ambrose", "--version").split()[-1] == version
     assert set(json.loads(installed("ambrose", "machines", "--json"))) == set(ambrose.bundled_machines())
-    assert json.loads(installed("ambrose", "check", "seal-rig", "--json"))["rotor_states"] == 320
+    assert json.loads(installed("ambrose", "check", "seal-rig", "--json"))["rotor_states"] == 144
     code = "from ambrose.simulation.scenario import bundled_scenarios; print(*bundled_scenarios())"
     assert {"levitation", "prbs", "run-up"} <= set(installed("python", "-c", code).split())
 

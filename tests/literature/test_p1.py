@@ -40,7 +40,7 @@ def machine():
 @cache
 def plants():
     """The full finite-element plant (320 rotor states) and the one of the 8 rigid-body states."""
-    full = assemble(machine(), operating_point(machine(), "nominal speed without seal"))
+    full = assemble(machine(), operating_point(machine(), "nominal speed without seal"), every_mode=True)
     return full, free_mode_reduction(full, 0)
 
 

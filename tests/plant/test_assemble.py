@@ -23,9 +23,11 @@ def plant(machine):
     return assemble(machine)
 
 
-def test_full_size_and_names(plant):
-    assert plant.rotor.n_states == 320
-    assert plant.system.n_states == 328  # two amplifier states per axis
+def test_full_size_and_names(machine, plant):
+    every = assemble(machine, every_mode=True)
+    assert every.rotor.n_states == 320
+    assert every.system.n_states == 328  # two amplifier states per axis
+    assert plant.rotor.n_states == 4 * (2 + 24 + 10)  # six places of ports and four gyroscopic moments
     assert plant.named("u") == ("u_A_zeta", "u_A_eta", "u_B_zeta", "u_B_eta")
     assert plant.bearing_named("q") == ("q_A_zeta", "q_A_eta", "q_B_zeta", "q_B_eta")
     assert set(plant.named("f")) <= set(plant.system.inputs)
@@ -89,7 +91,7 @@ def test_modal_damping_ratio(machine):
         couplings=(),
         bearings=tuple(replace(b, negative_stiffness=(1e-9, 1e-9)) for b in machine.bearings),
     )
-    values = poles(assemble(free).rotor)
+    values = poles(assemble(free, every_mode=True).rotor)
     bending = values[np.abs(values) > 100.0]
     assert len(bending) == 312
     assert -bending.real / np.abs(bending) == pytest.approx(machine.modal_damping, rel=1e-6)

@@ -93,8 +93,8 @@ def test_pairs_on_both_sides_read_the_middle_of_a_rotor_that_does_not_bend():
     )
     found, expected = (frequency_response(assemble(item).system, np.array([5.0])).values[0, :4] for item in (apart, RIG))
     assert np.abs(found - expected).max() < 2e-4 * np.abs(expected).max()  # by static bending alone
-    own, other = (assemble(replace(RIG, sensors=doubled(apart=0.01).sensors[k::2])).rotor for k in (0, 1))
-    both = assemble(apart).rotor
+    own, other = (assemble(replace(RIG, sensors=doubled(apart=0.01).sensors[k::2]), every_mode=True).rotor for k in (0, 1))
+    both = assemble(apart, every_mode=True).rotor
     rows = [both.outputs.index(name) for name in ("s_A_zeta", "s_A_zeta.2")]
     np.testing.assert_array_equal(both.C[rows[0]], own.C[own.outputs.index("s_A_zeta")])
     np.testing.assert_array_equal(both.C[rows[1]], other.C[other.outputs.index("s_A_zeta")])

@@ -13,7 +13,8 @@ from ambrose.machine.description import BendingMode, OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, CONTROLLER_DELAY, QUANTITIES, TIMING, find_uncertain, parse_parameter
 from ambrose.machine.units import DIMENSIONS
-from ambrose.plant.assemble import assemble, bending_modes_of
+from ambrose.plant.assemble import assemble
+from ambrose.plant.basis import bending_modes_of
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.uncertainty import channels, perturbed

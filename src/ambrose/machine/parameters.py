@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, MachineDescription, OperatingPoint
-from ambrose.machine.limits import FINE_MESH_MODES
+from ambrose.machine.limits import LEAST_MODES
 from ambrose.machine.messages import shown, suggestion
 from ambrose.machine.seals import not_straight
 
@@ -159,9 +159,8 @@ def operating_point(
 
 
 def bending_modes_of_mesh(machine: MachineDescription) -> int:
-    """How many bending modes per plane the full model has, as ``plant.assemble.bending_modes_of`` counts them."""
-    available = 2 * sum(section.elements for section in machine.shaft)
-    return available if available <= 2 * FINE_MESH_MODES else FINE_MESH_MODES
+    """How many bending modes per plane every full model of so many elements has, see ``plant.basis.bending_modes_of``."""
+    return min(2 * sum(section.elements for section in machine.shaft), LEAST_MODES)
 
 
 def uncertain_modes(machine: MachineDescription) -> tuple[int, ...]:

@@ -1,11 +1,10 @@
 """Machine and operating point -> Plant, in three steps: the rotor with its attachments, its state space, the wiring.
 
-The rotor is written in the mass-orthonormal modes of the free rotor - all of them for the full model, so nothing is lost but
-a change of coordinates; of a very fine mesh as many as matter (``bending_modes_of``). There the rigid-body modes have exactly
-no stiffness; in nodal coordinates rounding of the element stiffness (norm 1e14) would disturb them in the sixth digit. Its
-states are the modal displacements q and q'/s, with scales s of the free rotor alone: they mean the same at every speed, seal
-pressure and bias current, so that a run-up may carry them from one plant to the next. Poles of the slow modes are good to
-1e-8 rad/s (tests/plant/test_assemble.py).
+The rotor is written in mass-orthonormal modes of the free rotor: those up to 100 kHz and the static compliance of all others
+(``plant.basis``). There the rigid-body modes have exactly no stiffness; in nodal coordinates rounding of the element stiffness
+(norm 1e14) would disturb them in the sixth digit. Its states are the modal displacements q and q'/s, with scales s of the free
+rotor alone: they mean the same at every speed, seal pressure and bias current, so that a run-up may carry them from one plant
+to the next. Poles of the slow modes are good to 1e-8 rad/s (tests/plant/test_assemble.py).
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import OperatingPoint, Seal
-from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
 from ambrose.physics import amplifier, coupling, seal, seal_rational, sensor
-from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes
+from ambrose.physics.rotor import Rotor, finite_element_rotor
 from ambrose.physics.seal_rational import has_states
 from ambrose.physics.support import foundation
+from ambrose.plant.basis import bending_modes_of, gyroscopic_of, modes_of, rows_in
 from ambrose.plant.model import Plant
 from ambrose.plant.ports import ports, sensor_ports, supported_ports
 from ambrose.plant.static_load import magnet_coefficients
@@ -34,14 +33,16 @@ _RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state: the pace of a 
 
 
 @names_wrong_types
-def assemble(machine: Machine, point: OperatingPoint | str | None = None) -> Plant:
-    """The full finite-element plant (4 DOF per node) at an operating point, or its label (default: the machine's nominal one).
+def assemble(machine: Machine, point: OperatingPoint | str | None = None, *, every_mode: bool = False) -> Plant:
+    """The full plant at an operating point, or its label (default: the machine's nominal one).
 
-    Its states mean the same at every operating point, see ``attached_statespace``. Raises InvalidInput where the point lies
-    outside a seal's table or a bearing's measured bias currents.
+    Its states mean the same at every operating point, see ``attached_statespace``. every_mode: in all modes of the mesh (4 DOF
+    per node) in place of those that matter (``plant.basis``, which says how little they differ). Raises InvalidInput where the
+    point lies outside a seal's table or a bearing's measured bias currents.
     """
     point = machine.operation.nominal if point is None else operating_point(machine, point)
-    return wire(machine, point, attached_statespace(machine, point, finite_element_rotor(machine)))
+    rotor = finite_element_rotor(machine)
+    return wire(machine, point, attached_statespace(machine, point, rotor, 2 * rotor.n_nodes - 2 if every_mode else None))
 
 
 def attached_statespace(machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None) -> StateSpace:
@@ -57,34 +58,22 @@ def attached_statespace(machine: Machine, point: OperatingPoint, rotor: Rotor, b
 
 def state_scales(machine: Machine, rotor: Rotor, bending_modes: int | None = None) -> np.ndarray:
     """The scale s (n,) [rad/s] of each velocity state: the free mode's or support's frequency, 300 rad/s at least."""
-    count = bending_modes_of(rotor) if bending_modes is None else bending_modes
-    own = np.concatenate([free_modes(rotor, count).frequencies, np.sqrt(foundation(machine).stiffness)])
-    return np.maximum(own, _RIGID_SCALE)
-
-
-def bending_modes_of(rotor: Rotor) -> int:
-    """How many bending modes per plane the full model has: all that the mesh has, 2 N - 2; of more than 128 the lowest 64.
-
-    What the modes beyond would add is their static compliance, which falls with the third power of their number: poles and
-    checks agree with those of all modes to 1e-7, responses to 5e-6 (tests/plant/test_big_rotor.py).
-    """
-    available = 2 * rotor.n_nodes - 2
-    return available if available <= 2 * FINE_MESH_MODES else FINE_MESH_MODES
+    own = modes_of(machine, rotor, bending_modes).frequencies
+    return np.maximum(np.concatenate([own, np.sqrt(foundation(machine).stiffness)]), _RIGID_SCALE)
 
 
 def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None) -> SecondOrder:
     """The rotor plus bearing stiffness, seals, couplings and modal damping, in free-rotor modes, with all ports.
 
-    Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency (None: all of the mesh), then
-    those of the supports (``physics.support``). Inputs f_<port> [N], which act between rotor and stator as q_<port> is
-    measured, and o_<port> [N] on the rotor alone where the stator can move; outputs q_<port> and s_<channel> [m]
+    Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency (None: the full model's,
+    ``plant.basis``), then those of the supports (``physics.support``). Inputs f_<port> [N], which act between rotor and stator
+    as q_<port> is measured, and o_<port> [N] on the rotor alone where the stator can move; outputs q_<port> and s_<channel> [m]
     (``sensor_ports``); velocity outputs qdot_<port> [m/s]. A free bending mode that a tolerance names has ports too,
     bending_<k>_x and _y: the force on its mass-orthonormal coordinate, and the coordinate.
     """
-    modes = free_modes(rotor, bending_modes_of(rotor) if bending_modes is None else bending_modes)
+    modes = modes_of(machine, rotor, bending_modes)
     places, sensed = ports(machine), sensor_ports(machine)
-    N = np.array([displacement_row(rotor, p.position, p.direction) for p in places]) @ modes.shapes
-    S = np.array([displacement_row(rotor, p.position, p.direction) for p in sensed]) @ modes.shapes
+    N, S = rows_in(rotor, modes, places), rows_in(rotor, modes, sensed)
     base, count = foundation(machine), len(modes.frequencies)
     on = supported_ports(machine)
     alone = np.hstack([N[[p.name in on for p in places]], np.zeros((len(on), len(base)))])
@@ -120,7 +109,7 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
     return SecondOrder(
         mass,
         damping,
-        block_diag(gyroscopic_of(rotor, modes.shapes), np.zeros((len(base), len(base)))),
+        block_diag(gyroscopic_of(rotor, modes), np.zeros((len(base), len(base)))),
         stiffness,
         np.vstack([N, alone]).T,
         np.vstack([N, S]),
@@ -134,16 +123,6 @@ def attached_rotor(machine: Machine, point: OperatingPoint, rotor: Rotor, bendin
 def mode_ports(machine: Machine) -> tuple[str, ...]:
     """The ports of the free bending modes that the machine's tolerances name; they are the rotor's alone, not the plant's."""
     return tuple(f"{BENDING}{k}_{plane}" for k in uncertain_modes(machine) for plane in "xy")
-
-
-def gyroscopic_of(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
-    """The gyroscopic matrix in mode coordinates that come in x/y pairs of equal shape; shapes (n, 2 k).
-
-    Both planes share one symmetric matrix g, and G = g (x) [[0, 1], [-1, 0]]: an eighth of the work of the whole product.
-    """
-    plane = np.empty((2 * rotor.n_nodes, shapes.shape[1] // 2))
-    plane[0::2], plane[1::2] = shapes[0::4, 0::2], shapes[3::4, 0::2]  # x and beta of the x modes
-    return np.kron(plane.T @ rotor.plane_gyroscopic @ plane, np.array([[0.0, 1.0], [-1.0, 0.0]]))
 
 
 def with_seal_states(machine: Machine, point: OperatingPoint, rotor: StateSpace) -> StateSpace:

@@ -22,13 +22,13 @@ from ambrose.physics.support import foundation
 from ambrose.plant.assemble import (
     attached_rotor,
     attached_statespace,
-    bending_modes_of,
     mode_ports,
     seal_states,
     state_scales,
     wire,
     with_seal_states,
 )  # fmt: skip
+from ambrose.plant.basis import bending_modes_of
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.uncertainty import with_offsets_of
 

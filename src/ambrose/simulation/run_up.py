@@ -19,7 +19,7 @@ from ambrose.core.response import settling_time
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.physics.rotor import mass_properties
-from ambrose.plant.assemble import bending_modes_of
+from ambrose.plant.basis import bending_modes_of
 from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction

@@ -28,7 +28,8 @@ from ambrose.physics.rotor import (
     mass_properties,
     plane_rows,
 )
-from ambrose.plant.assemble import assemble, attached_rotor, bending_modes_of
+from ambrose.plant.assemble import assemble, attached_rotor
+from ambrose.plant.basis import bending_modes_of
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.ports import measured_ports, sensor_turn

@@ -12,7 +12,8 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import assemble, bending_modes_of
+from ambrose.plant.assemble import assemble
+from ambrose.plant.basis import bending_modes_of
 from ambrose.plant.loop import closed_loop, law_at
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce_from

@@ -11,7 +11,7 @@ from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case.bounds import gain_bound, proved_margin
-from ambrose.core.worst_case.crossing import box_margin
+from ambrose.core.worst_case.crossing import _shared_inputs, box_margin
 from ambrose.core.worst_case.loop import (
     box_loop,
     corners,
@@ -272,3 +272,23 @@ def test_gain_bound_asks_no_more_than_mu_below_one():
 
     assert mu(bound) < 1 + 2e-4
     assert mu(bound / 1.0025) > 1 - 2e-4 or bound <= 1.002 * worst.value
+
+
+@pytest.mark.parametrize("direct", [0.0, 0.1])
+def test_eigenvalues_of_parameters_that_share_inputs(direct):
+    """Three parameters whose inputs are combinations of two columns: the eigenvalues of the whole matrix without its zeros."""
+    rng = np.random.default_rng(7)
+    loop = random_loop(rng, 5, direct=direct)
+    n, s = len(loop.owner), loop.system
+    B, D = s.B.copy(), s.D.copy()
+    for i, mix in zip(range(2, n), rng.normal(size=(n - 2, 2)) * np.geomspace(1e-6, 1e6, n - 2)[:, None], strict=True):
+        B[:, i], D[:, i] = B[:, :2] @ mix, D[:, :2] @ mix
+    loop = box_loop(StateSpace(s.A, B, s.C, D), loop.blocks)
+    shared = _shared_inputs(loop)
+    assert len(shared.columns) == 2
+    M = loop.at(np.array([0.3, 2.0]))[:, :n, :n]
+    wide = rng.normal(size=(4, 1, n)) / np.linalg.norm(M[0], axis=0)
+    whole = np.linalg.eigvals(M * wide[..., None, :])
+    largest = np.take_along_axis(whole, np.argsort(-np.abs(whole))[..., :2], axis=-1)
+    found = shared.eigenvalues(M, wide)
+    assert np.sort_complex(found) == pytest.approx(np.sort_complex(largest), rel=1e-9)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import zpotrf
 
 from ambrose.core.checks import memberwise
 from ambrose.core.frequency import largest_gain
@@ -48,8 +49,12 @@ class UpperBound:
 
 
 def positive_definite(F: np.ndarray) -> np.ndarray:
-    """Which members of the Hermitian batch F (b, n, n) are positive definite, (b,) bool."""
-    return np.isfinite(memberwise(np.linalg.cholesky, F)).all(axis=(1, 2))
+    """Which members of the complex Hermitian batch F (b, n, n) are positive definite, (b,) bool; none with NaN or infinity.
+
+    One by one: many are not, and numpy refuses a batch for one of its members.
+    """
+    factored = np.array([zpotrf(member.T, lower=True, clean=False)[1] == 0 for member in F], bool)
+    return np.asarray(factored & np.isfinite(F).all(axis=(1, 2)))
 
 
 def _inverse(F: np.ndarray) -> np.ndarray:
@@ -127,13 +132,9 @@ def _inside(basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> np.
     n = basis.n_w + basis.n_z
     S = basis.assemble(x)
     V = np.concatenate([beta[:, None, None] * np.eye(basis.n_w), M], axis=1)
-    F = V.conj().swapaxes(1, 2) @ S[:, :n, :n] @ V
-    finite = np.isfinite(F).all(axis=(1, 2)) & np.isfinite(S).all(axis=(1, 2))
-    F, X = (
-        np.where(finite[:, None, None], F, np.eye(basis.n_w)),
-        np.where(finite[:, None, None], S[:, n:, n:], np.eye(basis.n_x)),
-    )
-    return finite & positive_definite(F) & positive_definite(X)
+    found = positive_definite(V.conj().swapaxes(1, 2) @ S[:, :n, :n] @ V)
+    found[found] = positive_definite(S[found, n:, n:])
+    return found
 
 
 def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:

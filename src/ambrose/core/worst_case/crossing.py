@@ -3,6 +3,8 @@
 A point (delta, omega) of the crossing surface has an eigenvalue 1 of M11(j omega) diag(delta). Along one direction v the
 eigenvalues mu of M11 diag(v) over frequency are real where the direction crosses, at the factor 1 / mu: all crossings at once,
 without a step in the factor that could miss a range of instability. M11 is the nominal loop's, smooth between its own poles.
+Parameters that act at one place share inputs: M11 = N E with r < n columns of M11 and a constant E (r, n), and the eigenvalues
+other than zero are those of E diag(v) N.
 From a crossing the surface is followed downhill: a step in delta that lowers the largest entry and keeps the eigenvalue real to
 first order (a linear program with one equation, solved exactly), then back onto the surface.
 """
@@ -12,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg as sla
 
 from ambrose.core.checks import named_failure
 from ambrose.core.mu.structure import osborne, structure_of
@@ -26,6 +29,7 @@ _STARTS = 6  # per round
 _STEPS = 60
 _HALVINGS = 12  # of a grid interval in which an eigenvalue crosses the real axis
 _NEWTON = 12
+_SAME = 1e-12  # of a column, to which it must be made of others
 _STILL = 1e-10  # relative imaginary part of the eigenvalue that counts as none
 
 
@@ -48,6 +52,7 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
     rng = np.random.default_rng(seed)
     grid = _grid(loop)
     n = len(loop.owner)
+    shared = _shared_inputs(loop)
     M = loop.at(grid)[:, :n, :n]
     M[0] = M[0].real  # at rest, exactly: its real eigenvalues are crossings, of poles at zero
     reach = np.linalg.norm(osborne(M, structure_of(loop.blocks))[0], 2, axis=(1, 2))  # no crossing below 1 / reach there
@@ -68,7 +73,7 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
         kept = reach >= 1 / top
         kept[1:] |= kept[:-1]
         kept[:-1] |= kept[1:]
-        starts = _candidates(grid, M, kept, loop, directions, top)
+        starts = _candidates(grid, M, kept, loop, shared, directions, top)
         found = [landed for start in starts if (landed := _followed(loop, start)) and landed.factor <= LARGEST_BOX]
         best = min([best, *found], key=lambda item: item.factor)
     return best
@@ -100,8 +105,32 @@ def _scattered(parameters: int, rng: np.random.Generator) -> np.ndarray:
     return inside
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Inputs:
+    """M11 = M11[:, columns] E, for E (r, n)."""
+
+    columns: np.ndarray
+    E: np.ndarray
+
+    def eigenvalues(self, M: np.ndarray, wide: np.ndarray) -> np.ndarray:
+        """Those of M11 diag(wide) (..., r) but for n - r zeros, M11 (..., n, n), wide (..., n)."""
+        return np.linalg.eigvals((self.E * wide[..., None, :]) @ M[..., self.columns])
+
+
+def _shared_inputs(loop: BoxLoop) -> _Inputs:
+    n = len(loop.owner)
+    columns = np.vstack([loop.system.B[:, :n], loop.system.D[:, :n]])
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
+    R, order = sla.qr(columns / size, mode="r", pivoting=True)
+    rank = max(int((np.abs(np.diag(R)) > _SAME).sum()), 1)
+    E = np.zeros((rank, n))
+    E[:, order] = np.linalg.lstsq(R[:rank, :rank], R[:rank], rcond=None)[0]
+    return _Inputs(order[:rank], E * size / size[order[:rank], None])
+
+
 def _candidates(
-    grid: np.ndarray, M: np.ndarray, kept: np.ndarray, loop: BoxLoop, directions: np.ndarray, limit: float
+    grid: np.ndarray, M: np.ndarray, kept: np.ndarray, loop: BoxLoop, shared: _Inputs, directions: np.ndarray, limit: float
 ) -> list[BoxMargin]:
     """Crossings of the directions below ``limit``, to first order; the lowest, and of those in one band of frequency a few."""
     index = np.flatnonzero(kept)
@@ -111,9 +140,9 @@ def _candidates(
     step = max(1, _CHUNK // len(index))
     for start in range(0, len(directions), step):
         part = directions[start : start + step]
-        values = np.linalg.eigvals(M[index] * part[:, None, None, loop.owner])
+        values = shared.eigenvalues(M[index], part[:, None, loop.owner])
         through, touching = _real_crossings(values, grid[index], np.diff(index) == 1, limit)
-        rows += [(factor, start + d, omega) for factor, d, omega in [*_narrowed(loop, part, through), *touching]]
+        rows += [(factor, start + d, omega) for factor, d, omega in [*_narrowed(loop, shared, part, through), *touching]]
     rows.sort()
     chosen: list[BoxMargin] = []
     bands: dict[int, int] = {}
@@ -154,7 +183,7 @@ def _real_crossings(
     return brackets, list(zip(sizes.tolist(), d.tolist(), omega[w + 1].tolist(), strict=True))
 
 
-def _narrowed(loop: BoxLoop, directions: np.ndarray, found: _Brackets) -> list[tuple[float, int, float]]:
+def _narrowed(loop: BoxLoop, shared: _Inputs, directions: np.ndarray, found: _Brackets) -> list[tuple[float, int, float]]:
     """(factor, direction, frequency) of the crossings, their brackets halved: the eigenvalues may turn fast in between."""
     if not len(found.direction):
         return []
@@ -163,7 +192,7 @@ def _narrowed(loop: BoxLoop, directions: np.ndarray, found: _Brackets) -> list[t
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         M = loop.at(middle)[:, :n, :n]
-        values = np.linalg.eigvals(np.where(middle[:, None, None] > 0, M, M.real) * wide[:, None, :])
+        values = shared.eigenvalues(np.where(middle[:, None, None] > 0, M, M.real), wide)
         at = np.abs(values - 0.5 * (a + b)[:, None]).argmin(axis=1)
         value = values[np.arange(len(at)), at]
         upper = value.imag * a.imag > 0  # the crossing is in the upper half

@@ -26,7 +26,8 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record
 from ambrose.physics import sensor
 from ambrose.physics.rotor import finite_element_rotor
-from ambrose.plant.assemble import attached_rotor, bending_modes_of
+from ambrose.plant.assemble import attached_rotor
+from ambrose.plant.basis import bending_modes_of
 from ambrose.plant.ports import sensor_ports
 from ambrose.plant.static_load import magnet_coefficients
 

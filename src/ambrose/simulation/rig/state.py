@@ -20,7 +20,8 @@ from ambrose.machine.machine import Machine
 from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance
 from ambrose.physics.rotor import Rotor, displacement_row, finite_element_rotor, free_modes, gravity_load
 from ambrose.physics.support import foundation
-from ambrose.plant.assemble import bending_modes_of, gyroscopic_of, seal_model
+from ambrose.plant.assemble import seal_model
+from ambrose.plant.basis import bending_modes_of, gyroscopic_of
 from ambrose.plant.ports import ports, sensor_ports
 from ambrose.plant.static_load import operating_magnets
 
@@ -139,7 +140,7 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
     constants = Constants(
         stiffness=frequencies**2,
         damping=2 * modes.damping_ratios(machine)[0::2] * frequencies,
-        gyroscopic=np.ascontiguousarray(gyroscopic_of(rotor, modes.shapes)[0::2, 1::2]),
+        gyroscopic=np.ascontiguousarray(gyroscopic_of(rotor, modes)[0::2, 1::2]),
         shape=_deflections(rotor, [port.position for port in places[0::2]], modes.shapes),
         sensor_shape=_deflections(rotor, [port.position for port in sensed[0::2]], modes.shapes),
         sensor_direction=np.array([[np.cos(port.direction), np.sin(port.direction)] for port in sensed[0::2]]),

@@ -15,7 +15,7 @@ from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import bending_modes_of
+from ambrose.plant.basis import bending_modes_of
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce, reduce_from
 from ambrose.plant.timing import Timing
