@@ -131,6 +131,28 @@ def test_what_a_kill_leaves_is_gone_on_with_bit_for_bit(tmp_path):
     assert computed(plan(), cut).computed == 0
 
 
+def test_every_task_has_its_row():
+    head = {"machine": "seal-rig", "controller": "pid"}
+    rows = {
+        "verify": one_row("verify", head, {"point.speed": ["0 Hz"]}),
+        "simulate": one_row("simulate", head | {"scenario": "prbs"}, {"scenario.duration": ["0.3 s"]}),
+        "identify": one_row("identify", head | {"scenario": "prbs"}, {"scenario.duration": ["0.6 s"]}),
+        "design": one_row("design", {"machine": "seal-rig"}, {"point": ["nominal pressure"]}, method="pid"),
+    }
+    assert rows["verify"].values["stable"] and rows["verify"].values[PEAK] > 1
+    assert rows["simulate"].values["outcome"] == "completed"
+    found = {name: value for name, value in rows["identify"].values.items() if name.endswith("seal.center.k")}
+    assert found, rows["identify"].values
+    assert rows["design"].values["stable"] and json.loads(rows["design"].files["controller.json"])
+
+
+def one_row(task, head, vary, **options):
+    wanted = plan_of({"campaign": {"task": task, **head}, "vary": vary, "options": options})
+    (row,) = compute(task, list(wanted.drawn()), bases_of(wanted), fixed_of(wanted))
+    assert not row.failure
+    return row
+
+
 def test_failures_are_rows_with_their_reason(tmp_path):
     wanted = plan(vary={"point.speed": ["100 Hz", "5 kg"], "controller.gain": [1.0]})
     done = computed(wanted, tmp_path)
@@ -234,3 +256,26 @@ def test_the_command(tmp_path):
     (case,) = (tmp_path / "plan" / "cases").glob("*.html")
     assert f'href="cases/{case.name}"' in page
     assert Path(tmp_path / "plan" / "table.csv").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="an interrupt is sent as a signal")
+def test_ctrl_c_keeps_what_is_done_and_the_front_door_goes_on(tmp_path):
+    document = {"campaign": HEAD, "vary": VARY | {"tolerance.seal.balance-piston.k": {"from": -1.0, "to": 1.0, "count": 400}}}
+    (tmp_path / "plan.json").write_text(json.dumps(document))
+    code = (
+        "import json, sys, ambrose as amb\n"
+        "amb.campaign(json.load(open(sys.argv[1])), sys.argv[2], workers=1, progress=lambda text: print(text, flush=True))"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "plan.json"), str(tmp_path / "out")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        deadline = time.monotonic() + 60
+        while not ((tmp_path / "out" / ROWS).exists() and (tmp_path / "out" / ROWS).stat().st_size) and run.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        run.send_signal(signal.SIGINT)
+        run.communicate(timeout=60)
+    before = (tmp_path / "out" / ROWS).read_bytes()
+    assert before
+    again = amb.campaign(document, tmp_path / "out", workers=1)
+    assert (tmp_path / "out" / ROWS).read_bytes().startswith(before)
+    assert len(again.values[PEAK]) == 1600

@@ -15,7 +15,7 @@ from ambrose.report.page import render
 from ambrose.report.sizing import sizing_report
 from ambrose.sizing import guarantee
 from ambrose.sizing import map as mapped
-from ambrose.sizing.least import least, price
+from ambrose.sizing.least import Least, least, price
 from ambrose.sizing.magnets import Size
 from ambrose.synthesis.options import DesignOptions
 
@@ -79,6 +79,19 @@ def largest_control(machine, synthesis, omega):
 def test_more_robustness_costs_more_gain():
     found = price(rig(), "seal.center.k", (0.2, 2.0), "gain", FAST)
     assert found.found[0].value < found.found[1].value
+
+
+def test_what_holds_a_wider_range_holds_the_narrower(monkeypatch):
+    values = {0.5: 3.0, 1.0: 5.0, 1.5: 4.0}
+
+    def found(machine, lever, *arguments, **options):
+        (width,) = (item.relative for item in machine.tolerances if item.parameter == "seal.center.k")
+        return Least(lever, values[width], 0.0, f"{width}")
+
+    monkeypatch.setattr("ambrose.sizing.least.least", found)
+    assert [(item.value, item.binding) for item in price(rig(), "seal.center.k", (1.5, 0.5, 1.0), "gain", FAST).found] == [
+        (3.0, "0.5"), (4.0, "1.5"), (4.0, "1.5"),
+    ]  # fmt: skip
 
 
 def test_a_lever_is_stepped_down_to_what_fails(monkeypatch):

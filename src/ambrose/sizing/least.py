@@ -172,7 +172,7 @@ def price(
 ) -> Price:
     """The ``least`` of a lever at every width (share of the value) of one tolerance, the others as in the machine file.
 
-    Ctrl-C keeps the widths that are done. Raises InvalidInput.
+    Where a wider range was held with less, that controller and its value stand for the narrower one as well. Ctrl-C keeps the widths that are done. Raises InvalidInput.
     """
     if not len(widths):
         raise InvalidInput("no widths of the tolerance were given; give shares of its value, such as 0.5 and 1")
@@ -180,6 +180,7 @@ def price(
     others = tuple(item for item in machine.tolerances if item.parameter != parameter)
     stated = next((item for item in machine.tolerances if item.parameter == parameter), Tolerance(parameter, relative=1.0))
     found: list[Least] = []
+    smaller = (lambda a, b: a.value > b.value) if lever == "weight" else (lambda a, b: a.value < b.value)
     try:
         for width in wanted:
             progress(f"{parameter} +-{100 * width:.3g} %")
@@ -188,4 +189,7 @@ def price(
     except KeyboardInterrupt:
         if not found:
             raise
+    for i in range(len(found) - 2, -1, -1):
+        if smaller(found[i + 1], found[i]):
+            found[i] = found[i + 1]
     return Price(parameter, tuple(wanted[: len(found)]), tuple(found))
