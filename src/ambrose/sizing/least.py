@@ -172,7 +172,8 @@ def price(
 ) -> Price:
     """The ``least`` of a lever at every width (share of the value) of one tolerance, the others as in the machine file.
 
-    Where a wider range was held with less, that controller and its value stand for the narrower one as well. Ctrl-C keeps the widths that are done. Raises InvalidInput.
+    Where a wider range was held with less, that controller and its value stand for the narrower one as well. Ctrl-C keeps the
+    widths that are done. Raises InvalidInput.
     """
     if not len(widths):
         raise InvalidInput("no widths of the tolerance were given; give shares of its value, such as 0.5 and 1")
