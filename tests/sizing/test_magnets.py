@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from ambrose import InvalidInput, load_machine
+from ambrose.machine.description import MagnetGeometry
+from ambrose.physics.magnet import VACUUM_PERMEABILITY
 from ambrose.plant.static_load import magnet_coefficients, operating_magnets
-from ambrose.sizing.magnets import Size, costs, flux_within, resized
+from ambrose.sizing.magnets import Size, costs, drives, flux_within, resized
 
 EXPANDER, TRAIN, RIG = (load_machine(name) for name in ("turboexpander", "three-bearing-train", "seal-rig"))
 
@@ -45,6 +47,22 @@ def test_a_smaller_magnet_carries_its_load_with_more_current():
         for one, other in zip(small, whole, strict=True):
             assert np.abs(one.currents).max() == pytest.approx(np.abs(other.currents).max() / area, rel=0.02)
     assert costs(TRAIN, Size(0.5)).reserve == pytest.approx(costs(TRAIN, Size()).reserve / 2, rel=1e-9)
+
+
+def test_turns_trade_current_for_voltage_and_the_gaps_give_an_inductance():
+    half, one, two = drives(TRAIN, Size(0.5, 0.8), (0.5, 1.0, 2.0))
+    assert (half.current, half.voltage) == pytest.approx((2 * one.current, one.voltage / 2))
+    assert two.inductance == pytest.approx(4 * one.inductance)
+    assert one.voltage == pytest.approx(0.5 * 0.8 * drives(TRAIN, Size(), (1.0,))[0].voltage)
+    assert one.voltage == pytest.approx(TRAIN.operation.speed_range[1] * one.inductance * one.current)
+    geometry = MagnetGeometry(turns=100, pole_area=4e-4, gap=0.5e-3)
+    bearing = replace(EXPANDER.bearings[0], geometry=geometry, force_per_current=None, negative_stiffness=None, measured=())
+    magnets = tuple(replace(bearing, name=b.name, position=b.position) for b in EXPANDER.bearings)
+    whole = replace(EXPANDER, bearings=magnets, amplifier=replace(EXPANDER.amplifier, inductance=None))
+    (found,) = drives(whole, Size(), (1.0,))
+    assert found.inductance == pytest.approx(VACUUM_PERMEABILITY * 100**2 * 4e-4 / (2 * 0.5e-3))
+    k_i, k_s = (value.max() for value in magnet_coefficients(whole, whole.operation.nominal))
+    assert k_i**2 / (2 * k_s) == pytest.approx(np.cos(np.pi / 8) * found.inductance)
 
 
 def test_iron_lets_the_flux_rise_and_takes_force_for_it():

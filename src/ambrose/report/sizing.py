@@ -13,6 +13,7 @@ from ambrose.machine.file.toml import machine_hash
 from ambrose.report import tables, theme, units
 from ambrose.report.page import Cell, Figure, Report, Row, Section, Table, Verdict, numbers
 from ambrose.sizing.guarantee import Trial
+from ambrose.sizing.magnets import Size, drives
 from ambrose.sizing.map import Sizing
 from ambrose.verification.verification import Verification
 
@@ -29,12 +30,20 @@ _COSTS = (
 )
 _CONTOURS = (
     "Over pole area and bias current, both over the machine file's: the largest singular value of S_o that the controllers "
-    "reach (solid; red: the limit), and the volt-amperes of the amplifiers over the machine file's (dotted). Filled: meets all."
+    "reach (solid; red: the limit), and the voltage that the largest control current takes at top speed (dotted, V; turns "
+    "as in the machine file). Filled: meets all."
 )
+_DRIVE = ("Turns", "Bias current", "Largest control current", "Inductance", "Voltage at top speed")
+_SOURCES = ("the machine file's, over area and turns", "of the air gaps alone, without leakage (assumed)")
 _ASSUMED = (
     "The magnet grows along the shaft: pole area, volume and inductance with it; gap, turns, pole width and the amplifier's "
     "bandwidth stay. Copper loss: squares of the coil currents at rest, with turns around a square pole at the machine file's "
     "size. Volt-amperes: inductance, bandwidth and the square of the current."
+)
+_TURNS = (
+    "Fewer turns take more current and less voltage for the same flux, force and loop; the controller's gains go with 1/turns. "
+    "Voltage: of the largest control current as a sine at top speed (or at the suspension's own frequency, where that is "
+    "higher), without the motion's share. Inductance of a coil: {source}."
 )
 
 
@@ -45,14 +54,24 @@ def sizing_report(sizing: Sizing, verified: Verification | None = None, *, date:
     if any(t.met for t in sizing.trials):
         pictures.append(Figure("What it costs", cost_figure(sizing), _COSTS))
     if len({t.size.area for t in sizing.trials if t.synthesis}) > 1 < len({t.size.bias for t in sizing.trials if t.synthesis}):
-        pictures.append(Figure("Sensitivity and volt-amperes", contour_figure(sizing), _CONTOURS))
+        pictures.append(Figure("Sensitivity and voltage", contour_figure(sizing), _CONTOURS))
     sections = [Section("Which sizes are enough", _MAP, tuple(pictures), (map_table(sizing),))]
     if knee is not None:
         rows = [_row("taken", knee), *(_row("one size smaller", trial) for trial in sizing.smaller)]
+        rows_of_turns = tuple(
+            numbers(_share(d.turns), *(units.quantity(v, u) for v, u in (
+                (d.bias_current, "A"), (d.current, "A"), (d.inductance, "H"), (d.voltage, "V"),
+            ))) for d in drives(sizing.machine, knee.size)
+        )  # fmt: skip
+        told = _TURNS.format(source=_SOURCES[sizing.machine.amplifier.inductance is None])
+        turns = Table("Turns for the amplifier, over the machine file's", _DRIVE, rows_of_turns, told)
         columns = ("", "Area", "Bias", "Ratio", "S_o", "K S_o", "Copper loss", "Volt-amperes", "Force over load", "What binds")
         sections.append(
             Section(
-                "The knee, and one size smaller", "", (), (Table("Over the machine file's", columns, tuple(rows), _ASSUMED),)
+                "The knee, and one size smaller",
+                "",
+                (),
+                (Table("Over the machine file's", columns, tuple(rows), _ASSUMED), turns),
             )
         )
     if verified is not None:
@@ -114,7 +133,7 @@ def cost_figure(sizing: Sizing) -> Any:
 
 
 def contour_figure(sizing: Sizing) -> Any:
-    """Lines of equal sensitivity and of equal volt-amperes over bias (x) and area (y)."""
+    """Lines of equal sensitivity and of equal voltage over bias (x) and area (y)."""
     import plotly.graph_objects as go
 
     figure = theme.subplots(rows=1, cols=1)
@@ -126,11 +145,11 @@ def contour_figure(sizing: Sizing) -> Any:
     limit = next((t.sensitivity / t.ratios["sensitivity"] for t in sizing.trials if t.ratios), 3.0)
     shown = {"size": 1, "showlabels": True}
     fine = np.geomspace(x[0], x[-1], 60), np.geomspace(y[0], y[-1], 60)
-    power = fine[1][:, None] * fine[0][None] ** 2
+    volts = fine[1][:, None] * fine[0][None] * drives(sizing.machine, Size(), (1.0,))[0].voltage  # inductance a, current b
     for at, values, levels, colour, dash in (
         ((x, y), z, (round(0.85 * limit, 1), round(1.25 * limit, 1), round(1.6 * limit, 1)), "#0072b2", "solid"),
         ((x, y), z, (limit,), theme.LIMIT, "solid"),
-        (fine, power, tuple(np.round(np.geomspace(power.min(), power.max(), 6)[1:-1], 2)), theme.MUTED, "dot"),
+        (fine, volts, tuple(float(f"{v:.2g}") for v in np.geomspace(volts.min(), volts.max(), 6)[1:-1]), theme.MUTED, "dot"),
     ):
         font = {"size": 11, "color": colour}
         for level in levels:

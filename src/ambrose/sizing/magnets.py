@@ -7,6 +7,7 @@ density may not rise above that of the machine file at its largest current, whic
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +17,12 @@ from ambrose.machine.description import Amplifier, MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.physics import magnet
 from ambrose.physics.loaded_magnet import LoadedMagnet
+from ambrose.physics.rotor import finite_element_rotor, mass_properties
+from ambrose.plant.model import top_speed
 from ambrose.plant.static_load import operating_magnets, static_sag
 from ambrose.synthesis.pid import first_settings
 
+TURNS = (0.5, 0.7, 1.0, 1.4, 2.0)
 _NOTHING = 1e-6  # of the largest control current: what is left where the static load takes it all
 
 
@@ -44,6 +48,20 @@ class Costs:
     volt_amperes: float
     volume: float
     reserve: float
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """turns over the machine file's; bias and largest control current [A], inductance of a coil [H]; voltage [V] that the
+    largest control current takes as a sine at top speed, or at the suspension's sqrt(sum k_s / m) where that is higher. Flux,
+    force and loop stay; the controller's gains go with 1/turns.
+    """
+
+    turns: float
+    bias_current: float
+    current: float
+    inductance: float
+    voltage: float
 
 
 def resized(machine: Machine, size: Size) -> Machine:
@@ -94,6 +112,29 @@ def costs(machine: Machine, size: Size) -> Costs:
             reserve = min(reserve, float((np.array(force)[load > 0] / load[load > 0]).min()))
     turn = (1 + size.area) / 2  # a square pole at the machine file's size (assumed), two of whose sides grow
     return Costs(loss[0] / loss[1] * turn, size.area * size.bias**2 * size.bandwidth, size.area, reserve)
+
+
+def drives(machine: Machine, size: Size, turns: Sequence[float] = TURNS) -> tuple[Drive, ...]:
+    """What the amplifiers must give for magnets of a size, for every number of turns over the machine file's.
+
+    A coil's inductance is the machine file's; where it states none, that of the air gaps alone (assumed: no leakage),
+    mu_0 N^2 A/(2 g) of a geometry, else k_i^2/(2 k_s), which is the same but for the poles' angle. The bearing that needs the
+    highest voltage speaks for all.
+    """
+    magnets = [_bearing(b, item.of_force, size) for b, item in zip(machine.bearings, operating_magnets(machine), strict=True)]
+    suspension = sum(max(b.negative_stiffness) for b in magnets) / mass_properties(finite_element_rotor(machine)).mass
+    rate, found = max(top_speed(machine), suspension**0.5), []
+    for bearing in magnets:
+        k_i, k_s, of = max(bearing.force_per_current), max(bearing.negative_stiffness), bearing.geometry
+        if machine.amplifier.inductance is not None:
+            L = size.area * machine.amplifier.inductance
+        elif of is not None:
+            L = magnet.VACUUM_PERMEABILITY * of.turns**2 * of.pole_area / (2 * of.gap)
+        else:
+            L = k_i**2 / (2 * k_s) if k_s > 0 else 0.0
+        found.append((rate * L * _most(bearing), _most(bearing), bearing.bias_current, L))
+    voltage, current, bias, inductance = max(found)
+    return tuple(Drive(n, bias / n, current / n, n**2 * inductance, n * voltage) for n in turns)
 
 
 def flux_within(machine: Machine, size: Size) -> bool:
