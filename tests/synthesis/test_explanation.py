@@ -81,3 +81,14 @@ def test_a_continuous_loop_that_is_lost_tells_its_pole(slender):
     assert not pid_synthesis(plant).certificate.stable
     said = why_unstable(plant, pid_controller(away, machine), None, 0, "tuned")
     assert said.startswith("the loop has a pole at +") and "Hz" in said
+
+
+def test_what_only_a_continuous_controller_holds_is_said_with_the_remedy():
+    """The published PID of the turboexpander: its second bending mode is lost at the rate that the virtual rig assumes."""
+    machine = amb.load_machine("turboexpander")
+    found = amb.design(machine, "pid")
+    assert found.status == "verified"
+    assert any("judged as continuous; at 10000 Hz" in note and "--rate-hz" in note for note in found.notes)
+    assert not any("judged as continuous" in note for note in amb.design(amb.load_machine("seal-rig"), "pid").notes)
+    fast = amb.design(machine, "pid", rate=200_000)
+    assert not any("judged as continuous" in note for note in fast.notes)

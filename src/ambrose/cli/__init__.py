@@ -71,7 +71,7 @@ class AmbroseCommand(click.Group):
                     for line in (*usage, f"Error: {error.format_message()}"):
                         say(line, err=True)
                     if as_json:
-                        say_json({"error": error.format_message(), "status": 2})
+                        say_json({"error": error.format_message(), "status": 2}, unless_said=True)
                 sys.exit(2)
             except Exception as error:
                 from ambrose.core.checks import AmbroseError  # with numpy, which --help does without
@@ -88,7 +88,7 @@ def stop(message: str, status: int = 2, *, as_json: bool = False) -> NoReturn:
     for line in others:
         say(f"  - {line}", err=True)
     if as_json:
-        say_json({"error": message, "status": status})
+        say_json({"error": message, "status": status}, unless_said=True)
     sys.exit(status)
 
 

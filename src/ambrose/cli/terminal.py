@@ -38,6 +38,7 @@ DELAY = click.option(
 _SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html", "page": ".html"}
 _KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}  # endings that mean a file of this package, or a record
 _SILENCE = 30.0  # s
+_said: list[bool] = []  # whether this command has printed its JSON object
 _GONE = {errno.EPIPE, errno.EINVAL, errno.EIO}  # nobody reads: as Unix, as Windows, and as a terminal that was closed says it
 _SPELLED = {
     "≤": "<=", "≥": ">=", "≠": "!=", "±": "+-", "×": "*", "·": "*", "−": "-", "–": "-", "→": "->", "…": "...", "°": " deg",
@@ -99,6 +100,7 @@ def streams_settled() -> Iterator[None]:
         except OSError:  # closed: the next file that is opened would take its place, and what is printed
             os.open(os.devnull, os.O_RDWR)
     before = sys.stdout, sys.stderr
+    _said.clear()
     try:
         sys.stdout, sys.stderr = _settled(sys.stdout, "standard output"), _settled(sys.stderr, "")
         yield
@@ -125,9 +127,11 @@ def say(text: str, *, err: bool = False) -> None:
     _write(sys.stderr if err else sys.stdout, one_line(text) + "\n")
 
 
-def say_json(content: Any) -> None:
-    """Print one JSON object, in ASCII."""
-    say(json.dumps(content))
+def say_json(content: Any, *, unless_said: bool = False) -> None:
+    """Print one JSON object, in ASCII; unless_said: only where a command has not printed its own."""
+    if not (unless_said and _said):
+        say(json.dumps(content))
+        _said.append(True)
 
 
 def _write(stream: TextIO, text: str) -> None:

@@ -81,6 +81,7 @@ def sizing_report(sizing: Sizing, verified: Verification | None = None, *, date:
             )
         )
     words = "no size of these meets all" if knee is None else f"{_of(knee)} meets all with the least copper and iron"
+    words += "; it is the smallest, or at the lowest bias, that was tried" if sizing.at_edge else ""
     verdicts = [Verdict("Sizes", knee is not None, f"{sum(t.met for t in sizing.trials)} of {len(sizing.trials)} meet all")]
     if verified is not None:
         told = "every check passed" if verified.passed else f"fails: {', '.join(verified.facts()['failed'])}"
@@ -166,7 +167,7 @@ def contour_figure(sizing: Sizing) -> Any:
             "size": 8,
             "color": _MET if met else _NOT,
             "symbol": "circle" if met else "x-thin",
-            "line": {"width": 2, "color": _NOT},
+            "line": {"width": 2, "color": _MET if met else _NOT},
         }
         told = [f"{_of(t)}: {t.binding}, {_ratio(t)}; S_o {t.sensitivity:.3g}" for t in some]
         theme.scatter(

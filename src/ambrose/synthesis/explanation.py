@@ -18,7 +18,7 @@ from ambrose.plant.loop import closed_loop, law_at
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce_from
 from ambrose.plant.static_load import magnet_coefficients
-from ambrose.plant.timing import Timing
+from ambrose.plant.timing import DEFAULT, Timing
 from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.synthesis.pid import channel_chains
 from ambrose.synthesis.result import Synthesis
@@ -30,8 +30,9 @@ _TWO_PI = 2 * np.pi
 
 
 def explained(plant: Plant, result: Synthesis, timing: Timing | None, bending_modes: int) -> Synthesis:
-    """The synthesis; a note says why where it does not hold an operating point, and where its S_o is above the file's limit."""
-    result = replace(result, notes=(*result.notes, *_above_limit(plant, result)))
+    """The synthesis; a note says why where it does not hold an operating point, and where its S_o is above the file's
+    limit or only a continuous controller would."""
+    result = replace(result, notes=(*result.notes, *_above_limit(plant, result), *_unsampled(plant, result, timing)))
     lost = [label for label, abscissa in result.certificate.envelope.items() if not abscissa < 0]
     if result.status != "unstable" and not lost:
         missed = result.method == "tuned" and result.gamma > 1
@@ -55,6 +56,25 @@ def _above_limit(plant: Plant, result: Synthesis) -> list[str]:
     if result.method == "tuned" or limit is None or not limit < peak < np.inf:
         return []
     return [f"sigma_max(S_o) of {peak:.3g} is above the machine's limit of {limit:g}; verify tells all that is missed"]
+
+
+def _unsampled(plant: Plant, result: Synthesis, timing: Timing | None) -> list[str]:
+    """Where nobody stated a rate the loop was judged continuous; whether it would run at the rate that the rig assumes."""
+    law = law_at(result.law, plant.point.speed)
+    if timing is not None or law.dt is not None or result.status == "unstable":
+        return []
+    try:
+        abscissa, frequency = _rightmost(
+            reduce_from(plant, min(_TRIED, bending_modes_of(plant.rotor_model))), DEFAULT.in_loop(law)
+        )
+    except AmbroseError:
+        return []
+    if abscissa < 0:
+        return []
+    late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume,"
+    return [
+        f"judged as continuous; at {late} it would be unstable ({abscissa:+.4g} rad/s at {frequency:.4g} Hz); state the rate"
+    ]
 
 
 def why_none(plant: Plant, timing: Timing | None) -> str:
