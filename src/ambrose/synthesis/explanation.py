@@ -63,18 +63,16 @@ def _unsampled(plant: Plant, result: Synthesis, timing: Timing | None) -> list[s
     law = law_at(result.law, plant.point.speed)
     if timing is not None or law.dt is not None or result.status == "unstable":
         return []
+    modes = min(_TRIED, bending_modes_of(plant.rotor_model))
     try:
-        abscissa, frequency = _rightmost(
-            reduce_from(plant, min(_TRIED, bending_modes_of(plant.rotor_model))), DEFAULT.in_loop(law)
-        )
+        abscissa, frequency = _rightmost(reduce_from(plant, modes), DEFAULT.in_loop(law))
     except AmbroseError:
         return []
     if abscissa < 0:
         return []
     late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume,"
-    return [
-        f"judged as continuous; at {late} it would be unstable ({abscissa:+.4g} rad/s at {frequency:.4g} Hz); state the rate"
-    ]
+    pole = f"{abscissa:+.4g} rad/s at {frequency:.4g} Hz"
+    return [f"judged as continuous; at {late} it would be unstable ({pole}); state the rate, --rate-hz or sample_time"]
 
 
 def why_none(plant: Plant, timing: Timing | None) -> str:
