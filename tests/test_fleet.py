@@ -110,7 +110,7 @@ def test_the_rest_of_the_chain_with_the_file_s_controller(name, tmp_path):
 @pytest.mark.study
 @pytest.mark.parametrize("name", FLEET)
 def test_every_command_on_every_machine(name):
-    """Half an hour of what docs/reference/machines.md shows: nothing is refused but a controller that does not hold its machine at the
+    """Half an hour of docs/reference/machines.md: nothing is refused but a controller that does not hold its machine at the
     rate that is assumed for it, and records of it."""
     for what, (status, _, text) in outcomes(name, progress=lambda line: None).items():
         lost = what == "export" and "the sampled loop is unstable" in text
