@@ -93,7 +93,7 @@ def _map(
             progress("verifying the size that is taken")
             on = options.on(knee.machine)
             verified = verify_controller(
-                knee.machine, knee.synthesis, None, tolerances=True, rate=on.rate, delay_samples=on.delay_samples,
+                knee.machine, knee.synthesis, None, tolerances=True, rate=on.rate, delay_samples=None if on.rate is None else on.delay_samples,
                 progress=progress,
             )  # fmt: skip
         if output is not None:

@@ -59,8 +59,8 @@ def sizing_report(sizing: Sizing, verified: Verification | None = None, *, date:
     if knee is not None:
         rows = [_row("taken", knee), *(_row("one size smaller", trial) for trial in sizing.smaller)]
         rows_of_turns = tuple(
-            numbers(_share(d.turns), *(units.quantity(v, u) for v, u in (
-                (d.bias_current, "A"), (d.current, "A"), (d.inductance, "H"), (d.voltage, "V"),
+            numbers(_share(d.turns), *(f"{v:.3g} {u}" for v, u in (
+                (d.bias_current, "A"), (d.current, "A"), (1e3 * d.inductance, "mH"), (d.voltage, "V"),
             ))) for d in drives(sizing.machine, knee.size)
         )  # fmt: skip
         told = _TURNS.format(source=_SOURCES[sizing.machine.amplifier.inductance is None])
