@@ -91,11 +91,9 @@ def _map(
         knee = result.knee
         if knee is not None and not unverified:
             progress("verifying the size that is taken")
-            on = options.on(knee.machine)
-            verified = verify_controller(
-                knee.machine, knee.synthesis, None, tolerances=True, rate=on.rate, delay_samples=None if on.rate is None else on.delay_samples,
-                progress=progress,
-            )  # fmt: skip
+            timing = options.timing(knee.machine)
+            when = {} if timing is None else {"rate": timing.rate, "delay_samples": timing.delay_samples}
+            verified = verify_controller(knee.machine, knee.synthesis, None, tolerances=True, progress=progress, **when)
         if output is not None:
             from ambrose.report.page import write
             from ambrose.report.sizing import sizing_report
