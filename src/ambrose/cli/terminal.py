@@ -198,16 +198,16 @@ def progress_shown(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _lines() -> Iterator[Callable[[str], None]]:
-    now, over = ["", time.monotonic()], threading.Event()
+    now, over = [("", time.monotonic())], threading.Event()
 
     def remind() -> None:
         while not over.wait(_SILENCE):
-            stage, since = now
+            stage, since = now[0]
             if stage and time.monotonic() - since >= _SILENCE:
                 say(f"  {stage}: since {time.monotonic() - since:.0f} s", err=True)
 
     def line(stage: str) -> None:
-        now[:] = stage, time.monotonic()
+        now[0] = stage, time.monotonic()
         say(f"  {stage}", err=True)
 
     threading.Thread(target=remind, daemon=True).start()

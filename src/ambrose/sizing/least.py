@@ -181,7 +181,7 @@ def price(
     others = tuple(item for item in machine.tolerances if item.parameter != parameter)
     stated = next((item for item in machine.tolerances if item.parameter == parameter), Tolerance(parameter, relative=1.0))
     found: list[Least] = []
-    smaller = (lambda a, b: a.value > b.value) if lever == "weight" else (lambda a, b: a.value < b.value)
+    sign = -1 if lever == "weight" else 1
     try:
         for width in wanted:
             progress(f"{parameter} +-{100 * width:.3g} %")
@@ -191,6 +191,6 @@ def price(
         if not found:
             raise
     for i in range(len(found) - 2, -1, -1):
-        if smaller(found[i + 1], found[i]):
+        if sign * found[i + 1].value < sign * found[i].value:
             found[i] = found[i + 1]
     return Price(parameter, tuple(wanted[: len(found)]), tuple(found))

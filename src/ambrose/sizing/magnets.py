@@ -122,10 +122,11 @@ def drives(machine: Machine, size: Size, turns: Sequence[float] = TURNS) -> tupl
     highest voltage speaks for all.
     """
     magnets = [_bearing(b, item.of_force, size) for b, item in zip(machine.bearings, operating_magnets(machine), strict=True)]
-    suspension = sum(max(b.negative_stiffness) for b in magnets) / mass_properties(finite_element_rotor(machine)).mass
-    rate, found = max(top_speed(machine), suspension**0.5), []
-    for bearing in magnets:
-        k_i, k_s, of = max(bearing.force_per_current), max(bearing.negative_stiffness), bearing.geometry
+    slopes = [magnet.linearised(bearing) for bearing in magnets]
+    stiffness = sum(max(item.negative_stiffness) for item in slopes)
+    rate, found = max(top_speed(machine), (stiffness / mass_properties(finite_element_rotor(machine)).mass) ** 0.5), []
+    for bearing, here in zip(magnets, slopes, strict=True):
+        k_i, k_s, of = max(here.force_per_current), max(here.negative_stiffness), bearing.geometry
         if machine.amplifier.inductance is not None:
             L = size.area * machine.amplifier.inductance
         elif of is not None:
