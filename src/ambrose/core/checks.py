@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +118,7 @@ def check_shape(x: ArrayLike, name: str, shape: str, **sizes: int) -> np.ndarray
 
 def match_shape(actual: tuple[int, ...], shape: str, sizes: dict[str, int]) -> bool:
     """Whether ``actual`` fits ``shape``; letters seen for the first time are entered into ``sizes``."""
-    wanted = [part.strip() for part in shape.strip("() ").split(",") if part.strip()]
+    wanted = _letters(shape)
     if wanted and wanted[0] == "...":
         wanted = wanted[1:]
         actual = actual[max(0, len(actual) - len(wanted)) :]
@@ -130,6 +131,11 @@ def match_shape(actual: tuple[int, ...], shape: str, sizes: dict[str, int]) -> b
         elif letter.isidentifier() and sizes.setdefault(letter, size) != size:
             return False
     return True
+
+
+@cache
+def _letters(shape: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in shape.strip("() ").split(",") if part.strip())
 
 
 def check_positive(x: Any, name: str, remedy: str, *, zero_allowed: bool = False) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -31,7 +32,7 @@ def measurement(rig: Rig) -> np.ndarray:
         if k.sensor[c, 2] > 0:
             C[c, rig.sensed.start + c] = 1.0
         else:
-            C[c, : rig.coordinates] = _seen(rig, c)
+            C[c, : rig.coordinates] = _seen(rig)[c]
     return np.asarray(k.mean @ C)
 
 
@@ -45,7 +46,7 @@ def state_at_rest(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     if rig.machine.amplifier.order == "twice-first":
         currents[:, 1] = u
     z[rig.bias] = np.repeat(rig.constants.magnet[:, 0], 2)
-    z[rig.sensed] = [_seen(rig, c) @ q + value for c, value in enumerate(rig.constants.sensor[:, 1])]
+    z[rig.sensed] = _seen(rig) @ q + rig.constants.sensor[:, 1]
     first = len(rig.machine.bearings) + len(rig.machine.couplings)
     places = _places(rig, q)[first : first + len(rig.machine.seals)]
     lags = rig.constants.seal_lags
@@ -54,13 +55,16 @@ def state_at_rest(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     return z
 
 
-def _seen(rig: Rig, a: int) -> np.ndarray:
-    """Row (n,): a single sensor over the displacements, with gain."""
-    k = rig.constants
-    c, s = np.cos(k.sensor_angle[a // 2]), np.sin(k.sensor_angle[a // 2])
-    weights = np.array([c, s] if a % 2 == 0 else [-s, c])
-    moved = np.concatenate([np.kron(k.sensor_shape[a // 2], weights), -(weights @ k.sensor_support[a // 2])])
-    return np.asarray(k.sensor[a, 0] * moved)
+@lru_cache(maxsize=4)
+def _seen(rig: Rig) -> np.ndarray:
+    """The single sensors over the displacements (c, n), with gain."""
+    k, rows = rig.constants, []
+    for a in range(len(k.sensor)):
+        c, s = np.cos(k.sensor_angle[a // 2]), np.sin(k.sensor_angle[a // 2])
+        weights = np.array([c, s] if a % 2 == 0 else [-s, c])
+        moved = np.concatenate([np.kron(k.sensor_shape[a // 2], weights), -(weights @ k.sensor_support[a // 2])])
+        rows.append(k.sensor[a, 0] * moved)
+    return np.array(rows)
 
 
 def _places(rig: Rig, q: np.ndarray) -> np.ndarray:
@@ -77,7 +81,7 @@ def levitated_state(rig: Rig, drive: Drive, law: SampledLaw) -> tuple[np.ndarray
     """
     n, m = rig.coordinates, len(law.A)
     mean = rig.constants.mean
-    S = mean @ np.array([_seen(rig, c) for c in range(mean.shape[1])])
+    S = mean @ _seen(rig)
     aim = -mean @ rig.constants.sensor[:, 1]
     q, x = np.zeros(n), np.zeros(m)
 

@@ -83,7 +83,7 @@ class Rig:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        return self.machine.axes
+        return self.port_names[: 2 * len(self.machine.bearings)]
 
     @property
     def modes(self) -> int:
