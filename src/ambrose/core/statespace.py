@@ -91,7 +91,7 @@ class StateSpace(Presented):
         D = np.atleast_2d(D)
         p, m = D.shape if D.ndim == 2 else check_shape(D, "D", "(p, m)").shape
         n = A.shape[0] if A.size else 0
-        if not A.shape == (n, n) or not B.shape == (n, m) or not C.shape == (p, n):  # empty in another way, or refused
+        if (A.shape, B.shape, C.shape) != ((n, n), (n, m), (p, n)):  # empty in another way, or refused
             A = check_shape(A.reshape(n, n) if A.size == n * n else A, "A", "(n, n)")
             B = check_shape(B.reshape(0, m) if n == B.size == 0 else B, "B", "(n, m)", n=n, m=m)
             C = check_shape(C.reshape(p, 0) if n == C.size == 0 else C, "C", "(p, n)", p=p, n=n)

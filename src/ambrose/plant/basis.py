@@ -35,8 +35,12 @@ def modes_of(machine: Machine, rotor: Rotor, bending_modes: int | None) -> FreeM
     """The lowest ``bending_modes`` per plane; None: the modes of the full model, true ones and then residual ones."""
     if bending_modes is not None:
         return free_modes(rotor, bending_modes)
-    places = {port.position for port in (*ports(machine), *sensor_ports(machine))}
-    return _full_modes(rotor, tuple(sorted(places)))
+    return _full_modes(rotor, port_positions(machine))
+
+
+def port_positions(machine: Machine) -> tuple[float, ...]:
+    """The axial places [m] of all ports and sensors, ascending, each once."""
+    return tuple(sorted({port.position for port in (*ports(machine), *sensor_ports(machine))}))
 
 
 @lru_cache(maxsize=16)
@@ -46,7 +50,7 @@ def _full_modes(rotor: Rotor, forces: tuple[float, ...]) -> FreeModes:
     true = free_modes(rotor, kept)
     if kept == 2 * rotor.n_nodes - 2:
         return true
-    turning = _in_plane(true)[:, 1 : 2 + _TURNING].T @ rotor.plane_gyroscopic
+    turning = in_plane(true)[:, 1 : 2 + _TURNING].T @ rotor.plane_gyroscopic
     own, plane = residual_modes(rotor, kept, np.vstack([plane_rows(rotor, forces)[0], turning]))
     both = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(2 * len(plane), -1)
     arrays = np.hstack([true.shapes, both]), np.concatenate([true.frequencies, np.repeat(own, 2)])
@@ -69,13 +73,13 @@ def gyroscopic_of(rotor: Rotor, modes: FreeModes) -> np.ndarray:
 
     Both planes share one symmetric matrix g, and G = g (x) [[0, 1], [-1, 0]]: an eighth of the work of the whole product.
     """
-    plane = _in_plane(modes)
+    plane = in_plane(modes)
     whole = np.kron(plane.T @ rotor.plane_gyroscopic @ plane, np.array([[0.0, 1.0], [-1.0, 0.0]]))
     whole.flags.writeable = False
     return whole
 
 
-def _in_plane(modes: FreeModes) -> np.ndarray:
+def in_plane(modes: FreeModes) -> np.ndarray:
     """The shapes (2N, k / 2) of the x plane, in [w, theta] per node."""
     plane = np.empty((len(modes.shapes) // 2, modes.shapes.shape[1] // 2))
     plane[0::2], plane[1::2] = modes.shapes[0::4, 0::2], modes.shapes[3::4, 0::2]  # x and beta of the x modes
