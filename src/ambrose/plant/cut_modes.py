@@ -12,9 +12,9 @@ on the rest, which answers Lambda^1/2 c = (I - w^2 T - N)^-1 l, T = Lambda^-1 <=
     |N| <= p = 2 zeta |w| / w_c + g |w Omega| / w_c^2,    n = r + p,    g the largest eigenvalue of (G, M).
 
 Symmetry makes the error of the compliance l^T e, e that of Lambda^1/2 c, and one further term for what e moves the kept modes
-with, H_aa their own compliance in the model. In l_1 the model answers with the same to zeroth order, and with Q^T T Q = diag(1 / theta^2)
-exactly. So of the convex function 1 / (1 - w^2 T) no more can be missed than lies between it and its chord over 0 .. 1 /
-w_c^2 (Jensen's operator inequality), and of the modal damping, the concave sqrt(T), likewise:
+with, H_aa their own compliance in the model. In l_1 the model answers with the same to zeroth order, and with Q^T T Q =
+diag(1 / theta^2) exactly. So of the convex function 1 / (1 - w^2 T) no more can be missed than lies between it and its chord
+over 0 .. 1 / w_c^2 (Jensen's operator inequality), and of the modal damping, the concave sqrt(T), likewise:
 
     E_11 = |l_1^* diag(2 zeta |w| / theta (1 - w_c / theta) + x (r - x) / ((1 - r) (1 - x))) l_1|,    x = (w / theta)^2.
 
