@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -96,14 +97,22 @@ def _windows(item: Disturbance, dt: float, first: int, k: int) -> Iterator[tuple
         begin += every
 
 
-def _levels(prbs: Prbs, dt: float, offset: int, count: int) -> np.ndarray:
-    """+-1 for ``count`` samples of a sequence that has been on for ``offset`` samples."""
+@lru_cache(maxsize=8)
+def _sequence(order: int, shift: int) -> np.ndarray:
+    """One period of +-1."""
     from scipy.signal import max_len_seq
 
+    bits = np.roll(2.0 * max_len_seq(order)[0] - 1.0, shift)
+    bits.flags.writeable = False
+    return bits
+
+
+def _levels(prbs: Prbs, dt: float, offset: int, count: int) -> np.ndarray:
+    """+-1 for ``count`` samples of a sequence that has been on for ``offset`` samples."""
     held = sample_of(prbs.bit_time, dt, f"the bit_time on {prbs.signal}")
     if held < 1:
         raise invalid(f"the bit_time on {prbs.signal}", f"{prbs.bit_time:g} s", f"at least dt = {dt:g} s", "lengthen it")
-    bits = np.roll(2.0 * max_len_seq(prbs.order)[0] - 1.0, prbs.shift)
+    bits = _sequence(prbs.order, prbs.shift)
     return bits[(np.arange(offset, offset + count) // held) % len(bits)]
 
 

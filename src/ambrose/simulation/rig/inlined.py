@@ -21,7 +21,7 @@ OPTIONS: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz", "arcp"}, "
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    return njit(forceinline=True, **OPTIONS)(inspect.unwrap(function))
+    return njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(inspect.unwrap(function))
 
 
 magnet_force = compiled(magnet.force)
