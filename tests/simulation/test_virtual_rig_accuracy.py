@@ -105,7 +105,7 @@ def test_energy_without_damping_is_kept():
         done = compiled()[0](k, law, NO_PROGRAM, drive, ahead, steps, z, np.zeros(0), np.zeros(4), rig.work(), log, errors)
         assert done == 5000 and np.hypot(log[:, 16], log[:, 17]).max() < 0.4 * RIG.bearings[0].touchdown_gap
         drift.append(abs(energy(z) / before - 1))
-    assert drift[0] < 5e-7 and 6 < drift[0] / drift[1] < 10
+    assert drift[0] < 1e-8 and 6 < drift[0] / drift[1] < 10
 
 
 _PAIRS = tuple(
