@@ -20,8 +20,11 @@ from ambrose.physics import amplifier, coupling, magnet, seal, seal_rational, se
 OPTIONS: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz", "arcp"}, "error_model": "numpy", "_nrt": False}
 
 
+_INNER: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # never called by Python
+
+
 def compiled(function: Callable[..., Any]) -> Any:
-    return njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(inspect.unwrap(function))
+    return njit(**_INNER, **OPTIONS)(inspect.unwrap(function))
 
 
 magnet_force = compiled(magnet.force)
