@@ -265,7 +265,7 @@ def test_a_disturbed_sample_of_one_channel():
 @both
 def test_another_computing_delay(record):
     found = only(findings(RECORDS[record](), computing_delay=0), "warning", "follows the controller after 1 sample, not 0")
-    assert "give 1 as delay" in found.remedy
+    assert "give --delay-samples 1" in found.remedy
 
 
 @both
@@ -479,7 +479,7 @@ def test_where_the_delay_cannot_be_an_unknown_whole_ones_are_tried():
         return identify(machine, synthetic(), controller, (*NINE, "delay"), signals=names("yu"), computing_delay=0)
 
     found = only(delay_findings(result, 0.0, DT, refused, whole), "warning", "delay of 1 instead of 0 samples")
-    assert "% with 1" in found.evidence and "give 1 as delay" in found.remedy
+    assert "% with 1" in found.evidence and "give --delay-samples 1" in found.remedy
     worse = replace(result, fit=tuple((n, name, 0.0) for n, name, _ in result.fit))
     assert delay_findings(result, 0.0, DT, refused, lambda delay: worse) == ()
     assert delay_findings(replace(result, tests=()), 0.0, DT, refused, whole) == ()
