@@ -45,18 +45,19 @@ def generate_monitor(following: SealMonitor, name: str = "seal_monitor") -> dict
                      "Vv": _TABLE(V[:, n:]), "size": U.shape[1] * (2 * n + m)})  # fmt: skip
     U, V = _factors(model.unknown[0])
     H = V @ loop.C
-    bands = {"observer": _band(family.system.A), "loop": _band(loop.A)}
+    own, ends = _rows(family.system.A)
+    looped, loop_ends = _rows(loop.A)
     sections, filters = following.filters.sections, 2 * m + p
     kinds = np.unique(model.kinds, return_inverse=True)[1]
     cost = (
-        5 * len(sections) * filters + (4 + c) * bands["observer"].size + bands["loop"].size + n * (m + p) + 3 * n * p
+        5 * len(sections) * filters + (4 + c) * len(own) + len(looped) + n * (m + p) + 3 * n * p
         + sum(row["size"] for row in rows) + 2 * rows[0]["size"] + len(loop.A) * (m + len(U.T)) + (4 + c) * p * p
     )  # fmt: skip
     values = {
         "name": name, "prefix": name.upper(), "n": n, "m": m, "p": p, "c": c, "nl": len(loop.A), "sections": _TABLE(sections),
         "ns": len(sections), "filters": filters, "rows": rows, "doubts": rows[2:], "rank": len(H),
-        "observer": _TABLE(bands["observer"]), "wo": bands["observer"].shape[1] // 2, "loop": _TABLE(bands["loop"]),
-        "wl": bands["loop"].shape[1] // 2, "into": _TABLE(into @ np.hstack([model.B, model.L])), "out": _TABLE(model.C @ back),
+        "observer": _TABLE(own), "observer_size": len(own), "observer_columns": integer_table(ends),
+        "loop": _TABLE(looped), "loop_size": len(looped), "loop_columns": integer_table(loop_ends), "into": _TABLE(into @ np.hstack([model.B, model.L])), "out": _TABLE(model.C @ back),
         "white": _TABLE(model.W), "loop_in": _TABLE(loop.B), "H": _TABLE(H), "loop_U": _TABLE(into @ U),
         "loop_V": _TABLE(V[:, n:]),
         "kinds": integer_table(kinds), "nk": int(kinds.max(initial=-1)) + 1, "block": following.block,
@@ -88,11 +89,8 @@ def _factors(direction: Direction) -> tuple[np.ndarray, np.ndarray]:
     return U[:, :rank] * s[:rank], V[:rank] * size
 
 
-def _band(A: np.ndarray) -> np.ndarray:
-    """The diagonals of A (n, n) as rows (n, 2 w + 1), zero outside."""
-    n = len(A)
-    rows, columns = np.nonzero(A)
-    w = int(np.abs(rows - columns).max(initial=0))
-    band = np.zeros((n, 2 * w + 1))
-    band[rows, columns - rows + w] = A[rows, columns]
-    return band
+def _rows(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of every row of A (n, n) the entries from its first to its last that is not zero, and their columns (n, 2), end behind."""
+    at = [np.flatnonzero(row) for row in A]
+    ends = np.array([(int(k[0]), int(k[-1]) + 1) if len(k) else (0, 0) for k in at])
+    return np.concatenate([row[first:last] for row, (first, last) in zip(A, ends, strict=True)]), ends
