@@ -57,7 +57,8 @@ def generate_monitor(following: SealMonitor, name: str = "seal_monitor") -> dict
         "name": name, "prefix": name.upper(), "n": n, "m": m, "p": p, "c": c, "nl": len(loop.A), "sections": _TABLE(sections),
         "ns": len(sections), "filters": filters, "rows": rows, "doubts": rows[2:], "rank": len(H),
         "observer": _TABLE(own), "observer_size": len(own), "observer_columns": integer_table(ends),
-        "loop": _TABLE(looped), "loop_size": len(looped), "loop_columns": integer_table(loop_ends), "into": _TABLE(into @ np.hstack([model.B, model.L])), "out": _TABLE(model.C @ back),
+        "loop": _TABLE(looped), "loop_size": len(looped), "loop_columns": integer_table(loop_ends),
+        "into": _TABLE(into @ np.hstack([model.B, model.L])), "out": _TABLE(model.C @ back),
         "white": _TABLE(model.W), "loop_in": _TABLE(loop.B), "H": _TABLE(H), "loop_U": _TABLE(into @ U),
         "loop_V": _TABLE(V[:, n:]),
         "kinds": integer_table(kinds), "nk": int(kinds.max(initial=-1)) + 1, "block": following.block,
@@ -90,7 +91,7 @@ def _factors(direction: Direction) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rows(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of every row of A (n, n) the entries from its first to its last that is not zero, and their columns (n, 2), end behind."""
+    """Of every row of A (n, n) the entries from its first to its last that is not zero, and where they begin and end (n, 2)."""
     at = [np.flatnonzero(row) for row in A]
     ends = np.array([(int(k[0]), int(k[-1]) + 1) if len(k) else (0, 0) for k in at])
     return np.concatenate([row[first:last] for row, (first, last) in zip(A, ends, strict=True)]), ends
