@@ -22,7 +22,7 @@ from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.synthesis.lpv.family import scaled_family
 from ambrose.synthesis.lpv.inequalities import Shape, program
-from ambrose.synthesis.lpv.machine import plants_over_speed
+from ambrose.synthesis.lpv.machine import plants_along
 from ambrose.synthesis.lpv.synthesis import lpv_synthesis
 
 POINTS = 8
@@ -31,7 +31,7 @@ POINTS = 8
 def run() -> list[dict[str, Any]]:
     """One row per case: name, ours [s], peer [s] or None, peer_name, error, target."""
     machine = load_machine("turboexpander")
-    plant_at = plants_over_speed(assemble(machine, operating_point(machine, "140 Hz")))
+    plant_at = plants_along(assemble(machine, operating_point(machine, "140 Hz")))
     speeds = 2 * np.pi * np.linspace(20, 300, POINTS)
     rows = [_whole("turboexpander, 20 states, 8 points, any rate", plant_at, speeds, None, "< 30 s")]
     rows.append(_whole("turboexpander, 20 states, 8 points, 1760 rad/s^2", plant_at, speeds, 1760.0))

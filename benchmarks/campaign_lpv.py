@@ -24,7 +24,7 @@ from ambrose.simulation.run_up import spin_up, steps
 from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv.machine import design_over_speed
+from ambrose.synthesis.lpv.machine import design_schedule
 from ambrose.verification.loop_response import loop_evaluator
 
 HZ = 2 * np.pi
@@ -39,9 +39,9 @@ def main() -> None:
     machine = load_machine("turboexpander")
     plant = assemble(machine, operating_point(machine, "140 Hz"))
     grid = HZ * np.linspace(20, 300, 8)
-    lpv = design_over_speed(plant, grid)
+    lpv = design_schedule(plant, grid)
     _tell("LPV, any rate", lpv)
-    _tell("LPV, 1760 rad/s^2", design_over_speed(plant, grid, rate=1760.0))
+    _tell("LPV, 1760 rad/s^2", design_schedule(plant, grid, rate=1760.0))
     mu = design(plant, "mu")
     _tell("mu of 140 Hz", mu)
     controllers = {"LPV": lpv.scheduled, "mu of 140 Hz": mu.controller}

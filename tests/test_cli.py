@@ -205,6 +205,19 @@ def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_pat
 BAD = {
     "unknown machine": (["check", "no-such-machine"], "seal-rig"),
     "speeds exchanged": (["synthesize", "turboexpander", "--method", "lpv", "--speeds-hz", "300", "20"], "--speeds-hz is 300"),
+    "pressures exchanged": (
+        ["synthesize", RIG, "--method", "lpv", "--pressures-bar", "4", "0"],
+        "--pressures-bar is 4 0, but must be the lower",
+    ),
+    "pressures without lpv": (
+        ["synthesize", RIG, "--method", "mu", "--pressures-bar", "0", "4"],
+        "--pressures-bar is given, but must be left out",
+    ),
+    "a schedule over two": (
+        ["synthesize", RIG, "--method", "lpv", "--pressures-bar", "0", "4", "--speed-rate", "9"],
+        "over two cannot be had",
+    ),
+    "a schedule's rate in kg": (["synthesize", RIG, "--method", "lpv", "--pressure-rate", "2 kg"], "20 bar/s"),
     "speeds without lpv": (
         ["synthesize", "turboexpander", "--speeds-hz", "20", "300"],
         "--speeds-hz is given, but must be left out with --method tuned; it goes with lpv",

@@ -18,7 +18,7 @@ from ambrose.simulation.run_up import spin_up, steps
 from ambrose.simulation.scenario import load_scenario
 from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv.machine import design_over_speed
+from ambrose.synthesis.lpv.machine import design_schedule
 from ambrose.verification.loop_response import loop_evaluator
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
@@ -29,7 +29,7 @@ HZ = 2 * np.pi
 def study():
     machine = load_machine("turboexpander")
     plant = assemble(machine, operating_point(machine, "140 Hz"))
-    return plant, design_over_speed(plant, HZ * np.linspace(20, 300, 5)), design(plant, "mu")
+    return plant, design_schedule(plant, HZ * np.linspace(20, 300, 5)), design(plant, "mu")
 
 
 def run_up(study, scenario):

@@ -1,5 +1,7 @@
 """The closed loop against the definitions in the loop diagram."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, poles, rename, select, static_gain
 from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
+from ambrose.plant.loop import closed_loop, covers, match_controller
 from ambrose.plant.reduce import reduce
 
 RNG = np.random.default_rng(4)
@@ -121,6 +123,24 @@ class TestMatching:
             np.testing.assert_array_equal(match_controller(law, plant).A, named.A)
         with pytest.raises(InvalidInput, match="between 50 and 100 rad/s"):
             match_controller(ScheduledSystem([50.0, 100.0], [named, named]), plant)
+
+    def test_a_schedule_over_pressure_is_the_law_at_the_plants_pressure(self, plant, named):
+        """The speed means nothing to it, nor its range to other speeds."""
+        double = StateSpace(named.A, named.B, 2 * named.C, 2 * named.D, named.inputs, named.outputs)
+        scheduled = ScheduledSystem([0.0, 4e5], [named, double], "pressure", "Pa")
+        for speed in (0.0, 900.0):
+            here = replace(plant, point=replace(plant.point, speed=speed, seal_pressure=1e5))
+            np.testing.assert_allclose(match_controller(scheduled, here).D, 1.25 * named.D, rtol=1e-12)
+            assert covers(scheduled, here)
+        beyond = replace(plant, point=replace(plant.point, seal_pressure=5e5))
+        assert not covers(scheduled, beyond)
+        with pytest.raises(InvalidInput, match="pressure is 500000 Pa, but must be between 0 and 400000 Pa"):
+            match_controller(scheduled, beyond)
+
+    @pytest.mark.parametrize(("parameter", "unit"), [("k", "N/m"), ("pressure", "bar"), ("speed", "Pa")])
+    def test_schedules_over_anything_else_are_refused(self, plant, named, parameter, unit):
+        with pytest.raises(InvalidInput, match=r"must be speed \[rad/s\] or pressure \[Pa\]"):
+            match_controller(ScheduledSystem([0.0, 1.0], [named, named], parameter, unit), plant)
 
     def test_other_things_are_refused(self, plant):
         with pytest.raises(InvalidInput, match="the system is 'pid', but must be something with matrices"):

@@ -30,6 +30,12 @@ def test_a_schedule_covers_its_speeds_at_its_pressure_only():
     assert all(covers(law.at(900.0), plant) for plant in full_plants(MACHINE))
 
 
+def test_a_schedule_over_pressure_covers_its_pressures_at_every_speed():
+    law = ScheduledSystem([0.0, 1e6], [static_gain(np.eye(4))] * 2, "pressure", "Pa")
+    covered = {plant.point.label for plant in full_plants(MACHINE) if covers(law, plant)}
+    assert covered == {p.label for p in MACHINE.operation.points if p.seal_pressure <= 1e6} and len(covered) == 2
+
+
 def test_only_a_machine_with_several_speeds_is_scheduled():
     assert schedulable(plant_at(MACHINE, "140 Hz"))
     assert not schedulable(plant_at(load_machine("seal-rig"), None))

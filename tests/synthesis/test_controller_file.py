@@ -370,6 +370,12 @@ class TestScheduling:
             (lambda c: c["scheduling"].update(grid=[100.0, "fast", 500.0]), r"scheduling.grid\[2\]"),
             (lambda c: c["scheduling"].update(interpolation="cubic"), r"scheduling.interpolation is 'cubic'"),
             (lambda c: c["scheduling"].update(outside="extrapolate"), r"scheduling.outside"),
+            (
+                lambda c: c["scheduling"].update(parameter="k"),
+                r"scheduling.parameter is 'k', but must be 'speed' or 'pressure'",
+            ),
+            (lambda c: c["scheduling"].update(unit="bar"), r"scheduling.unit is 'bar', but must be 'rad/s' or 'Pa'"),
+            (lambda c: c["scheduling"].update(unit="Pa"), r"parameter is speed \[Pa\], but must be speed \[rad/s\] or"),
             (lambda c: c["scheduling"].update(colour="red"), r"unknown key 'colour'"),
             (lambda c: c["scheduling"]["points"][1].pop("D"), r"scheduling.points\[2\] lacks the key 'D'"),
             (lambda c: c["scheduling"]["points"][2]["A"].pop(), r"rows of scheduling.points\[3\].A"),
@@ -382,6 +388,13 @@ class TestScheduling:
         path.write_text(json.dumps(content))
         with pytest.raises(InvalidInput, match=message):
             read_controller(path)
+
+    def test_a_schedule_over_pressure_comes_back(self, tmp_path):
+        made = scheduled_synthesis()
+        over = ScheduledSystem([0.0, 2e5, 4e5], made.scheduled.systems, "pressure", "Pa")
+        file = read_controller(write_controller(tmp_path / "k.json", replace(made, scheduled=over)))
+        assert (file.scheduled.parameter, file.scheduled.unit, file.scheduled.range) == ("pressure", "Pa", (0.0, 4e5))
+        assert file.facts()["scheduled_over"] == "pressure 0 to 4e+05 Pa"
 
     def test_controller_at_the_speed_of_the_plant(self, tmp_path):
         scheduled = scheduled_synthesis().scheduled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -43,7 +44,8 @@ REFUSED = {
     "another structure": ("tuned", {"structure": "ring"}, "structure is 'ring'"),
     "half a bending mode": ("mu", {"bending_modes": 0.5}, "bending_modes is 0.5"),
     "speeds of a fixed controller": ("mu", {"speeds": (1.0, 2.0)}, "only method 'lpv' is scheduled"),
-    "rate of a fixed controller": ("mu", {"speed_rate": 100.0}, "only method 'lpv' follows the speed"),
+    "rate of a fixed controller": ("mu", {"speed_rate": 100.0}, "only method 'lpv' is scheduled over the speed"),
+    "pressures of a fixed controller": ("hinf", {"pressures": (0.0, 1e5)}, "only method 'lpv' is scheduled over the pressure"),
     "negative rate": ("lpv", {"speed_rate": -1.0}, "speed_rate"),
     "speeds exchanged": ("lpv", {"speeds": (2.0, 1.0)}, "speeds is 2 and 1 rad/s"),
     "one speed": ("lpv", {"speeds": (2.0,)}, "speeds"),
@@ -116,17 +118,53 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
     assert "1 sample late (machine file)" in design(runs, "pid").certificate.plant  # it was called given
 
 
-def test_the_rate_of_the_speed_reaches_the_synthesis(monkeypatch):
-    """The option is the rate that the inequalities take; None stays: however fast."""
-    told = []
+@pytest.fixture
+def told(monkeypatch):
+    """What ``design`` asks of the synthesis of a schedule: (parameter, ends of the grid, rate)."""
+    heard: list[tuple[str, tuple[float, float] | None, float | None]] = []
 
-    def heard(plant, grid, **given):
-        told.append((grid, given["rate"]))
+    def listen(plant, grid, along, **given):
+        heard.append((along.name, None if grid is None else (grid[0], grid[-1]), given["rate"]))
         raise NumericalFailure("far enough")
 
-    monkeypatch.setattr("ambrose.synthesis.design.design_over_speed", heard)
+    monkeypatch.setattr("ambrose.synthesis.design.design_schedule", listen)
+    return heard
+
+
+def test_what_is_scheduled_over_and_its_rate_reach_the_synthesis(told):
+    """The option is the rate that the inequalities take; None stays: however fast."""
     plant = assemble(load_machine("turboexpander"))
-    for rate in (1760.0, None):
+    asked: list[dict[str, Any]] = [
+        {"speeds": (700.0, 900.0), "speed_rate": 1760.0}, {"speeds": (700.0, 900.0)},
+        {"pressures": (0.0, 4e6), "pressure_rate": 2e6}, {"pressure_rate": 2e6},
+    ]  # fmt: skip
+    for options in asked:
         with pytest.raises(NumericalFailure, match="far enough"):
-            design(plant, "lpv", speeds=(700.0, 900.0), speed_rate=rate)
-    assert [rate for _, rate in told] == [1760.0, None]
+            design(plant, "lpv", **options)
+    expected = [("speed", (700.0, 900.0), 1760.0), ("speed", (700.0, 900.0), None)]
+    assert told == [*expected, ("pressure", (0.0, 4e6), 2e6), ("pressure", None, 2e6)]
+
+
+@pytest.mark.parametrize(
+    ("name", "over"), [("seal-rig", "pressure"), ("turboexpander", "speed"), ("three-bearing-train", "pressure")]
+)
+def test_a_machine_without_several_speeds_of_one_pressure_is_scheduled_over_its_pressures(told, name, over):
+    with pytest.raises(NumericalFailure, match="far enough"):
+        design(assemble(load_machine(name)), "lpv")
+    assert [parameter for parameter, _, _ in told] == [over]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"speeds": (1.0, 2.0), "pressures": (0.0, 1e5)}, "scheduling over two cannot be had"),
+        ({"speed_rate": 1.0, "pressure_rate": 1e5}, "scheduling over two cannot be had"),
+        ({"pressures": (2e5, 1e5)}, "the lower pressure, then the higher"),
+        ({"pressures": (-1e5, 1e5)}, "none negative"),
+        ({"pressures": (float("nan"), 1e5)}, "finite"),
+        ({"pressure_rate": 0.0}, "give it in Pa/s"),
+    ],
+)
+def test_schedules_that_cannot_be_are_refused(options, message):
+    with pytest.raises(InvalidInput, match=message):
+        DesignOptions(**options)

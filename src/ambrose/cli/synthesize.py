@@ -9,7 +9,20 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, say_json, shown
+from ambrose.cli.terminal import (
+    AS_JSON,
+    DELAY,
+    MACHINE,
+    RATE,
+    claim,
+    kept,
+    load,
+    print_table,
+    progress_shown,
+    quantity_given,
+    say_json,
+    shown,
+)
 
 
 @click.command()
@@ -56,13 +69,27 @@ from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, loa
     type=float,
     nargs=2,
     default=None,
-    help="With --method lpv: lowest and highest speed; default: those of the operating points at the same seal pressure.",
+    help="With --method lpv: lowest and highest speed; default: those of the operating points at the same seal pressure; "
+    "where those have one speed alone, their pressures.",
 )
 @click.option(
     "--speed-rate",
     type=float,
     default=None,
     help="With --method lpv: fastest run-up, rad/s^2, which the proof then takes; default: any.",
+)
+@click.option(
+    "--pressures-bar",
+    type=float,
+    nargs=2,
+    default=None,
+    help="With --method lpv: lowest and highest seal pressure, to schedule over it instead of the speed.",
+)
+@click.option(
+    "--pressure-rate",
+    metavar="RATE",
+    default=None,
+    help='With --method lpv: fastest change of the pressure, such as "20 bar/s", which the proof then takes; default: any.',
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("controller.json"), show_default=True)
 @click.option(
@@ -86,6 +113,8 @@ def synthesize(
     loss: float | None,
     speeds_hz: tuple[float, float] | None,
     speed_rate: float | None,
+    pressures_bar: tuple[float, float] | None,
+    pressure_rate: str | None,
     output: Path,
     machine_file: Path | None,
     as_json: bool,
@@ -93,7 +122,7 @@ def synthesize(
     """Design a controller on the reduced plant and certify it on the full one.
 
     With --method tuned, the default, for the whole envelope: all operating points and the tolerances around each; the other
-    methods design for one operating point (--point), lpv for a range of speeds.
+    methods design for one operating point (--point), lpv for a range of speeds or of seal pressures.
     """
     from ambrose.core.checks import check_positive, invalid
     from ambrose.evaluation.plants import plant_at
@@ -113,6 +142,8 @@ def synthesize(
         ("--envelope", envelope, ("hinf", "mu")),
         ("--speeds-hz", speeds_hz is not None, ("lpv",)),
         ("--speed-rate", speed_rate is not None, ("lpv",)),
+        ("--pressures-bar", pressures_bar is not None, ("lpv",)),
+        ("--pressure-rate", pressure_rate is not None, ("lpv",)),
     ):
         if given and method not in methods:
             raise invalid(option, "given", f"left out with --method {method}", f"it goes with {' or '.join(methods)}")
@@ -124,6 +155,9 @@ def synthesize(
         check_positive(loss, "--loss", "5 allows 5 %", zero_allowed=True)
     if speeds_hz is not None and not 0 < speeds_hz[0] < speeds_hz[1]:
         raise invalid("--speeds-hz", f"{speeds_hz[0]:g} {speeds_hz[1]:g}", "the lower speed, then the higher", "swap the two")
+    if pressures_bar is not None and not 0 <= pressures_bar[0] < pressures_bar[1]:
+        what = "the lower pressure, then the higher, none negative"
+        raise invalid("--pressures-bar", f"{pressures_bar[0]:g} {pressures_bar[1]:g}", what, "swap the two")
     if rate_hz is not None:
         check_positive(rate_hz, "--rate-hz", "10000 is usual")
     if speed_rate is not None:
@@ -139,6 +173,8 @@ def synthesize(
         match_reference=match_reference,
         speeds=None if speeds_hz is None else (hertz * speeds_hz[0], hertz * speeds_hz[1]),
         speed_rate=speed_rate,
+        pressures=None if pressures_bar is None else (1e5 * pressures_bar[0], 1e5 * pressures_bar[1]),
+        pressure_rate=quantity_given(pressure_rate, "--pressure-rate", "pressure per time"),
     )
     if machine_file is not None and (method != "tuned" or structure not in BANKS):
         raise invalid("--machine-file", str(machine_file), "given with a filter bank", "add --method tuned --structure pid")

@@ -145,6 +145,22 @@ def _worded(text: str) -> str:
     return one_line(text).encode(encoding, "ambrose.spell").decode(encoding)
 
 
+def quantity_given(text: str | None, option: str, dimension: str) -> float | None:
+    """A positive quantity of an option such as "20 bar/s" in SI; None: not given. Raises InvalidInput."""
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.units import DIMENSIONS, read_quantity
+
+    if text is None:
+        return None
+    try:
+        value = read_quantity(text, DIMENSIONS[dimension])
+    except ValueError as error:
+        raise InvalidInput(f"{option} {error}") from error
+    if not value > 0:
+        raise InvalidInput(f"{option} is {text}, but must be positive; leave it out where nothing is known")
+    return value
+
+
 def load(machine: str) -> Any:
     from ambrose.machine.file.toml import load_machine
 

@@ -17,6 +17,7 @@ from ambrose.cli.terminal import (
     load_controller,
     print_checks,
     progress_shown,
+    quantity_given,
     say,
     say_json,
 )
@@ -50,7 +51,7 @@ def verify(
 
     description = load(machine)
     controller = load_controller(path, description)
-    fastest = None if pressure_rate is None else _rate(pressure_rate)
+    fastest = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
     with progress_shown(as_json) as progress:
         result = verify_controller(
             description, controller, rate=rate_hz, delay_samples=delay_samples, pressure_rate=fastest, progress=progress
@@ -76,16 +77,3 @@ def verify(
         failed = [label for label, checks in result.labelled if not checks.passed] + list(result.left_out)
         say(f"Failed: {'; '.join(failed)}." if failed else f"Passed: every check of all {len(result.labelled)} tables.")
     sys.exit(0 if result.passed else 1)
-
-
-def _rate(text: str) -> float:
-    from ambrose.core.checks import InvalidInput
-    from ambrose.machine.units import DIMENSIONS, read_quantity
-
-    try:
-        rate = read_quantity(text, DIMENSIONS["pressure per time"])
-    except ValueError as error:
-        raise InvalidInput(f"--pressure-rate {error}") from error
-    if not rate > 0:
-        raise InvalidInput(f"--pressure-rate is {text}, but must be positive; leave it out where nothing is known")
-    return rate

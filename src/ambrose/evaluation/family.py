@@ -24,6 +24,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, law_at, match_controller
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.reduce import default_bending_modes, reduce
+from ambrose.plant.scheduling import SPEED, scheduling_of
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.plant.unbalance import residual_unbalance
 from ambrose.plant.uncertainty import tolerances_around
@@ -140,7 +141,7 @@ def explore(
     if "poles" in parts:
         done = replace(done, maps=tuple(_maps(machine, law, timing, at, reach or {}, notes, progress)))
     if "campbell" in parts:
-        done = replace(done, campbell=campbell_map(plant, law if timing is None else _sampled_along(law, timing), progress))
+        done = replace(done, campbell=campbell_map(plant, _along_speed(law, timing, at), progress))
     held = tolerances_around(plant)
     if {"pulses", "unbalance"} & set(parts) and not held:
         notes.append("no tolerances at this operating point: a family over them is the nominal loop alone")
@@ -149,8 +150,12 @@ def explore(
     return replace(done, notes=tuple(notes))
 
 
-def _sampled_along(law: Any, timing: Timing) -> Callable[[float], StateSpace]:
-    return lambda speed: timing.in_loop(law_at(law, speed))
+def _along_speed(law: Any, timing: Timing | None, at: OperatingPoint) -> Any:
+    """The law as it runs for a map over speed: a function of it where it changes with it."""
+    if scheduling_of(law) is SPEED:
+        return law if timing is None else lambda speed: timing.in_loop(law_at(law, replace(at, speed=speed)))
+    fixed = law_at(law, at)
+    return fixed if timing is None else timing.in_loop(fixed)
 
 
 def _largest(machine: Machine, over: str) -> float:

@@ -17,6 +17,7 @@ from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import covers
 from ambrose.plant.model import Plant
+from ambrose.plant.scheduling import SPEED, scheduling_of
 from ambrose.plant.uncertainty import with_offsets_of
 from ambrose.verification import campbell
 from ambrose.verification.checks import Curve
@@ -53,11 +54,9 @@ def split_covered(law: Any, plants: Sequence[Plant]) -> tuple[tuple[Plant, ...],
     """The plants that a law is meant for, and the labels of the points that it leaves out. Raises InvalidInput for none."""
     within = tuple(plant for plant in plants if covers(law, plant))
     if not within:
-        low, high = law.range
-        raise invalid(
-            "the scheduled range", f"{low:g} to {high:g} rad/s", "one with an operating point of the machine in it",
-            "design over the machine's own speeds",
-        )  # fmt: skip
+        (low, high), along = law.range, scheduling_of(law) or SPEED
+        wanted, remedy = "one with an operating point of the machine in it", f"design over the machine's own {along.name}s"
+        raise invalid("the scheduled range", f"{along.words(low)} to {along.words(high)}", wanted, remedy)
     return within, tuple(plant.point.label for plant in plants if not covers(law, plant))
 
 

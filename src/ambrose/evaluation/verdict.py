@@ -19,6 +19,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import covers, match_controller
 from ambrose.plant.model import Plant
+from ambrose.plant.scheduling import SPEED, scheduling_of
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.plant.uncertainty import not_varied, tolerances_around
 from ambrose.synthesis.weights import machine_weights
@@ -43,8 +44,8 @@ def verify_controller(
 ) -> Verification:
     """The checks of a controller on the full plant at every operating point, and over the tolerances around each.
 
-    machine: or the plants to verify on, one or several. controller: a Synthesis, a schedule over speed, or anything with A, B,
-    C, D. points: operating points or labels (None: all). tolerances: whether the tolerance boxes are examined. rate [Hz],
+    machine: or the plants to verify on, one or several. controller: a Synthesis, a schedule, or anything with A, B, C, D.
+    points: operating points or labels (None: all). tolerances: whether the tolerance boxes are examined. rate [Hz],
     delay_samples: the loop as it runs, sampled by Tustin's map and late; None: as the controller or the machine file says
     (``plant.timing.timing_of``); where neither knows a rate the continuous loop is judged, and ``timing`` says so.
     pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the machine file's; without one nothing is proved for a
@@ -87,7 +88,7 @@ def verify_points(
     results = []
     for plant in plants:
         progress(f"verifying at {plant.point.label}")
-        fixed = not isinstance(controller, ScheduledSystem)  # a scheduled one has its own verdict over speed
+        fixed = scheduling_of(controller) is not SPEED  # a law that changes with it has its own verdict over speed
         turning = fixed and plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
         along = plants_along_speed(plant) if turning else None
         results.append(nominal.check(plant, running_law(controller, plant, timing), plant_at=along))
@@ -113,7 +114,7 @@ def verify_moving(
 ) -> tuple[Checks, ...]:
     """The checks while the seal pressure changes between the points, at up to ``rate`` [Pa/s] (None: the machine file's).
 
-    Without a rate, with an unstable point, or for a schedule over speed there are none.
+    Without a rate, with an unstable point, or for a schedule there are none.
     """
     rate = machine.operation.pressure_rate if rate is None else rate
     if rate is None or isinstance(law, ScheduledSystem) or not all(checks.stable for checks in points):

@@ -38,21 +38,22 @@ class ControlProgram(Protocol):
 
 @runtime_checkable
 class ScheduledProgram(ControlProgram, Protocol):
-    """A program whose law changes with speed: it is told the speed before every step; called with a speed [rad/s] it returns
-    its law there, frozen, as ``system`` is at the present one."""
+    """A program whose law changes with the speed [rad/s] or, where its attribute ``parameter`` says so, the pressure [Pa]: it
+    is told that before every step; called with a value it returns its law there, frozen, as ``system`` is at the present."""
 
-    def schedule(self, speed: float) -> None:
-        """The speed [rad/s] of the next step."""
+    def schedule(self, value: float) -> None:
+        """Speed or pressure of the next step; NaN: not known."""
 
-    def __call__(self, speed: float) -> StateSpace: ...
+    def __call__(self, value: float) -> StateSpace: ...
 
 
 @runtime_checkable
 class NativeProgram(ControlProgram, Protocol):
     """A program that the compiled rig calls by itself.
 
-    entry: address of ``int f(void *first, const double *errors, double speed, double *currents)``, [m], [rad/s], [A], and its
-    first argument; both hold as long as the program does. A negative result ends the run.
+    entry: address of ``int f(void *first, const double *errors, double told, double *currents)``, [m], speed [rad/s] or what a
+    ``ScheduledProgram`` is told, [A], and its first argument; both hold as long as the program does. A negative result ends the
+    run.
     """
 
     @property

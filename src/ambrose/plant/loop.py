@@ -7,13 +7,14 @@ from typing import Any, Literal
 
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import c2d
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, connect, is_system, rename, select
+from ambrose.machine.description import OperatingPoint
 from ambrose.plant.control_program import ControlProgram
 from ambrose.plant.model import Plant
+from ambrose.plant.scheduling import SPEED, scheduling_of
 
-LawAt = Callable[[float], ControllerLike]  # speed [rad/s] -> the law there; a ScheduledSystem is one
-Law = ControllerLike | LawAt | ControlProgram  # whatever closes a loop: fixed, scheduled over speed, or a running program
+LawAt = Callable[[float], ControllerLike]  # speed [rad/s], or what a ScheduledSystem says, -> the law there
+Law = ControllerLike | LawAt | ControlProgram  # whatever closes a loop: fixed, scheduled, or a running program
 
 
 def closed_loop(plant: Plant, controller: Law) -> StateSpace:
@@ -44,10 +45,10 @@ def match_controller(controller: Law, plant: Plant) -> StateSpace:
     """The controller's law with inputs err_<axis> [m] and outputs u_<axis> [A], in the order of the plant's axes.
 
     Signals that are named after axes (err_A_zeta, y_A_zeta, u_A_zeta ...) are matched by name, whatever their order; a
-    controller without such names is matched by place. A scheduled law is the one at the plant's speed. Raises InvalidInput
-    where the size does not fit, or the names are those of other axes.
+    controller without such names is matched by place. A scheduled law is the one at the plant's speed or seal pressure.
+    Raises InvalidInput where the size does not fit, or the names are those of other axes.
     """
-    return match_axes(law_at(controller, plant.point.speed), plant.axes, repr(plant.machine.name))
+    return match_axes(law_at(controller, plant.point), plant.axes, repr(plant.machine.name))
 
 
 def match_axes(controller: ControllerLike, axes: Sequence[str], machine: str = "") -> StateSpace:
@@ -81,20 +82,23 @@ def axis_order(controller: StateSpace, side: Literal["inputs", "outputs"], axes:
 
 
 def covers(law: Any, plant: Plant) -> bool:
-    """Whether a law is meant for the plant's speed and seal pressure: a schedule has a range, and a pressure it was made at."""
-    if not isinstance(law, ScheduledSystem):
+    """Whether a law is meant for the plant's operating point: a schedule has a range, and one over speed a seal pressure that
+    it was made at."""
+    along = scheduling_of(law)
+    if along is None or not hasattr(law, "range"):
         return True
-    low, high = law.range
-    design = plant.machine.operation.design
+    (low, high), value = law.range, along.of(plant.point)
     slack = 1e-9 * high
-    return low - slack <= plant.point.speed <= high + slack and plant.point.seal_pressure == design.seal_pressure
+    elsewhere = along is SPEED and plant.point.seal_pressure != plant.machine.operation.design.seal_pressure
+    return bool(low - slack <= value <= high + slack) and not elsewhere
 
 
-def law_at(controller: Law, speed: float) -> StateSpace:
-    """The linear law at a speed [rad/s]: a fixed one, a scheduled one there, a program's between its limits."""
+def law_at(controller: Law, point: OperatingPoint) -> StateSpace:
+    """The linear law at an operating point: a fixed one, a scheduled one there, a program's between its limits."""
     if not is_system(controller):
-        if callable(controller):
-            return as_statespace(controller(speed))
+        along = scheduling_of(controller)
+        if along is not None and callable(controller):
+            return as_statespace(controller(along.of(point)))
         if isinstance(controller, ControlProgram):
             return controller.system
     return as_statespace(controller)

@@ -7,11 +7,15 @@ force f_<port>_<direction> [N].
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ambrose.core.checks import InvalidInput, check_positive, invalid
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, check_finite, check_positive, invalid
 
 SPACINGS = ("linear", "logarithmic")
+SENSOR_FAULTS = ("", "stuck", "lost")
 _ORDERS = (2, 20)  # bits of a shift register
 
 
@@ -158,6 +162,53 @@ class PressureChange:
     def __post_init__(self) -> None:
         for name in ("time", "pressure", "ramp"):
             check_positive(getattr(self, name), f"{name} of the change of pressure", "correct it", zero_allowed=True)
+
+
+@dataclass(frozen=True, slots=True)
+class PressureSensor:
+    """From ``time`` [s] on the sensor of the seal pressure tells gain p + offset [Pa] through a first-order lag [s], with white
+    noise of so many Pa (rms) at every sample; "stuck" it keeps what it told last, "lost" it tells nothing."""
+
+    time: float = 0.0
+    gain: float = 1.0
+    offset: float = 0.0
+    lag: float = 0.0
+    noise: float = 0.0
+    fault: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("time", "lag", "noise"):
+            check_positive(getattr(self, name), f"{name} of the pressure sensor", "correct it", zero_allowed=True)
+        for name in ("gain", "offset"):
+            check_finite(getattr(self, name), f"{name} of the pressure sensor")
+        if self.fault not in SENSOR_FAULTS:
+            raise invalid("fault of the pressure sensor", repr(self.fault), '"stuck", "lost" or left out', "correct it")
+
+
+_EXACT = PressureSensor()
+
+
+def sensed(time: np.ndarray, sensors: Sequence[PressureSensor], knots: Sequence[float], values: Sequence[float]) -> np.ndarray:
+    """What the sensors, one from its time on and each to the next one's, tell (n,) [Pa] at times (n,) [s] without their noise.
+
+    knots, values: times [s] and pressures [Pa], linear between. Stuck or lost: the last one. Exact: g + s t - s T
+    + (l - g + s T) exp(-t/T) within a segment from g with slope s, for a lag T that tells l at its start.
+    """
+    edges = np.unique([0.0, *knots, *(item.time for item in sensors)])
+    at = np.searchsorted(edges, time, side="right") - 1
+    result, told = np.empty(len(time)), float(np.interp(0.0, knots, values))
+    for i, start in enumerate(edges.tolist()):
+        item = next((sensor for sensor in reversed(sensors) if sensor.time <= start), _EXACT)
+        end = float(edges[i + 1]) if i + 1 < len(edges) else start + 1.0  # constant after the last knot
+        begin, then = (item.gain * float(np.interp(t, knots, values)) + item.offset for t in (start, end))
+        slope = 0.0 if item.fault else (then - begin) / (end - start)
+        begin, behind = told if item.fault else begin, slope * item.lag
+        told = begin if item.lag == 0 else told
+        since = np.append(time[at == i], end) - start
+        left = np.exp(-since / item.lag) if item.lag > 0 else np.zeros(len(since))
+        found = begin + slope * since - behind + (told - begin + behind) * left
+        result[at == i], told = found[:-1], float(found[-1])
+    return result
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ from ambrose.simulation.disturbances import (
     Failure,
     Prbs,
     PressureChange,
+    PressureSensor,
     Pulse,
     Sine,
     SpeedChange,
@@ -49,7 +50,8 @@ class Scenario(Presented):
 
     speed [rad/s] (None: that of the loop) goes linearly to ``to_speed`` over ``ramp`` [s] (None: the whole duration) and
     stays there, or follows the changes of speed. sample_time [s]: None leaves it to the simulation. For the virtual rig alone:
-    ``initial`` state, "levitated" in equilibrium or "resting" in the touchdown bearings; changes of pressure; failures;
+    ``initial`` state, "levitated" in equilibrium or "resting" in the touchdown bearings; changes of pressure, and of what its
+    sensor tells a controller that is scheduled over it; failures;
     switch_at [s], where a second controller takes over. Bearings may be called "first", "last" and "every", and quantities be
     shares of the machine's (machine_terms.py), until a simulation calls ``on(machine)``. Raises InvalidInput.
     """
@@ -65,6 +67,7 @@ class Scenario(Presented):
     pressures: tuple[PressureChange, ...] = ()
     failures: tuple[Failure, ...] = ()
     speed_changes: tuple[SpeedChange, ...] = ()
+    pressure_sensors: tuple[PressureSensor, ...] = ()
     speed: float | None = None
     to_speed: float | None = None
     ramp: float | None = None
@@ -83,6 +86,7 @@ class Scenario(Presented):
         starts = [("the time of a change of pressure", item.time) for item in self.pressures]
         starts += [("the time of a failure", item.time) for item in self.failures]
         starts += [("the time of a change of speed", item.time) for item in self.speed_changes]
+        starts += [("the time of a pressure sensor", item.time) for item in self.pressure_sensors]
         if self.switch_at is not None:
             starts.append(("switch_at", self.switch_at))
         for what, start in starts:
@@ -97,6 +101,8 @@ class Scenario(Presented):
                 if later.time < earlier.time + earlier.ramp:
                     requirement = f"after the one before is over, at {earlier.time + earlier.ramp:g} s"
                     raise invalid(f"the time of a change of {what}", later.time, requirement, "move it")
+        if any(later.time <= earlier.time for earlier, later in pairwise(self.pressure_sensors)):
+            raise InvalidInput("the pressure sensors are not in the order of their times; give each its own, ascending")
         for name in ("speed", "to_speed"):
             if (value := getattr(self, name)) is not None:
                 check_positive(value, name, "a rotor turns one way, from x to y", zero_allowed=True)
@@ -133,7 +139,7 @@ class Scenario(Presented):
     def quiet(self) -> Scenario:
         """The same without anything that disturbs: its speeds and pressures."""
         nothing: dict[str, Any] = dict.fromkeys(
-            ("pulses", "sines", "stepped_sines", "chirps", "sequences", "unbalances", "failures"), ()
+            ("pulses", "sines", "stepped_sines", "chirps", "sequences", "unbalances", "failures", "pressure_sensors"), ()
         )
         return replace(self, **nothing)
 
@@ -150,6 +156,15 @@ class Scenario(Presented):
     def runs_up(self) -> bool:
         """Whether the speed changes."""
         return len(set(self.speed_knots[1])) > 1
+
+    def pressure_knots(self, start: float, dt: float) -> tuple[list[float], list[float]]:
+        """Times [s] and pressures [Pa], ``start`` at first, between which the pressure is linear; a change without ramp takes
+        dt [s]."""
+        times, values = [0.0], [start]
+        for change in self.pressures:
+            times += [max(change.time, times[-1]), change.time + max(change.ramp, dt)]
+            values += [values[-1], change.pressure]
+        return times, values
 
     @property
     def speed_knots(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -195,13 +210,15 @@ _TABLES: dict[str, tuple[str, type[Any]]] = {
     "pressure": ("pressures", PressureChange),
     "failure": ("failures", Failure),
     "speed_change": ("speed_changes", SpeedChange),
+    "pressure_sensor": ("pressure_sensors", PressureSensor),
 }
 _KINDS = {
     **dict.fromkeys(("duration", "start", "every", "ramp", "sample_time", "dwell", "bit_time", "time", "switch_at"), "time"),
     **dict.fromkeys(("speed", "to_speed", "frequency", "to_frequency", "frequencies", "grade_speed"), "angular rate"),
-    "phase": "angle", "grade": "velocity", "share": "ratio", "pressure": "pressure",
+    "phase": "angle", "grade": "velocity", "share": "ratio", "gain": "ratio", "lag": "time",
+    **dict.fromkeys(("pressure", "offset", "noise"), "pressure"),
 }  # fmt: skip
-_TEXTS = {"name", "description", "signal", "port", "initial", "spacing", "axis"}
+_TEXTS = {"name", "description", "signal", "port", "initial", "spacing", "axis", "fault"}
 _COUNTS = {"order", "seed"}
 _AMOUNT = {"kg m": 1.0, "g mm": 1e-6, "g m": 1e-3, "kg mm": 1e-3}
 

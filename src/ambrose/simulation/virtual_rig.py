@@ -18,13 +18,13 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.plant.control_program import ControlProgram
 from ambrose.plant.loop import Law
+from ambrose.plant.scheduling import PRESSURE, SPEED, scheduling_of
 from ambrose.plant.timing import DEFAULT, Timing, machine_timing
 from ambrose.simulation.disturbances import PressureChange, SpeedChange
 from ambrose.simulation.rig.controller import (
     NO_PROGRAM,
     RunningProgram,
     SampledLaw,
-    changes_with_speed,
     closed_loop_poles,
     sample_time,
     sampled_law,
@@ -48,7 +48,7 @@ from ambrose.simulation.scenario import LEVITATED, Scenario
 from ambrose.simulation.trace import Trace
 
 _STRETCH = 4000  # control samples computed at once
-_SCHEDULED_STRETCH = 50  # of a controller that changes with speed
+_SCHEDULED_STRETCH = {SPEED: 50, PRESSURE: 10}  # while what a controller is scheduled over changes
 _MEMORY = 256  # samples from which a second controller learns where to take over
 _REPORT_EVERY = 2.0  # [s] between two progress messages
 
@@ -71,9 +71,10 @@ def run(
     """Run a scenario on the nonlinear machine.
 
     controller: a StateSpace (or python-control system) from errors [m] to currents [A], its signals matched as in
-    ``plant.loop.match_controller``; or, scheduled, a function from speed [rad/s] to one, always in the same states; or a
-    ControlProgram such as compiled C code. Continuous, it is sampled by Tustin's map
-    at the scenario's or the machine's sample time (else 10 kHz); its output, limited to max_current, acts ``computing_delay``
+    ``plant.loop.match_controller``; or, scheduled, a function from speed [rad/s] to one, always in the same states (of a
+    schedule over pressure, from what its sensor tells [Pa], held where that is lost, clamped to its range where it errs); or a
+    ControlProgram such as compiled C code. Continuous, it is sampled by Tustin's map at the scenario's or the machine's sample
+    time (else 10 kHz); its output, limited to max_current, acts ``computing_delay``
     samples later (None: the machine's, else one). second: takes over without a bump at the scenario's switch_at. point: bias
     current, speed and seal pressure at the start, where the scenario does not say otherwise (None: the nominal one).
     bending_modes: per plane (None: 3, as identification models). dt [s]: longest integration step (None: by the machine's
@@ -85,7 +86,8 @@ def run(
     and the record ends before. Raises InvalidInput, and NumericalFailure where there is no levitated state to start from.
     """
     scenario = scenario.on(machine)
-    task = plan(build(machine, point, bending_modes), scenario, sample_time(controller, machine, scenario.sample_time), seed)
+    dt_control = sample_time(controller, machine, scenario.sample_time)
+    task = plan(build(machine, point, bending_modes), scenario, dt_control, seed, scheduling_of(controller) or SPEED)
     if (second is None) != (scenario.switch_at is None):
         raise InvalidInput("a second controller and the scenario's switch_at belong together; give both or neither")
     if computing_delay is None:
@@ -147,14 +149,21 @@ class _Laws:
     sample: float
     delay: int
 
-    @property
-    def scheduled(self) -> bool:
-        return changes_with_speed(self.first) or changes_with_speed(self.second)
+    def stretch(self, scenario: Scenario) -> int | None:
+        """After how many samples a law is to be read again; None: it does not change."""
+        moves = {SPEED: scenario.runs_up, PRESSURE: bool(scenario.pressures or scenario.pressure_sensors)}
+        scheduled = [along for law in (self.first, self.second) if (along := scheduling_of(law)) is not None and moves[along]]
+        return min((_SCHEDULED_STRETCH[along] for along in scheduled), default=None)
 
-    def at(self, speed: float, switched: bool) -> SampledLaw:
-        """The law at a speed [rad/s], before or after the switch."""
+    def at(self, drive: Drive, k: int, switched: bool, sensor: bool = False) -> SampledLaw:
+        """The law at the speed and, told by a ``sensor`` that may err, the pressure of sample k, before or after the switch."""
         controller = self.second if switched and self.second is not None else self.first
-        return sampled_law(controller, self.machine, self.sample, speed, self.delay)
+        pressure = float(drive.pressure[k])
+        if sensor and scheduling_of(controller) is PRESSURE:
+            low, high = getattr(controller, "range", (-np.inf, np.inf))
+            pressure = min(max(pressure, low), high)
+        point = OperatingPoint(float(drive.speed[k]), pressure)
+        return sampled_law(controller, self.machine, self.sample, point, self.delay)
 
 
 def _conditions(task: Plan) -> list[tuple[int, Drive]]:
@@ -170,7 +179,7 @@ def _conditions(task: Plan) -> list[tuple[int, Drive]]:
 
 def _begin(task: Plan, laws: _Laws, drive: Drive, substeps: int) -> _Motion:
     """The state at the start; the compiled code has then been called once, and so is there."""
-    law = laws.at(float(drive.speed[0]), False)
+    law = laws.at(drive, 0, False)
     lifted = task.scenario.initial == LEVITATED
     z, x, held = levitated_state(task.rig, drive, law) if lifted else landed_state(task.rig, law)
     near = z.copy() if lifted else state_at_rest(task.rig, np.zeros(task.rig.coordinates), held)
@@ -182,7 +191,7 @@ def _begin(task: Plan, laws: _Laws, drive: Drive, substeps: int) -> _Motion:
 
 def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
     """The rightmost pole [rad/s] of the linear loop around the centred rotor."""
-    law = laws.at(float(drive.speed[0]), switched)
+    law = laws.at(drive, 0, switched)
     try:
         z, _, u = levitated_state(rig, drive, law)
     except NumericalFailure:
@@ -203,7 +212,8 @@ def _stretches(
     program: ControlProgram | None,
 ) -> Iterator[tuple[int, Drive, np.ndarray]]:
     """Number of the first sample, drive and log (k, columns) of one stretch after the other; motion moves along."""
-    length = _SCHEDULED_STRETCH if laws.scheduled and program is None and task.scenario.runs_up else _STRETCH
+    again, sensor = None if program is not None else laws.stretch(task.scenario), bool(task.scenario.pressure_sensors)
+    length = again or _STRETCH
     switch = task.switch
     reported = time.perf_counter()
     recent: list[tuple[np.ndarray, np.ndarray]] = []
@@ -216,8 +226,8 @@ def _stretches(
         count = min(length - number % length, task.samples - number, switch - number if number < switch else task.samples)
         drive = stretch(task, number, count)
         motion.follow(task, drive, number)
-        if law is None or (laws.scheduled and program is None) or number == switch:
-            law = laws.at(float(drive.speed[count // 2]), number >= switch)
+        if law is None or again is not None or number == switch:
+            law = laws.at(drive, count // 2, number >= switch, sensor)
         if number == switch:
             motion.x = take_over(law, *_remembered(recent, motion.held, law.delay))
         log, errors = _advance(task.rig, law, drive, steps, motion, count, running)

@@ -12,13 +12,13 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce_from
 from ambrose.stages.plausibility import insight
-from ambrose.synthesis.lpv.machine import speed_grid
+from ambrose.synthesis.lpv.machine import schedule_grid
 
 
 def schedulable(plant: Plant) -> bool:
     """Whether the operating points around the plant's give a range of speeds to schedule over."""
     try:
-        speed_grid(plant.machine, plant.point)
+        schedule_grid(plant.machine, plant.point)
     except InvalidInput:
         return False
     return plant.machine.weights is not None

@@ -13,6 +13,7 @@ from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import law_at
 from ambrose.plant.model import Plant
+from ambrose.plant.scheduling import scheduling_of
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.certificate import certify, generalized_certificate
 from ambrose.synthesis.result import Status, Synthesis
@@ -45,15 +46,16 @@ def certify_as_it_runs(plant: Plant, result: Synthesis, timing: Timing | None) -
 def sampled_margins(plant: Plant, law: StateSpace | ScheduledSystem, timing: Timing | None) -> dict[str, float]:
     """ "sampled_spectral_abscissa" [rad/s] and "sampled_sensitivity_peak" [-] of the loop as it runs; empty without a timing.
 
-    Of a schedule the worst over the speeds of its grid, frozen.
+    Of a schedule the worst over its grid, frozen.
     """
     if timing is None:
         return {}
-    speeds = law.grid.tolist() if isinstance(law, ScheduledSystem) else [plant.point.speed]
-    found = []
-    for speed in speeds:
-        place = plant if speed == plant.point.speed else assemble(plant.machine, replace(plant.point, speed=speed))
-        found.append(certify(place, timing.in_loop(law_at(law, speed)), margins=False))
+    along, found = scheduling_of(law), []
+    values = law.grid.tolist() if isinstance(law, ScheduledSystem) else []
+    points = [plant.point] if along is None else [along.moved(plant.point, value) for value in values]
+    for point in points:
+        place = plant if point == plant.point else assemble(plant.machine, point)
+        found.append(certify(place, timing.in_loop(law_at(law, point)), margins=False))
     return {
         "sampled_spectral_abscissa": max(item.spectral_abscissa for item in found),
         "sampled_sensitivity_peak": max(item.closed_loop_norm for item in found),

@@ -28,6 +28,7 @@ from ambrose.core.statespace import (
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import covers, law_at, match_controller
 from ambrose.plant.model import Plant
+from ambrose.plant.scheduling import scheduling_of
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.result import Certificate, Status, Synthesis
 
@@ -74,7 +75,7 @@ def certify_envelope(plants: Sequence[Plant], result: Synthesis, timing: Timing 
     envelope = {}
     for plant in plants:
         if covers(result.law, plant):
-            law = law_at(result.law, plant.point.speed)
+            law = law_at(result.law, plant.point)
             envelope[plant.point.label] = _abscissa(_open_loop(plant, law if timing is None else timing.in_loop(law))[0])
     certificate = replace(result.certificate, envelope=envelope)
     return replace(result, certificate=certificate)
@@ -100,23 +101,25 @@ def generalized_certificate(plant: GeneralizedPlant, controller: Any) -> Certifi
 
 
 def full_plant_margins(plant: Plant, law: StateSpace | ScheduledSystem) -> tuple[bool, dict[str, float], str]:
-    """Whether a law holds a full plant, a schedule at every speed of its grid; the margins that say so; on what.
+    """Whether a law holds a full plant, a schedule at every point of its grid; the margins that say so; on what.
 
-    "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the speeds, and "worst_speed" [rad/s].
+    "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the grid, and "worst_speed" [rad/s] or
+    "worst_pressure" [Pa], where that is.
     """
-    if not isinstance(law, ScheduledSystem):
+    along = scheduling_of(law)
+    if along is None or not isinstance(law, ScheduledSystem):
         found = certify(plant, law, margins=False)
         margins = {"full_spectral_abscissa": found.spectral_abscissa, "full_sensitivity_peak": found.closed_loop_norm}
         return found.stable, margins, found.plant
-    machine, speeds = plant.machine, [float(speed) for speed in law.grid]
-    results = [certify(assemble(machine, replace(plant.point, speed=speed)), law.at(speed), False) for speed in speeds]
+    machine, values = plant.machine, [float(value) for value in law.grid]
+    results = [certify(assemble(machine, along.moved(plant.point, value)), law.at(value), False) for value in values]
     worst = int(np.argmax([item.closed_loop_norm for item in results]))
     margins = {
         "full_spectral_abscissa": max(item.spectral_abscissa for item in results),
         "full_sensitivity_peak": results[worst].closed_loop_norm,
-        "worst_speed": speeds[worst],
+        f"worst_{along.name}": values[worst],
     }
-    label = f"{machine.name}, full plant at {len(speeds)} of these speeds"
+    label = f"{machine.name}, full plant at {len(values)} of these {along.name}s"
     return all(item.stable for item in results), margins, label
 
 

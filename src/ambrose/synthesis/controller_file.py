@@ -45,6 +45,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.messages import quoted
 from ambrose.machine.ordinary_file import read_text
 from ambrose.machine.record.apart import tree_of
+from ambrose.plant.scheduling import scheduling_of
 from ambrose.synthesis.filter_table import DEFAULT_AXES, FACTS, controller_of, csv_table, is_table, mat_table
 from ambrose.synthesis.hinf.scaling import Matrices
 from ambrose.synthesis.result import Certificate, Provenance, Status, Synthesis
@@ -105,8 +106,8 @@ class SystemTable(_Table):
 class SchedulingTable(_Table):
     """The controller over a range of a measured parameter: matrices at every point of a grid."""
 
-    parameter: Text
-    unit: Text
+    parameter: Literal["speed", "pressure"] = Field(description="of the machine's operating point: spin speed, seal pressure")
+    unit: Literal["rad/s", "Pa"]
     interpolation: Literal["linear"]
     outside: Literal["refuse", "clamp"] = Field(description="what happens beyond the grid")
     grid: Annotated[list[Number], FailFast(), Field(max_length=GRID_POINTS)] = Field(
@@ -389,6 +390,7 @@ def _synthesis(table: ControllerTable) -> Synthesis:
     if (plan := table.scheduling) is not None:
         points = [system(point, f"scheduling.points[{i}].") for i, point in enumerate(plan.points, start=1)]
         scheduled = ScheduledSystem(plan.grid, points, plan.parameter, plan.unit, plan.outside)
+        scheduling_of(scheduled)  # refuses a unit that is not the parameter's
     certificate = Certificate() if table.certificate is None else Certificate(**table.certificate.model_dump())
     if table.status is Status.VERIFIED and not certificate.stable:
         raise InvalidInput("status is 'verified', but the certificate does not say stable; design the controller again")

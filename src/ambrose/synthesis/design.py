@@ -16,6 +16,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction, reduce
+from ambrose.plant.scheduling import PRESSURE, SPEED, Scheduling
 from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
 from ambrose.synthesis.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
 from ambrose.synthesis.envelope.model import envelope_model
@@ -24,7 +25,7 @@ from ambrose.synthesis.explanation import explained, why_none
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.lpv.machine import POINTS, design_over_speed
+from ambrose.synthesis.lpv.machine import POINTS, design_schedule, schedule_grid
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.order_selection import reduce_order, sampled_sensitivity
@@ -44,7 +45,7 @@ Progress = Callable[[str], None]
 def methods_for(plant: Plant) -> tuple[str, ...]:
     """What the machine file allows: "tuned" always, "pid" with [controller], "hinf" with [weights], mu with [[tolerance]], too.
 
-    "lpv" is asked for by name: it is one controller for all speeds instead of one for the plant's.
+    "lpv" is asked for by name: it is one controller for all speeds or pressures instead of one for the plant's.
     """
     machine = plant.machine
     robust = machine.weights is not None and bool(machine.tolerances)
@@ -72,9 +73,9 @@ def design(
     method: "tuned" (to the requirements themselves, at all operating points of the plant's machine and with the worst corners
     of the tolerances around each; the others know the plant's point alone), "pid" (the machine's reference controller), "hinf"
     (H-infinity for the nominal plant), "mu" (D-K iteration over the machine's tolerances), "polish" (the mu controller at half
-    its order, refined for the worst case), "lpv" (scheduled over speed). options: all of them, or single ones by name as
-    ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, speed_rate, structure, envelope
-    (DesignOptions).
+    its order, refined for the worst case), "lpv" (scheduled over speed or pressure). options: all of them, or single ones by
+    name as ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, speed_rate, pressures,
+    pressure_rate, structure, envelope (DesignOptions).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
     "lpv", nor of "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
@@ -97,10 +98,10 @@ def design(
         raise invalid("loss", options.loss, "None for method 'tuned'", "give the order, from which it is tuned")
     if options.envelope and method not in {"hinf", "mu"}:
         raise invalid("envelope", True, f"False for method {method!r}", "'hinf' and 'mu' can span it; 'tuned' always does")
-    if options.speeds is not None and method != "lpv":
-        raise invalid("speeds", options.speeds, f"None for method {method!r}", "only method 'lpv' is scheduled over them")
-    if options.speed_rate is not None and method != "lpv":
-        raise invalid("speed_rate", options.speed_rate, f"None for method {method!r}", "only method 'lpv' follows the speed")
+    for along, ends, rate in options.schedules:
+        if method != "lpv":
+            name, value = (f"{along.name}s", ends) if ends is not None else (f"{along.name}_rate", rate)
+            raise invalid(name, value, f"None for method {method!r}", f"only method 'lpv' is scheduled over the {along.name}")
     timing, options = options.timing(plant.machine), options.on(plant.machine)
     try:
         result = pid_synthesis(plant, timing=timing) if method == "pid" else _designed(plant, method, options, progress)
@@ -121,10 +122,21 @@ def design(
 
 def _designed(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:
     if method == "lpv":
-        grid = None if options.speeds is None else np.linspace(*options.speeds, POINTS)
-        modes = options.bending_modes or 0
-        return design_over_speed(plant, grid, bending_modes=modes, rate=options.speed_rate, progress=progress)
+        asked = options.schedules or ((_varied(plant), None, None),)
+        (along, ends, rate), modes = asked[0], options.bending_modes or 0
+        grid = None if ends is None else np.linspace(*ends, POINTS)
+        return design_schedule(plant, grid, along, bending_modes=modes, rate=rate, progress=progress)
     return _tuned(plant, options, progress) if method == "tuned" else _by_weights(plant, method, options, progress)
+
+
+def _varied(plant: Plant) -> Scheduling:
+    """The pressure where the operating points around the plant's have several and one speed, else the speed."""
+    pressures = {p.seal_pressure for p in plant.machine.operation.envelope if p.speed == plant.point.speed}
+    try:
+        schedule_grid(plant.machine, plant.point)
+    except InvalidInput:
+        return PRESSURE if len(pressures) > 1 else SPEED
+    return SPEED
 
 
 def _chosen(options: DesignOptions | None, choices: dict[str, Any]) -> DesignOptions:

@@ -60,7 +60,7 @@ def _above_limit(plant: Plant, result: Synthesis) -> list[str]:
 
 def _unsampled(plant: Plant, result: Synthesis, timing: Timing | None) -> list[str]:
     """Where nobody stated a rate the loop was judged continuous; whether it would run at the rate that the rig assumes."""
-    law = law_at(result.law, plant.point.speed)
+    law = law_at(result.law, plant.point)
     if timing is not None or law.dt is not None or result.status == "unstable":
         return []
     modes = min(_TRIED, bending_modes_of(plant.rotor_model))
@@ -88,7 +88,7 @@ def why_unstable(
     plant: Plant, law: StateSpace | ScheduledSystem, timing: Timing | None, bending_modes: int, method: str
 ) -> str:
     """Why a law does not hold a full plant: a bending mode, a gain below k_s/k_i, or what the poles tell."""
-    runs = law_at(law, plant.point.speed)
+    runs = law_at(law, plant.point)
     runs = runs if timing is None else timing.in_loop(runs)
     margin = stiffness_margin(plant.machine) if method == "pid" else None
     if margin is not None and margin < 1:

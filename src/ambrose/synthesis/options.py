@@ -9,6 +9,7 @@ import numpy as np
 
 from ambrose.core.checks import check_positive, check_shape, invalid
 from ambrose.machine.machine import Machine
+from ambrose.plant.scheduling import PRESSURE, SPEED, Scheduling
 from ambrose.plant.timing import Timing, machine_timing, timing_of
 
 STRUCTURES = ("free", "plane", "axis", "pid", "filters")
@@ -25,9 +26,10 @@ class DesignOptions:
     and one more). structure of the tuned controller: "plane" (zeta and eta kept apart where the bearings stand at one angle),
     "axis" (each alone), "free", or a filter bank: "pid" (per channel a PID and a low pass), "filters" (and notches).
     match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so that
-    controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds:
-    lowest and highest [rad/s] of a scheduled controller (None: those of the operating points with the plant's seal pressure);
-    speed_rate [rad/s^2]: the fastest it runs up or down (None: any), for which gamma may be lower.
+    controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds or
+    pressures: lowest and highest [rad/s], [Pa] that a controller is scheduled over (None: the speeds of the operating points
+    with the plant's seal pressure; where there is one speed alone, their pressures); speed_rate [rad/s^2], pressure_rate
+    [Pa/s]: the fastest change (None: any), for which gamma may be lower.
     envelope: "hinf" and "mu" are designed for all operating points at once, what changes between them being real parameters;
     "hinf" is then D-K iteration over those alone. Raises InvalidInput.
     """
@@ -41,6 +43,8 @@ class DesignOptions:
     match_reference: bool | None = None
     speeds: tuple[float, float] | None = None
     speed_rate: float | None = None
+    pressures: tuple[float, float] | None = None
+    pressure_rate: float | None = None
     envelope: bool = False
 
     def __post_init__(self) -> None:
@@ -60,13 +64,22 @@ class DesignOptions:
             raise invalid(
                 "match_reference", repr(self.match_reference), "True, False or None", "None decides by the machine file"
             )
-        if self.speeds is not None:
-            low, high = check_shape(self.speeds, "speeds", "(2)")
-            if not 0 <= low < high:
-                raise invalid("speeds", f"{low:g} and {high:g} rad/s", "the lower speed, then the higher", "swap the two")
+        for along, ends, rate in self.schedules:
+            if ends is not None:
+                low, high = check_shape(ends, f"{along.name}s", "(2)")
+                if not 0 <= low < high:
+                    what = f"the lower {along.name}, then the higher, none negative"
+                    raise invalid(f"{along.name}s", f"{low:g} and {high:g} {along.unit}", what, "swap the two")
+            if rate is not None:
+                check_positive(rate, f"{along.name}_rate", f"give it in {along.rate_unit}, or leave it out for any")
+        if len(self.schedules) > 1:
+            raise invalid("the schedule", "over speed and pressure", "over one of them", "scheduling over two cannot be had")
 
-        if self.speed_rate is not None:
-            check_positive(self.speed_rate, "speed_rate", "give it in rad/s^2, or leave it out for any")
+    @property
+    def schedules(self) -> tuple[tuple[Scheduling, tuple[float, float] | None, float | None], ...]:
+        """What is asked to be scheduled over: parameter, its ends and its largest rate."""
+        given = ((SPEED, self.speeds, self.speed_rate), (PRESSURE, self.pressures, self.pressure_rate))
+        return tuple(item for item in given if item[1:] != (None, None))
 
     def on(self, machine: Machine) -> DesignOptions:
         """These options with the rate and the delay that hold on a machine. Raises InvalidInput for a loss without a rate."""

@@ -79,7 +79,7 @@ class Synthesis(Presented):
 
     gamma: the norm the method reached (NaN where it has none); history: one mapping per iteration; notes: what the reader must
     know of how it was reached (a regularisation, a wider back-off), a sentence each. scheduled: the controller over a range of
-    speeds, of which ``controller`` is the one at the nominal speed (method "lpv"; None for the others). stopped_early: why the
+    speeds or pressures, ``controller`` is that of the plant's own (method "lpv"; None for the others). stopped_early: why the
     iteration ended before its end, with the best verified controller so far (None: it did not). weights: of the design problem
     (None where there is none). filters: the [controller] that gives the same controller by method "pid" (None: none
     does). By default, a controller from elsewhere that nothing was shown of.

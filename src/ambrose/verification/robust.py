@@ -37,7 +37,7 @@ from ambrose.core.worst_case.crossing import BoxMargin, box_margin
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, default_grid, gains, samples, unstable_poles
 from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
 from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
-from ambrose.machine.description import Requirements, Tolerance
+from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.plant.loop import Law, law_at, match_axes, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import in_tolerances
@@ -162,7 +162,7 @@ def _matched(controller: Law, plant: Plant | GeneralizedPlant, unit: Generalized
     """The controller with its signals in the order of the axes of the plant."""
     if isinstance(plant, Plant):
         return match_controller(controller, plant)
-    return match_axes(law_at(controller, 0.0), [name.removeprefix("u_") for name in unit.u])
+    return match_axes(law_at(controller, OperatingPoint()), [name.removeprefix("u_") for name in unit.u])
 
 
 def box_loops(

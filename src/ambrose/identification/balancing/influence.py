@@ -66,7 +66,7 @@ def influence(plant: Plant, planes: tuple[str, ...], controller: Any, record: Re
     closed = None
     if controller is not None:
         timing = timing_of(plant.machine, controller) or Timing(dt)
-        law = law_at(getattr(controller, "law", controller), plant.point.speed)
+        law = law_at(getattr(controller, "law", controller), plant.point)
         law = match_axes(timing.in_loop(law), axes, repr(plant.machine.name))
         K = frequency_response(law, omega).values[0] * (1.0 if law.dt is None else hold(omega, law.dt)[0])
         closed = np.linalg.inv(np.eye(a) + G @ K)

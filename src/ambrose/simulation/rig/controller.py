@@ -10,10 +10,12 @@ import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d, delayed
-from ambrose.core.statespace import StateSpace, as_statespace, is_system
+from ambrose.core.statespace import StateSpace, as_statespace
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.plant.control_program import ControlProgram, NativeProgram, ScheduledProgram
 from ambrose.plant.loop import Law, axis_order, law_at, match_axes
+from ambrose.plant.scheduling import scheduling_of
 from ambrose.plant.timing import DEFAULT, machine_timing
 
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
@@ -69,10 +71,10 @@ class RunningProgram:
     def _step_of(self, program: ControlProgram, m: int) -> Callable[..., int]:
         scheduled = program if isinstance(program, ScheduledProgram) else None
 
-        def step(first: object, errors: Any, speed: float, currents: Any) -> int:
+        def step(first: object, errors: Any, told: float, currents: Any) -> int:
             try:
                 if scheduled is not None:
-                    scheduled.schedule(speed)
+                    scheduled.schedule(told)
                 for a, value in enumerate(np.asarray(program.step(np.array(errors[:m])), float).tolist()):
                     currents[a] = value
             except BaseException as error:  # told by who called the rig: nothing gets through compiled code
@@ -87,7 +89,7 @@ def sample_time(controller: Law, machine: Machine, wanted: float | None) -> floa
     """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms. Raises InvalidInput."""
     if isinstance(controller, ControlProgram):
         own: float | None = controller.sample_time
-    elif changes_with_speed(controller):
+    elif scheduling_of(controller) is not None:
         own = getattr(controller, "dt", None)
     else:
         own = as_statespace(controller).dt
@@ -100,12 +102,12 @@ def sample_time(controller: Law, machine: Machine, wanted: float | None) -> floa
     return (machine_timing(machine) or DEFAULT).sample_time
 
 
-def sampled_law(controller: Law, machine: Machine, dt: float, speed: float, delay: int) -> SampledLaw:
-    """The law at a sample time [s] and speed [rad/s]: Tustin's map of a continuous controller, a sampled one as it is.
+def sampled_law(controller: Law, machine: Machine, dt: float, point: OperatingPoint, delay: int) -> SampledLaw:
+    """The law at a sample time [s] and operating point: Tustin's map of a continuous controller, a sampled one as it is.
 
     Its signals are matched by ``plant.loop.match_axes``. Raises InvalidInput where sizes or axes differ.
     """
-    system = match_axes(law_at(controller, speed), machine.axes, repr(machine.name))
+    system = match_axes(law_at(controller, point), machine.axes, repr(machine.name))
     if system.dt is None:
         system = c2d(system, dt, method="tustin")
     if delay > 1:  # the rig holds one sample back itself
@@ -154,8 +156,3 @@ def closed_loop_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, law: SampledL
         loop = loop[: n + m, : n + m]
     values = np.linalg.eigvals(loop)
     return np.log(np.where(np.abs(values) < 1e-12, 1e-12, values).astype(complex)) / dt
-
-
-def changes_with_speed(controller: Law | None) -> bool:
-    """Whether the law is a function of speed."""
-    return callable(controller) and not is_system(controller)

@@ -12,6 +12,8 @@ from ambrose.machine.description import Seal
 from ambrose.machine.messages import meant, suggestion
 from ambrose.physics import seal, seal_rational
 from ambrose.plant.assemble import seal_poles
+from ambrose.plant.scheduling import PRESSURE, SPEED, Scheduling
+from ambrose.simulation.disturbances import sensed
 from ambrose.simulation.rig.state import Rig
 from ambrose.simulation.scenario import Scenario
 from ambrose.simulation.waveforms import directions, sample_of, waveforms
@@ -35,17 +37,22 @@ class Drive(NamedTuple):
     reference: np.ndarray  # (a, K) [m]
     disturbance: np.ndarray  # (a, K) of the measurement [m]
     noise: np.ndarray  # (c, K) at the single sensors [m], with the disturbance that they would have to see
+    pressure: np.ndarray  # (K,) as its sensor tells it [Pa], the last one where it is lost
+    told: np.ndarray  # (K,) what a program is told, speed [rad/s] or that pressure, NaN where it is lost
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A scenario on a rig: dt [s] of the control samples, how many of them, the source of noise."""
+    """A scenario on a rig: dt [s] of the control samples, how many of them, the sources of noise (of position and of pressure
+    sensors), what a program is told."""
 
     rig: Rig
     scenario: Scenario
     dt: float
     samples: int
     noise: np.random.Generator
+    pressure_noise: np.random.Generator
+    along: Scheduling = SPEED
 
     @property
     def inputs(self) -> list[str]:
@@ -82,16 +89,38 @@ class Plan:
 
     def pressures(self, time: np.ndarray) -> np.ndarray:
         """Seal pressure [Pa] at times (n,) [s]; a change without ramp takes one sample."""
-        knots, values = [0.0], [self.rig.point.seal_pressure]
-        for change in self.scenario.pressures:
-            knots += [max(change.time, knots[-1]), change.time + max(change.ramp, self.dt)]
-            values += [values[-1], change.pressure]
-        return np.interp(time, knots, values)
+        return np.interp(time, *self._pressure_knots)
+
+    @property
+    def _pressure_knots(self) -> tuple[list[float], list[float]]:
+        return self.scenario.pressure_knots(self.rig.point.seal_pressure, self.dt)
+
+    def measured(self, first: int, count: int) -> np.ndarray:
+        """The pressure as its sensor tells it (count,) [Pa] at the samples from ``first`` on; in order, for its noise."""
+        time = (first + np.arange(count)) * self.dt
+        sensors = self.scenario.pressure_sensors
+        if not sensors:
+            return self.pressures(time)
+        told = sensed(time, sensors, *self._pressure_knots)
+        noise = np.array([0.0, *(0.0 if item.fault else item.noise for item in sensors)])
+        if noise.any():
+            told = told + noise[self._sensor(time)] * self.pressure_noise.standard_normal(count)
+        return told
+
+    def lost(self, first: int, count: int) -> np.ndarray:
+        """Whether the pressure's sensor tells nothing (count,)."""
+        faults = np.array([False, *(item.fault == "lost" for item in self.scenario.pressure_sensors)])
+        return np.asarray(faults[self._sensor((first + np.arange(count)) * self.dt)])
+
+    def _sensor(self, time: np.ndarray) -> np.ndarray:
+        """Which sensor tells the pressure (n,): 0 before the first."""
+        return np.searchsorted([item.time for item in self.scenario.pressure_sensors], time, side="right")
 
 
-def plan(rig: Rig, scenario: Scenario, dt: float, seed: int) -> Plan:
+def plan(rig: Rig, scenario: Scenario, dt: float, seed: int, along: Scheduling = SPEED) -> Plan:
     """The scenario on the rig at a control sample time [s]. Raises InvalidInput for signals, ports or axes it has not."""
-    result = Plan(rig, scenario, dt, int(min(scenario.duration / dt, 1e15) + 1e-6) + 1, np.random.default_rng(seed))
+    count = int(min(scenario.duration / dt, 1e15) + 1e-6) + 1
+    result = Plan(rig, scenario, dt, count, np.random.default_rng(seed), np.random.default_rng([seed, 1]), along)
     for item in scenario.all_windows:
         if item.signal not in result.inputs:
             alike = [name for name in result.inputs if name.partition("_")[0] == item.signal.partition("_")[0]]
@@ -120,13 +149,14 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
     sigma, disturbance = rig.constants.sensor[:, 4], held("d")
     noise = plan.noise.standard_normal((count, len(sigma))).T * sigma[:, None] if sigma.any() else np.zeros((len(sigma), count))
     noise += _spread(rig.constants.mean) @ disturbance
-    coefficients = _seals(plan, nodes, speed)
+    coefficients, pressure = _seals(plan, nodes, speed), plan.measured(first, count)
     return Drive(
         dt, speed, plan.angles(nodes), coefficients, _mass_inverse(rig, coefficients), _unbalance(plan),
         np.ascontiguousarray(np.stack([rows[f"f_{rig.port_names[i]}"] for i in forces], axis=1))
         if forces else np.zeros((4, 0, count)),
         np.array([divmod(i, 2) for i in forces], dtype=np.int64).reshape(-1, 2),
         _powered(plan, first, count), held("e"), held("r"), disturbance, np.ascontiguousarray(noise),
+        pressure, np.where(plan.lost(first, count), np.nan, pressure) if plan.along is PRESSURE else speed[:-1],
     )  # fmt: skip
 
 

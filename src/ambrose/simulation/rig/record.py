@@ -78,6 +78,7 @@ def _names(task: Plan) -> tuple[str, ...]:
     axes, scenario = task.rig.axes, task.scenario
     names = [f"{kind}_{a}" for kind in ("y", "u", "i", "f_magnet") for a in axes] + [f"q_{p}" for p in task.rig.port_names]
     varying = ["speed"] * scenario.runs_up + ["p_seal"] * bool(scenario.pressures)
+    varying += ["p_measured"] * bool(scenario.pressure_sensors)
     return (*names, *task.driven, *varying)
 
 
@@ -95,4 +96,6 @@ def _block(task: Plan, drive: Drive, log: np.ndarray, number: int) -> np.ndarray
         rows.append(drive.speed[None, :k])
     if scenario.pressures:
         rows.append(task.pressures((number + np.arange(k)) * task.dt)[None])
+    if scenario.pressure_sensors:
+        rows.append(drive.pressure[None, :k])
     return np.vstack(rows)

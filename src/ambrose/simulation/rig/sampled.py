@@ -48,7 +48,7 @@ def run_program(law: Any, program: Any, drive: Any, k: int, y: Any, held: Any, u
     for i in range(m):
         program.signals[i] = err[program.into[i]]
     at = program.place
-    failed: int = by_address(program.address, program.first, at, drive.speed[k], at + 8 * m)
+    failed: int = by_address(program.address, program.first, at, drive.told[k], at + 8 * m)
     for a in range(m):
         held[a] = min(max(program.signals[m + program.out[a]], -law.limit[a]), law.limit[a])
     return failed
