@@ -78,7 +78,7 @@ def design(
     pressure_rate, structure, envelope (DesignOptions).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
-    "lpv", nor of "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
+    "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
     are residualised. The certificate's margins gain "full_spectral_abscissa" and "full_sensitivity_peak", recomputed on
     ``plant``, with a rate also "sampled_spectral_abscissa" and "sampled_sensitivity_peak" of the loop as it runs; a controller
     that does not hold one of the two has the status "unstable". The certificate's ``envelope`` tells the stability at every
@@ -125,7 +125,8 @@ def _designed(plant: Plant, method: str, options: DesignOptions, progress: Progr
         asked = options.schedules or ((_varied(plant), None, None),)
         (along, ends, rate), modes = asked[0], options.bending_modes or 0
         grid = None if ends is None else np.linspace(*ends, POINTS)
-        return design_schedule(plant, grid, along, bending_modes=modes, rate=rate, progress=progress)
+        lag = 0.0 if (timing := options.timing()) is None else timing.lag
+        return design_schedule(plant, grid, along, bending_modes=modes, rate=rate, lag=lag, progress=progress)
     return _tuned(plant, options, progress) if method == "tuned" else _by_weights(plant, method, options, progress)
 
 

@@ -16,6 +16,8 @@ from ambrose.evaluation.verdict import verify_controller
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import reduce
 from ambrose.plant.scheduling import PRESSURE
+from ambrose.plant.timing import Timing
+from ambrose.synthesis.as_it_runs import sampled_margins
 from ambrose.synthesis.design import METHODS, design, methods_for
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.lpv.machine import design_schedule, plants_along, schedule_grid
@@ -145,3 +147,13 @@ def test_a_machine_of_one_pressure_is_told_so(rig):
     one = replace(rig.machine, operation=replace(rig.machine.operation, points=rig.machine.operation.points[:1]))
     with pytest.raises(InvalidInput, match=r"no range of pressures at the speed of .*--pressures-bar"):
         schedule_grid(one, one.operation.nominal, PRESSURE)
+
+
+def test_a_rate_puts_the_sampled_loops_delay_into_the_model(rig):
+    """The loop as it runs at 10 kHz gains by it, and the design has a state more for each axis."""
+    grid = [0.0, 2.04e5, 4.08e5]
+    timing = Timing(1e-4, 1)
+    plain, late = (design_schedule(rig, grid, PRESSURE, lag=lag) for lag in (0.0, timing.lag))
+    assert late.scheduled.n_states == plain.scheduled.n_states + 4
+    peaks = [sampled_margins(rig, made.scheduled, timing)["sampled_sensitivity_peak"] for made in (plain, late)]
+    assert peaks[1] < 0.95 * peaks[0]

@@ -18,7 +18,7 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.scheduling import SPEED, Scheduling
 from ambrose.synthesis.certificate import certify_on_full_plant
 from ambrose.synthesis.lpv.synthesis import lpv_synthesis
-from ambrose.synthesis.problem import design_plant
+from ambrose.synthesis.problem import apply_delay, design_plant, open_model
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.weights import machine_weights
 
@@ -43,12 +43,18 @@ def schedule_grid(machine: Machine, point: OperatingPoint, along: Scheduling = S
     return np.linspace(values[0], values[-1], count)
 
 
-def plants_along(plant: Plant, along: Scheduling = SPEED, bending_modes: int = 0) -> Callable[[float], GeneralizedPlant]:
-    """The nominal design problem at a speed or pressure, all else as at the plant's operating point, in common states."""
+def plants_along(
+    plant: Plant, along: Scheduling = SPEED, bending_modes: int = 0, lag: float = 0.0
+) -> Callable[[float], GeneralizedPlant]:
+    """The nominal design problem at a speed or pressure, all else as at the plant's operating point, in common states.
+
+    lag [s]: by which the currents act late.
+    """
 
     def at(value: float) -> GeneralizedPlant:
         small = free_mode_reduction(replace(plant, point=along.moved(plant.point, value)), bending_modes)
-        return design_plant(small, uncertain=False)
+        model = apply_delay(open_model(small, None, uncertain=False), lag)
+        return design_plant(model, machine_weights(plant.machine), uncertain=False)
 
     return at
 
@@ -60,14 +66,15 @@ def design_schedule(
     *,
     bending_modes: int = 0,
     rate: float | None = None,
+    lag: float = 0.0,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
     """A controller scheduled over speed or pressure for a full plant, and verified on it at every point of its schedule.
 
     grid (k,) [rad/s] or [Pa]: None: ``schedule_grid``; it holds the plant's own value in its range. rate [of its unit per s]:
-    the fastest change (None: any); bending_modes: per plane in the design model. ``controller`` is the frozen form at the
-    plant's own. margins gain those of ``certificate.full_plant_margins``; a controller that does not hold the full plant at
-    every point has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
+    the fastest change (None: any); bending_modes: per plane, lag [s]: of the currents, in the design model. ``controller`` is
+    the frozen form at the plant's own. margins gain those of ``certificate.full_plant_margins``; a controller that does not
+    hold the full plant at every point has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
     """
     machine, point = plant.machine, plant.point
     weights = machine_weights(machine)
@@ -82,7 +89,7 @@ def design_schedule(
             f"machine {machine.name!r} has no seal, and nothing changes with the {along.name}; use another method"
         )
     result = lpv_synthesis(
-        plants_along(plant, along, bending_modes), values, rate=rate, backoff=1.1, nominal=own, parameter=along.name,
+        plants_along(plant, along, bending_modes, lag), values, rate=rate, backoff=1.1, nominal=own, parameter=along.name,
         unit=along.unit, progress=progress,
     )  # fmt: skip
     return certify_on_full_plant(plant, replace(result, weights=weights))
