@@ -30,6 +30,12 @@ def small_schedule(dt: float | None = None) -> ScheduledSystem:
     return ScheduledSystem(GRID, systems)
 
 
+def pressure_schedule() -> ScheduledSystem:
+    """The same over 0.1 to 0.6 bar: [Pa] is 100 times [rad/s]."""
+    made = small_schedule()
+    return ScheduledSystem(100.0 * made.grid, made.systems, "pressure", "Pa")
+
+
 def two_states() -> ScheduledSystem:
     """Two states, an integrator among them, one error, one current."""
     systems = [

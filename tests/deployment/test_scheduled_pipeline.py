@@ -85,7 +85,7 @@ def call(*arguments):
 def test_the_sampled_loop_is_verified_at_the_grid_and_between(rig, deployment):
     machine, _ = rig
     assert deployment.verified
-    assert deployment.speeds.tolist() == [0.0, TOP / 2, TOP]
+    assert deployment.values.tolist() == [0.0, TOP / 2, TOP]
     assert [c.stable for c in deployment.checks] == [True] * 3
     assert [c.label for c in deployment.points] == [p.label for p in machine.operation.points]
     plant = assemble(machine, replace(machine.operation.points[0], speed=TOP / 2))
@@ -180,7 +180,7 @@ def test_the_command_forces_and_says_so(file, tmp_path):
         (["--to", "st"], "written as C99 only"),
         (["--to", "c", "--arithmetic", "fixed32"], "arithmetic of a scheduled controller is 'fixed32'"),
         (["--to", "c", "--speed-limit", 200], "speed_limit is 200 rad/s, but must be at least 300 rad/s"),
-        (["--to", "c", "--speed-rate", 0], "rate_limit is 0.0, but must be positive"),
+        (["--to", "c", "--speed-rate", 0], "speed_rate is 0.0, but must be positive"),
         (["--to", "c", "--rate-hz", 3000], "the sample rate is 3000 Hz"),
     ],
 )
@@ -228,7 +228,7 @@ def test_the_law_is_read_back_out_of_the_running_code(arithmetic, apart):
         found, meant = read_law(code, speed), block.at(speed)
         for letter in "ABCD":
             assert np.abs(getattr(found, letter) - getattr(meant, letter)).max() <= apart * np.abs(getattr(meant, letter)).max()
-    with pytest.raises(InvalidInput, match="clamps its speed"):
+    with pytest.raises(InvalidInput, match="clamps what it is told"):
         read_law(code, 700.0)
 
 
@@ -296,7 +296,7 @@ def test_the_code_runs_the_rig_through_a_run_up(running):
     assert max(np.abs(ran.record[name] - law.record[name]).max() for name in names) < 1e-9 * size
     assert max(np.abs(ran.record[name] - held.record[name]).max() for name in names) < 0.02 * size
     assert ran.pole == pytest.approx(held.pole)
-    assert code.speed == pytest.approx(290.0, rel=0.01)
+    assert code.told == pytest.approx(290.0, rel=0.01)
 
 
 def test_the_rig_runs_a_sampled_schedule_at_its_own_rate(rig, deployment):

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ambrose.cli.convert_controller import METHODS
-from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, say, say_json
+from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, quantity_given, say, say_json
 
 
 @click.command()
@@ -41,6 +41,13 @@ from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, say
     "--speed-limit", type=float, default=None, help="Scheduled: largest plausible speed in rad/s; default: twice the range's."
 )
 @click.option("--speed-rate", type=float, default=None, help="Scheduled: how fast it follows the speed, in rad/s^2.")
+@click.option(
+    "--pressure-limit", metavar="PRESSURE", default=None,
+    help='Scheduled: largest plausible pressure, such as "6 bar"; default: twice the range\'s.',
+)  # fmt: skip
+@click.option(
+    "--pressure-rate", metavar="RATE", default=None, help='Scheduled: how fast it follows the pressure, such as "40 bar/s".'
+)
 @click.option("--sources-only", is_flag=True, help="An FMU without a binary: no C compiler is needed here.")
 @click.option("--force", is_flag=True, help="Export a controller that is not verified, or not stable everywhere.")
 @AS_JSON
@@ -48,11 +55,12 @@ def export(
     controller: Path, target: Any, output: Path, name: str, arithmetic: Any, rate_hz: float | None, delay_samples: int | None,
     sampling: Any, prewarp_hz: float | None, form: Any, machine: str | None, error_limit: float | None,
     current_limit: float | None,
-    speed_limit: float | None, speed_rate: float | None, sources_only: bool, force: bool, as_json: bool,
+    speed_limit: float | None, speed_rate: float | None, pressure_limit: str | None, pressure_rate: str | None,
+    sources_only: bool, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Sample a controller, verify its loop as it will run, and write it as code for the target.
 
-    A controller scheduled over speed is written as C in floating point, verified at frozen speeds over its range."""
+    A scheduled controller is written as C in floating point, verified at frozen speeds or pressures over its range."""
     from ambrose.core.checks import check_positive
     from ambrose.deployment.pipeline import ExportOptions
     from ambrose.deployment.pipeline import export as write_for_target
@@ -65,6 +73,8 @@ def export(
     options = ExportOptions(
         name=name, arithmetic=arithmetic, rate=rate_hz, delay_samples=delay_samples, sampling=sampling, prewarp=prewarp,
         form=form, error_limit=error_limit, current_limit=current_limit, speed_limit=speed_limit, speed_rate=speed_rate,
+        pressure_limit=quantity_given(pressure_limit, "--pressure-limit", "pressure"),
+        pressure_rate=quantity_given(pressure_rate, "--pressure-rate", "pressure per time"),
         sources_only=sources_only, force=force,
     )  # fmt: skip
     file, known = read_controller(controller), None if machine is None else load(machine)

@@ -19,7 +19,7 @@ from ambrose.deployment.block.block import HOLD_SAMPLES, WINDUP_TIME, check_limi
 from ambrose.deployment.block.cascade import build_cascade
 from ambrose.deployment.block.fixed import ControlBlock, build_block
 from ambrose.deployment.block.names import check_identifier
-from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block, check_speed_limits
+from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block, check_told_limits
 from ambrose.deployment.c.code import Arithmetic, Precision, check_precision, generate
 from ambrose.deployment.discretisation.deployment import (
     Deployment,
@@ -38,6 +38,7 @@ from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
+from ambrose.plant.scheduling import SCHEDULINGS, Scheduling, scheduling_of
 from ambrose.plant.timing import DEFAULT, Timing, timing_of
 from ambrose.synthesis.result import Synthesis
 
@@ -58,9 +59,9 @@ class ExportOptions(Presented):
     and one sample where nobody does); sampling, prewarp [rad/s]: as in ``core.sampling.c2d``; form: "modal", or
     of filters "cascade", section by section (C only). error_limit [m], current_limit [A]: one number or one per axis (None:
     the bearings' gaps, or twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in
-    ``build_block``. speed_limit [rad/s], speed_rate [rad/s^2]: of a scheduled controller, as in ``build_scheduled_block``.
-    sources_only: an FMU without a binary. force: write a controller that is not verified, or not stable everywhere. Raises
-    InvalidInput.
+    ``build_block``. speed_limit [rad/s], speed_rate [rad/s^2], pressure_limit [Pa], pressure_rate [Pa/s]: of a controller that
+    is scheduled over the one, as in ``build_scheduled_block``. sources_only: an FMU without a binary. force: write a controller
+    that is not verified, or not stable everywhere. Raises InvalidInput.
     """
 
     name: str = "controller"
@@ -76,6 +77,8 @@ class ExportOptions(Presented):
     hold_samples: int = HOLD_SAMPLES
     speed_limit: float | None = None
     speed_rate: float | None = None
+    pressure_limit: float | None = None
+    pressure_rate: float | None = None
     sources_only: bool = False
     force: bool = False
 
@@ -87,6 +90,11 @@ class ExportOptions(Presented):
             check_positive(self.rate, "rate", "give it in Hz")
         if self.delay_samples is not None:
             Timing(1.0, self.delay_samples)  # refuses what is no number of samples
+
+    def told(self, along: Scheduling) -> tuple[float | None, float | None]:
+        """The limits of what the code is told and of its rate."""
+        given: tuple[float | None, ...] = (getattr(self, f"{along.name}_limit"), getattr(self, f"{along.name}_rate"))
+        return given[0], given[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -131,7 +139,7 @@ def export(
     """Write a controller for a target into ``directory``, after its sampled loop was verified at every point of ``machine``.
 
     controller: a Synthesis, or a system from errors [m] to currents [A] (StateSpace, python-control); signals
-    not called err_<axis> are the machine's axes in their order. A controller scheduled over speed is written as C in floating
+    not called err_<axis> are the machine's axes in their order. A scheduled controller is written as C in floating
     point. to: "c" (C99), "mat" (MATLAB, Octave), "fmu" (FMI 2.0 and 3.0), "st" (IEC 61131-3). machine: None: the bundled one
     that the controller was made for, if it is unchanged. Raises InvalidInput, and UnstableSystem for a controller that is
     refused (``deploy``).
@@ -184,21 +192,23 @@ def _check_target(synthesis: Synthesis, to: Target, options: ExportOptions) -> N
     """What can be refused before anything is computed. Raises InvalidInput."""
     if to not in TARGETS:
         raise invalid("the target", repr(to), " or ".join(TARGETS), "choose one of them")
-    scheduled = synthesis.scheduled
-    if scheduled is not None:
+    scheduled, along = synthesis.scheduled, scheduling_of(synthesis.law)
+    for other in SCHEDULINGS.values():
+        if other is not along and options.told(other) != (None, None):
+            what = f"{other.name}_limit or {other.name}_rate"
+            raise invalid(what, "given", "left out", f"this controller is not scheduled over {other.name}")
+    if scheduled is not None and along is not None:
         if to != "c":
             low, high = scheduled.range
             what = f"{to!r} for a controller scheduled over {low:g} to {high:g} {scheduled.unit} of {scheduled.parameter}"
-            remedy = "a scheduled controller is written as C99 only; or write the fixed one of a speed, scheduled.at(speed)"
+            remedy = f"it is written as C99 only; or write the fixed one of a {scheduled.parameter}, scheduled.at(...)"
             raise invalid("the target", what, '"c"', remedy)
         check_precision(options.arithmetic)
         if options.form == "cascade":
             raise invalid(
-                "form", "'cascade'", "'modal' for a controller scheduled over speed", "its sections change with the speed"
+                "form", "'cascade'", "'modal' for a scheduled controller", f"its sections change with the {scheduled.parameter}"
             )
-        check_speed_limits(scheduled.grid, options.speed_limit, options.speed_rate)
-    elif not (options.speed_limit is None and options.speed_rate is None):
-        raise invalid("speed_limit or speed_rate", "given", "left out", "this controller is not scheduled over speed")
+        check_told_limits(scheduled.grid, along, *options.told(along))
     if options.form == "cascade" and to != "c":
         raise invalid("form", "'cascade'", f"'modal' for the target {to!r}", "write C for the sections one by one")
     if options.arithmetic not in TARGETS[to]:
@@ -229,7 +239,7 @@ def _deploy(
             return fixed, build_cascade(fixed, synthesis.filters, machine, options.name, *limits, **guards)
         return fixed, build_block(fixed, options.name, *limits, **guards)
     over = deploy_scheduled(synthesis, dt, delay, machine=machine, **how)
-    guards |= {"speed_limit": options.speed_limit, "rate_limit": options.speed_rate}
+    guards |= dict(zip(("told_limit", "rate_limit"), options.told(over.along), strict=True))
     return over, build_scheduled_block(over, options.name, *limits, **guards)
 
 

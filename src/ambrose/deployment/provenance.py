@@ -36,17 +36,18 @@ def provenance_lines(synthesis: Synthesis, deployment: Deployment | ScheduledDep
 
 
 def _over_range(deployment: ScheduledDeployment) -> list[str]:
-    low, high = deployment.sampled.range
+    (low, high), along = deployment.sampled.range, deployment.along
     lines = [
         f"Sampled    by {deployment.method} at every grid point, computing delay in the loop [samples]: {deployment.delay}.",
         f"Between    grid points within {deployment.deviation:.2g} of the gain of the sampled continuous controller (worst at "
-        f"{deployment.deviation_at:.6g} rad/s).",
+        f"{deployment.deviation_at:.6g} {along.unit}).",
     ]
     if deployment.checks:
         stable = sum(c.stable for c in deployment.checks)
         peak, where = sensitivity_peak(deployment.checks)
         lines.append(
-            f"Verified   stable at {stable} of {len(deployment.checks)} frozen speeds from {low:.6g} to {high:.6g} rad/s, "
+            f"Verified   stable at {stable} of {len(deployment.checks)} frozen {along.name}s from {low:.6g} to {high:.6g} "
+            f"{along.unit}, "
             f"sensitivity peak {peak:.3g} (at {where})."
         )
     return lines + [f"Verified   {c.label}: {_verdict(c)}." for c in deployment.points]

@@ -14,7 +14,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.block.motion import bound_motion
-from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, follow_speed, run_block, run_scheduled
+from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, follow_told, run_block, run_scheduled
 from ambrose.deployment.block.vectors import make_scheduled_vectors
 from ambrose.deployment.discretisation.deployment import deploy, deploy_scheduled
 from schedule_driver import CURRENT, DT, ERROR, GRID, block_of, gain_schedule, small_schedule, two_states
@@ -107,16 +107,16 @@ def test_a_missing_speed_is_held_then_a_fault():
     v = np.full(12, 400.0)
     v[4:10] = [np.nan, np.inf, 1201.0, np.nan, -np.inf, 1e300]
     run = run_scheduled(block, e, v)
-    assert run.status.tolist() == [0] * 4 + [HELD | SPEED] * 3 + [HELD | SPEED | FAULT] * 3 + [0] * 2
+    assert run.status.tolist() == [0] * 4 + [HELD | TOLD] * 3 + [HELD | TOLD | FAULT] * 3 + [0] * 2
     assert (run.currents == run_scheduled(block, e, np.full(12, 400.0)).currents).all()
     blind = run_scheduled(block, e, np.full(12, np.nan))
     assert (blind.schedule == GRID[0]).all()
-    assert blind.status[-1] == HELD | SPEED | FAULT
+    assert blind.status[-1] == HELD | TOLD | FAULT
 
 
 def test_the_schedule_follows_no_faster_than_it_may():
     block = block_of(small_schedule(), rate_limit=1e5)  # 10 rad/s a sample
-    place, status = follow_speed(block, np.array([np.nan, 300.0, 325.0, 325.0, 325.0, 325.0, 50.0, 50.0, np.nan]))
+    place, status = follow_told(block, np.array([np.nan, 300.0, 325.0, 325.0, 325.0, 325.0, 50.0, 50.0, np.nan]))
     assert place == pytest.approx([100.0, 300.0, 310.0, 320.0, 325.0, 325.0, 315.0, 305.0, 295.0])
     assert [(s & BEHIND) > 0 for s in status] == [False, False, True, True, False, False, True, True, True]
     assert [(s & CLAMPED) > 0 for s in status] == [False] * 6 + [True] * 3
@@ -189,7 +189,7 @@ def test_transfer_is_planned_where_it_converges(block):
 
 def test_vectors_meet_every_branch(block):
     status = np.bitwise_or.reduce(make_scheduled_vectors(block_of(small_schedule(), rate_limit=1e4)).status)
-    assert status == HELD | FAULT | LIMITED | CLAMPED | SPEED | BEHIND
+    assert status == HELD | FAULT | LIMITED | CLAMPED | TOLD | BEHIND
 
 
 def test_states_decay_to_zero(block):
@@ -215,10 +215,10 @@ def test_an_unstable_point_is_refused():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"rate_limit": 0.0}, "rate_limit is 0.0, but must be positive"),
-        ({"rate_limit": np.nan}, "rate_limit"),
-        ({"speed_limit": 599.0}, "speed_limit is 599 rad/s, but must be at least 600 rad/s"),
-        ({"speed_limit": np.nan}, "speed_limit"),
+        ({"rate_limit": 0.0}, "speed_rate is 0.0, but must be positive"),
+        ({"rate_limit": np.nan}, "speed_rate"),
+        ({"told_limit": 599.0}, "speed_limit is 599 rad/s, but must be at least 600 rad/s"),
+        ({"told_limit": np.nan}, "speed_limit"),
         ({"hold_samples": -1}, "hold_samples is -1"),
         ({"windup_time": 0.0}, "windup_time"),
         ({"name": "a b"}, "must be a C identifier"),
@@ -243,9 +243,9 @@ def test_grid_points_that_single_precision_cannot_tell_apart():
         block.single()
 
 
-def test_only_speed_can_be_scheduled_over():
-    schedule = replace(small_schedule(), parameter="pressure", unit="Pa")
-    with pytest.raises(InvalidInput, match=r"the scheduling parameter is pressure \[Pa\], but must be speed"):
+def test_only_speed_and_pressure_can_be_scheduled_over():
+    schedule = replace(small_schedule(), parameter="bias", unit="A")
+    with pytest.raises(InvalidInput, match=r"the scheduling parameter is bias \[A\], but must be speed \[rad/s\] or pressure"):
         deploy_scheduled(schedule, DT)
     with pytest.raises(InvalidInput, match="no schedule"):
         deploy_scheduled(small_schedule().at(100.0), DT)

@@ -14,7 +14,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.deployment.block.cost import scheduled_cost
 from ambrose.deployment.block.fixed import build_block
-from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, SPEED, run_scheduled
+from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_scheduled
 from ambrose.deployment.c.code import generate, write_code
 from ambrose.deployment.discretisation.deployment import deploy
 from schedule_driver import (
@@ -25,6 +25,7 @@ from schedule_driver import (
     adversarial_speeds,
     block_of,
     gain_schedule,
+    pressure_schedule,
     replay,
     small_schedule,
     two_states,
@@ -38,14 +39,15 @@ compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
 
 def adversarial(block, count, seed=0):
     """Errors, flags and speeds of every kind; the errors' worst case is that of a grid point."""
-    frozen = build_block(deploy(block.at(GRID[1]), DT, DT, force=True), "k", ERROR, CURRENT)
+    frozen = build_block(deploy(block.at(block.grid[1]), DT, DT, force=True), "k", ERROR, CURRENT)
     errors, valid = driver.adversarial(frozen, count, seed)
     return errors, valid, adversarial_speeds(block, count, seed)
 
 
 @compiler
 @pytest.mark.parametrize(
-    ("make", "rate"), [(small_schedule, None), (small_schedule, 5e4), (two_states, 5e4), (gain_schedule, None)]
+    ("make", "rate"),
+    [(small_schedule, None), (small_schedule, 5e4), (two_states, 5e4), (gain_schedule, None), (pressure_schedule, 5e6)],
 )
 def test_double_agrees_with_python(make, rate, tmp_path):
     block = block_of(make(), rate_limit=rate)
@@ -57,7 +59,7 @@ def test_double_agrees_with_python(make, rate, tmp_path):
     )
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
-    for bit in (HELD, FAULT, LIMITED, CLAMPED, SPEED, *([BEHIND] if rate else [])):  # the samples did meet every branch
+    for bit in (HELD, FAULT, LIMITED, CLAMPED, TOLD, *([BEHIND] if rate else [])):  # the samples did meet every branch
         assert 0.01 < ((status & bit) > 0).mean() < 0.9
 
 
@@ -123,8 +125,11 @@ def test_the_code_is_continuous_at_the_grid_points_and_clamps_at_the_ends(tmp_pa
 @pytest.mark.parametrize("name", driver.compilers())
 @pytest.mark.parametrize(
     ("make", "arithmetic"),
-    [(small_schedule, "double"), (small_schedule, "float"), (two_states, "float"), (gain_schedule, "double")],
-)
+    [
+        (small_schedule, "double"), (small_schedule, "float"), (two_states, "float"), (gain_schedule, "double"),
+        (pressure_schedule, "float"),
+    ],
+)  # fmt: skip
 def test_compiles_clean_and_passes_its_own_vectors(make, arithmetic, name, tmp_path):
     write_code(tmp_path / "code", block_of(make(), rate_limit=1e5), arithmetic, ["A */ comment"])
     files = [str(tmp_path / "code" / f) for f in ("lpv.c", "lpv_test.c")]
@@ -137,7 +142,10 @@ def test_compiles_clean_and_passes_its_own_vectors(make, arithmetic, name, tmp_p
 
 
 @pytest.mark.skipif("clang" not in driver.compilers(), reason="no clang")
-@pytest.mark.parametrize(("make", "arithmetic"), [(small_schedule, "float"), (two_states, "double"), (gain_schedule, "double")])
+@pytest.mark.parametrize(
+    ("make", "arithmetic"),
+    [(small_schedule, "float"), (two_states, "double"), (gain_schedule, "double"), (pressure_schedule, "double")],
+)
 def test_every_warning_of_clang_but_two(make, arithmetic, tmp_path):
     """But padding, which no target's layout can avoid, and the comparison of the current given with the one asked for."""
     for name, text in generate(block_of(make(), rate_limit=1e5), arithmetic).items():
@@ -197,7 +205,7 @@ def test_reset_forgets_the_states_and_not_the_speed(tmp_path):
     found, status = replay(program, "double", e, v, op=op)
     fresh = run_scheduled(block, e[:3], np.full(3, 300.0)).currents
     assert np.abs(found[3:] - fresh).max() <= 1e-15
-    assert (status[3:] == HELD | SPEED).all()
+    assert (status[3:] == HELD | TOLD).all()
 
 
 def test_header_and_report_say_what_matters():
@@ -219,6 +227,22 @@ def test_header_and_report_say_what_matters():
     assert "SPEED_RATE" not in generate(block_of(small_schedule()))["lpv.h"]
     unproved = replace(block, motion=replace(block.motion, contraction=1.2))
     assert "While the speed moves no bound is proved" in generate(unproved)["lpv.h"]
+
+
+def test_over_pressure_the_code_speaks_of_pressure_alone():
+    files = generate(block_of(pressure_schedule(), rate_limit=4e6, told_limit=1e5))
+    header = files["lpv.h"]
+    for text in (
+        "scheduled over pressure", "pressure [Pa]", "Pressure   the law is that of 4 grid points from 10000 to",
+        "10000 to 60000 Pa (0.1 to 0.6 bar)",
+        "#define LPV_PRESSURE_LOWEST 10000.0", "#define LPV_PRESSURE_LIMIT 100000.0",
+        "#define LPV_PRESSURE_RATE 4000000 /* Pa/s",
+        "double pressure, double current[LPV_OUTPUTS]", "follows at 4e+06 Pa/s at most", "LPV_PRESSURE 16u",
+    ):  # fmt: skip
+        assert text in header
+    for name, text in files.items():
+        assert not re.search("speed|rad/s|Hz", text.replace(" Hz)", "", 1) if name == "lpv.h" else text, re.IGNORECASE), name
+    assert files["lpv_vectors.csv"].splitlines()[0].split(",")[4] == "pressure"
 
 
 @compiler

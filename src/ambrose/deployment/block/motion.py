@@ -1,8 +1,8 @@
-"""States of a scheduled block while its speed moves: a common quadratic Lyapunov function, and the bound that it gives.
+"""States of a scheduled block while its parameter moves: a common quadratic Lyapunov function, and the bound that it gives.
 
 Between two grid points A - L C = sum over i, j of s_i s_j (A_i - L_i C_j) with shares that add up to one, so that every such
 matrix is a convex combination of its values at the two ends and of the mean of the two mixed terms. What contracts in one norm
-|x|_P at these vertices of all intervals contracts in it along every motion of the speed, jumps included (Boyd, El Ghaoui, Feron
+|x|_P at these vertices of all intervals contracts in it along every motion of it, jumps included (Boyd, El Ghaoui, Feron
 & Balakrishnan 1994, Linear Matrix Inequalities in System and Control Theory, sec. 5.1).
 """
 
@@ -23,7 +23,7 @@ _LARGEST = 30  # states; beyond, only the candidate of the middle grid point is 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """contraction [-]: of |x|_P in a sample at every speed and across every move; states (n,): bounds on the states with every
+    """contraction [-]: of |x|_P in a sample at every point and across every move; states (n,): bounds on the states with every
     input at its limit, for any motion; infinite where contraction is not below 1, so that nothing is proved."""
 
     contraction: float

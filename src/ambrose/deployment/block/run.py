@@ -15,14 +15,14 @@ from ambrose.deployment.block.fixed_point import FixedBlock
 from ambrose.deployment.block.scheduled import ScheduledBlock, places
 
 HELD, FAULT, LIMITED = 1, 2, 4  # status bits, as in the header
-CLAMPED, SPEED, BEHIND = 8, 16, 32  # of a scheduled block besides
+CLAMPED, TOLD, BEHIND = 8, 16, 32  # of a scheduled block besides
 FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denormal numbers linger
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockRun:
     """currents (k, p) [A] (whole numbers for fixed point), status (k,), the states after the last sample (n,) and the largest
-    magnitude of each on the way (n,); schedule (k,) [rad/s]: where a scheduled law was taken (fixed: None)."""
+    magnitude of each on the way (n,); schedule (k,): where a scheduled law was taken (fixed: None)."""
 
     currents: np.ndarray
     status: np.ndarray
@@ -55,20 +55,22 @@ def run_block(
 def run_scheduled(
     block: ScheduledBlock,
     errors: ArrayLike,
-    speeds: ArrayLike,
+    told: ArrayLike,
     valid: ArrayLike | None = None,
     start: ArrayLike | None = None,
     single: bool = False,
 ) -> BlockRun:
-    """errors (k, m) [m] and speeds (k,) [rad/s]: NaN and infinity allowed; valid (k, m): the errors' flags (None: all true);
-    start (n,): the states before the first sample (None: zero). single: computed in single precision. Raises InvalidInput."""
+    """errors (k, m) [m] and told (k,), speeds [rad/s] or pressures [Pa]: NaN and infinity allowed; valid (k, m): the errors'
+    flags (None: all true); start (n,): the states before the first sample (None: zero). single: computed in single precision.
+    Raises InvalidInput.
+    """
     e, status = _plausible_errors(block, errors, valid)
     kind = np.float32 if single else np.float64
-    v = np.asarray(speeds, dtype=float)
+    v = np.asarray(told, dtype=float)
     if v.shape != (len(e),):
-        raise InvalidInput(f"the shape of speeds is {v.shape}, but must be ({len(e)},), one for every sample")
-    schedule, speed_status = follow_speed(block, v)
-    status |= speed_status
+        raise InvalidInput(f"the shape of {block.along.name}s is {v.shape}, but must be ({len(e)},), one for every sample")
+    schedule, told_status = follow_told(block, v)
+    status |= told_status
     i, share = places(block.grid, schedule)
     x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
     carry, largest = np.zeros_like(x), np.abs(x)
@@ -104,21 +106,21 @@ def _add_compensated(x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: 
     return total
 
 
-def follow_speed(block: ScheduledBlock, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the schedule stands (k,) [rad/s] for speeds (k,) as measured, and the status (k,) of the speed alone."""
+def follow_told(block: ScheduledBlock, told: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the schedule stands (k,) for values (k,) as measured, and the status (k,) of them alone."""
     low, high = block.range
     with np.errstate(invalid="ignore"):
-        good = np.abs(speeds) <= block.speed_limit
-    known, status = _hold_last(speeds[:, None], good[:, None], block.hold_samples)
-    status = np.where(good, 0, status | SPEED)
+        good = np.abs(told) <= block.told_limit
+    known, status = _hold_last(told[:, None], good[:, None], block.hold_samples)
+    status = np.where(good, 0, status | TOLD)
     first = int(np.argmax(good)) if good.any() else len(good)
     known = known[:, 0].astype(float)
-    known[:first] = low  # nothing is known of the speed yet
+    known[:first] = low  # nothing is known yet
     target = np.clip(known, low, high)
     status |= np.where(known != target, CLAMPED, 0)
-    if not np.isfinite(block.speed_step):
+    if not np.isfinite(block.told_step):
         return target, status
-    place, step, at = np.empty(len(target)), block.speed_step, low
+    place, step, at = np.empty(len(target)), block.told_step, low
     for k, wanted in enumerate(target.tolist()):
         if k > first and abs(wanted - at) > step:
             at += step if wanted > at else -step

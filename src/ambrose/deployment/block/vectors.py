@@ -16,21 +16,22 @@ from ambrose.deployment.block.run import run_block, run_fixed, run_fixed_cascade
 from ambrose.deployment.block.scheduled import ScheduledBlock
 
 _SAMPLES = 96
-_SWEEP = 64  # samples of a scheduled run in which the speed passes through the range and beyond
-_TAIL = 24  # samples without a speed, at the end
+_SWEEP = 64  # samples of a scheduled run in which what it is told passes through the range and beyond
+_TAIL = 24  # samples without a value, at the end
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vectors:
     """errors (k, m) [m] and currents (k, p) [A], or counts of fixed point; valid (k, m) and status (k,): whole numbers. Of a
-    scheduled block besides speeds (k,) [rad/s], NaN for none, and rounding (p,) [A]: the largest difference between single and
-    double precision."""
+    scheduled block besides what it is told (k,), NaN for none, by the name of the parameter, and rounding (p,) [A]: the largest
+    difference between single and double precision."""
 
     errors: np.ndarray
     valid: np.ndarray
     currents: np.ndarray
     status: np.ndarray
-    speeds: np.ndarray | None = None
+    told: np.ndarray | None = None
+    parameter: str = ""
     rounding: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
@@ -52,7 +53,7 @@ def make_vectors(block: ControlBlock, fixed: FixedBlock | FixedCascade | None = 
 
 
 def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vectors:
-    """The same with speeds: sweeps beyond both ends, limiting everywhere, grid points, no speed."""
+    """The same with speeds or pressures: sweeps beyond both ends, limiting everywhere, grid points, none."""
     k, (low, high) = len(block.grid), block.range
     limited = max(24, 2 * k)
     e, valid = _errors(len(block.inputs), _SWEEP + limited + k + _TAIL)
@@ -60,12 +61,12 @@ def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vecto
     e[_SWEEP : _SWEEP + limited] = 1.0
     valid[40:58, -1] = 0
     wide = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), _SWEEP)
-    speeds = np.concatenate([wide, np.linspace(high, low, limited), block.grid, np.full(_TAIL, np.nan)])
-    speeds[:2], speeds[-4:] = np.nan, [2 * block.speed_limit, low, high, low]
-    e, speeds = _held_exactly(e * block.error_limit, single), _held_exactly(speeds, single)
-    run = run_scheduled(block, e, speeds, valid)
-    rounding = np.abs(run_scheduled(block, e, speeds, valid, single=True).currents - run.currents).max(axis=0)
-    return Vectors(e, valid, run.currents, run.status, speeds, rounding)
+    told = np.concatenate([wide, np.linspace(high, low, limited), block.grid, np.full(_TAIL, np.nan)])
+    told[:2], told[-4:] = np.nan, [2 * block.told_limit, low, high, low]
+    e, told = _held_exactly(e * block.error_limit, single), _held_exactly(told, single)
+    run = run_scheduled(block, e, told, valid)
+    rounding = np.abs(run_scheduled(block, e, told, valid, single=True).currents - run.currents).max(axis=0)
+    return Vectors(e, valid, run.currents, run.status, told, block.along.name, rounding)
 
 
 def _errors(m: int, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -83,11 +84,11 @@ def _held_exactly(x: np.ndarray, single: bool) -> np.ndarray:
 
 
 def as_csv(block: Block, run: Vectors) -> str:
-    """The vectors as CSV: errors, flags, [speed,] currents, status with all their digits, below a line of names."""
-    speed = ["speed"] if run.speeds is not None else []
-    titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *speed, *block.outputs, "status"]
-    speeds = [run.speeds[:, None]] if run.speeds is not None else []
-    columns = [run.errors, run.valid, *speeds, run.currents, run.status[:, None]]
+    """The vectors as CSV: errors, flags, [speed or pressure,] currents, status with all their digits, below a line of names."""
+    parameter = [] if run.told is None else [run.parameter]
+    titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *parameter, *block.outputs, "status"]
+    told = [] if run.told is None else [run.told[:, None]]
+    columns = [run.errors, run.valid, *told, run.currents, run.status[:, None]]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(titles)

@@ -33,7 +33,6 @@ Precision = Literal["double", "float"]
 _WORDS = {"fixed32": 32, "fixed16": 16}
 _SINGLE_TOLERANCE = 1e-4  # of the current limit, of a scheduled block
 _DOUBLE_TOLERANCE = 1e-12  # of the current asked for
-_HZ = 2 * np.pi
 
 
 def generate(
@@ -106,7 +105,7 @@ def write_code(
 def check_precision(arithmetic: str) -> None:
     """Refuse fixed point for a schedule. Raises InvalidInput."""
     if arithmetic not in get_args(Precision):
-        remedy = "fixed point would need tight bounds on every state for any motion of the speed; use double or float"
+        remedy = "fixed point would need tight bounds on every state for any motion of the schedule; use double or float"
         raise invalid("arithmetic of a scheduled controller", repr(arithmetic), "double or float", remedy)
 
 
@@ -161,19 +160,21 @@ def _word_facts(block: ControlBlock, fixed: FixedBlock | FixedCascade | None) ->
 
 def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
     """What is added of a scheduled controller."""
-    low, high = block.range
+    (low, high), along = block.range, block.along
     limited = bool(np.isfinite(block.rate_limit))
-    motion_text = "While the speed moves no bound is proved."
+    motion_text = f"While the {along.name} moves no bound is proved."
     if block.motion.proved:
         farthest = block.motion.states.max(initial=0.0)
-        motion_text = f"For any motion of the speed: within +-{farthest:.3g} (proved, conservative)."
+        motion_text = f"For any motion of the {along.name}: within +-{farthest:.3g} (proved, conservative)."
     return {
         "one": literal(1.0, arithmetic), "ng": len(block.grid),
-        "low": f"{low:.6g}", "high": f"{high:.6g}", "low_hz": f"{low / _HZ:.4g}", "high_hz": f"{high / _HZ:.4g}",
+        "low": f"{low:.6g}", "high": f"{high:.6g}",
+        "low_people": f"{low / along.size:.4g}", "high_people": f"{high / along.size:.4g}",
+        "parameter": along.name, "unit": along.unit, "rate_unit": along.rate_unit, "people": along.people,
         "lowest": literal(low, arithmetic), "highest": literal(high, arithmetic),
-        "speed_limit": literal(block.speed_limit, arithmetic), "plausible": f"{block.speed_limit:.6g}",
-        "speed_rate": f"{block.rate_limit:.9g}" if limited else "",
-        "rate_text": f" The schedule follows at {block.rate_limit:.6g} rad/s^2 at most." if limited else "",
+        "told_limit": literal(block.told_limit, arithmetic), "plausible": f"{block.told_limit:.6g}",
+        "rate_limit": f"{block.rate_limit:.9g}" if limited else "",
+        "rate_text": f" The schedule follows at {block.rate_limit:.6g} {along.rate_unit} at most." if limited else "",
         "motion_text": motion_text, "passes": block.passes,
     }  # fmt: skip
 
@@ -258,7 +259,7 @@ def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
     return {
         **{name: table(x.transpose(0, 2, 1)) for name, x in matrices.items()},
         "error_limit": table(block.error_limit), "current_limit": table(block.current_limit), "grid": table(block.grid),
-        "speed_step": literal(block.speed_step, arithmetic) if np.isfinite(block.speed_step) else "",
+        "told_step": literal(block.told_step, arithmetic) if np.isfinite(block.told_step) else "",
         "floor": literal(FLOOR[arithmetic], arithmetic),
     }  # fmt: skip
 
@@ -269,13 +270,13 @@ def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, A
     number = {"number_format": "%ld", "number_cast": "long"} if arithmetic in _WORDS else {
         "number_format": "%.17g", "number_cast": "double",
     }  # fmt: skip
-    speeds = {}
-    if run.speeds is not None:
-        known = ~np.isnan(run.speeds)
-        speeds = {"speeds": table(np.where(known, run.speeds, 0.0)), "known": integer_table(known)}
+    told = {}
+    if run.told is not None:
+        known = ~np.isnan(run.told)
+        told = {"told": table(np.where(known, run.told, 0.0)), "known": integer_table(known)}
     return {
         "samples": len(run.errors), "errors": table(run.errors), "valid": integer_table(run.valid),
-        "currents": table(run.currents), "status": integer_table(run.status), "tolerance": table(tolerance), **speeds, **number,
+        "currents": table(run.currents), "status": integer_table(run.status), "tolerance": table(tolerance), **told, **number,
     }  # fmt: skip
 
 
@@ -325,11 +326,11 @@ def _formats(fixed: FixedBlock | FixedCascade) -> list[dict[str, str]]:
 
 def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
     points = []
-    for speed, E, B, C, D, L in zip(block.grid, block.increment, block.B, block.C, block.D, block.unwind, strict=True):
+    for value, E, B, C, D, L in zip(block.grid, block.increment, block.B, block.C, block.D, block.unwind, strict=True):
         z, led = (1 + np.linalg.eigvals(X) if len(X) else np.zeros(1) for X in (E, E - L @ C))
         distance = 1 - np.abs(z)
         points.append({
-            "speed": f"{speed:.6g}", "hz": f"{speed / _HZ:.4g}", "radius": f"{np.abs(led).max():.6f}",
+            "value": f"{value:.6g}", "people": f"{value / block.along.size:.4g}", "radius": f"{np.abs(led).max():.6f}",
             "slow": f"{distance.min():.3g}", "fast": f"{distance.max():.3g}",
             "single": f"{gain_error(E, B, C, D, MANTISSA['float']):.2g}",
         })  # fmt: skip

@@ -1,8 +1,8 @@
 """The generated C code, compiled and running here: software in the loop.
 
 ``CompiledBlock`` runs in the virtual rig in place of a controller (``plant.control_program``), ``CompiledSchedule`` in
-place of a scheduled one, given the speed at every sample. ``read_law`` reads the law back out of the running code, so that the
-same verification can be made of what the compiler made.
+place of a scheduled one, given speed or pressure at every sample. ``read_law`` reads the law back out of the running code, so
+that the same verification can be made of what the compiler made.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 _CALL = """#include <math.h>
 #include <stddef.h>
 #include "{name}.h"
-typedef struct {{ {name}_block *block; double speed; int status; }} {name}_running;
+typedef struct {{ {name}_block *block; double told; int status; }} {name}_running;
 size_t {name}_size(void);
-int {name}_call(void *running, const double *errors, double speed, double *currents);
+int {name}_call(void *running, const double *errors, double told, double *currents);
 size_t {name}_size(void) {{ return sizeof({name}_block); }}
-int {name}_call(void *running, const double *errors, double speed, double *currents)
+int {name}_call(void *running, const double *errors, double told, double *currents)
 {{
     static const double metre[] = {{{error}}}, ampere[] = {{{current}}};
     {name}_running *self = ({name}_running *)running;
     {word} in[{m}], out[{p}];
     int i;
     for (i = 0; i < {m}; i++) in[i] = ({word}){counted};
-    self->speed = speed;
-    self->status = (int){name}_step(self->block, in, NULL, {speed}out);
+    self->told = told;
+    self->status = (int){name}_step(self->block, in, NULL, {told}out);
     for (i = 0; i < {p}; i++) currents[i] = (double)out[i] * ampere[i];
     return 0;
 }}
@@ -46,9 +46,9 @@ _COUNTED = "fmin(fmax(rint(errors[i] / metre[i]), {least:.0f}.0), {most:.0f}.0)"
 
 
 class _Running(ctypes.Structure):
-    """What the C function gets first: its block, and where it leaves speed and status of the last step."""
+    """What the C function gets first: its block, and where it leaves what it was told and the status of the last step."""
 
-    _fields_ = (("block", ctypes.c_void_p), ("speed", ctypes.c_double), ("status", ctypes.c_int))
+    _fields_ = (("block", ctypes.c_void_p), ("told", ctypes.c_double), ("status", ctypes.c_int))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,10 +91,10 @@ class _Words:
         if self.whole:
             ends = np.iinfo(self.signal)
             counted = _COUNTED.format(least=ends.min, most=ends.max)
-        speed = f"({word})speed, " if isinstance(block, ScheduledBlock) else ""
+        told = f"({word})told, " if isinstance(block, ScheduledBlock) else ""
         error, current = (", ".join(map(repr, values.tolist())) for values in (self.error, self.current))
         return _CALL.format(
-            name=block.name, error=error, current=current, word=word, counted=counted, speed=speed,
+            name=block.name, error=error, current=current, word=word, counted=counted, told=told,
             m=len(block.inputs), p=len(block.outputs),
         )  # fmt: skip
 
@@ -150,13 +150,13 @@ class _Compiled(Generic[B]):
         kind = np.dtype(self._words.signal)
         given = self._words.counts(errors, self._words.error).astype(kind)
         meant = self._words.counts(currents, self._words.current).astype(kind)
-        self._call("track", _pointer(given), None, *self._speed_argument(), _pointer(meant))
+        self._call("track", _pointer(given), None, *self._told_argument(), _pointer(meant))
 
     def step(self, errors: np.ndarray) -> np.ndarray:
         """One sample: currents (p,) [A] from errors (m,) [m]."""
         given, currents = np.empty(len(self.block.inputs)), np.empty(len(self.block.outputs))
         given[:] = errors
-        self._step(ctypes.addressof(self._running), _pointer(given), self._running.speed, _pointer(currents))
+        self._step(ctypes.addressof(self._running), _pointer(given), self._running.told, _pointer(currents))
         return currents
 
     def states(self) -> np.ndarray:
@@ -173,7 +173,7 @@ class _Compiled(Generic[B]):
         kind = np.dtype(self._words.stored)
         return np.frombuffer(memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize)
 
-    def _speed_argument(self) -> tuple[Any, ...]:
+    def _told_argument(self) -> tuple[Any, ...]:
         return ()
 
     def _call(self, verb: str, *arguments: Any) -> Any:
@@ -197,58 +197,58 @@ class CompiledBlock(_Compiled[ControlBlock]):
 
 
 class CompiledSchedule(_Compiled[ScheduledBlock]):
-    """A scheduled block's C code in this process: errors [m] and speeds [rad/s] to currents [A].
+    """A scheduled block's C code in this process: errors [m] and speeds [rad/s] or pressures [Pa] to currents [A].
 
-    As ``CompiledBlock``, and schedule: as the rig asks of a program; called with a speed [rad/s]: the law there, frozen.
+    As ``CompiledBlock``, and schedule, parameter: as the rig asks of a program; called with a value: the law there, frozen.
     """
 
     def __init__(self, block: ScheduledBlock, arithmetic: Precision = "double", compiler: str | None = None) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
         super().__init__(block, arithmetic, compiler)
-        self.speed = block.range[0]
+        self.schedule(block.range[0])
 
     @property
-    def speed(self) -> float:
-        """That of the last step, or the next one [rad/s]."""
-        return self._running.speed
+    def parameter(self) -> str:
+        return self.block.along.name
 
-    @speed.setter
-    def speed(self, value: float) -> None:
-        self._running.speed = value
+    @property
+    def told(self) -> float:
+        """Speed [rad/s] or pressure [Pa] of the last step, or the next one."""
+        return self._running.told
 
     @property
     def system(self) -> StateSpace:
-        """The law at the speed of the next step."""
-        return self.block.at(self.speed)
+        """The law of the next step."""
+        return self.block.at(self.told)
 
-    def __call__(self, speed: float) -> StateSpace:
-        return self.block.at(speed)
+    def __call__(self, value: float) -> StateSpace:
+        return self.block.at(value)
 
-    def schedule(self, speed: float) -> None:
-        """The speed [rad/s] of the next step; NaN: not known."""
-        self.speed = speed
+    def schedule(self, value: float) -> None:
+        """Speed [rad/s] or pressure [Pa] of the next step; NaN: not known."""
+        self._running.told = value
 
-    def run(self, errors: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """currents (k, p) [A] over errors (k, m) [m] and speeds (k,) [rad/s], from the present state."""
+    def run(self, errors: np.ndarray, told: np.ndarray) -> np.ndarray:
+        """currents (k, p) [A] over errors (k, m) [m] and speeds or pressures (k,), from the present state."""
         e = check_shape(errors, "errors", "(k, m)", m=len(self.block.inputs))
         currents = np.empty((len(e), len(self.block.outputs)))
-        for k, speed in enumerate(np.asarray(speeds, float).tolist()):
-            self.schedule(speed)
+        for k, value in enumerate(np.asarray(told, float).tolist()):
+            self.schedule(value)
             currents[k] = self.step(e[k])
         return currents
 
-    def _speed_argument(self) -> tuple[Any, ...]:
-        return (ctypes.c_double(self.speed) if self.arithmetic == "double" else ctypes.c_float(self.speed),)
+    def _told_argument(self) -> tuple[Any, ...]:
+        return (ctypes.c_double(self.told) if self.arithmetic == "double" else ctypes.c_float(self.told),)
 
 
-def read_law(code: CompiledBlock | CompiledSchedule, speed: float | None = None) -> StateSpace:
+def read_law(code: CompiledBlock | CompiledSchedule, at: float | None = None) -> StateSpace:
     """The law that the running code follows: its states are set one by one, its inputs too, and one step is taken from each.
 
-    speed [rad/s]: at which a schedule is frozen. Every column is what the compiled code made of it, rounding of its words
-    included. Raises InvalidInput where a current stays limited, or the speed clamped, however small the step.
+    at: the value at which a schedule is frozen. Every column is what the compiled code made of it, rounding of its words
+    included. Raises InvalidInput where a current stays limited, or the schedule clamped, however small the step.
     """
-    if isinstance(code, CompiledSchedule) and speed is not None:
-        code.schedule(speed)
+    if isinstance(code, CompiledSchedule) and at is not None:
+        code.schedule(at)
     block = code.block
     n, m = block.n_states, len(block.inputs)
     columns = [_response(code, state, np.zeros(m)) for state in np.diag(block.state_range)]
@@ -270,7 +270,7 @@ def _response(code: CompiledBlock | CompiledSchedule, state: np.ndarray, errors:
         if not code.status:
             return np.concatenate([code.states(), currents]) / size
     raise InvalidInput(
-        "the code limits its currents (or clamps its speed) however small the step; give larger limits, stay in its range"
+        "the code limits its currents (or clamps what it is told) however small the step; give larger limits, stay in its range"
     )
 
 

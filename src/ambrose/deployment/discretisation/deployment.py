@@ -4,10 +4,10 @@ Timing: the displacements are read at sample k, the code computes u[k] from e[k]
 ``delay`` samples later, held until the next ones. The code holds the controller without the delay; every verification
 (verification/sampled.py) holds it with the delay.
 
-Of a controller scheduled over speed every grid point is sampled by itself, in states common to all, and the code takes the
+Of a scheduled controller every grid point is sampled by itself, in states common to all, and the code takes the
 sampled matrices linearly between the points. That is not the sampled form of the continuous interpolation: Tustin's map bends,
 which leaves the two apart by second order in the grid's spacing. ``deviation`` says by how much, and the loop is verified at
-frozen speeds as the code runs it.
+frozen points as the code runs it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive, invalid
+from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive
 from ambrose.core.presentation import Presented, to_plain, with_unit
 from ambrose.core.sampling import Method, delayed
 from ambrose.core.scheduled import ScheduledSystem, interval_points
@@ -34,11 +34,13 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.model import Plant
+from ambrose.plant.scheduling import SCHEDULINGS, SPEED, Scheduling, scheduling_of
+from ambrose.plant.uncertainty import tolerances_around
 from ambrose.synthesis.result import Status
 from ambrose.verification.checks import Checks
 from ambrose.verification.sampled import check_over_box, check_sampled, verify_sampled
 
-BETWEEN = 1  # speeds in every interval of the grid at which a scheduled loop is verified
+BETWEEN = 1  # values in every interval of the grid at which a scheduled loop is verified
 Progress = Callable[[str], None]
 
 
@@ -95,11 +97,11 @@ class Deployment(_Deployed):
 class ScheduledDeployment(_Deployed):
     """A scheduled controller as it will run.
 
-    sampled: at the grid of speeds, in common states, without the computing delay, clamped at the ends; increments (k, n, n):
+    sampled: at the grid, in common states, without the computing delay, clamped at the ends; increments (k, n, n):
     A - I with all its digits; source: what it was made from; deviation [-]: largest distance, half-way between grid points,
-    from the sampled continuous interpolation, relative to its gain at the same frequency, at the speed deviation_at [rad/s].
-    speeds (s,) [rad/s], checks: the verification over the range; points: at the machine's own operating points in the range;
-    outside: the others, where the code clamps; box: over the tolerances at the slowest, a middle and the fastest speed; sizes:
+    from the sampled continuous interpolation, relative to its gain at the same frequency, at deviation_at.
+    values (s,), checks: the verification over the range; points: at the machine's own operating points in the range;
+    outside: the others, where the code clamps; box: over the tolerances at the lowest, a middle and the highest value; sizes:
     of the blocks of the states at the middle of the grid.
     """
 
@@ -108,13 +110,18 @@ class ScheduledDeployment(_Deployed):
     source: ScheduledSystem
     deviation: float
     deviation_at: float
-    speeds: np.ndarray
+    values: np.ndarray
     points: tuple[Checks, ...] = ()
     outside: tuple[Checks, ...] = ()
 
-    def in_loop(self, speed: float) -> StateSpace:
-        """The controller at a frozen speed [rad/s], with its computing delay."""
-        return delayed(self.sampled.at(speed), self.delay)
+    @property
+    def along(self) -> Scheduling:
+        """What it is scheduled over."""
+        return SCHEDULINGS[self.sampled.parameter]
+
+    def in_loop(self, value: float) -> StateSpace:
+        """The controller at a frozen speed [rad/s] or pressure [Pa], with its computing delay."""
+        return delayed(self.sampled.at(value), self.delay)
 
 
 def deploy(
@@ -169,18 +176,18 @@ def deploy_scheduled(
 ) -> ScheduledDeployment:
     """A scheduled ``controller`` sampled at sample_time [s] and verified with the computing delay [s] in the loop.
 
-    controller: a Synthesis with a schedule, or a ScheduledSystem over the speed in rad/s. method, prewarp
-    [rad/s]: as in ``deploy``. machine: its full plant is closed at every grid point and ``between`` speeds in every interval,
-    with the pressures and bias of its first operating point in the range (else its first), at its own operating points, and
+    controller: a Synthesis with a schedule, or a ScheduledSystem over speed [rad/s] or pressure [Pa]. method, prewarp
+    [rad/s]: as in ``deploy``. machine: its full plant is closed at every grid point and ``between`` values in every interval,
+    all else as at its first operating point in the range (else its first), at its own operating points, and
     over its tolerances. Refused unless ``force``, as ``deploy`` does; operating points outside the range are examined with the
-    clamped controller and do not refuse. Motion of the speed is not examined. Raises InvalidInput and UnstableSystem.
+    clamped controller and do not refuse. Motion is not examined. Raises InvalidInput and UnstableSystem.
     """
     check_positive(sample_time, "the sample time", "give it in seconds")
     source = _schedule_of(controller)
     count = whole_samples(delay, sample_time)
     problems = _status_problems(controller, examined=machine is not None)
-    speeds = interval_points(source.grid, between)
-    problems += next(filter(None, (instability(source.at(float(v)), f" at {v:.4g} rad/s") for v in speeds)), [])
+    values = interval_points(source.grid, between)
+    problems += next(filter(None, (instability(source.at(float(v)), f" at {v:.4g} {source.unit}") for v in values)), [])
     _refuse(problems, force)
     progress("sampling at every grid point")
     common, sizes = common_states(source)
@@ -188,7 +195,7 @@ def deploy_scheduled(
     deviation, where = interpolation_deviation(common, sampled, sample_time, method, prewarp)
     result = ScheduledDeployment(
         sampled=sampled, increments=increments, sizes=sizes, delay=count, method=method, source=source, deviation=deviation,
-        deviation_at=where, speeds=speeds,
+        deviation_at=where, values=values,
     )  # fmt: skip
     if machine is None:
         problems.append("its sampled loop was not examined: no machine was given")
@@ -202,13 +209,11 @@ def deploy_scheduled(
 
 
 def _schedule_of(controller: Any) -> ScheduledSystem:
-    """The schedule over speed, clamped at its ends. Raises InvalidInput."""
+    """The schedule, clamped at its ends. Raises InvalidInput."""
     source = getattr(controller, "scheduled", controller)
     if not isinstance(source, ScheduledSystem):
         raise InvalidInput("the controller has no schedule; deploy() takes a fixed one")
-    if (source.parameter, source.unit) != ("speed", "rad/s"):
-        parameter = f"{source.parameter} [{source.unit}]"
-        raise invalid("the scheduling parameter", parameter, "speed [rad/s]", "generated code is scheduled over the speed only")
+    scheduling_of(source)  # refuses other parameters
     return replace(source, outside="clamp")
 
 
@@ -246,23 +251,26 @@ def _unstable(boxes: Sequence[Checks]) -> list[tuple[str, str, str]]:
 
 
 def _verify_over_range(deployment: ScheduledDeployment, machine: Machine, progress: Progress) -> ScheduledDeployment:
-    low, high = deployment.sampled.range
+    (low, high), along = deployment.sampled.range, deployment.along
     own = machine.operation.envelope
-    inside = [point for point in own if low <= point.speed <= high]
+    inside = [point for point in own if low <= along.of(point) <= high]
     start = (inside or list(own))[0]
 
     def check(point: OperatingPoint) -> Checks:
         progress(f"verifying the sampled loop at {point.label}")
-        return check_sampled(assemble(machine, point), deployment.in_loop(point.speed))
+        return check_sampled(assemble(machine, point), deployment.in_loop(along.of(point)))
 
-    swept = [replace(start, speed=float(v), label=f"{v:.6g} rad/s") for v in deployment.speeds]
+    swept = [replace(along.moved(start, float(v)), label=f"{v:.6g} {along.unit}") for v in deployment.values]
     boxes = []
     if machine.tolerances:
-        inner = start.speed if low < start.speed < high else float(deployment.source.grid[len(deployment.source.grid) // 2])
-        for speed in sorted({low, inner, high}):
-            progress(f"verifying the sampled loop over the tolerances at {speed:.4g} rad/s")
-            box = check_over_box(assemble(machine, replace(start, speed=speed)), deployment.in_loop(speed))
-            boxes.append(replace(box, label=f"over the tolerances at {speed:.6g} rad/s"))
+        first = along.of(start)
+        inner = first if low < first < high else float(deployment.source.grid[len(deployment.source.grid) // 2])
+        for value in sorted({low, inner, high}):
+            progress(f"verifying the sampled loop over the tolerances at {value:.4g} {along.unit}")
+            plant = assemble(machine, _point_at(machine, start, along, value))
+            if along is SPEED or tolerances_around(plant):
+                box = check_over_box(plant, deployment.in_loop(value))
+                boxes.append(replace(box, label=f"over the tolerances at {value:.6g} {along.unit}"))
     return replace(
         deployment,
         checks=tuple(check(point) for point in swept),
@@ -272,9 +280,19 @@ def _verify_over_range(deployment: ScheduledDeployment, machine: Machine, progre
     )
 
 
+def _point_at(machine: Machine, start: OperatingPoint, along: Scheduling, value: float) -> OperatingPoint:
+    """The operating point at another value. At another pressure what is given around the first one does not hold: it has the
+    label of the machine's own point there, or none."""
+    moved = along.moved(start, value)
+    if along is SPEED:
+        return moved
+    own = (point for point in machine.operation.envelope if replace(point, label=start.label) == moved)
+    return next(own, replace(moved, label=""))
+
+
 def unmet_limits(deployment: Deployment | ScheduledDeployment) -> tuple[str, ...]:
     """The limits that the stable sampled loop misses, in words; they warn and do not stop a deployment. Over a schedule each
-    quantity once, at the speed where it is worst."""
+    quantity once, where it is worst."""
     scheduled = isinstance(deployment, ScheduledDeployment)
     points = deployment.points if isinstance(deployment, ScheduledDeployment) else ()
     worst: dict[str, tuple[float, str, int]] = {}

@@ -111,17 +111,17 @@ def common_states(source: ScheduledSystem) -> tuple[ScheduledSystem, tuple[int, 
 def interpolation_deviation(
     source: ScheduledSystem, sampled: ScheduledSystem, dt: float, method: Method, prewarp: float | None
 ) -> tuple[float, float]:
-    """The largest distance [-], and its speed [rad/s], between interpolating before and after sampling, half-way between grid
+    """The largest distance [-], and where, between interpolating before and after sampling, half-way between grid
     points; relative to the gain at the same frequency."""
     if source.dt is not None:
         return 0.0, float(source.grid[0])
     omega = np.geomspace(1e-5, 0.98, _FREQUENCIES) * np.pi / dt
     distances = []
-    for speed in (source.grid[1:] + source.grid[:-1]) / 2:
-        exact = response(c2d(source.at(float(speed)), dt, method, prewarp=prewarp), omega)
+    for value in (source.grid[1:] + source.grid[:-1]) / 2:
+        exact = response(c2d(source.at(float(value)), dt, method, prewarp=prewarp), omega)
         size = np.linalg.norm(exact, 2, axis=(1, 2))
-        distance = np.linalg.norm(response(sampled.at(float(speed)), omega) - exact, 2, axis=(1, 2))
-        distances.append((float((distance / np.maximum(size, np.finfo(float).tiny)).max()), float(speed)))
+        distance = np.linalg.norm(response(sampled.at(float(value)), omega) - exact, 2, axis=(1, 2))
+        distances.append((float((distance / np.maximum(size, np.finfo(float).tiny)).max()), float(value)))
     return max(distances)
 
 
