@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.sampling import c2d
+from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
+from ambrose.core.statespace import StateSpace, spectral_abscissa
+from ambrose.evaluation.trial import simulate_linear
 from ambrose.machine.file.toml import load_machine
+from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import closed_loop
+from ambrose.plant.timing import Timing
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, sensed
+from ambrose.simulation.run_up import spin_up
 from ambrose.simulation.scenario import Scenario, read_scenario
 from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
@@ -149,6 +154,44 @@ def test_a_schedule_over_pressure_does_not_care_for_the_speed():
     turning = Scenario("x", 0.03, speed=10.0, speed_changes=(SpeedChange(0.0, 60.0, 0.02),))
     ran, fixed = (virtual_rig.run(RIG, law, turning, point=ZERO).record for law in (SCHEDULE, PID))
     np.testing.assert_array_equal(ran.values, fixed.values)
+
+
+def test_the_linear_loop_follows_the_pressure_as_the_rig_does():
+    """Without weight and for small motion; the sampled law with its delay in both."""
+    strong = replace(SURGE, pressures=(PressureChange(0.005, 4e5, 0.02),))
+    weightless = replace(RIG, gravity_direction=None)
+    members = [delayed(c2d(system, DT, "tustin"), 1) for system in SCHEDULE.systems]
+    sampled = ScheduledSystem(SCHEDULE.grid, members, "pressure", "Pa")
+    linear = spin_up(assemble(weightless, ZERO), sampled, strong, bending_modes=3)
+    rig = virtual_rig.run(weightless, SCHEDULE, strong, point=ZERO).record
+    still = simulate_linear(assemble(weightless, ZERO), PID, replace(strong, pressures=()), Timing(DT, 1)).record
+    size = max(np.ptp(rig[name]) for name in Y)
+    assert linear.outcome == "completed" and linear.speed_error < 2e-3
+    assert max(np.abs(linear.record[name] - rig[name]).max() for name in Y) < 0.01 * size
+    assert max(np.abs(still[name] - rig[name]).max() for name in Y) > 0.1 * size
+    np.testing.assert_allclose(linear.record["p_seal"], rig["p_seal"], atol=1e-6)
+
+
+def test_a_fixed_controller_meets_a_changing_pressure_in_the_linear_loop_too():
+    """The pole that is told is the rightmost of all pressures met: at twice the nominal one the PID does not hold."""
+    up = replace(SURGE, pressures=(PressureChange(0.01, 4.08e5, 0.05),))
+    trace = simulate_linear(assemble(RIG, ZERO), PID, up)
+    assert trace.pole.real > 0 and "at 408000 Pa" in trace.text
+    assert spectral_abscissa(closed_loop(assemble(RIG, replace(ZERO, seal_pressure=4.08e5)), PID)) == pytest.approx(
+        trace.pole.real, rel=1e-2
+    )
+
+
+@pytest.mark.parametrize(
+    ("scenario", "message"),
+    [
+        (replace(SURGE, speed=10.0, to_speed=60.0), "changes of pressure, which a linear model does not know"),
+        (replace(SURGE, pressure_sensors=(PressureSensor(lag=0.1),)), "a pressure sensor, which a linear model does not know"),
+    ],
+)
+def test_what_the_linear_loop_cannot_follow(scenario, message):
+    with pytest.raises(InvalidInput, match=message):
+        simulate_linear(assemble(RIG, ZERO), SCHEDULE, scenario)
 
 
 class Telling:

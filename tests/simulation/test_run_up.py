@@ -17,7 +17,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation.disturbances import Pulse
-from ambrose.simulation.run_up import loops_over_speed, spin_up, steps
+from ambrose.simulation.run_up import loops_along, spin_up, steps
 from ambrose.simulation.scenario import Scenario
 from ambrose.simulation.trace import Trace
 from ambrose.synthesis.pid import pid_synthesis
@@ -43,7 +43,7 @@ def controller(plant):
 
 def test_between_its_points_the_loop_is_that_of_the_plant_assembled_there(plant, controller):
     """The oracle interpolates nothing; 9 points over this range are enough for 1 % of the largest response."""
-    loop_at = loops_over_speed(plant, controller, 400.0, 900.0, bending_modes=1, points=9)
+    loop_at = loops_along(plant, controller, 400.0, 900.0, bending_modes=1, points=9)
     omega = np.geomspace(10, 5000, 60)
     for speed in (430.0, 655.0, 880.0):
         here = replace(plant, point=replace(plant.point, speed=speed))
@@ -54,7 +54,7 @@ def test_between_its_points_the_loop_is_that_of_the_plant_assembled_there(plant,
 
 def test_states_mean_the_same_at_all_speeds(plant, controller):
     """Frozen at one speed, the interpolated loop is that of the plant there; A moves smoothly, not by its own scaling."""
-    loop_at = loops_over_speed(plant, controller, 400.0, 900.0, bending_modes=1, points=3)
+    loop_at = loops_along(plant, controller, 400.0, 900.0, bending_modes=1, points=3)
     here = replace(plant, point=replace(plant.point, speed=650.0))
     direct = closed_loop(free_mode_reduction(here, 1), controller)
     np.testing.assert_allclose(loop_at(650.0).A, direct.A, rtol=1e-9, atol=1e-9 * np.abs(direct.A).max())
@@ -100,10 +100,10 @@ def test_a_signal_that_does_not_settle_says_so():
 
 
 def test_constant_speed_is_refused(plant, controller):
-    with pytest.raises(InvalidInput, match="one whose speed changes"):
+    with pytest.raises(InvalidInput, match="one whose speed or pressure changes"):
         spin_up(plant, controller, Scenario(name="still", duration=0.1, speed=100.0))
 
 
 def test_speeds_the_wrong_way_round_are_refused(plant, controller):
     with pytest.raises(InvalidInput, match="a range that ascends"):
-        loops_over_speed(plant, controller, 900.0, 400.0)
+        loops_along(plant, controller, 900.0, 400.0)

@@ -87,13 +87,15 @@ def simulate_scenario(
 def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, timing: Timing | None = None) -> Trace:
     """One scenario on the linear closed loop, with a timing as it runs; stops where the rotor would touch down.
 
-    Where the scenario changes the speed, the plant changes with it (``run_up.spin_up``); a fixed controller then has the mean
-    delay of its sampled loop, a scheduled one runs as it was designed.
+    Where the scenario changes the speed or the pressure, the plant changes with it (``run_up.spin_up``); a fixed controller
+    then has the mean delay of its sampled loop, a scheduled one runs as it was designed.
     """
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     events = events.on(plant.machine)
     linear.check_scenario(events)
-    if events.runs_up:
+    if events.runs_up or events.pressures:
+        if not events.runs_up and events.speed is not None:
+            plant = replace(plant, point=replace(plant.point, speed=events.speed_at(0.0)))
         scheduled = isinstance(controller, ScheduledSystem)
         fixed = controller if scheduled else match_controller(controller, plant)
         late = timing is not None and not scheduled and fixed.dt is None

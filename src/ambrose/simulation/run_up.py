@@ -1,4 +1,5 @@
-"""A run-up through a range of speeds with disturbances on the way: the linear time-varying loop, and how each step settles.
+"""A run-up through a range of speeds, or of pressures, with disturbances on the way: the linear time-varying loop, and how
+each step settles.
 
 The plant is computed at a few speeds in states that mean the same at all of them (modes of the free rotor) and is linear in
 between; speeds are added until half-way between two of them it agrees with the plant computed there. The controller is taken at
@@ -23,6 +24,7 @@ from ambrose.plant.basis import bending_modes_of
 from ambrose.plant.loop import Law, closed_loop
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
+from ambrose.plant.scheduling import PRESSURE, SPEED, Scheduling
 from ambrose.simulation import linear
 from ambrose.simulation.scenario import Scenario
 from ambrose.simulation.trace import Trace
@@ -44,42 +46,49 @@ class Step:
     crossings: int
 
 
-def loops_over_speed(
-    plant: Plant, controller: Law, low: float, high: float, *, bending_modes: int = 12, points: int | None = None
+def loops_along(
+    plant: Plant,
+    controller: Law,
+    low: float,
+    high: float,
+    along: Scheduling = SPEED,
+    *,
+    bending_modes: int = 12,
+    points: int | None = None,
 ) -> linear.LoopAt:
-    """The closed loop as a function of speed [rad/s] from low to high, always in the same states, for ``linear.run``.
+    """The closed loop as a function of speed [rad/s] or pressure [Pa] from low to high, in the same states, for ``linear.run``.
 
     controller: fixed or scheduled (ScheduledSystem), continuous or sampled. bending_modes: kept per plane, fewer where the mesh
     has fewer; a turboexpander's run-up is good to 2 % of the peak with 2, 0.4 % with 4 and 0.01 % with 12, for what is cut
-    off also gives way statically. points: speeds at which the plant is computed, evenly; None: as many as it takes for every
+    off also gives way statically. points: values at which the plant is computed, evenly; None: as many as it takes for every
     row of its matrix to be good to 0.1 % of the row's largest entry half-way between them. Raises InvalidInput.
     """
     if not low < high:
-        raise invalid("the speeds", f"{low:g} to {high:g} rad/s", "a range that ascends", "exchange them")
+        raise invalid(f"the {along.name}s", f"{low:g} to {high:g} {along.unit}", "a range that ascends", "exchange them")
     kept = min(bending_modes, bending_modes_of(plant.rotor_model))
 
-    def plant_at(speed: float) -> Plant:
-        return free_mode_reduction(replace(plant, point=replace(plant.point, speed=speed)), kept)
+    def plant_at(value: float) -> Plant:
+        return free_mode_reduction(replace(plant, point=along.moved(plant.point, value)), kept)
 
     if points is None:
         members = _refined(plant_at, low, high)
     else:
         count = max(int(check_positive(points, "points", "leave it out")), 2)
-        members = {float(speed): plant_at(float(speed)) for speed in np.linspace(low, high, count)}
+        members = {float(value): plant_at(float(value)) for value in np.linspace(low, high, count)}
     first = members[low]
     grid = sorted(members)
-    between = ScheduledSystem(grid, [members[speed].system for speed in grid])
+    between = ScheduledSystem(grid, [members[value].system for value in grid], along.name, along.unit)
 
-    def loop_at(speed: float) -> StateSpace:
-        here = replace(first, system=between.at(speed), point=replace(plant.point, speed=float(speed)))
+    def loop_at(value: float) -> StateSpace:
+        here = replace(first, system=between.at(value), point=along.moved(plant.point, float(value)))
         return closed_loop(here, controller)
 
     return loop_at
 
 
 def _refined(plant_at: Callable[[float], Plant], low: float, high: float) -> dict[float, Plant]:
-    """Plants from low to high [rad/s], intervals halved where the plant half-way is not the mean of those at the ends."""
-    members = {float(speed): plant_at(float(speed)) for speed in np.linspace(low, high, _COARSEST)}
+    """Plants from low to high, intervals halved where the plant half-way is not the mean of those at the ends."""
+    members = {float(value): plant_at(float(value)) for value in np.linspace(low, high, _COARSEST)}
     open_ = list(pairwise(sorted(members)))
     while open_ and len(members) < _FINEST:
         following = []
@@ -95,19 +104,25 @@ def _refined(plant_at: Callable[[float], Plant], low: float, high: float) -> dic
 
 
 def spin_up(plant: Plant, controller: Law, scenario: Scenario, *, bending_modes: int = 12, points: int | None = None) -> Trace:
-    """The scenario's run-up on the linear loop of a full plant; see ``loops_over_speed`` and ``linear.run``.
+    """The scenario's run-up or changes of pressure on the linear loop of a full plant; see ``loops_along`` and ``linear.run``.
 
-    Raises InvalidInput where the speed does not change.
+    Raises InvalidInput where neither changes, or both.
     """
     scenario = scenario.on(plant.machine)
-    if not scenario.runs_up:
-        raise invalid("the scenario", repr(scenario.name), "one whose speed changes", 'the bundled "spin-up-steps" is one')
-    ends = sorted((scenario.speed_at(0.0), scenario.speed_at(scenario.duration)))
-    loop_at = loops_over_speed(plant, controller, ends[0], ends[1], bending_modes=bending_modes, points=points)
+    linear.check_scenario(scenario)
+    along = SPEED if scenario.runs_up or not scenario.pressures else PRESSURE
+    if along is SPEED:
+        values = [scenario.speed_at(0.0), scenario.speed_at(scenario.duration)] if scenario.runs_up else [0.0, 0.0]
+    else:
+        values = [plant.point.seal_pressure, *(change.pressure for change in scenario.pressures)]
+    if min(values) == max(values):
+        what = "one whose speed or pressure changes"
+        raise invalid("the scenario", repr(scenario.name), what, 'the bundled "spin-up-steps" and "pressure-steps" are such')
+    loop_at = loops_along(plant, controller, min(values), max(values), along, bending_modes=bending_modes, points=points)
     gaps = [b.touchdown_gap for b in plant.machine.bearings if b.touchdown_gap is not None]
     return linear.run(
         loop_at, scenario, machine=plant.machine.name, point=plant.point, displacement_limit=min(gaps, default=None),
-        mass=mass_properties(plant.rotor_model).mass,
+        mass=mass_properties(plant.rotor_model).mass, along=along,
     )  # fmt: skip
 
 

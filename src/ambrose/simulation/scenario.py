@@ -50,8 +50,8 @@ class Scenario(Presented):
 
     speed [rad/s] (None: that of the loop) goes linearly to ``to_speed`` over ``ramp`` [s] (None: the whole duration) and
     stays there, or follows the changes of speed. sample_time [s]: None leaves it to the simulation. For the virtual rig alone:
-    ``initial`` state, "levitated" in equilibrium or "resting" in the touchdown bearings; changes of pressure, and of what its
-    sensor tells a controller that is scheduled over it; failures;
+    ``initial`` state, "levitated" in equilibrium or "resting" in the touchdown bearings; changes of
+    pressure while the speed changes, too, and of what its sensor tells a controller that is scheduled over it; failures;
     switch_at [s], where a second controller takes over. Bearings may be called "first", "last" and "every", and quantities be
     shares of the machine's (machine_terms.py), until a simulation calls ``on(machine)``. Raises InvalidInput.
     """
@@ -150,6 +150,7 @@ class Scenario(Presented):
         found += ["changes of pressure"] if self.pressures else []
         found += ["several changes of speed"] if self.speed_changes else []
         found += ["failures"] if self.failures else []
+        found += ["a pressure sensor"] if self.pressure_sensors else []
         return (*found, *(["the switch of controllers"] if self.switch_at is not None else []))
 
     @property
