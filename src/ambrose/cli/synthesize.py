@@ -91,6 +91,11 @@ from ambrose.cli.terminal import (
     default=None,
     help='With --method lpv: fastest change of the pressure, such as "20 bar/s", which the proof then takes; default: any.',
 )
+@click.option(
+    "--tolerances",
+    is_flag=True,
+    help="With --method lpv: design over the machine's tolerances, too (mu, polish and tuned always do).",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("controller.json"), show_default=True)
 @click.option(
     "--machine-file",
@@ -115,6 +120,7 @@ def synthesize(
     speed_rate: float | None,
     pressures_bar: tuple[float, float] | None,
     pressure_rate: str | None,
+    tolerances: bool,
     output: Path,
     machine_file: Path | None,
     as_json: bool,
@@ -144,6 +150,7 @@ def synthesize(
         ("--speed-rate", speed_rate is not None, ("lpv",)),
         ("--pressures-bar", pressures_bar is not None, ("lpv",)),
         ("--pressure-rate", pressure_rate is not None, ("lpv",)),
+        ("--tolerances", tolerances, ("lpv",)),
     ):
         if given and method not in methods:
             raise invalid(option, "given", f"left out with --method {method}", f"it goes with {' or '.join(methods)}")
@@ -175,6 +182,7 @@ def synthesize(
         speed_rate=speed_rate,
         pressures=None if pressures_bar is None else (1e5 * pressures_bar[0], 1e5 * pressures_bar[1]),
         pressure_rate=quantity_given(pressure_rate, "--pressure-rate", "pressure per time"),
+        tolerances=tolerances,
     )
     if machine_file is not None and (method != "tuned" or structure not in BANKS):
         raise invalid("--machine-file", str(machine_file), "given with a filter bank", "add --method tuned --structure pid")

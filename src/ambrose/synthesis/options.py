@@ -30,6 +30,7 @@ class DesignOptions:
     pressures: lowest and highest [rad/s], [Pa] that a controller is scheduled over (None: the speeds of the operating points
     with the plant's seal pressure; where there is one speed alone, their pressures); speed_rate [rad/s^2], pressure_rate
     [Pa/s]: the fastest change (None: any), for which gamma may be lower.
+    tolerances: a scheduled controller is designed over them ("mu", "polish" and "tuned" always are).
     envelope: "hinf" and "mu" are designed for all operating points at once, what changes between them being real parameters;
     "hinf" is then D-K iteration over those alone. Raises InvalidInput.
     """
@@ -45,6 +46,7 @@ class DesignOptions:
     speed_rate: float | None = None
     pressures: tuple[float, float] | None = None
     pressure_rate: float | None = None
+    tolerances: bool = False
     envelope: bool = False
 
     def __post_init__(self) -> None:

@@ -89,6 +89,12 @@ def design_plant(
     return GeneralizedPlant(system, [*w, *w1, *w2], list(model.u), [*z, *z1, *z2], errors, model.blocks)
 
 
+def unit_problem(plant: Plant | GeneralizedPlant, tolerances: Sequence[Tolerance] | None = None) -> GeneralizedPlant:
+    """The design problem with all weights and scales 1: its closed loop holds the bare transfer functions."""
+    one = static_gain([[1.0]])
+    return design_plant(plant, Weights(one, one, 1.0, 1.0), tolerances)
+
+
 def _weight(weight: StateSpace, scale: float, source: str, output: str) -> StateSpace:
     return StateSpace(weight.A, weight.B, weight.C / scale, weight.D / scale, [source], [output])
 

@@ -31,7 +31,7 @@ from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.mu.chords import chords
-from ambrose.core.statespace import StateSpace, is_stable, select, spectral_abscissa, static_gain
+from ambrose.core.statespace import StateSpace, is_stable, select, spectral_abscissa
 from ambrose.core.worst_case.bounds import FAILURES, gain_bound, proved_gain, proved_margin
 from ambrose.core.worst_case.crossing import BoxMargin, box_margin
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, corners, default_grid, gains, samples, unstable_poles
@@ -41,7 +41,7 @@ from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.plant.loop import Law, law_at, match_axes, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.uncertainty import in_tolerances
-from ambrose.synthesis.problem import design_plant, with_performance_block
+from ambrose.synthesis.problem import design_plant, unit_problem, with_performance_block
 from ambrose.synthesis.weights import Weights
 from ambrose.verification.checks import Check, Checks, Curve
 from ambrose.verification.criteria import information, judge, zone_lines
@@ -77,7 +77,7 @@ def check(
     machine = plant.machine if isinstance(plant, Plant) else None
     if requirements is None:
         requirements = machine.requirements if machine is not None else Requirements()
-    unit = _unit_problem(plant, tolerances)
+    unit = unit_problem(plant, tolerances)
     controller = _matched(controller, plant, unit)
     if controller.dt is not None:
         remedy = "give the continuous controller it was made from; nominal.check takes the sampled one"
@@ -113,7 +113,7 @@ def examine(plant: Plant, controller: Law, tolerances: Sequence[Tolerance] | Non
 
     Arguments, verdict on an unstable nominal loop and errors as for ``check``.
     """
-    unit = _unit_problem(plant, tolerances)
+    unit = unit_problem(plant, tolerances)
     closed = lft(unit, _matched(controller, plant, unit))
     if not is_stable(closed):
         return check(plant, controller, tolerances)
@@ -152,12 +152,6 @@ def _label(plant: Plant | GeneralizedPlant) -> str:
     return f"{point}, {size}"
 
 
-def _unit_problem(plant: Plant | GeneralizedPlant, tolerances: Sequence[Tolerance] | None) -> GeneralizedPlant:
-    """The design problem with all weights and scales 1: its closed loop holds the bare transfer functions."""
-    one = static_gain([[1.0]])
-    return design_plant(plant, Weights(one, one, 1.0, 1.0), tolerances)
-
-
 def _matched(controller: Law, plant: Plant | GeneralizedPlant, unit: GeneralizedPlant) -> StateSpace:
     """The controller with its signals in the order of the axes of the plant."""
     if isinstance(plant, Plant):
@@ -172,7 +166,7 @@ def box_loops(
 
     plant, tolerances: as for ``check``. Raises InvalidInput, UnstableSystem.
     """
-    unit = _unit_problem(plant, tolerances)
+    unit = unit_problem(plant, tolerances)
     closed = lft(unit, _matched(controller, plant, unit))
     n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
     w, z = list(unit.w), list(unit.z)

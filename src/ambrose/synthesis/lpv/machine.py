@@ -5,24 +5,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.scheduled import check_grid
-from ambrose.machine.description import OperatingPoint
+from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.scheduling import SPEED, Scheduling
+from ambrose.plant.uncertainty import uncertain
 from ambrose.synthesis.certificate import certify_on_full_plant
 from ambrose.synthesis.lpv.synthesis import lpv_synthesis
-from ambrose.synthesis.problem import apply_delay, design_plant, open_model
+from ambrose.synthesis.lpv.tolerances import tolerant_lpv, worst_corners
+from ambrose.synthesis.problem import apply_delay, design_plant, design_tolerances, open_model, unit_problem
 from ambrose.synthesis.result import Synthesis
-from ambrose.synthesis.weights import machine_weights
+from ambrose.synthesis.weights import Weights, machine_weights, scale_control
 
 POINTS = 8  # of a grid that is not given
+_CONTROL = (1.0, 0.7, 0.5, 0.35)  # factors of the control weight, tried until the tolerances are held
+_MODES = 3  # bending modes per plane besides those of the design, on which corners are judged
+_PADE = 2
+_PEAK = 3.0  # where no sensitivity is required: border of zone A of ISO 14839-3
 
 
 def schedule_grid(machine: Machine, point: OperatingPoint, along: Scheduling = SPEED, count: int = POINTS) -> np.ndarray:
@@ -44,17 +52,22 @@ def schedule_grid(machine: Machine, point: OperatingPoint, along: Scheduling = S
 
 
 def plants_along(
-    plant: Plant, along: Scheduling = SPEED, bending_modes: int = 0, lag: float = 0.0
+    plant: Plant,
+    along: Scheduling = SPEED,
+    bending_modes: int = 0,
+    lag: float = 0.0,
+    weights: Weights | None = None,
+    tolerances: Sequence[Tolerance] | None = None,
 ) -> Callable[[float], GeneralizedPlant]:
-    """The nominal design problem at a speed or pressure, all else as at the plant's operating point, in common states.
+    """The design problem at a speed or pressure, all else as at the plant's operating point, in common states.
 
-    lag [s]: by which the currents act late.
+    lag [s]: by which the currents act late. weights: None: the machine's; tolerances: None: none.
     """
+    chosen, held = weights or machine_weights(plant.machine), tolerances is not None
 
     def at(value: float) -> GeneralizedPlant:
         small = free_mode_reduction(replace(plant, point=along.moved(plant.point, value)), bending_modes)
-        model = apply_delay(open_model(small, None, uncertain=False), lag)
-        return design_plant(model, machine_weights(plant.machine), uncertain=False)
+        return design_plant(apply_delay(open_model(small, tolerances, held), lag), chosen, uncertain=held)
 
     return at
 
@@ -67,14 +80,17 @@ def design_schedule(
     bending_modes: int = 0,
     rate: float | None = None,
     lag: float = 0.0,
+    tolerances: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
     """A controller scheduled over speed or pressure for a full plant, and verified on it at every point of its schedule.
 
     grid (k,) [rad/s] or [Pa]: None: ``schedule_grid``; it holds the plant's own value in its range. rate [of its unit per s]:
-    the fastest change (None: any); bending_modes: per plane, lag [s]: of the currents, in the design model. ``controller`` is
-    the frozen form at the plant's own. margins gain those of ``certificate.full_plant_margins``; a controller that does not
-    hold the full plant at every point has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
+    the fastest change (None: any); bending_modes: per plane, lag [s]: of the currents, in the design model. tolerances: it is
+    designed over the machine's, with a control weight as small as the output sensitivity that is required at their corners
+    needs (``tolerant_lpv``). ``controller`` is the frozen form at the plant's own. margins gain those of
+    ``certificate.full_plant_margins``; a controller that does not hold the full plant at every point has the status "unstable".
+    Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
     """
     machine, point = plant.machine, plant.point
     weights = machine_weights(machine)
@@ -88,8 +104,52 @@ def design_schedule(
         raise InvalidInput(
             f"machine {machine.name!r} has no seal, and nothing changes with the {along.name}; use another method"
         )
-    result = lpv_synthesis(
-        plants_along(plant, along, bending_modes, lag), values, rate=rate, backoff=1.1, nominal=own, parameter=along.name,
-        unit=along.unit, progress=progress,
+    say = progress or (lambda _: None)
+    names = {"rate": rate, "nominal": own, "parameter": along.name, "unit": along.unit}
+    if tolerances:
+        result = _over_tolerances(plant, values, along, bending_modes, lag, say, names)
+    else:
+        result = lpv_synthesis(plants_along(plant, along, bending_modes, lag), values, backoff=1.1, progress=say, **names)
+        result = replace(result, weights=weights)
+    return certify_on_full_plant(plant, result)
+
+
+def _over_tolerances(
+    plant: Plant,
+    values: np.ndarray,
+    along: Scheduling,
+    modes: int,
+    lag: float,
+    say: Callable[[str], None],
+    names: dict[str, Any],
+) -> Synthesis:
+    machine, weights = plant.machine, machine_weights(plant.machine)
+    if not machine.tolerances:
+        raise InvalidInput(f"machine {machine.name!r} has no tolerances; add [[tolerance]] tables, or design without them")
+    wide, judged = design_tolerances(machine), values[[0, len(values) // 2, -1]].tolist()
+    tried = [scale_control(weights, factor) for factor in _CONTROL]
+    blocks = {str(uncertain(replace(plant, point=along.moved(plant.point, v)), wide).blocks) for v in judged}
+    if len(blocks) > 1:
+        raise InvalidInput(
+            f"a tolerance vanishes at an end of the {along.name}s, where its parameter is zero; begin the {along.name}s above, "
+            "or give it as absolute"
+        )
+    units = {}
+    for value in judged:
+        small = free_mode_reduction(replace(plant, point=along.moved(plant.point, value)), modes + _MODES)
+        units[value] = unit_problem(apply_delay(open_model(small, machine.tolerances, True), lag, _PADE))
+    limit = machine.requirements.sensitivity_peak or _PEAK
+    result, worst, place = tolerant_lpv(
+        [plants_along(plant, along, modes, lag, item, wide) for item in tried], values, partial(worst_corners, units), limit,
+        say=say, **names,
     )  # fmt: skip
-    return certify_on_full_plant(plant, replace(result, weights=weights))
+    where = ", ".join(along.words(value) for value in judged)
+    factor = f", control weight times {_CONTROL[place]:g}" if place else ""
+    notes = (
+        f"designed over {len(wide)} tolerances{factor}: gamma {result.gamma:.3g} is for them divided by it, however they move",
+        f"of {worst.members} corners of all tolerances at {where}, {worst.unstable} are unstable on the model with "
+        f"{modes + _MODES} bending modes, and sigma_max(S_o) is at most {worst.sensitivity:.3f} at the others",
+    )
+    margins = {**result.certificate.margins, "corner_sensitivity": worst.sensitivity, "unstable_corners": float(worst.unstable)}
+    certificate = replace(result.certificate, margins=margins)
+    return replace(result, weights=tried[place], certificate=certificate, notes=(*notes, *result.notes[:-1]))

@@ -1,12 +1,12 @@
 """LPV control with the tolerances inside: turns of a scheduled synthesis and a constant scaling D for every grid point.
 
 Uncertain parameters delta within -1 .. 1 stand in the plants as blocks, w = delta z. Whatever they do in time, and whichever D
-belongs to the value that the scheduling parameter has at that instant, z^T D^2 z - w^T D^2 w >= 0; so that an LPV controller for the plants
-with D on z and D^-1 on w that has the gain gamma keeps its performance to gamma for all tolerances divided by gamma, both
-changing as they like (scaled bounded real lemma; Apkarian & Gahinet 1995, IEEE Trans. Automatic Control 40). K-step: that
-controller. D-step: at every grid point the constant D with the smallest peak of sigma_max(D M D^-1). The turns are judged by
-what is asked for: stability and output sensitivity at the corners of the tolerances themselves, of which D, blind to what is
-real and what stands still, knows nothing.
+belongs to the value that the scheduling parameter has at that instant, z^T D^2 z - w^T D^2 w >= 0. An LPV controller for the
+plants with D on z and D^-1 on w, of the gain gamma, therefore keeps its performance to gamma for all tolerances divided by
+gamma, however parameter and tolerances move (scaled bounded real lemma; Apkarian & Gahinet 1995, IEEE Trans. Automatic Control
+40). K-step: that controller. D-step: at every grid point the constant D with the smallest peak of sigma_max(D M D^-1). The
+turns are judged by what is asked for: stability and output sensitivity at the corners of the tolerances themselves, of which D,
+blind to what is real and what stands still, knows nothing.
 """
 
 from __future__ import annotations
