@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -20,13 +19,14 @@ from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.scheduling import SPEED, Scheduling
 from ambrose.plant.uncertainty import uncertain
 from ambrose.synthesis.certificate import certify_on_full_plant
-from ambrose.synthesis.lpv.synthesis import lpv_synthesis
+from ambrose.synthesis.lpv.synthesis import PlantAt, lpv_synthesis
 from ambrose.synthesis.lpv.tolerances import tolerant_lpv, worst_corners
 from ambrose.synthesis.problem import apply_delay, design_plant, design_tolerances, open_model, unit_problem
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.weights import Weights, machine_weights, scale_control
 
 POINTS = 8  # of a grid that is not given
+_BACKOFF = 1.1
 _CONTROL = (1.0, 0.7, 0.5, 0.35)  # factors of the control weight, tried until the tolerances are held
 _MODES = 3  # bending modes per plane besides those of the design, on which corners are judged
 _PADE = 2
@@ -105,11 +105,16 @@ def design_schedule(
             f"machine {machine.name!r} has no seal, and nothing changes with the {along.name}; use another method"
         )
     say = progress or (lambda _: None)
-    names = {"rate": rate, "nominal": own, "parameter": along.name, "unit": along.unit}
+
+    def scheduled(plants: PlantAt, backoff: float) -> Synthesis:
+        return lpv_synthesis(
+            plants, values, rate=rate, backoff=backoff, nominal=own, parameter=along.name, unit=along.unit, progress=say
+        )
+
     if tolerances:
-        result = _over_tolerances(plant, values, along, bending_modes, lag, say, names)
+        result = _over_tolerances(plant, values, along, bending_modes, lag, say, scheduled)
     else:
-        result = lpv_synthesis(plants_along(plant, along, bending_modes, lag), values, backoff=1.1, progress=say, **names)
+        result = scheduled(plants_along(plant, along, bending_modes, lag), _BACKOFF)
         result = replace(result, weights=weights)
     return certify_on_full_plant(plant, result)
 
@@ -121,7 +126,7 @@ def _over_tolerances(
     modes: int,
     lag: float,
     say: Callable[[str], None],
-    names: dict[str, Any],
+    scheduled: Callable[[PlantAt, float], Synthesis],
 ) -> Synthesis:
     machine, weights = plant.machine, machine_weights(plant.machine)
     if not machine.tolerances:
@@ -139,10 +144,8 @@ def _over_tolerances(
         small = free_mode_reduction(replace(plant, point=along.moved(plant.point, value)), modes + _MODES)
         units[value] = unit_problem(apply_delay(open_model(small, machine.tolerances, True), lag, _PADE))
     limit = machine.requirements.sensitivity_peak or _PEAK
-    result, worst, place = tolerant_lpv(
-        [plants_along(plant, along, modes, lag, item, wide) for item in tried], values, partial(worst_corners, units), limit,
-        say=say, **names,
-    )  # fmt: skip
+    plants = [plants_along(plant, along, modes, lag, item, wide) for item in tried]
+    result, worst, place = tolerant_lpv(plants, values, scheduled, partial(worst_corners, units), limit, say)
     where = ", ".join(along.words(value) for value in judged)
     factor = f", control weight times {_CONTROL[place]:g}" if place else ""
     notes = (

@@ -23,7 +23,7 @@ from ambrose.core.lft import GeneralizedPlant, design_grid, lft
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.core.worst_case.loop import box_loop, corners, default_grid, gains
-from ambrose.synthesis.lpv.synthesis import lpv_synthesis
+from ambrose.synthesis.lpv.synthesis import PlantAt
 from ambrose.synthesis.problem import with_performance_block
 from ambrose.synthesis.result import Synthesis
 
@@ -31,7 +31,6 @@ _TURNS = 3  # K-steps with one control weight; more were never better
 _BACKOFF = 1.2  # nearer to the optimum the second pass of a scaled problem fails
 _POWERS = (10.0, 30.0, 100.0)  # of the norm that stands for the peak over frequency
 _PER_DECADE = 30  # frequencies at which corners are judged
-PlantAt = Callable[[float], GeneralizedPlant]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,16 +45,16 @@ class Worst:
 def tolerant_lpv(
     plants: Sequence[PlantAt],
     grid: np.ndarray,
+    synthesis: Callable[[PlantAt, float], Synthesis],
     judge: Callable[[ScheduledSystem], Worst],
     limit: float,
-    *,
     say: Callable[[str], None] = lambda text: None,
-    **choices: object,
 ) -> tuple[Synthesis, Worst, int]:
     """The scheduled controller that ``judge`` finds best, and the place of its plants.
 
     plants: the uncertain problem of a parameter's value with blocks, one function for each control weight to try, the most
-    careful first; one follows the other until the judged sensitivity is at most ``limit``. choices: as for ``lpv_synthesis``.
+    careful first; one follows the other until the judged sensitivity is at most ``limit``. synthesis: of plants without blocks,
+    at a back-off.
     Raises NumericalFailure where no turn has a controller.
     """
     best: tuple[Synthesis, Worst, int] | None = None
@@ -64,7 +63,7 @@ def tolerant_lpv(
         problem = _Scaled(plant_at, grid)
         for turn in range(_TURNS):
             try:
-                result = lpv_synthesis(problem.plant, grid, backoff=_BACKOFF, progress=say, **choices)  # type: ignore[arg-type]
+                result = synthesis(problem.plant, _BACKOFF)
             except NumericalFailure as failure:
                 reason = str(failure)
                 say(f"turn {turn + 1} failed: {reason}")
@@ -96,7 +95,7 @@ class _Scaled:
     """The problems with D around them: log D at the grid's values, linear in between; at first that of the loop without any."""
 
     def __init__(self, plant_at: PlantAt, grid: np.ndarray) -> None:
-        self._uncertain = lambda value: with_performance_block(plant_at(value))
+        self._plant_at = plant_at
         self._grid = grid
         self._kept: dict[float, GeneralizedPlant] = {}
         first = self.uncertain(float(grid[0]))
@@ -105,7 +104,7 @@ class _Scaled:
 
     def uncertain(self, value: float) -> GeneralizedPlant:
         if value not in self._kept:
-            self._kept[value] = self._uncertain(value)
+            self._kept[value] = with_performance_block(self._plant_at(value))
         return self._kept[value]
 
     def plant(self, value: float) -> GeneralizedPlant:
