@@ -144,7 +144,7 @@ def _over_tolerances(
         small = free_mode_reduction(replace(plant, point=along.moved(plant.point, value)), modes + _MODES)
         units[value] = unit_problem(apply_delay(open_model(small, machine.tolerances, True), lag, _PADE))
     limit = machine.requirements.sensitivity_peak or _PEAK
-    plants = [plants_along(plant, along, modes, lag, item, wide) for item in tried]
+    plants = [plants_along(plant, along, modes, 0.0, item, wide) for item in tried]
     result, worst, place = tolerant_lpv(plants, values, scheduled, partial(worst_corners, units), limit, say)
     where = ", ".join(along.words(value) for value in judged)
     factor = f", control weight times {_CONTROL[place]:g}" if place else ""
