@@ -23,9 +23,10 @@ from ambrose import load_machine
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.fixed import ControlBlock, build_block
 from ambrose.deployment.block.fixed_point import to_fixed_point
+from ambrose.deployment.block.scheduled import build_scheduled_block
 from ambrose.deployment.c.code import Arithmetic, generate
 from ambrose.deployment.c.compiled import CompiledBlock, read_law
-from ambrose.deployment.discretisation.deployment import Deployment, deploy
+from ambrose.deployment.discretisation.deployment import Deployment, deploy, deploy_scheduled
 from ambrose.deployment.fmu.archive import generate_fmus
 from ambrose.deployment.mat import generate_mat
 from ambrose.deployment.pipeline import machine_limits
@@ -104,7 +105,13 @@ def run() -> list[dict[str, Any]]:
     deployment = deploy(design(assemble(machine), "mu"), 1e-4, 1e-4, force=True)
     block = build_block(deployment, "rig", 0.5e-3, 4.0)
     in_the_loop = build_block(deployment, "rig", *machine_limits(machine))
-    rows = [*_steps(block), _generation(block), *_other_targets(deployment, block), _precision(block)]
+    rows = [
+        *_steps(block),
+        *_scheduled_steps(machine),
+        _generation(block),
+        *_other_targets(deployment, block),
+        _precision(block),
+    ]
     return [*rows, *_in_the_loop(machine, in_the_loop), _read_back(in_the_loop)]
 
 
@@ -129,6 +136,25 @@ def _steps(block: ControlBlock) -> list[dict[str, Any]]:
                     "target": "faster than dense",
                 }
             )
+    return rows
+
+
+def _scheduled_steps(machine: Machine) -> list[dict[str, Any]]:
+    """A controller scheduled over pressure against the same one frozen at the nominal pressure."""
+    made = design(assemble(machine), "lpv", pressures=(0.0, 4.08e5), rate=1e4)
+    frozen = build_block(deploy(made.controller, 1e-4, 1e-4, force=True), "rig", 0.5e-3, 4.0)
+    block = build_scheduled_block(deploy_scheduled(made, 1e-4, 1e-4, force=True), "rig", 0.5e-3, 4.0)
+    setup, rows = "static rig_block block; rig_init(&block);", []
+    for flags in (["-O2"], ["-O3", "-march=native"]):
+        call = "(void)rig_step(&block, noise[k % 1024], 0, 1e5 + 100.0 * (k % 1024), u);"
+        ours = _timed(generate(block), flags, "rig.h", setup, call, "double")
+        peer = _timed(generate(frozen), flags, "rig.h", setup, "(void)rig_step(&block, noise[k % 1024], 0, u);", "double")
+        ranks = " and ".join(map(str, block.changes.ranks))
+        rows.append({
+            "name": f"C step scheduled over pressure, {block.n_states} states 4 x 4, double, gcc {' '.join(flags)}",
+            "ours": ours, "peer": peer, "peer_name": "the same controller frozen", "error": f"changes of rank {ranks}",
+            "target": "below twice the peer",
+        })  # fmt: skip
     return rows
 
 

@@ -11,10 +11,12 @@ from click.testing import CliRunner
 
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.deployment.block.cost import scheduled_cost, step_cost
+from ambrose.deployment.block.fixed import build_block
 from ambrose.deployment.block.run import BEHIND, CLAMPED, FAULT, TOLD, run_scheduled
 from ambrose.deployment.block.scheduled import build_scheduled_block
 from ambrose.deployment.c.compiled import CompiledSchedule
-from ambrose.deployment.discretisation.deployment import deploy_scheduled
+from ambrose.deployment.discretisation.deployment import deploy, deploy_scheduled
 from ambrose.deployment.pipeline import ExportOptions, export, machine_limits
 from ambrose.machine.file.update import save_machine
 from ambrose.plant.assemble import assemble
@@ -54,6 +56,15 @@ def test_the_sampled_loop_is_verified_at_frozen_pressures(machine, deployment):
     assert [checks.label for checks in deployment.points] == [point.label for point in machine.operation.points]
     assert not deployment.outside
     assert [box.label for box in deployment.box] == ["over the tolerances at 204000 Pa"]
+
+
+def test_what_changes_with_a_seal_is_few_signals(machine, made, deployment):
+    """One seal pushes in two directions: rank 4 of 28, and a step of about twice the frozen one."""
+    block = build_scheduled_block(deployment, "rig", *machine_limits(machine))
+    frozen = build_block(deploy(made.controller, DT, DT, force=True), "rig", *machine_limits(machine))
+    assert block.changes.ranks == (4, 4) and block.n_states == 24
+    ratio = scheduled_cost(block, "double").multiplications / step_cost(frozen, "double").multiplications
+    assert ratio < 2.1  # 1.94
 
 
 def test_the_command_takes_pressures_with_their_units(machine, made, tmp_path):

@@ -159,7 +159,9 @@ def test_every_warning_of_clang_but_two(make, arithmetic, tmp_path):
 @pytest.mark.parametrize(
     ("pattern", "change"),
     [
-        (r"(static const real to_state\[NG\]\[NZ\]\[NX\] = [^{]*\{\s*\{\s*\{)", r"\g<1>1e-3 + "),
+        (r"(static const real increment_own\[NX\] = [^{]*\{)", r"\g<1>1e-3 + "),
+        (r"(static const real core\[NG\]\[NQ\]\[NR\] =\s*\{\s*\{\s*\{)", r"\g<1>1e-3 + "),
+        (r"(static const real on_current\[NR\]\[NO\] = \{\s*\{)", r"\g<1>1e-3 + "),
         (r"(static const real unwind\[NG\]\[NO\]\[NX\] =\s*\{\s*\{\s*\{)", r"\g<1>1e-3 + "),
         (r"target >= grid\[i \+ 1\]", "target > grid[i + 1] + 50"),
         (r"at->far = share", "at->far = 0.999 * share"),

@@ -29,10 +29,17 @@ def diagonals_of(x: np.ndarray) -> list[int]:
     return [k for k in range(1 - len(x), len(x)) if np.diagonal(x, k).any()]
 
 
-def padding_of(block: ControlBlock) -> tuple[int, int]:
+def padding_of(block: ControlBlock | ScheduledBlock) -> tuple[int, int]:
     """How many places before and after the states the diagonals of A - I reach; a cascade has none."""
-    offsets = [] if isinstance(block, CascadeBlock) else diagonals_of(block.increment)
+    offsets = [] if isinstance(block, CascadeBlock) else diagonals_of(increment_of(block))
     return max(0, -min(offsets, default=0)), max(0, max(offsets, default=0))
+
+
+def increment_of(block: ControlBlock | ScheduledBlock) -> np.ndarray:
+    """A - I (n, n), of a schedule what is the same at every point."""
+    if isinstance(block, ScheduledBlock):
+        return block.changes.fixed[: block.n_states, : block.n_states]
+    return block.increment
 
 
 def step_cost(block: ControlBlock, arithmetic: str) -> Cost:
@@ -58,15 +65,16 @@ def step_cost(block: ControlBlock, arithmetic: str) -> Cost:
 
 
 def scheduled_cost(block: ScheduledBlock, arithmetic: str) -> Cost:
-    """Counted as the code does it: two grid points, dense tables."""
+    """Counted as the code does it: whole diagonals of the fixed A - I, dense B, C and D, and few signals for what changes."""
     n, m, p, k = block.n_states, len(block.inputs), len(block.outputs), len(block.grid)
-    size = _BYTES[arithmetic][0]
-    products = 2 * (n + m) * (n + p)
+    (r, q), size = block.changes.ranks, _BYTES[arithmetic][0]
+    fixed = len(diagonals_of(increment_of(block))) * n + n * m + n * p + m * p
+    around = r * (n + p) + q * (n + m)
     transfer = k * n * (m + p) if block.transfers else 0
     return Cost(
-        multiplications=products + 2 * (n + m),
-        additions=products + 3 * n + 4,
+        multiplications=fixed + around + 2 * q * (r + 1),
+        additions=fixed + around + 2 * q * r + 3 * n + 4,
         limited=2 * p * (n + 1),
-        state_bytes=(2 * n + m + 2) * size + 2 * (m + 3),
-        table_bytes=(k * ((n + m) * (n + p) + n * p + 1) + transfer + m + p + 2) * size,
+        state_bytes=(2 * n + sum(padding_of(block)) + m + 2) * size + 2 * (m + 3),
+        table_bytes=(fixed + around + k * (r * q + n * p + 1) + transfer + m + p + 2) * size,
     )

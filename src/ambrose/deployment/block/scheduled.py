@@ -7,7 +7,8 @@ pressures.
     us = min(max(u, -limit), limit)        the current given
     x += increment x + B e + unwind (us - u)
 
-Linear in v between grid points and continuous across them; at a frozen v the law of block/fixed.py, other gains.
+Linear in v between grid points and continuous across them; what changes is computed as few signals (block/changes.py). At a
+frozen v the law of block/fixed.py, other gains.
 With L = unwind, x[k+1] = (A - L C) x + (B - L D) e + L us holds whatever is limited. Peak gains of that system bound the states
 at every grid point and three values in every interval, frozen: within +-1 in the scaled states. For any motion of v the
 states are bounded where one quadratic Lyapunov function serves all its values, which is examined (block/motion.py).
@@ -36,6 +37,7 @@ from ambrose.deployment.block.block import (
     slow_states,
     transfer_gains,
 )
+from ambrose.deployment.block.changes import Changes, beside_blocks, changes_of
 from ambrose.deployment.block.motion import Motion, bound_motion
 from ambrose.deployment.block.names import names_in_code
 from ambrose.deployment.discretisation.deployment import ScheduledDeployment
@@ -63,6 +65,7 @@ class ScheduledBlock(Block):
     told_limit: float
     rate_limit: float
     motion: Motion
+    changes: Changes
     along: Scheduling = SPEED
 
     @property
@@ -94,7 +97,7 @@ class ScheduledBlock(Block):
         if not (np.diff(grid) > 0).all():
             raise invalid("the grid", self.grid.tolist(), "apart in single precision", 'use arithmetic="double"')
         rate, limit = float(np.float32(self.told_step)) / self.sample_time, float(np.float32(self.told_limit))
-        return replace(Block.single(self), grid=grid, told_limit=limit, rate_limit=rate)
+        return replace(Block.single(self), grid=grid, told_limit=limit, rate_limit=rate, changes=self.changes.single())
 
 
 def build_scheduled_block(
@@ -129,14 +132,25 @@ def build_scheduled_block(
     steady, pick, passes = _transfer(law, slow_states(middle, deployment.sizes, dt, windup_time), currents)
     rows = scale[:, None]
     increment, B, C, L = law.increment * scale / rows, law.B / rows, law.C * scale, unwind / rows
+    changes = _changes(increment, B, C, law.D, beside_blocks(law.increment, deployment.sizes) * scale / rows)
+    n, whole = len(scale), changes.tables()  # what the code computes
+    increment, B, C, D = whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:]
     return ScheduledBlock(
         name=name, inputs=names_in_code(K.inputs), outputs=names_in_code(K.outputs),
         sample_time=dt, delay=deployment.delay, grid=K.grid,
-        increment=increment, B=B, C=C, D=law.D, unwind=L, steady=steady / rows, pick=pick / rows, passes=passes,
+        increment=increment, B=B, C=C, D=D, unwind=L, steady=steady / rows, pick=pick / rows, passes=passes,
         error_limit=errors, current_limit=currents, raw_limit=np.maximum(raw, currents), hold_samples=hold_samples,
         windup_time=windup_time, told_limit=told_limit, rate_limit=rate_limit, along=along,
-        motion=bound_motion(increment, B, C, law.D, L, np.r_[errors, currents]),
+        changes=changes,
+        motion=bound_motion(increment, B, C, D, L, np.r_[errors, currents]),
     )  # fmt: skip
+
+
+def _changes(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, beside: np.ndarray) -> Changes:
+    whole = np.concatenate([np.concatenate([increment, B], axis=2), np.concatenate([C, D], axis=2)], axis=1)
+    zero = np.zeros(whole.shape[1:])
+    zero[: len(beside), : len(beside)] = beside
+    return changes_of(whole, zero)
 
 
 def check_told_limits(

@@ -16,7 +16,7 @@ from ambrose.core.checks import invalid
 from ambrose.deployment.block.block import Block
 from ambrose.deployment.block.cascade import CascadeBlock
 from ambrose.deployment.block.cascade_fixed import FixedCascade, cascade_error, to_fixed_cascade, word_errors
-from ambrose.deployment.block.cost import padding_of, scheduled_cost, step_cost
+from ambrose.deployment.block.cost import increment_of, padding_of, scheduled_cost, step_cost
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, to_fixed_point
 from ambrose.deployment.block.names import as_comment
@@ -161,13 +161,14 @@ def _word_facts(block: ControlBlock, fixed: FixedBlock | FixedCascade | None) ->
 def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
     """What is added of a scheduled controller."""
     (low, high), along = block.range, block.along
-    limited = bool(np.isfinite(block.rate_limit))
+    limited, padding = bool(np.isfinite(block.rate_limit)), padding_of(block)
     motion_text = f"While the {along.name} moves no bound is proved."
     if block.motion.proved:
         farthest = block.motion.states.max(initial=0.0)
         motion_text = f"For any motion of the {along.name}: within +-{farthest:.3g} (proved, conservative)."
     return {
         "one": literal(1.0, arithmetic), "ng": len(block.grid),
+        "low_padding": padding[0], "padded": block.n_states + sum(padding),
         "low": f"{low:.6g}", "high": f"{high:.6g}",
         "low_people": f"{low / along.size:.4g}", "high_people": f"{high / along.size:.4g}",
         "parameter": along.name, "unit": along.unit, "rate_unit": along.rate_unit, "people": along.people,
@@ -250,14 +251,19 @@ def _fixed_tables(fixed: FixedBlock | FixedCascade) -> dict[str, Any]:
 
 
 def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
-    table = real_table(arithmetic)
-    matrices = {
-        "to_current": np.concatenate([block.C, block.D], axis=2),
-        "to_state": np.concatenate([block.increment, block.B], axis=2),
-        "unwind": block.unwind, "steady": block.steady, "pick": block.pick,
+    table, n, changes = real_table(arithmetic), block.n_states, block.changes
+    matrices = {"core": changes.core, "unwind": block.unwind, "steady": block.steady, "pick": block.pick}
+    fixed = {
+        "B": changes.fixed[:n, n:], "C": changes.fixed[n:, :n], "D": changes.fixed[n:, n:],
+        "of_state": changes.right[:, :n], "of_error": changes.right[:, n:],
+        "on_state": changes.left[:n], "on_current": changes.left[n:],
     }  # fmt: skip
+    increment = increment_of(block)
     return {
         **{name: table(x.transpose(0, 2, 1)) for name, x in matrices.items()},
+        **{name: table(x.T) for name, x in fixed.items()},
+        "diagonals": [{**d, "table": table(d["entries"])} for d in diagonals(increment, increment)],
+        "nr": changes.ranks[0], "nq": changes.ranks[1],
         "error_limit": table(block.error_limit), "current_limit": table(block.current_limit), "grid": table(block.grid),
         "told_step": literal(block.told_step, arithmetic) if np.isfinite(block.told_step) else "",
         "floor": literal(FLOOR[arithmetic], arithmetic),

@@ -169,7 +169,7 @@ class _Compiled(Generic[B]):
 
     def _state_memory(self) -> np.ndarray:
         """The states where the code keeps them: first in the block, after the zeros that its diagonals reach into."""
-        before = padding_of(self.block)[0] if isinstance(self.block, ControlBlock) else 0
+        before = padding_of(self.block)[0]
         kind = np.dtype(self._words.stored)
         return np.frombuffer(memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize)
 
