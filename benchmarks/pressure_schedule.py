@@ -3,9 +3,9 @@
     python -m benchmarks.pressure_schedule [--machine seal-rig] [--factors 1 3]      a minute
 
 Largest sigma_max(S_o) at nine pressures from zero to twice the nominal one that stand still: as they are, read wrong by a part
-of the nominal pressure either way (clipped to the range, as the code does), and with the reading stuck anywhere. Gain: mean of the
-direct gains below 200 Hz at the nominal pressure against the tuned controller's. Surge, on the virtual rig: zero to twice the
-nominal pressure in 0.1 s, in its middle 100 N for 2 ms at the seal; largest measured motion and how long after the knock it
+of the nominal pressure either way (clipped to the range, as the code does), and with the reading stuck anywhere. Gain: mean of
+the direct gains below 200 Hz at the nominal pressure against the tuned controller's. Surge, on the virtual rig: zero to twice
+the nominal pressure in 0.1 s, in its middle 100 N for 2 ms at the seal; largest measured motion and how long after the knock it
 stays beyond a tenth of it, where the magnets do not carry the rotor's weight, and the largest motion where they do.
 """
 

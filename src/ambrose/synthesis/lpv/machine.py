@@ -88,9 +88,9 @@ def design_schedule(
     grid (k,) [rad/s] or [Pa]: None: ``schedule_grid``; it holds the plant's own value in its range. rate [of its unit per s]:
     the fastest change (None: any); bending_modes: per plane, lag [s]: of the currents, in the design model. tolerances: it is
     designed over the machine's, without the lag, with a control weight as small as the output sensitivity required at their
-    corners, judged with the lag, needs (``tolerant_lpv``). ``controller`` is the frozen form at the plant's own. margins gain those of
-    ``certificate.full_plant_margins``; a controller that does not hold the full plant at every point has the status "unstable".
-    Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
+    corners, judged with the lag, needs (``tolerant_lpv``). ``controller`` is the frozen form at the plant's own. margins gain
+    those of ``certificate.full_plant_margins``; a controller that does not hold the full plant at every point has the status
+    "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
     """
     machine, point = plant.machine, plant.point
     weights = machine_weights(machine)
