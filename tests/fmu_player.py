@@ -72,21 +72,29 @@ class Player:
         return (self.fmu.deserializeFMUState if self.three else self.fmu.deSerializeFMUstate)(content)
 
     def play(
-        self, block: Any, errors: np.ndarray, valid: np.ndarray | None = None, direct: bool = False
+        self,
+        block: Any,
+        errors: np.ndarray,
+        valid: np.ndarray | None = None,
+        direct: bool = False,
+        told: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Currents (k, p) and status (k,): read after each step, or, where they answer at once, before it."""
+        """Currents (k, p) and status (k,): read after each step, or, where they answer at once, before it. told (k,): what a
+        scheduled block is told."""
         inputs, outputs = list(block.inputs), list(block.outputs)
-        flags = [f"valid_{name}" for name in inputs]
+        flags, every = [f"valid_{name}" for name in inputs], ["held", "fault", "limited"]
+        every += [] if told is None else ["clamped", f"{block.along.name}_held", "behind"]
         currents, status = np.empty((len(errors), len(outputs))), np.empty(len(errors), int)
         for k, e in enumerate(errors):
             self.set(inputs, e)
             if valid is not None:
                 self.set_flags(flags, valid[k])
+            if told is not None:
+                self.set([block.along.name], [told[k]])
             if not direct:
                 self.step(block.sample_time)
             currents[k] = self.get(outputs)
-            held, fault, limited = self.get_flags(["held", "fault", "limited"])
-            status[k] = held + 2 * fault + 4 * limited
+            status[k] = sum(flag << bit for bit, flag in enumerate(self.get_flags(every)))
             if direct:
                 self.step(block.sample_time)
         return currents, status

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.io import loadmat
 
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
@@ -93,6 +94,36 @@ def test_pressures_mean_nothing_to_a_schedule_over_speed(machine, made, tmp_path
     for what in ({"pressure_rate": 1e5}, {"pressure_limit": 1e6}):
         with pytest.raises(InvalidInput, match="this controller is not scheduled over pressure"):
             export(made.controller, tmp_path / "code", to="c", machine=machine, options=ExportOptions(**what))
+
+
+def test_other_targets(machine, made, deployment, tmp_path):
+    """The MAT-file's pages, put together by its own formulas, are the block; the FMUs are there with the pressure."""
+    done = {
+        to: export(
+            made, tmp_path / to, to=to, machine=machine, options=ExportOptions(name="rig", sources_only=True, force=True)
+        )
+        for to in ("fmu", "mat")
+    }
+    assert sorted(path.name for path in done["fmu"].paths) == ["rig_fmi2.fmu", "rig_fmi3.fmu"]
+    assert sorted(path.name for path in done["mat"].paths) == ["rig.mat", "rig_vectors.csv"]
+    c = loadmat(tmp_path / "mat" / "rig.mat", simplify_cells=True)["rig"]
+    assert (c["scheduling"]["parameter"], c["scheduling"]["unit"]) == ("pressure", "Pa")
+    np.testing.assert_allclose(c["scheduling"]["grid"], deployment.sampled.grid)
+    assert c["A"].shape == (24, 24, 8) and c["D"].shape == (4, 4, 8) and c["limits"]["pressure"] == 8.16e5
+    block, grid, vectors = c["block"], c["scheduling"]["grid"], c["vectors"]
+    state, used, told = np.zeros(24), np.zeros(4), grid[0]
+    for e, good, p, u in zip(vectors["errors"], vectors["valid"], vectors["pressure"], vectors["currents"], strict=True):
+        told = p if abs(p) <= c["limits"]["pressure"] else told
+        v = min(max(told, grid[0]), grid[-1])
+        i = min(int(np.searchsorted(grid, v, side="right")) - 1, len(grid) - 2)
+        s = (v - grid[i]) / (grid[i + 1] - grid[i])
+        E, B, C, D, L = ((1 - s) * block[x][..., i] + s * block[x][..., i + 1] for x in ("increment", "B", "C", "D", "unwind"))
+        ok = (good > 0) & (np.abs(e) <= c["limits"]["error"])
+        used = np.where(ok, e, used)
+        asked = C @ state + D @ used
+        given = np.clip(asked, -c["limits"]["current"], c["limits"]["current"])
+        np.testing.assert_allclose(given, u, atol=1e-9 * c["limits"]["current"].max())
+        state = state + E @ state + B @ used + L @ (given - asked)
 
 
 SENSORS = {

@@ -175,9 +175,11 @@ def test_the_command_forces_and_says_so(file, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--to", "mat"], "the target is 'mat' for a controller scheduled over 0 to 300 rad/s of speed, but must be \"c\""),
-        (["--to", "fmu"], "written as C99 only"),
-        (["--to", "st"], "written as C99 only"),
+        (
+            ["--to", "st"],
+            "the target is 'st' for a controller scheduled over 0 to 300 rad/s of speed, but must be c or fmu or mat",
+        ),
+        (["--to", "fmu", "--arithmetic", "fixed16"], "arithmetic of a scheduled controller is 'fixed16'"),
         (["--to", "c", "--arithmetic", "fixed32"], "arithmetic of a scheduled controller is 'fixed32'"),
         (["--to", "c", "--speed-limit", 200], "speed_limit is 200 rad/s, but must be at least 300 rad/s"),
         (["--to", "c", "--speed-rate", 0], "speed_rate is 0.0, but must be positive"),

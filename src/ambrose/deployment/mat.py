@@ -10,17 +10,19 @@ import io
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ambrose.core.checks import invalid
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import as_comment
-from ambrose.deployment.block.vectors import Vectors, as_csv, make_vectors
+from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.deployment.c.code import block_facts
-from ambrose.deployment.discretisation.deployment import Deployment
+from ambrose.deployment.discretisation.deployment import Deployment, ScheduledDeployment
 from ambrose.deployment.rendering import render
 from ambrose.synthesis.result import Status, Synthesis
 from ambrose.version import __version__
@@ -36,15 +38,23 @@ _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
 def generate_mat(
-    block: ControlBlock, deployment: Deployment, synthesis: Synthesis, provenance: Sequence[str] = ()
+    block: ControlBlock | ScheduledBlock,
+    deployment: Deployment | ScheduledDeployment,
+    synthesis: Synthesis,
+    provenance: Sequence[str] = (),
 ) -> dict[str, str | bytes]:
-    """<name>.mat, <name>_load.m and <name>_vectors.csv.
+    """<name>.mat, <name>_load.m (not of a schedule) and <name>_vectors.csv.
 
     synthesis: where the controller comes from. provenance: the lines that other targets put into their headers. Raises
     InvalidInput.
     """
     if block.name.lower() in _RESERVED:
         raise invalid("the name of the block", repr(block.name), "no word of MATLAB or Octave", "give another --name")
+    if isinstance(block, ScheduledBlock) or isinstance(deployment, ScheduledDeployment):
+        given = cast(ScheduledBlock, block), cast(ScheduledDeployment, deployment)
+        over = make_scheduled_vectors(given[0])
+        struct = scheduled_content(*given, synthesis, provenance, over)
+        return {f"{block.name}.mat": _bytes({block.name: struct}), f"{block.name}_vectors.csv": as_csv(block, over)}
     run = make_vectors(block)
     continuous, comments = deployment.source.dt is None, [as_comment(line) for line in provenance]
     facts = {**block_facts(block), "provenance": comments, "continuous": continuous}
@@ -59,11 +69,54 @@ def content(
     block: ControlBlock, deployment: Deployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
 ) -> dict[str, Any]:
     """The struct's fields."""
-    K, source, origin = deployment.controller, deployment.source, synthesis.provenance
+    K, source = deployment.controller, deployment.source
+    return {
+        **_head(K, block),
+        **_matrices(K),
+        "increment": deployment.increment,
+        "continuous": {**_matrices(source), "inputs": _cells(source.inputs), "outputs": _cells(source.outputs)}
+        if source.dt is None
+        else np.zeros((0, 0)),
+        "limits": {"error": _column(block.error_limit), "current": _column(block.current_limit)},
+        "block": _block(block),
+        **_tail(deployment, synthesis, provenance, run),
+    }
+
+
+def scheduled_content(
+    block: ScheduledBlock, deployment: ScheduledDeployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
+) -> dict[str, Any]:
+    """The struct's fields of a schedule: A (n, n, k) and so on over the k values of ``scheduling.grid``, linear in between."""
+    K, source, along = deployment.sampled, deployment.source, block.along
+    limits = {"error": _column(block.error_limit), "current": _column(block.current_limit)}
+    parts = {name: _pages(getattr(block, name)) for name in ("increment", "B", "C", "D", "unwind", "steady", "pick")}
+    return {
+        **_head(K.systems[0], block),
+        **_over(K),
+        "scheduling": {"parameter": along.name, "unit": along.unit, "grid": _column(K.grid), "interpolation": "linear"},
+        "increment": _pages(deployment.increments),
+        "continuous": _over(source) if source.dt is None else np.zeros((0, 0)),
+        "limits": {**limits, along.name: block.told_limit, f"{along.name}_rate": block.rate_limit},
+        "block": {
+            **parts, "passes": float(block.passes), "hold_samples": float(block.hold_samples), "windup_time": block.windup_time,
+        },
+        **_tail(deployment, synthesis, provenance, run),
+    }  # fmt: skip
+
+
+def _pages(x: np.ndarray) -> np.ndarray:
+    """(k, i, j) as MATLAB has it, (i, j, k)."""
+    return np.moveaxis(np.asarray(x, float), 0, 2)
+
+
+def _over(schedule: ScheduledSystem) -> dict[str, np.ndarray]:
+    return {letter: _pages(np.array([getattr(system, letter) for system in schedule.systems])) for letter in "ABCD"}
+
+
+def _head(K: StateSpace, block: ControlBlock | ScheduledBlock) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": float(VERSION),
-        **_matrices(K),
         "dt": block.sample_time,
         "delay_samples": float(block.delay),
         "inputs": _cells(K.inputs),
@@ -71,14 +124,17 @@ def content(
         "input_unit": "m",
         "output_unit": "A",
         "sign": "input = reference - displacement; a positive current pulls towards positive displacement",
-        "increment": deployment.increment,
-        "continuous": {**_matrices(source), "inputs": _cells(source.inputs), "outputs": _cells(source.outputs)}
-        if source.dt is None
-        else np.zeros((0, 0)),
-        "limits": {"error": _column(block.error_limit), "current": _column(block.current_limit)},
-        "block": _block(block),
+    }
+
+
+def _tail(
+    deployment: Deployment | ScheduledDeployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
+) -> dict[str, Any]:
+    origin = synthesis.provenance
+    told = {} if run.told is None else {run.parameter: _column(run.told)}
+    return {
         "vectors": {
-            "errors": run.errors, "valid": run.valid.astype(float), "currents": run.currents,
+            "errors": run.errors, "valid": run.valid.astype(float), **told, "currents": run.currents,
             "status": _column(run.status),
         },
         "method": synthesis.method,
@@ -119,9 +175,10 @@ def _certificate(synthesis: Synthesis) -> Any:
     }  # fmt: skip
 
 
-def _verification(deployment: Deployment) -> Any:
+def _verification(deployment: Deployment | ScheduledDeployment) -> Any:
     """One struct per operating point, and over the tolerances: stable, and every quantity with its value and limit."""
-    checks = [*deployment.checks, *deployment.box]
+    own = deployment.points if isinstance(deployment, ScheduledDeployment) else ()
+    checks = [*deployment.checks, *own, *deployment.box]
     if not checks:
         return np.zeros((0, 0))
     names = ("label", "stable", "quantity", "value", "unit", "limit")

@@ -15,11 +15,12 @@ from collections.abc import Mapping, Sequence
 from typing import get_args
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import check_identifier
+from ambrose.deployment.block.scheduled import ScheduledBlock
 from ambrose.deployment.c.code import Arithmetic, block_facts, generate
 from ambrose.deployment.c.compiler import COMPILERS, build_library, build_probe, find_compiler
 from ambrose.deployment.fmu.description import (
+    AnyBlock,
     Version,
     build_description,
     model_description,
@@ -42,7 +43,7 @@ _FOLDERS = {  # (system, machine): folder of FMI 2.0, folder of FMI 3.0, suffix
 
 
 def generate_fmus(
-    block: ControlBlock, arithmetic: Arithmetic = "double", provenance: Sequence[str] = (), *, sources_only: bool = False
+    block: AnyBlock, arithmetic: Arithmetic = "double", provenance: Sequence[str] = (), *, sources_only: bool = False
 ) -> dict[str, bytes]:
     """<name>_fmi2.fmu and <name>_fmi3.fmu.
 
@@ -56,7 +57,7 @@ def generate_fmus(
 
 
 def generate_fmu(
-    block: ControlBlock,
+    block: AnyBlock,
     version: Version,
     arithmetic: Arithmetic = "double",
     provenance: Sequence[str] = (),
@@ -86,13 +87,14 @@ def generate_fmu(
 
 
 def generate_sources(
-    block: ControlBlock, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
+    block: AnyBlock, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
 ) -> dict[str, str]:  # fmt: skip
     """The C of an FMU by name; in fmi2.c or fmi3.c the word TOKEN stands for the token."""
     written = generate(block, arithmetic, provenance)
     facts = {
         **block_facts(block), "fixed": arithmetic.startswith("fixed"), "token": "TOKEN",
-        "references": references(block).items(),
+        "references": references(block).items(), "scheduled": isinstance(block, ScheduledBlock),
+        "parameter": block.along.name if isinstance(block, ScheduledBlock) else "",
     }  # fmt: skip
     wrapper = f"fmi{version[0]}.c"
     return {
@@ -102,7 +104,7 @@ def generate_sources(
     }
 
 
-def _check_names(block: ControlBlock) -> None:
+def _check_names(block: AnyBlock) -> None:
     """The variables' names differ from each other: a signal may not be called like a flag of the FMU."""
     names = [v.name for v in variables(block)]
     for name in names:
@@ -126,7 +128,7 @@ def _place(version: Version) -> tuple[str, str]:
     return folder, suffix
 
 
-def _compiled(block: ControlBlock, version: Version, code: Mapping[str, str]) -> bytes:
+def _compiled(block: AnyBlock, version: Version, code: Mapping[str, str]) -> bytes:
     """The shared library that the sources make here. Raises InvalidInput."""
     flags = ["-fvisibility=hidden"]
     return build_library(check_compiler(), code, sources(block, version), flags, _REMEDY, "-lm")
@@ -144,7 +146,7 @@ def check_compiler() -> str:
     return compiler
 
 
-def _page(block: ControlBlock, text: str, provenance: Sequence[str]) -> str:
+def _page(block: AnyBlock, text: str, provenance: Sequence[str]) -> str:
     late = "at once" if block.delay == 0 else f"{block.delay} sample(s) after the errors were set"
     lines = "".join(f"<li>{html.escape(line)}</li>" for line in provenance)
     rows = "".join(

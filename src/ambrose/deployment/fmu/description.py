@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.block.scheduled import ScheduledBlock
 from ambrose.version import __version__
 
 Version = Literal["2.0", "3.0"]
@@ -18,6 +19,14 @@ FLAGS = (
     ("fault", "an input has been replaced for too long"),
     ("limited", "a current was cut at its limit"),
 )
+_BASE = {
+    "s": {"s": "1"},
+    "m": {"m": "1"},
+    "A": {"A": "1"},
+    "rad/s": {"s": "-1", "rad": "1"},
+    "Pa": {"kg": "1", "m": "-1", "s": "-2"},
+}
+AnyBlock = ControlBlock | ScheduledBlock
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +43,30 @@ class Variable:
     nominal: float | None = None
 
 
-def variables(block: ControlBlock) -> tuple[Variable, ...]:
-    """Time, errors, their flags, [tracking, given currents], currents, status flags, in the order of value references."""
+def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
+    """The status flags in the order of their bits, each with what it says."""
+    if not isinstance(block, ScheduledBlock):
+        return FLAGS
+    name = block.along.name
+    return (
+        *FLAGS, ("clamped", f"the {name} is outside the range; the law is that of the nearer end"),
+        (f"{name}_held", f"the {name} is among what was replaced"),
+        ("behind", f"the schedule has not reached the {name}: it moves at its largest rate"),
+    )  # fmt: skip
+
+
+def variables(block: AnyBlock) -> tuple[Variable, ...]:
+    """Time, errors, their flags, [speed or pressure], [tracking, given currents], currents, status flags, in the order of value
+    references."""
     found = [Variable("time", "real", "independent", "s", "simulation time")]
     for name, limit in zip(block.inputs, block.error_limit.tolist(), strict=True):
         text = f"reference - displacement, plausible within +-{limit:.9g} m"
         found.append(Variable(name, "real", "input", "m", text, "0", nominal=limit))
     found += [Variable(f"valid_{name}", "boolean", "input", "", f"{name} may be used", "true") for name in block.inputs]
+    if isinstance(block, ScheduledBlock):
+        (low, high), along = block.range, block.along
+        text = f"what the controller is scheduled over, from {low:.9g} to {high:.9g}, plausible within +-{block.told_limit:.9g}"
+        found.append(Variable(along.name, "real", "input", along.unit, text, repr(low), nominal=high))
     if block.transfers:
         text = "follow the given currents (bumpless transfer) instead of controlling"
         found.append(Variable("tracking", "boolean", "input", "", text, "false"))
@@ -49,20 +75,23 @@ def variables(block: ControlBlock) -> tuple[Variable, ...]:
             found.append(Variable(f"given_{name}", "real", "input", "A", text, "0", nominal=limit))
     for name, limit in zip(block.outputs, block.current_limit.tolist(), strict=True):
         found.append(Variable(name, "real", "output", "A", "control current", limit=limit, nominal=limit))
-    found += [Variable(name, "boolean", "output", "", text) for name, text in FLAGS]
+    found += [Variable(name, "boolean", "output", "", text) for name, text in flags(block)]
     return tuple(found)
 
 
-def references(block: ControlBlock) -> dict[str, int]:
+def references(block: AnyBlock) -> dict[str, int]:
     """The first value reference of each group of variables, by the label that the C uses."""
     order = {v.name: i for i, v in enumerate(variables(block))}
     first = {"ERROR": block.inputs[0], "VALID": f"valid_{block.inputs[0]}", "TRACKING": "tracking"}
     first |= {"GIVEN": f"given_{block.outputs[0]}", "CURRENT": block.outputs[0]}
     first |= {name.upper(): name for name, _ in FLAGS}
+    first["LAST"] = flags(block)[-1][0]
+    if isinstance(block, ScheduledBlock):
+        first["TOLD"] = block.along.name
     return {label: order[name] for label, name in first.items() if name in order}
 
 
-def model_description(block: ControlBlock, version: Version, token: str, text: str) -> str:
+def model_description(block: AnyBlock, version: Version, token: str, text: str) -> str:
     """modelDescription.xml. token: the GUID (2.0) or instantiation token (3.0); text: the model in one line."""
     three, step = version == "3.0", repr(block.sample_time)
     root = ET.Element(
@@ -80,7 +109,7 @@ def model_description(block: ControlBlock, version: Version, token: str, text: s
         files = ET.SubElement(simulation, "SourceFiles")
         for name in sources(block, version):
             ET.SubElement(files, "File", name=name)
-    _units(root)
+    _units(root, block)
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="what was refused, and why")
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=step)
@@ -89,7 +118,7 @@ def model_description(block: ControlBlock, version: Version, token: str, text: s
     return _text(root)
 
 
-def build_description(block: ControlBlock) -> str:
+def build_description(block: AnyBlock) -> str:
     """sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=block.name)
@@ -99,21 +128,21 @@ def build_description(block: ControlBlock) -> str:
     return _text(root)
 
 
-def sources(block: ControlBlock, version: Version) -> tuple[str, str]:
+def sources(block: AnyBlock, version: Version) -> tuple[str, str]:
     """The files to compile."""
     return f"{block.name}.c", f"fmi{version[0]}.c"
 
 
-def _units(root: ET.Element) -> None:
+def _units(root: ET.Element, block: AnyBlock) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
-    for name in ("s", "m", "A"):
+    for name in dict.fromkeys(v.unit for v in variables(block) if v.unit):
         unit = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", {name: "1"})
+        ET.SubElement(unit, "BaseUnit", _BASE[name])
         if name == "m":
             ET.SubElement(unit, "DisplayUnit", name="um", factor="1e6")
 
 
-def _variables(root: ET.Element, block: ControlBlock, *, three: bool) -> None:
+def _variables(root: ET.Element, block: AnyBlock, *, three: bool) -> None:
     """The variables with their types: attributes of one element in FMI 3.0, a child element in FMI 2.0."""
     listed = ET.SubElement(root, "ModelVariables")
     for reference, v in enumerate(variables(block)):
@@ -129,8 +158,8 @@ def _variables(root: ET.Element, block: ControlBlock, *, three: bool) -> None:
 
 
 def _variability(v: Variable) -> str:
-    """Errors are sampled from continuous signals; currents and flags change at samples."""
-    return "continuous" if v.causality == "independent" or v.unit == "m" else "discrete"
+    """Errors, speed and pressure are sampled from continuous signals; currents and flags change at samples."""
+    return "continuous" if v.causality == "independent" or v.unit in {"m", "rad/s", "Pa"} else "discrete"
 
 
 def _attributes(v: Variable) -> dict[str, str]:
@@ -146,7 +175,7 @@ def _attributes(v: Variable) -> dict[str, str]:
     return found
 
 
-def _structure(root: ET.Element, block: ControlBlock, *, three: bool) -> None:
+def _structure(root: ET.Element, block: AnyBlock, *, three: bool) -> None:
     """Outputs depend on inputs at the same instant only where the design assumes that currents are set at once."""
     listed = variables(block)
     direct = [i for i, v in enumerate(listed) if v.causality == "input"] if block.delay == 0 else []
