@@ -50,6 +50,8 @@ CASES = {
 LIMITED = {
     "voltage limit": (replace(RIG, amplifier=Amplifier("first", bandwidth=2e3, max_voltage=100.0, inductance=0.1)), TURNING),
     "a failure": (RIG, replace(SHAKEN, failures=(Failure(0.015, "A_zeta"),), duration=0.02)),
+    "a stop of the slope": (replace(RIG, amplifier=replace(RIG.amplifier, max_voltage=100.0, inductance=0.1)), TURNING),
+    "a stop of the current, contact": (RIG, replace(SHAKEN, pulses=(Pulse("f_B_eta", 1500.0, 0.005, 0.003),))),
 }
 
 
@@ -85,11 +87,12 @@ def test_one_step_per_sample_is_good_to_1e_7(case, runge_kutta):
 
 @pytest.mark.parametrize("case", LIMITED)
 def test_where_an_amplifier_is_limited_it_is_as_good_as_runge_kutta(case, runge_kutta):
-    """Samples in which a limit acts are those of the Runge-Kutta method, which loses its order there."""
+    """Samples in which a limit acts are those of the Runge-Kutta method; stops at which a state stays (amplifiers of order two)
+    are located (1.4e-5 and 2.2e-7; before 2.8e-3 and 4.6e-3), kinks are not (5.7e-5)."""
     machine, scenario = LIMITED[case]
     fine = runge_kutta(machine, scenario, 1, 1e-6)
     fast = virtual_rig.run(machine, pid_controller(machine.controller, machine), scenario, bending_modes=1)
-    assert apart(fast.record, fine.record) < 2 * apart(runge_kutta(machine, scenario, 1, None).record, fine.record) < 1e-3
+    assert apart(fast.record, fine.record) < 2 * apart(runge_kutta(machine, scenario, 1, None).record, fine.record) < 2e-4
 
 
 def test_a_propagator_is_kept_while_it_holds(monkeypatch):

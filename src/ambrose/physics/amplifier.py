@@ -6,6 +6,7 @@ s_1 (coil current) and s_2 (flux, after the eddy currents' lag), "second" s_1 (c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -76,6 +77,11 @@ def derivative(u: float, s_1: float, s_2: float, p: tuple[float, ...]) -> tuple[
             d_2 = min(d_2, 0.0) if s_1 > 0.0 else max(d_2, 0.0)
         return d_1, d_2
     return 0.0, 0.0
+
+
+def stops(p: tuple[float, ...]) -> tuple[float, float]:
+    """The largest |s_1| and |s_2| [A] that ``derivative`` leaves where they are; infinite but for "second". For numba, too."""
+    return (p[4], p[3] / p[1]) if p[0] == 3.0 else (math.inf, math.inf)
 
 
 def coil_current(u: float, s_1: float, s_2: float, p: tuple[float, ...]) -> float:

@@ -29,6 +29,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 magnet_force = compiled(magnet.force)
 amplifier_derivative = compiled(amplifier.derivative)
+stops = compiled(amplifier.stops)
 coil_current = compiled(amplifier.coil_current)
 effective_current = compiled(amplifier.effective_current)
 contact_force = compiled(touchdown.force)

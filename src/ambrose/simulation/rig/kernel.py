@@ -31,6 +31,7 @@ from ambrose.simulation.rig.inlined import (
     seal_force,
     seal_lag,
     state_force,
+    stops,
     turning_force,
 )
 from ambrose.simulation.rig.inlined import (
@@ -38,9 +39,11 @@ from ambrose.simulation.rig.inlined import (
 )
 from ambrose.simulation.rig.sampled import command, control, run_program
 
-_NEAR, _FAR_OUT = 0.98, 0.4  # of the clearance: where a contact may begin within a sample, and where magnets bend much
+_FAR_OUT = 0.4  # of the clearance: where magnets bend much
 _DENSE = 32  # integration steps far out and near contact for each of the others
-_PARTS = 32  # of a step in which a contact begins or ends, and of the part in which it does
+_PARTS = 32  # of a step in which a contact begins or ends or a stop is reached, and of the part in which it is
+_STOPPED = 1 - 1e-12  # of a stop: from where on it is reached
+_BEND = 0.25  # of a depth and the rounding of the damping's onset: by how much a step may change that depth
 
 _ROOM = 16 << 20  # bytes free where compiled code is kept, or it is compiled anew in every run
 
@@ -122,20 +125,14 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
         t = tau if varying else 0.0
         stiffness, cross = at[0] + t * (to[0] - at[0]), at[1] + t * (to[1] - at[1])
         damping, across = at[2] + t * (to[2] - at[2]), at[3] + t * (to[3] - at[3])
-        x, y, vx, vy = (
-            work.place[first + i, 0],
-            work.place[first + i, 1],
-            work.velocity[first + i, 0],
-            work.velocity[first + i, 1],
-        )
+        x, y = work.place[first + i, 0], work.place[first + i, 1]
+        vx, vy = work.velocity[first + i, 0], work.velocity[first + i, 1]
         fx, fy = seal_force(x, y, vx, vy, 0.0, 0.0, (stiffness, cross, damping, across, 0.0))
         count = rig.seal_lags.shape[1]
         end = lag + 2 * count
         for m in range(count):
-            direct, cross = (
-                at[5 + 2 * m] + t * (to[5 + 2 * m] - at[5 + 2 * m]),
-                at[6 + 2 * m] + t * (to[6 + 2 * m] - at[6 + 2 * m]),
-            )
+            direct = at[5 + 2 * m] + t * (to[5 + 2 * m] - at[5 + 2 * m])
+            cross = at[6 + 2 * m] + t * (to[6 + 2 * m] - at[6 + 2 * m])
             gx, gy = state_force(z[lag + 2 * m], z[lag + 2 * m + 1], direct, cross)
             fx, fy = fx + gx, fy + gy
             row = rig.seal_lags[i, m]
@@ -283,15 +280,32 @@ def _farthest(rig: Any, work: Any, dt: float) -> float:
 
 
 @compiled
-def _inside(rig: Any, work: Any, z: Any) -> int:
-    """Which touchdown bearings the rotor touches, a bit each."""
+def _regime(rig: Any, work: Any, z: Any, depth: Any) -> int:
+    """A number that changes where a contact begins, ends, pushes or no longer does, and where an amplifier of order two reaches
+    or leaves a stop; depth (b,) [m]: how far the rotor is in its touchdown bearings, 0 where it is free."""
     _move(rig, work, z)
-    bits = 0
+    amp, number = 2 * coordinates(rig), 0
     for b in range(rig.touchdown.shape[0]):
-        x, y, gap = work.place[b, 0], work.place[b, 1], rig.touchdown[b, 0]
-        if x * x + y * y > gap * gap:
-            bits |= 1 << b
-    return bits
+        x, y, vx, vy = work.place[b, 0], work.place[b, 1], work.velocity[b, 0], work.velocity[b, 1]
+        depth[b], kind = max(np.sqrt(x * x + y * y) - rig.touchdown[b, 0], 0.0), 0
+        if depth[b] > 0.0:
+            kind = 1 if contact_force(x, y, vx, vy, 0.0, rig.touchdown[b])[3] > 0.0 else 2
+        number = 5 * number + kind
+    for a in range(rig.amplifier.shape[0]):
+        first, second = stops(rig.amplifier[a])
+        at, slope_at = abs(z[amp + 2 * a]) >= first * _STOPPED, abs(z[amp + 2 * a + 1]) >= second * _STOPPED
+        number = 5 * number + at + 2 * slope_at
+    return number
+
+
+@compiled
+def _followed(rig: Any, work: Any, regime: int, z: Any) -> bool:
+    """Whether the step to z resolves what it passes: one regime, and where damping sets in depths that change by little."""
+    same = _regime(rig, work, z, work.depth[1]) == regime
+    for b in range(rig.touchdown.shape[0]):
+        old, new = work.depth[0, b], work.depth[1, b]
+        same = same and abs(new - old) <= _BEND * (min(old, new) + rig.touchdown[b, 6])
+    return same
 
 
 @compiled
@@ -310,35 +324,45 @@ def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: 
         for i in range(n):
             total[i] += weight * dz[i]
             trial[i] = z[i] + ahead * dz[i]
+    for a in range(rig.amplifier.shape[0]):
+        i, (first, second) = 2 * coordinates(rig) + 2 * a, stops(rig.amplifier[a])
+        total[i], total[i + 1] = min(max(total[i], -first), first), min(max(total[i + 1], -second), second)
 
 
 @compiled
-def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, near: bool, z: Any) -> None:
-    """One control sample in ``steps`` steps; near: a contact may begin or end.
+def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> None:
+    """One control sample in ``steps`` steps.
 
-    The order is lost in a step in which a contact begins or ends: that one is done again in parts, and the part in which it
-    happens once more, so that force and damping set in within nanoseconds of where they should.
+    The order is lost in a step in which a contact begins or ends, an amplifier reaches or leaves a stop, or that is too long
+    for the damping's onset: such a step is done again in parts, and parts like it once more, so that what changes there does
+    so within nanoseconds of where it should.
     """
-    n, total = z.shape[0], work.slopes[1]
-    touched = _inside(rig, work, z) if near else 0
+    total = work.slopes[1]
+    regime = _regime(rig, work, z, work.depth[0])
     for step in range(steps):
         tau, width = step / steps, 1.0 / steps
         _step(rig, work, drive, k, tau, width, z)
-        if not near or _inside(rig, work, total) == touched:
-            for i in range(n):
-                z[i] = total[i]
+        if _followed(rig, work, regime, total):
+            _accept(work, z)
             continue
         for part in range(_PARTS):
             _step(rig, work, drive, k, tau + part * width / _PARTS, width / _PARTS, z)
-            if _inside(rig, work, total) == touched:
-                for i in range(n):
-                    z[i] = total[i]
+            if _followed(rig, work, regime, total):
+                _accept(work, z)
                 continue
             for piece in range(_PARTS):
                 _step(rig, work, drive, k, tau + (part + piece / _PARTS) * width / _PARTS, width / _PARTS**2, z)
-                for i in range(n):
-                    z[i] = total[i]
-            touched = _inside(rig, work, z)
+                _accept(work, z)
+            regime = _regime(rig, work, z, work.depth[0])
+
+
+@compiled
+def _accept(work: Any, z: Any) -> None:
+    """The step's end becomes the state."""
+    for i in range(z.shape[0]):
+        z[i] = work.slopes[1, i]
+    for b in range(work.depth.shape[1]):
+        work.depth[0, b] = work.depth[1, b]
 
 
 @compiled
@@ -377,33 +401,22 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
     """
 
     def advance(
-        rig: Any,
-        law: Any,
-        program: Any,
-        drive: Any,
-        P: Any,
-        steps: int,
-        z: Any,
-        x: Any,
-        held: Any,
-        work: Any,
-        log: Any,
-        errors: Any,
+        rig: Any, law: Any, code: Any, drive: Any, P: Any, steps: int, z: Any, x: Any, held: Any, work: Any, log: Any, seen: Any
     ) -> int:
         """A stretch of K control samples; z, x and held (a,) end as the state after it.
 
-        program: what runs in place of the law, address 0: nothing. P: the propagator; samples that it cannot do (contact near,
+        code: what runs in place of the law, address 0: nothing. P: the propagator; samples that it cannot do (contact near,
         an amplifier at its limits, a bias that moves) take ``steps`` Runge-Kutta steps, more far out. log (K, columns): see
-        ``_log``. errors (K, a) [m]: what the controller saw. Returns how many samples were done: fewer than K where the
-        state overflowed or the program gave up.
+        ``_log``. seen (K, a) [m]: what the controller saw. Returns how many samples were done: fewer than K where the
+        state overflowed or the code gave up.
         """
         assert fingerprint  # part of the cached function's identity
         y, u = work.sampled[0], work.sampled[1]
-        for k in range(errors.shape[0]):
+        for k in range(seen.shape[0]):
             _measure(rig, drive, k, z, y)
-            if program.address == 0:
-                control(law, drive, k, y, x, held, u, errors[k], work.ahead)
-            elif run_program(law, program, drive, k, y, held, u, errors[k]) < 0:
+            if code.address == 0:
+                control(law, drive, k, y, x, held, u, seen[k], work.ahead)
+            elif run_program(law, code, drive, k, y, held, u, seen[k]) < 0:
                 return k
             command(drive, work, k, u)
             _log(rig, work, z, y, u, log[k])
@@ -411,10 +424,10 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
             if P.usable and away < _FAR_OUT and settled(rig, work, drive, k, z):
                 propagate(rig, work, drive, P, k, z)
             else:
-                _integrate(rig, work, drive, k, steps * _DENSE if away > _FAR_OUT else steps, away > _NEAR, z)
+                _integrate(rig, work, drive, k, steps * _DENSE if away > _FAR_OUT else steps, z)
             if not np.isfinite(z.sum()):
                 return k
-        return errors.shape[0]
+        return seen.shape[0]
 
     def slope(rig: Any, drive: Any, u: Any, z: Any, work: Any, dz: Any) -> None:
         """dz/dt with the amplifiers told u (a,), at the start of the stretch."""

@@ -69,6 +69,7 @@ class Work(NamedTuple):
     slopes: np.ndarray  # (3, n)
     sampled: np.ndarray  # (2, a) measurement [m] and acting controller output [A]
     ahead: np.ndarray  # (m,)
+    depth: np.ndarray  # (2, b) penetration of the touchdown bearings before and after a step [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +116,7 @@ class Rig:
         """Fresh scratch arrays."""
         stations, a = len(self.constants.shape), len(self.axes)
         shapes: list[tuple[int, ...]] = [(stations, 2)] * 3 + [(self.coordinates,), (a,), (a,), (3, self.states), (2, a)]
-        return Work(*(np.zeros(shape) for shape in [*shapes, (controller_states,)]))
+        return Work(*(np.zeros(shape) for shape in [*shapes, (controller_states,), (2, len(self.constants.touchdown))]))
 
 
 def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: int | None = None) -> Rig:
