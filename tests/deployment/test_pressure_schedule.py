@@ -102,10 +102,11 @@ def test_other_targets(machine, made, deployment, tmp_path):
         to: export(
             made, tmp_path / to, to=to, machine=machine, options=ExportOptions(name="rig", sources_only=True, force=True)
         )
-        for to in ("fmu", "mat")
+        for to in ("fmu", "mat", "st")
     }
     assert sorted(path.name for path in done["fmu"].paths) == ["rig_fmi2.fmu", "rig_fmi3.fmu"]
     assert sorted(path.name for path in done["mat"].paths) == ["rig.mat", "rig_vectors.csv"]
+    assert "pressure : LREAL" in (tmp_path / "st" / "rig.st").read_text()
     c = loadmat(tmp_path / "mat" / "rig.mat", simplify_cells=True)["rig"]
     assert (c["scheduling"]["parameter"], c["scheduling"]["unit"]) == ("pressure", "Pa")
     np.testing.assert_allclose(c["scheduling"]["grid"], deployment.sampled.grid)

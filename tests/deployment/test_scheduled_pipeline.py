@@ -175,10 +175,7 @@ def test_the_command_forces_and_says_so(file, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            ["--to", "st"],
-            "the target is 'st' for a controller scheduled over 0 to 300 rad/s of speed, but must be c or fmu or mat",
-        ),
+        (["--to", "st", "--arithmetic", "fixed32"], "arithmetic of a scheduled controller is 'fixed32'"),
         (["--to", "fmu", "--arithmetic", "fixed16"], "arithmetic of a scheduled controller is 'fixed16'"),
         (["--to", "c", "--arithmetic", "fixed32"], "arithmetic of a scheduled controller is 'fixed32'"),
         (["--to", "c", "--speed-limit", 200], "speed_limit is 200 rad/s, but must be at least 300 rad/s"),

@@ -60,7 +60,7 @@ def export(
 ) -> None:  # fmt: skip
     """Sample a controller, verify its loop as it will run, and write it as code for the target.
 
-    A scheduled controller is written as C or FMU in floating point or as a MAT-file, verified at frozen speeds or pressures."""
+    A scheduled controller is written in floating point, verified at frozen speeds or pressures over its range."""
     from ambrose.core.checks import check_positive
     from ambrose.deployment.pipeline import ExportOptions
     from ambrose.deployment.pipeline import export as write_for_target

@@ -48,7 +48,6 @@ TARGETS: Mapping[Target, tuple[Arithmetic, ...]] = {  # with what each can compu
     "c": ("double", "float", "fixed32", "fixed16"), "mat": ("double",), "fmu": ("double", "float", "fixed32", "fixed16"),
     "st": ("double", "float"),
 }  # fmt: skip
-SCHEDULED_TARGETS: tuple[Target, ...] = ("c", "fmu", "mat")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -140,8 +139,8 @@ def export(
     """Write a controller for a target into ``directory``, after its sampled loop was verified at every point of ``machine``.
 
     controller: a Synthesis, or a system from errors [m] to currents [A] (StateSpace, python-control); signals
-    not called err_<axis> are the machine's axes in their order. A scheduled controller is written as C or FMU in floating point
-    or as a MAT-file. to: "c" (C99), "mat" (MATLAB, Octave), "fmu" (FMI 2.0 and 3.0), "st" (IEC 61131-3). machine: None: the
+    not called err_<axis> are the machine's axes in their order. A scheduled controller is written in floating point.
+    to: "c" (C99), "mat" (MATLAB, Octave), "fmu" (FMI 2.0 and 3.0), "st" (IEC 61131-3). machine: None: the
     bundled one that the controller was made for, if it is unchanged. Raises InvalidInput, and UnstableSystem for a controller
     that is refused (``deploy``).
     """
@@ -199,11 +198,6 @@ def _check_target(synthesis: Synthesis, to: Target, options: ExportOptions) -> N
             what = f"{other.name}_limit or {other.name}_rate"
             raise invalid(what, "given", "left out", f"this controller is not scheduled over {other.name}")
     if scheduled is not None and along is not None:
-        if to not in SCHEDULED_TARGETS:
-            low, high = scheduled.range
-            what = f"{to!r} for a controller scheduled over {low:g} to {high:g} {scheduled.unit} of {scheduled.parameter}"
-            remedy = f"write the fixed one of a {scheduled.parameter}, scheduled.at(...)"
-            raise invalid("the target", what, " or ".join(SCHEDULED_TARGETS), remedy)
         check_precision(options.arithmetic)
         if options.form == "cascade":
             raise invalid(
@@ -257,7 +251,7 @@ def _files(
     if to == "mat":
         return generate_mat(block, deployment, synthesis, lines)
     if to == "st":
-        return generate_structured_text(cast(ControlBlock, block), cast(Precision, options.arithmetic), lines)
+        return generate_structured_text(block, cast(Precision, options.arithmetic), lines)
     return generate_fmus(block, options.arithmetic, lines, sources_only=options.sources_only)
 
 

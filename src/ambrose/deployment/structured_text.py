@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import invalid
-from ambrose.deployment.block.cost import step_cost
+from ambrose.deployment.block.cost import increment_of, scheduled_cost, step_cost
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.run import FLOOR
-from ambrose.deployment.block.vectors import Vectors, as_csv, make_vectors
+from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.deployment.block.word_length import MANTISSA, floating_error
-from ambrose.deployment.c.code import Precision, block_facts
+from ambrose.deployment.c.code import Precision, block_facts, scheduled_tolerance
 from ambrose.deployment.c.literals import diagonals, digits, lines_of
 from ambrose.deployment.rendering import render
 
@@ -46,6 +47,10 @@ reset track held fault limited e u d state carry last missing error_limit curren
 asked given sum change check block sample samples wrong done errors valid currents status expected largest tolerance direct
 to_current from_error unwind transfer_error transfer_current
 """  # what the function block and the test declare besides signals
+_OWN_SCHEDULED = """
+clamped behind grid told told_missing place moving target near far low pass q r w of_error of_state on_state on_current core
+steady pick speeds pressures
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +64,7 @@ class Table:
 
 
 def generate_structured_text(
-    block: ControlBlock, precision: Precision = "double", provenance: Sequence[str] = ()
+    block: ControlBlock | ScheduledBlock, precision: Precision = "double", provenance: Sequence[str] = ()
 ) -> dict[str, str]:
     """<name>.st (the function block), <name>_test.st (a program that replays the vectors), <name>_vectors.csv.
 
@@ -71,7 +76,8 @@ def generate_structured_text(
     if precision == "float":
         block = block.single()
     _check_names(block)
-    run = make_vectors(block, single=precision == "float")
+    single = precision == "float"
+    run = make_scheduled_vectors(block, single) if isinstance(block, ScheduledBlock) else make_vectors(block, single=single)
     facts = _facts(block, precision, provenance)
     return {
         f"{block.name}.st": render("block.st.j2", {**facts, "tables": _tables(block, precision)}),
@@ -80,9 +86,11 @@ def generate_structured_text(
     }
 
 
-def _check_names(block: ControlBlock) -> None:
+def _check_names(block: ControlBlock | ScheduledBlock) -> None:
     """Names that structured text allows: case does not count, no two underscores in a row, no keyword, none of ours."""
-    own = frozenset(_OWN.split()) | {d["name"] for d in diagonals(block.increment, block.increment)}
+    own = frozenset(_OWN.split()) | {d["name"] for d in _diagonals(block)}
+    if isinstance(block, ScheduledBlock):
+        own |= frozenset(_OWN_SCHEDULED.split()) | {block.along.name, f"{block.along.name}_held"}
     checked = [("the name of the block", block.name, "give another --name")]
     checked += [("a signal's name", s, "give the controller's signals other names") for s in (*block.inputs, *block.outputs)]
     for what, name, remedy in checked:
@@ -99,17 +107,60 @@ def _check_names(block: ControlBlock) -> None:
             raise invalid("a signal's name", repr(name), "unique, capitals or not", "give the controller's signals other names")
 
 
-def _facts(block: ControlBlock, precision: Precision, provenance: Sequence[str]) -> dict[str, Any]:
-    return {
-        **block_facts(block), "type": _TYPES[precision], "winding": block.winding, "cost": step_cost(block, precision),
+def _diagonals(block: ControlBlock | ScheduledBlock) -> list[dict[str, Any]]:
+    increment = increment_of(block)
+    return diagonals(increment, increment)
+
+
+def _facts(block: ControlBlock | ScheduledBlock, precision: Precision, provenance: Sequence[str]) -> dict[str, Any]:
+    facts = {
+        **block_facts(block), "type": _TYPES[precision], "diagonals": _diagonals(block),
         "provenance": [_comment(line) for line in provenance] or ["provenance: not given"],
-        "diagonals": diagonals(block.increment, block.increment), "floor": literal(FLOOR["float"], "float"),
+        "floor": literal(FLOOR["float"], "float"), "scheduled": isinstance(block, ScheduledBlock),
+    }  # fmt: skip
+    if not isinstance(block, ScheduledBlock):
+        return {**facts, "winding": block.winding, "cost": step_cost(block, precision)}
+    (low, high), along = block.range, block.along
+    step = literal(block.told_step, precision) if np.isfinite(block.told_step) else ""
+    return {
+        **facts, "winding": block.n_states, "cost": scheduled_cost(block, precision), "direct": True,
+        "parameter": along.name, "unit": along.unit, "ng": len(block.grid), "passes": block.passes, "told_step": step,
+        "low": literal(low, precision), "high": literal(high, precision), "told_limit": literal(block.told_limit, precision),
+        "nr": block.changes.ranks[0], "nq": block.changes.ranks[1],
     }  # fmt: skip
 
 
-def _tables(block: ControlBlock, precision: Precision) -> list[Table]:
+def _scheduled_tables(block: ScheduledBlock) -> dict[str, np.ndarray]:
+    n, changes = block.n_states, block.changes
+    arrays = {"grid": block.grid, "direct": changes.fixed[n:, n:].T}
+    if n:
+        arrays |= {"from_error": changes.fixed[:n, n:].T, "to_current": changes.fixed[n:, :n].T}
+        arrays["unwind"] = block.unwind.transpose(0, 2, 1)
+    if changes.ranks[0]:
+        arrays |= {
+            "of_error": changes.right[:, n:].T,
+            "core": changes.core.transpose(0, 2, 1),
+            "on_current": changes.left[n:].T,
+        }
+    if changes.ranks[0] and n:
+        arrays |= {"of_state": changes.right[:, :n].T, "on_state": changes.left[:n].T}
+    if block.transfers:
+        arrays |= {"steady": block.steady.transpose(0, 2, 1), "pick": block.pick.transpose(0, 2, 1)}
+    return arrays
+
+
+def _tables(block: ControlBlock | ScheduledBlock, precision: Precision) -> list[Table]:
     arrays = {"error_limit": block.error_limit, "current_limit": block.current_limit}
-    arrays |= {d["name"]: d["entries"] for d in diagonals(block.increment, block.increment)}
+    arrays |= {d["name"]: d["entries"] for d in _diagonals(block)}
+    arrays |= _scheduled_tables(block) if isinstance(block, ScheduledBlock) else _fixed_tables(block)
+    return [
+        Table(name, ", ".join(f"0..{count - 1}" for count in x.shape), _TYPES[precision], values(x, precision))
+        for name, x in arrays.items()
+    ]
+
+
+def _fixed_tables(block: ControlBlock) -> dict[str, np.ndarray]:
+    arrays: dict[str, np.ndarray] = {}
     if block.n_states:
         arrays |= {"from_error": block.B.T, "to_current": block.C.T}
     if block.D.any():
@@ -118,15 +169,19 @@ def _tables(block: ControlBlock, precision: Precision) -> list[Table]:
         arrays["unwind"] = block.unwind[: block.winding].T
     if block.transfers:
         arrays |= {"transfer_error": block.from_error.T, "transfer_current": block.from_output.T}
-    return [
-        Table(name, ", ".join(f"0..{count - 1}" for count in x.shape), _TYPES[precision], values(x, precision))
-        for name, x in arrays.items()
-    ]
+    return arrays
 
 
-def _test(block: ControlBlock, run: Vectors, precision: Precision) -> dict[str, Any]:
-    tolerance = 1e-12 * block.raw_limit if precision == "double" else floating_error(block, MANTISSA["float"])
+def _test(block: ControlBlock | ScheduledBlock, run: Vectors, precision: Precision) -> dict[str, Any]:
+    told = {}
+    if isinstance(block, ScheduledBlock):
+        tolerance = scheduled_tolerance(block, run, precision)
+        none = 2.0 * block.told_limit  # what is no number has no literal, and is treated as what is implausible
+        told = {"told": values(np.nan_to_num(np.asarray(run.told), nan=none), precision)}
+    else:
+        tolerance = 1e-12 * block.raw_limit if precision == "double" else floating_error(block, MANTISSA["float"])
     return {
+        **told,
         "samples": len(run.errors), "errors": values(run.errors, precision), "currents": values(run.currents, precision),
         "tolerance": values(tolerance, precision), "status": _lines([str(int(v)) for v in run.status]),
         "valid": _lines(["TRUE" if v else "FALSE" for v in run.valid.ravel()]),

@@ -57,9 +57,7 @@ def generate(
         run = make_scheduled_vectors(block, arithmetic == "float")
         facts = {**_facts(block, arithmetic, provenance), **_schedule_facts(block, arithmetic)}
         tables, report, kind = _scheduled_tables(block, arithmetic), _scheduled_report(block, run), "scheduled"
-        source, tolerance = "scheduled.c.j2", _DOUBLE_TOLERANCE * block.raw_limit
-        if arithmetic == "float":
-            tolerance = np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
+        source, tolerance = "scheduled.c.j2", scheduled_tolerance(block, run, arithmetic)
     else:
         fixed = in_words(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
         run = make_vectors(block, fixed, single=arithmetic == "float")
@@ -79,6 +77,13 @@ def generate(
     }
     files = {f"{block.name}{end}": render(template, {**facts, **values}) for end, (template, values) in texts.items()}
     return {**files, f"{block.name}_vectors.csv": as_csv(block, run)}
+
+
+def scheduled_tolerance(block: ScheduledBlock, run: Vectors, arithmetic: str) -> np.ndarray:
+    """How far code may be from the vectors (p,) [A]."""
+    if arithmetic == "float":
+        return np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
+    return _DOUBLE_TOLERANCE * block.raw_limit
 
 
 def in_words(block: ControlBlock, word: int, largest_error: float = LARGEST_ERROR) -> FixedBlock | FixedCascade:
