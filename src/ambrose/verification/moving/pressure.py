@@ -216,13 +216,15 @@ def check_pressure(
         frozen = frozen_peaks(plant, span, law, timing)
     except AmbroseError as error:
         wanted = demand("maximum singular value of a sensitivity", machine.requirements)
-        return Checks(span.label, True, (_judged(wanted, rate, np.inf, f"not proved: {error}"),))
+        return Checks(span.label, True, (judged_rate(wanted, rate, np.inf, f"not proved: {error}"),))
     wanted = demand("maximum singular value of a sensitivity", machine.requirements)
     where = f"the worst of {FROZEN} pressures, at {frozen.pressure / 1e5:.4g} bar" if frozen.stable else "unstable"
     title = "Largest output sensitivity while the pressure stands still, found"
     checks = [information("moving.frozen", title, frozen.gain, "-", where)]
     if not frozen.stable:
-        return Checks(span.label, False, (*checks, _judged(wanted, rate, np.inf, "a pressure that stands still is unstable")))
+        return Checks(
+            span.label, False, (*checks, judged_rate(wanted, rate, np.inf, "a pressure that stands still is unstable"))
+        )
     tell(f"proving the loop {span.label}, at any speed")
     value, detail = _proof(loop, (), np.inf, tell)
     title = "Output sensitivity proved for any motion of the pressure, however fast"
@@ -231,12 +233,13 @@ def check_pressure(
     bounded, words = _proof(loop, filter_poles(frozen, int(np.bincount(loop.owner).max())), rate / span.half, tell)
     if value < bounded:  # what holds for any speed holds for this one
         bounded, words = value, detail
-    checks.append(_judged(wanted, rate, bounded, f"{words}; {bounded / frozen.gain - 1:.1%} above what was found at rest"))
+    checks.append(judged_rate(wanted, rate, bounded, f"{words}; {bounded / frozen.gain - 1:.1%} above what was found at rest"))
     note = "proved is the energy gain from disturbances of the measurement to the measurement, which is sigma_max(S_o) at rest"
     return Checks(span.label, True, tuple(checks), notes=(note,))
 
 
-def _judged(wanted: Demand, rate: float, value: float, detail: str) -> Check:
+def judged_rate(wanted: Demand, rate: float, value: float, detail: str) -> Check:
+    """The row of what was proved for a rate [Pa/s]; failed where nothing was."""
     title = f"Output sensitivity proved for any motion of the pressure at up to {rate / 1e5:.4g} bar/s"
     check = judge("moving.sensitivity.rate", title, value, "-", wanted, detail)
     return check if np.isfinite(value) else replace(check, passed=False)  # also where nothing is required
