@@ -107,6 +107,7 @@ def verify(
     rate: float | None = None,
     delay_samples: int | None = None,
     pressure_rate: float | None = None,
+    pressure_error: float = 0.0,
     progress: Progress = _quiet,
 ) -> Verification:
     """The controller judged on the full plant: at every operating point, and over all tolerances around each.
@@ -114,8 +115,9 @@ def verify(
     points: of the machine, one or several (None: all, the one that designs are made for first). rate [Hz], delay_samples: the
     loop as it runs, sampled by Tustin's map and late (None: as the controller or the machine file says; where neither knows a
     rate the continuous loop is judged). pressure_rate [Pa/s]: the fastest change of the seal pressure, for a proof while it
-    changes (None: the machine file's, or no proof). Points that a schedule does not cover are listed as left out, and the
-    verification is not passed. Raises InvalidInput where the controller is not one for this machine.
+    changes (None: the machine file's, or no proof); pressure_error [Pa]: how far off what a controller scheduled over it is
+    told may be. Points that a schedule does not cover are listed as left out, and the verification is not passed. Raises
+    InvalidInput where the controller is not one for this machine.
     """
     from ambrose.evaluation.verdict import verify_controller
     from ambrose.plant.model import Plant as PlantType
@@ -124,7 +126,8 @@ def verify(
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
     return verify_controller(
         place, _read(controller), several, tolerances=tolerances, rate=rate, delay_samples=delay_samples,
-        pressure_rate=pressure_rate, progress=progress,
+        pressure_rate=pressure_rate, pressure_error=pressure_error,
+        progress=progress,
     )  # fmt: skip
 
 

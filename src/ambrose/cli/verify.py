@@ -34,6 +34,12 @@ from ambrose.cli.terminal import (
     default=None,
     help='Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; default: the machine file\'s.',
 )
+@click.option(
+    "--pressure-error",
+    metavar="PRESSURE",
+    default=None,
+    help='How far off what a controller scheduled over pressure is told may be, such as "0.4 bar"; default: not at all.',
+)
 @ALL
 @AS_JSON
 def verify(
@@ -42,6 +48,7 @@ def verify(
     rate_hz: float | None,
     delay_samples: int | None,
     pressure_rate: str | None,
+    pressure_error: str | None,
     everything: bool,
     as_json: bool,
 ) -> None:
@@ -52,10 +59,12 @@ def verify(
     description = load(machine)
     controller = load_controller(path, description)
     fastest = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
+    error = quantity_given(pressure_error, "--pressure-error", "pressure")
     with progress_shown(as_json) as progress:
         result = verify_controller(
-            description, controller, rate=rate_hz, delay_samples=delay_samples, pressure_rate=fastest, progress=progress
-        )
+            description, controller, rate=rate_hz, delay_samples=delay_samples, pressure_rate=fastest,
+            pressure_error=error or 0.0, progress=progress,
+        )  # fmt: skip
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:
@@ -67,7 +76,7 @@ def verify(
         if not result.moving and pressure_spans(description):
             known = fastest is not None or description.operation.pressure_rate is not None
             remedy = (
-                "the loop must hold every point, with a fixed law"
+                "the loop must hold every point, with a law that is fixed or scheduled over pressure"
                 if known
                 else "give --pressure-rate or the file's pressure_rate"
             )

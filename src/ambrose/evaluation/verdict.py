@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.evaluation.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
@@ -19,7 +19,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import covers, match_controller
 from ambrose.plant.model import Plant
-from ambrose.plant.scheduling import SPEED, scheduling_of
+from ambrose.plant.scheduling import PRESSURE, SPEED, scheduling_of
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.plant.uncertainty import not_varied, tolerances_around
 from ambrose.synthesis.weights import machine_weights
@@ -27,6 +27,7 @@ from ambrose.verification import nominal, robust, sampled
 from ambrose.verification.between import check_range
 from ambrose.verification.checks import Check, Checks
 from ambrose.verification.moving.pressure import check_pressure, covered_spans
+from ambrose.verification.moving.schedule import check_schedule, scheduled_spans
 from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
 
@@ -40,6 +41,7 @@ def verify_controller(
     rate: float | None = None,
     delay_samples: int | None = None,
     pressure_rate: float | None = None,
+    pressure_error: float = 0.0,
     progress: Progress = lambda stage: None,
 ) -> Verification:
     """The checks of a controller on the full plant at every operating point, and over the tolerances around each.
@@ -49,8 +51,9 @@ def verify_controller(
     delay_samples: the loop as it runs, sampled by Tustin's map and late; None: as the controller or the machine file says
     (``plant.timing.timing_of``); where neither knows a rate the continuous loop is judged, and ``timing`` says so.
     pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the machine file's; without one nothing is proved for a
-    pressure that changes). Operating points that a schedule does not cover are listed as left out. Raises InvalidInput where
-    the controller is not one for this machine.
+    pressure that changes); pressure_error [Pa]: how far off what a controller scheduled over it is told may be. Operating
+    points that a schedule does not cover are listed as left out. Raises InvalidInput where the controller is not one for this
+    machine.
     """
     law = getattr(controller, "law", controller)
     if not isinstance(machine, Machine):
@@ -70,7 +73,7 @@ def verify_controller(
     if points is None and isinstance(machine, Machine):
         ranges, beyond = verify_ranges(machine, law, checks, progress, timing)
         left_out = (*left_out, *beyond)
-        moving = verify_moving(machine, law, checks, progress, timing, pressure_rate)
+        moving = verify_moving(machine, law, checks, progress, timing, pressure_rate, pressure_error)
     still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
     return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still, ranges, moving)
 
@@ -110,15 +113,30 @@ def verify_ranges(
 
 
 def verify_moving(
-    machine: Machine, law: Any, points: Sequence[Checks], progress: Progress, timing: Timing | None, rate: float | None
+    machine: Machine,
+    law: Any,
+    points: Sequence[Checks],
+    progress: Progress,
+    timing: Timing | None,
+    rate: float | None,
+    error: float = 0.0,
 ) -> tuple[Checks, ...]:
     """The checks while the seal pressure changes between the points, at up to ``rate`` [Pa/s] (None: the machine file's).
 
-    Without a rate, with an unstable point, or for a schedule there are none.
+    error [Pa]: how far what a controller scheduled over it is told may be off. Without a rate, with an unstable point, or for a
+    schedule over speed there are none. Raises InvalidInput for an error that no controller reads.
     """
     rate = machine.operation.pressure_rate if rate is None else rate
-    if rate is None or isinstance(law, ScheduledSystem) or not all(checks.stable for checks in points):
+    over_pressure = isinstance(law, ScheduledSystem) and scheduling_of(law) is PRESSURE
+    if error and not over_pressure:
+        raise invalid(
+            "the error of the pressure", f"{error:g} Pa", "0", "only a controller scheduled over pressure is told of it"
+        )
+    if rate is None or not all(checks.stable for checks in points):
         return ()
+    if isinstance(law, ScheduledSystem):
+        spans = scheduled_spans(machine, law) if over_pressure else ()
+        return tuple(check_schedule(machine, span, law, timing, rate, error, progress) for span in spans)
     return tuple(check_pressure(machine, span, law, timing, rate, progress) for span in covered_spans(machine, law))
 
 

@@ -8,8 +8,9 @@ told move within their cells (bounded real lemma; Wu, Yang, Packard & Becker 199
 function; the hull in place of a grid). X1 = 0 needs no rate. X0 + p X1 is positive where one loop is stable for its p, and
 cannot become singular on the way to another p, for there V' would be zero.
 
-X1 has only the rows and columns of the loop's light modes, whose damping the parameter turns about: all else is proved as well
-with a constant X (docs/theory.md). The search takes entries in as it needs them; what it finds is checked at every one.
+Of a loop of many states X1 has only the rows and columns of the light modes, whose damping the parameter turns about: all else
+is proved as well with a constant X (docs/theory.md). The search takes entries in as it needs them; what it finds is checked at
+every one.
 """
 
 from __future__ import annotations
@@ -28,10 +29,11 @@ from ambrose.core.statespace import StateSpace, balance, is_stable
 from ambrose.core.varying.proof import Proof
 
 _ROOMS = (1e-3, 3.5e-3, 1e-2, 3e-2)  # of gamma, above the smallest found, at which the inequality is checked
-_LIGHT = 0.1  # damping ratio of the middle loop's poles, below which X1 has them
+_LIGHT = 0.3  # damping ratio of the middle loop's poles, below which X1 has them
+_SMALL = 16  # states up to which X1 has all rows
 _ROUNDS, _ADDED = 12, 6
 _FLOOR = 1e-12  # of X's largest eigenvalue, in the choice of coordinates
-_TOLERANCE, _TIME_LIMIT = 1e-3, 300.0
+_TOLERANCE, _TIME_LIMIT = 1e-3, 600.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +111,7 @@ class _Search:
                 turned = [np.zeros_like(net) for net in nets]
             flat = [net.reshape(-1, *net.shape[2:]) for net in (*nets, *turned)]
             signs = (-rate / pace, rate / pace) if len(self.moving) else (0.0,)
-            self.entries += [_Entry(*parts, sign) for parts in zip(*flat, strict=True) for sign in signs]
+            self.entries += [_Entry(A, B, A_p, B_p, sign) for A, B, A_p, B_p in zip(*flat, strict=True) for sign in signs]
 
     def inequality(self, entry: _Entry) -> Inequality:
         n, q = entry.B.shape
@@ -206,7 +208,9 @@ def _symmetric_basis(n: int) -> np.ndarray:
 
 
 def _light_rows(A: np.ndarray) -> np.ndarray:
-    """An orthonormal basis (n, k) of what the loop's light modes are seen by: their left eigenvectors."""
+    """An orthonormal basis (n, k) of what the loop's light modes are seen by: their left eigenvectors; all of a small loop."""
+    if len(A) <= _SMALL:
+        return np.eye(len(A))
     values, right = np.linalg.eig(A)
     left = np.linalg.inv(right)
     light = (values.imag > 0) & (-values.real < _LIGHT * np.abs(values))
