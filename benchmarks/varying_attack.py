@@ -1,6 +1,6 @@
 """Proofs while the seal pressure changes, attacked in time: bang-bang, telegraph and random motions on a rigid sampled loop.
 
-python -m benchmarks.varying_attack [--runs 1000]
+python -m benchmarks.varying_attack [--runs 1000] [--scheduled 0.408]
 
 The attack looks for the largest energy gain along each motion of two seconds (power iteration with the adjoint); the
 proof is of the full plant.
@@ -10,23 +10,27 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from ambrose import design, load_machine
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.statespace import StateSpace
-from ambrose.core.varying.loop import VaryingLoop
 from ambrose.core.varying.proof import proved_gain
+from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import match_controller
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
 from ambrose.verification.moving.pressure import PressureSpan, filter_poles, frozen_peaks, pressure_loop, pressure_spans
+from ambrose.verification.moving.schedule import check_schedule, scheduled_spans
 
 RATES = (2e5, 2e6, np.inf)  # Pa/s
 _TIMING = Timing(1e-4, 1)
 _LEVELS = 81  # values of delta at which the loop is sampled
 _SAMPLES = 20_000
+_SHORT = 5_000
 _ITERATIONS = 6
 _TOGETHER = 250
 
@@ -50,12 +54,15 @@ def motions(rate: float, runs: int, rng: np.random.Generator, dt: float) -> np.n
     return found
 
 
-def worst(loop: VaryingLoop, deltas: np.ndarray, rng: np.random.Generator) -> float:
-    """The largest gain found along the motions, the pressure held over each sample."""
-    members = [loop.closed(np.full(loop.parameters, delta)) for delta in np.linspace(-1, 1, _LEVELS)]
+def levels(deltas: np.ndarray) -> np.ndarray:
+    """The nearest of the _LEVELS values of delta."""
+    return np.rint((deltas + 1) / 2 * (_LEVELS - 1)).astype(int)
+
+
+def worst(members: list[StateSpace], index: np.ndarray, rng: np.random.Generator) -> float:
+    """The largest gain found along the motions, index (runs, samples) of the member that each sample has."""
     A, B = np.array([m.A for m in members]), np.array([m.B for m in members])
-    C, (runs, samples), n, p = members[0].C, deltas.shape, members[0].n_states, members[0].B.shape[1]
-    index = np.rint((deltas + 1) / 2 * (_LEVELS - 1)).astype(int)
+    C, (runs, samples), n, p = members[0].C, index.shape, members[0].n_states, members[0].B.shape[1]
     d, size = rng.normal(size=(samples, runs, p)).astype(np.float32), 1.0
     for _ in range(_ITERATIONS):
         d /= np.sqrt((d**2).sum(axis=(0, 2)))[:, None]
@@ -87,15 +94,53 @@ def attack(name: str, span: PressureSpan, law: StateSpace, runs: int) -> None:
             words = f"not proved ({error})"
         cost = time.process_time() - begun
         deltas = motions(rate / span.half, runs, rng, _TIMING.sample_time) if runs else np.empty((0, _SAMPLES))
-        parts = np.array_split(deltas, max(1, runs // _TOGETHER)) if runs else []
-        found = f"; found {max(worst(small, part, rng) for part in parts):.4f} in {runs} motions" if runs else ""
+        members = [small.closed(np.full(small.parameters, delta)) for delta in np.linspace(-1, 1, _LEVELS)]
+        parts = np.array_split(levels(deltas), max(1, runs // _TOGETHER)) if runs else []
+        found = f"; found {max(worst(members, part, rng) for part in parts):.4f} in {runs} motions" if runs else ""
         print(f"  {rate / 1e5:g} bar/s: {words}, {cost:.1f} s of processor time{found}", flush=True)
+
+
+def attack_schedule(name: str, error: float, runs: int) -> None:
+    """A controller scheduled over pressure, told within ``error`` [Pa]: proof at RATES[1], and motions of half a second."""
+    machine = load_machine(name)
+    law = design(machine, "lpv", pressures=pressure_range(machine), rate=1 / _TIMING.sample_time).scheduled
+    (span,), rng, begun = scheduled_spans(machine, law), np.random.default_rng(1), time.process_time()
+    rows = check_schedule(machine, span, law, _TIMING, RATES[1], error).checks
+    print(f"{name}, scheduled over pressure, told within {error / 1e5:g} bar of it, {RATES[1] / 1e5:g} bar/s:")
+    print(*(f"  {row.name} {row.value:.4f} ({row.detail})" for row in rows), sep="\n")
+    print(f"  {time.process_time() - begun:.0f} s of processor time", flush=True)
+    small = reduce(assemble(machine, span.middle), 0, static_correction=False)
+    members = []
+    for delta in np.linspace(-1, 1, _LEVELS):
+        pressure = (span.low + span.high) / 2 + delta * span.half
+        held = pressure_loop(small, span, law.at(span.low), _TIMING)
+        for off in (-error, 0.0, error):
+            told = min(max(pressure + off, span.low), span.high)
+            running = _TIMING.in_loop(match_controller(law.at(told), small))
+            members.append(replace(held, controller=running).closed(np.full(held.parameters, delta)))
+    deltas = motions(RATES[1] / span.half, runs, rng, _TIMING.sample_time)[:, :_SHORT]
+    length = 10 ** rng.uniform(1, 3.5, runs)
+    told = np.array([np.repeat(rng.integers(0, 3, _SHORT), int(n))[:_SHORT] for n in length])
+    parts = np.array_split(3 * levels(deltas) + told, max(1, runs // _TOGETHER))
+    print(f"  found {max(worst(members, part, rng) for part in parts):.4f} in {runs} motions", flush=True)
+
+
+def pressure_range(machine: Machine) -> tuple[float, float]:
+    pressures = [point.seal_pressure for point in machine.operation.envelope]
+    return min(pressures), max(pressures)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=1000)
-    runs = parser.parse_args().runs
+    parser.add_argument(
+        "--scheduled", type=float, metavar="BAR", help="attack a controller scheduled over pressure, told within BAR"
+    )
+    given = parser.parse_args()
+    runs = given.runs
+    if given.scheduled is not None:
+        attack_schedule("seal-rig", 1e5 * given.scheduled, runs)
+        return
     for name in ("seal-rig-k-only", "seal-rig"):
         machine = load_machine(name)
         attack(name, pressure_spans(machine)[0], design(machine, "tuned").controller, runs)

@@ -162,7 +162,8 @@ def check_schedule(
     else:
         value = found.gamma
         words = (
-            f"{size}{late}; {value / gains[worst] - 1:.1%} above what was found at rest there; the inequality holds by "
+            f"{size}{late}, within {_SAME:.1%} of the full plant at rest; {value / gains[worst] - 1:.1%} above what was found at "
+            "rest there; the inequality holds by "
             f"{found.slack:.0e}, rounding {found.rounding:.0e}"
         )
     checks.append(judged_rate(wanted, rate, value, words))
