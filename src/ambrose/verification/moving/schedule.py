@@ -162,9 +162,8 @@ def check_schedule(
     else:
         value = found.gamma
         words = (
-            f"{size}{late}, within {_SAME:.1%} of the full plant at rest; {value / gains[worst] - 1:.1%} above what was found at "
-            "rest there; the inequality holds by "
-            f"{found.slack:.0e}, rounding {found.rounding:.0e}"
+            f"{size}{late}, within {_SAME:.1%} of the full plant at rest; {value / gains[worst] - 1:.1%} above what was found "
+            f"at rest there; the inequality holds by {found.slack:.0e}, rounding {found.rounding:.0e}"
         )
     checks.append(judged_rate(wanted, rate, value, words))
     note = "proved is the energy gain from disturbances of the measurement to the measurement, which is sigma_max(S_o) at rest"
