@@ -38,8 +38,11 @@ def run() -> list[dict[str, Any]]:
     rows.append(_against_cvxpy("first pass, turboexpander, 20 states, 8 points", plant_at, speeds, "CLARABEL"))
     rows.append(_against_cvxpy("first pass, chain, 8 states, 4 points", _chain(2), np.linspace(0, 1, 4), None))
     rows.append(_against_cvxpy("first pass, chain, 8 states, 4 points", _chain(2), np.linspace(0, 1, 4), "CLARABEL"))
-    rows += [_whole(f"chain, {4 * masses} states, 8 points", _chain(masses), np.linspace(0, 1, POINTS)) for masses in (2, 4, 7)]
-    rows += [_whole(f"chain, 16 states, {count} points", _chain(4), np.linspace(0, 1, count)) for count in (3, 15)]
+    for series, sizes in {"states": ((2, POINTS), (4, POINTS), (7, POINTS)), "points": ((4, 3), (4, 6), (4, 15))}.items():
+        for masses, count in sizes:
+            row = _whole(f"chain, {4 * masses} states, {count} points", _chain(masses), np.linspace(0, 1, count))
+            size = count if series == "points" else 4 * masses
+            rows.append({**row, "series": f"LPV synthesis over {series}", "size": size})
     return rows
 
 

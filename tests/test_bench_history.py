@@ -1,10 +1,13 @@
 """The history of `make bench`: what fell against its peer is named, whatever the computer; growth as an exponent."""
 
+import sys
 import xml.etree.ElementTree as ET
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from benchmarks import history
+from benchmarks.__main__ import main
 
 
 def rows(slow=1.0, computer=1.0):
@@ -50,6 +53,21 @@ def test_runs_are_kept_and_drawn(tmp_path, monkeypatch):
     assert len(lines) == 2 and lines[0].get("stroke") == "#a3341f" != lines[1].get("stroke")
     heights = [float(point.split(",")[1]) for point in lines[0].get("points").split()]
     assert heights[0] == heights[1] < heights[2]  # drawn lower where it is slower
+
+
+def test_make_bench_names_a_made_up_fall(tmp_path, monkeypatch, capsys):
+    """The whole of `python -m benchmarks norms` with given figures: in the third run one takes 1.4 times as long."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(history, "yardstick", lambda: 0.01)
+    for slow in (1.0, 1.1, 1.4):
+        given = SimpleNamespace(run=lambda slow=slow: rows(slow=slow, computer=1 / slow))
+        monkeypatch.setitem(sys.modules, "benchmarks.bench_norms", given)
+        assert main(["norms"]) == 0
+        named = [line for line in capsys.readouterr().out.splitlines() if line.startswith("slower against its peer")]
+        assert len(named) == (slow == 1.4)
+    assert named[0].endswith("norms: norm, n = 8") and "the factor 0.7" in named[0]
+    runs = history.read(tmp_path / "benchmarks.jsonl")
+    assert len(runs) == 3 and all(run["commit"] is not None and run["when"] for run in runs)
 
 
 def test_the_yardstick_is_a_time():
