@@ -13,6 +13,7 @@ import numpy as np
 
 from ambrose.core.checks import memberwise
 
+_HELD = 100_000  # complex numbers of matrices that are factorised one by one: memory that is not asked for anew
 _CHUNK = 200_000  # numbers held at once, so that they stay in the cache
 _SMALL = 1e-5  # a pivot smaller than this, relative, spoils digits: such points are solved with pivoting
 _FEW = 16  # points below which each is solved by itself
@@ -35,7 +36,7 @@ def determinants_at(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np
     branching = _branching(owner, delta)
     if branching is not None:
         return _closed(M11, owner, delta, branching)[0]
-    return _determinants(M11[None], delta[:, None, owner])
+    return np.concatenate([_determinants(M11[None], part[:, None, owner]) for part in _parts(delta, M11.size)])
 
 
 def transfers_at(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
@@ -46,7 +47,13 @@ def transfers_at(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndar
     branching = _branching(owner, delta)
     if branching is not None:
         return _closed(M, owner, delta, branching)[1]
-    return _transfers(M[None], delta[:, None, owner])
+    return np.concatenate([_transfers(M[None], part[:, None, owner]) for part in _parts(delta, M.size)])
+
+
+def _parts(delta: np.ndarray, size: int) -> list[np.ndarray]:
+    """delta (d, k) in parts, whose matrices with ``size`` entries each stay within a few megabytes."""
+    step = max(1, _HELD // size)
+    return [delta[i : i + step] for i in range(0, max(1, len(delta)), step)]
 
 
 def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
