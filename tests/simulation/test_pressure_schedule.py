@@ -18,6 +18,8 @@ from ambrose.plant.loop import closed_loop
 from ambrose.plant.timing import Timing
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, sensed
+from ambrose.simulation.rig.inputs import plan, stretch
+from ambrose.simulation.rig.state import build
 from ambrose.simulation.run_up import spin_up
 from ambrose.simulation.scenario import Scenario, read_scenario
 from ambrose.synthesis.pid import pid_controller
@@ -192,6 +194,16 @@ def test_a_fixed_controller_meets_a_changing_pressure_in_the_linear_loop_too():
 def test_what_the_linear_loop_cannot_follow(scenario, message):
     with pytest.raises(InvalidInput, match=message):
         simulate_linear(assemble(RIG, ZERO), SCHEDULE, scenario)
+
+
+def test_the_seals_are_read_alike_whatever_the_stretch():
+    """A gas seal by bulk flow while the pressure bends within a stretch; and no more solutions of it for shorter ones."""
+    machine = load_machine("turboexpander")
+    scenario = Scenario("x", 0.02, pressures=(PressureChange(0.0, 1e6, 0.004), PressureChange(0.0123, 2e6, 0.005)))
+    task = plan(build(machine, machine.operation.nominal, 1), scenario, DT, 0)
+    whole = stretch(task, 0, 200).seal
+    parts = np.concatenate([np.broadcast_to(stretch(task, k, 10).seal, (11, *whole.shape[1:]))[:10] for k in range(0, 200, 10)])
+    np.testing.assert_allclose(parts, whole[:200], rtol=1e-12)
 
 
 class Telling:

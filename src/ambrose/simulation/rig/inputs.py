@@ -149,7 +149,7 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
     sigma, disturbance = rig.constants.sensor[:, 4], held("d")
     noise = plan.noise.standard_normal((count, len(sigma))).T * sigma[:, None] if sigma.any() else np.zeros((len(sigma), count))
     noise += _spread(rig.constants.mean) @ disturbance
-    coefficients, pressure = _seals(plan, nodes, speed), plan.measured(first, count)
+    coefficients, pressure = _seals(plan, first, nodes, speed), plan.measured(first, count)
     return Drive(
         dt, speed, plan.angles(nodes), coefficients, _mass_inverse(rig, coefficients), _unbalance(plan),
         np.ascontiguousarray(np.stack([rows[f"f_{rig.port_names[i]}"] for i in forces], axis=1))
@@ -187,8 +187,9 @@ def _unbalance(plan: Plan) -> np.ndarray:
     return total
 
 
-def _seals(plan: Plan, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Coefficients (nodes or 1, seals, 5 + 2 l), looked up on a grid of some samples and linear between."""
+def _seals(plan: Plan, first: int, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Coefficients (nodes or 1, seals, 5 + 2 l) from sample ``first`` on, looked up at every so many-th sample since the start,
+    where the pressure bends, and linear between."""
     machine, lags, whirl = plan.rig.machine, plan.rig.constants.seal_lags.shape[1], plan.rig.point.whirl_frequency
     seals = machine.seals
     poles = [seal_poles(machine, s) if seal_rational.has_states(s) else np.zeros(0) for s in seals]
@@ -199,13 +200,16 @@ def _seals(plan: Plan, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
     if constant or not seals:
         at = [_coefficients(s, p, float(pressure[0]), float(speed[0]), whirl, lags) for s, p in zip(seals, poles, strict=True)]
         return np.array(at, dtype=float).reshape(1, len(seals), 5 + 2 * lags)
+    before, after = first % _SEAL_GRID, -(first + len(nodes) - 1) % _SEAL_GRID
+    time = np.arange(first - before, first + len(nodes) + after) * plan.dt
+    pressure, speed = plan.pressures(time), plan.speeds(time)
     kinks = np.flatnonzero(np.abs(np.diff(pressure, 2)) > 1e-9 * np.abs(pressure).max()) + 1
-    grid = np.unique([*range(0, len(nodes), _SEAL_GRID), len(nodes) - 1, *kinks])
+    grid = np.unique([*range(0, len(time), _SEAL_GRID), *kinks])
     result = np.empty((len(nodes), len(seals), 5 + 2 * lags))
     for i, item in enumerate(seals):
         rows = np.array([_coefficients(item, poles[i], float(pressure[g]), float(speed[g]), whirl, lags) for g in grid])
         for j in range(rows.shape[1]):
-            result[:, i, j] = np.interp(np.arange(len(nodes)), grid, rows[:, j])
+            result[:, i, j] = np.interp(np.arange(before, before + len(nodes)), grid, rows[:, j])
     return result
 
 
