@@ -55,7 +55,7 @@ def simulate_scenario(
 ) -> Trace:
     """One scenario on the nonlinear virtual rig or, ``linear``, on the linear closed loop.
 
-    machine: or a Plant, whose operating point is then the default. controller: a Synthesis, a schedule over speed, or anything
+    machine: or a Plant, whose operating point is then the default. controller: a Synthesis, a schedule, or anything
     with A, B, C, D. scenario: bundled, a file, or a Scenario. point: operating point or label (None: the nominal one).
     rate [Hz], delay_samples: of the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
     nobody does). rig: further arguments of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.

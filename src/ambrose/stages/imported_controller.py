@@ -39,7 +39,7 @@ def resampled(law: Synthesis, rate: float | None, method: Any, prewarp_hz: float
     if rate is None:
         raise InvalidInput("--sampling needs the rate at which the controller will run; give it with --rate-hz")
     if law.scheduled is not None:
-        raise InvalidInput("a controller scheduled over speed is sampled as it is exported; leave --sampling out")
+        raise InvalidInput("a scheduled controller is sampled as it is exported; leave --sampling out")
     dt = 1 / check_positive(rate, "the sample rate", "give it in Hz")
     prewarp = None if prewarp_hz is None else 2 * pi * prewarp_hz
     check_rate(law.controller, dt)

@@ -1,0 +1,77 @@
+"""The commands on a controller scheduled over pressure: designed, judged, run with a bad sensor, and what they say."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ambrose.cli import main
+from ambrose.machine.file.update import save_machine
+from ambrose.machine.record.files import read_record
+from coarse import coarse
+
+pytestmark = pytest.mark.campaign  # a design
+
+SCENARIO = """name = "surge"
+duration = "60 ms"
+[[pressure]]
+time = "5 ms"
+pressure = "100 % of top pressure"
+ramp = "40 ms"
+[[pressure_sensor]]
+offset = "20 mbar"
+lag = "2 ms"
+[[pressure_sensor]]
+time = "30 ms"
+fault = "lost"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("pressure")
+    save_machine(replace(coarse("seal-rig"), tolerances=()), place / "rig.toml")
+    (place / "surge.toml").write_text(SCENARIO)
+    done = call(
+        place, "synthesize", "rig.toml", "--method", "lpv", "--pressures-bar", "0", "4.08", "--rate-hz", "10000", "--json"
+    )
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["certificate"]["margins"]["worst_pressure"] in np.linspace(0, 4.08e5, 8).round(9)
+    return place
+
+
+def call(place, *arguments):
+    words = [str(place / word) if word.endswith((".toml", ".json", ".h5")) else word for word in arguments]
+    target = ["-o", str(place / "lpv.json")] if arguments[0] == "synthesize" else []
+    return CliRunner().invoke(main, [*words, *target])
+
+
+def test_verify_judges_each_point_at_its_own_pressure(folder):
+    done = call(folder, "verify", "rig.toml", "--controller", "lpv.json", "--json")
+    found = json.loads(done.stdout)
+    assert done.exit_code == 0 and found["passed"] and not found["left_out"] and len(found["points"]) == 3
+
+
+def test_simulate_takes_the_sensor_of_the_scenario(folder):
+    done = call(folder, "simulate", "rig.toml", "--controller", "lpv.json", "--scenario", "surge.toml", "-o", "run.h5")
+    assert done.exit_code == 0, done.stderr
+    record = read_record(folder / "run.h5")
+    told, true = record["p_measured"], record["p_seal"]
+    assert np.ptp(told[301:]) == 0 and np.abs(told - true)[:300].max() < 3e4 < np.abs(told - true).max()
+    linear = call(
+        folder, "simulate", "rig.toml", "--controller", "lpv.json", "--scenario", "surge.toml", "--linear", "-o", "x.h5"
+    )
+    assert linear.exit_code == 2 and "a pressure sensor, which a linear model does not know" in linear.stderr
+
+
+def test_a_point_beyond_the_schedule_is_left_out_and_fails(folder):
+    content = json.loads((folder / "lpv.json").read_text())
+    content["scheduling"]["grid"] = [value / 2 for value in content["scheduling"]["grid"]]
+    (folder / "half.json").write_text(json.dumps(content))
+    done = call(folder, "verify", "rig.toml", "--controller", "half.json")
+    assert done.exit_code == 1
+    assert "twice nominal pressure: left out, the schedule does not cover this operating point" in done.stdout
