@@ -86,7 +86,8 @@ def find_lowest_order(
     while polishing and best.n_states > 2:
         order = best.n_states - 2
         try:
-            candidate = polish_synthesis(problem, controller, order=order, rounds=rounds, judge=measure).controller
+            polished = polish_synthesis(problem, controller, order=order, rounds=rounds, judge=measure, prove=False)
+            candidate = polished.controller
         except NumericalFailure as error:
             progress(f"order {order}, polished: {error}")
             tried.append((order, "polished", float("inf")))

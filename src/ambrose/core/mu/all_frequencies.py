@@ -31,6 +31,7 @@ _EASY = 0.7  # size of the balanced matrix below which its scalings will do
 _FIRST = 12  # intervals per decade to begin with
 _SPAN = 1e-3, 1e3  # from the slowest pole times this to the fastest times that, then on to zero and infinity
 _ROUND = 400  # intervals tried together
+_HELD = 100_000  # complex numbers of the vertices worked on together: memory that is not asked for anew every time
 _HIGHEST = 1e25  # rad/s, above which the rest is not pushed any further out
 _THINNEST = 1e-11  # relative width of an interval that is not halved any more
 _TOLERANCE = 1e-3  # of a level at one frequency
@@ -201,7 +202,11 @@ class _Task:
         return self._rest(low, high, good)
 
     def _contained(self, found: UpperBound, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
-        """Which of the equal cells (i, cells) of the intervals the scalings prove."""
+        """Which of the equal cells (i, cells) of the intervals the scalings prove, a few intervals at a time."""
+        step = max(1, _HELD // (cells * self.model.D.size))
+        if len(low) > step:
+            parts = [np.arange(i, min(i + step, len(low))) for i in range(0, len(low), step)]
+            return np.concatenate([self._contained(found.part(part), low[part], high[part], cells) for part in parts])
         end = np.isinf(high)
         points = low[:, None] + (np.where(end, low, high) - low)[:, None] * np.linspace(0.0, 1.0, cells + 1)
         points[end] = np.inf
