@@ -75,6 +75,17 @@ def test_the_pressure_is_found_and_shown(place):
     assert told["paths"][0] in page and "the seal is within its range" in page
 
 
+def test_the_library_says_what_the_command_says(place):
+    name, folder = place
+    found = amb.monitor(name, folder / "pid.json", folder / "r.h5", bending_modes=1)
+    done = call("monitor", name, folder / "pid.json", folder / "r.h5", "--json", "--bending-modes", 1)
+    told = json.loads(done.stdout)
+    assert list(found.paths) == told["paths"] and list(found.findings) == told["findings"]
+    assert found.values[-1, 0] == told["values"][0][-1] and found.half_widths[-1, 0] == told["half_widths"][0][-1]
+    with pytest.raises(amb.InvalidInput, match="missing.h5"):
+        amb.monitor(name, folder / "pid.json", folder / "missing.h5")
+
+
 def test_a_wrong_pressure_is_seen(place):
     """The same record, said to be taken at a pressure a third lower: the seal contradicts it, in words."""
     name, folder = place

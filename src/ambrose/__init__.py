@@ -10,7 +10,8 @@ TYPE_CHECKING = False  # as type checkers understand it; typing itself is most o
 
 _HOME = {  # public name -> module[:name there]; imported on first use, so that ``import ambrose`` stays fast
     **dict.fromkeys(
-        ("assemble", "campaign", "design", "export", "identify", "plot", "reduce", "simulate", "study", "verify"), "api"
+        ("assemble", "campaign", "design", "export", "identify", "monitor", "plot", "reduce", "simulate", "study", "verify"),
+        "api",
     ),
     **dict.fromkeys(("bundled_machines", "load_machine"), "machine.file.toml"),
     **dict.fromkeys(("read_record", "write_record"), "machine.record.files"),
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
     from ambrose.api import design as design
     from ambrose.api import export as export
     from ambrose.api import identify as identify
+    from ambrose.api import monitor as monitor
     from ambrose.api import plot as plot
     from ambrose.api import reduce as reduce
     from ambrose.api import simulate as simulate
