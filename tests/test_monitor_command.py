@@ -82,7 +82,7 @@ def test_the_library_says_what_the_command_says(place):
     told = json.loads(done.stdout)
     assert list(found.paths) == told["paths"] and list(found.findings) == told["findings"]
     assert found.values[-1, 0] == told["values"][0][-1] and found.half_widths[-1, 0] == told["half_widths"][0][-1]
-    with pytest.raises(amb.InvalidInput, match="missing.h5"):
+    with pytest.raises(amb.InvalidInput, match=r"missing\.h5"):
         amb.monitor(name, folder / "pid.json", folder / "missing.h5")
 
 

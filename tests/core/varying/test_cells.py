@@ -29,7 +29,7 @@ def value(net: np.ndarray, s: float, t: float) -> np.ndarray:
 def test_nets_multiply_and_rise_as_their_polynomials() -> None:
     rng = np.random.default_rng(1)
     p, net = rng.normal(size=(2, 3)), rng.normal(size=(3, 2, 4, 2))
-    both, higher = product(p, net), elevated(net, (5, 4))
+    both, higher = product(p, net), elevated(net, (6, 5))
     assert both.shape[:2] == (4, 4) and higher.shape[:2] == (6, 5)
     for s, t in ((0.0, 1.0), (0.3, 0.8), (0.9, 0.1)):
         np.testing.assert_allclose(value(both, s, t), value(p[:, :, None, None], s, t) * value(net, s, t), atol=1e-13)

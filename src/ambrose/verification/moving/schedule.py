@@ -32,7 +32,7 @@ from ambrose.verification.criteria import information
 from ambrose.verification.moving.pressure import FROZEN, PressureSpan, Tell, judged_rate, pressure_spans, seal_terms
 
 _MODES = (1, 2, 3)  # bending modes per plane that are tried
-_SAME = 5e-3  # relative, of the frozen sensitivities on a model and on the full plant
+SAME = 5e-3  # relative, of the frozen sensitivities on a model and on the full plant
 _PADE = 2
 
 
@@ -98,15 +98,13 @@ class _Loop:
         bands = [(self.relative(max(low, told - error)), self.relative(min(high, told + error))) for told in knots]
         found = []
         for i in range(len(knots) - 1):
-            p = np.array([bands[i], bands[i + 1]])
+            p = np.array([bands[i], bands[i + 1]])[:, : 2 if error else 1]  # told exactly, a cell is a line
             power, net = np.ones((1, 1)), self._wide(self.terms[0])[None, None]
             for term in self.terms[1:]:
                 power = product(p, power[:, :, None, None])[:, :, 0, 0]
-                moved = power[:, :, None, None] * self._wide(term)
-                net = elevated(net, (len(power) - 1, len(power) - 1)) + moved
+                net = elevated(net, power.shape) + power[:, :, None, None] * self._wide(term)
             for_A, for_B = (np.stack([around[i][m], around[i + 1][m]])[:, None] for m in (0, 1))
-            degree = len(net) - 1
-            found.append(Cell(net + elevated(for_A, (degree, degree)), elevated(for_B, (degree, degree)), p))
+            found.append(Cell(net + elevated(for_A, net.shape[:2]), elevated(for_B, net.shape[:2]), p))
         return tuple(found)
 
 
@@ -162,7 +160,7 @@ def check_schedule(
     else:
         value = found.gamma
         words = (
-            f"{size}{late}, within {_SAME:.1%} of the full plant at rest; {value / gains[worst] - 1:.1%} above what was found "
+            f"{size}{late}, within {SAME:.1%} of the full plant at rest; {value / gains[worst] - 1:.1%} above what was found "
             f"at rest there; the inequality holds by {found.slack:.0e}, rounding {found.rounding:.0e}"
         )
     checks.append(judged_rate(wanted, rate, value, words))
@@ -187,7 +185,7 @@ def _model(full: Plant, whole: _Loop, span: PressureSpan, law: ScheduledSystem, 
         loops = [model.frozen(p, p) for p in places]
         if all(is_stable(loop) for loop in loops):
             off = np.abs(np.array([hinf_norm(loop).value for loop in loops]) / peaks - 1).max()
-            if off < _SAME:
+            if off < SAME:
                 break
     else:
         raise NumericalFailure(f"the model with {modes} bending modes per plane is {off:.1%} off the full plant")
