@@ -12,8 +12,7 @@ from ambrose.core.norms import hinf_norm
 from ambrose.plant.assemble import assemble
 from ambrose.plant.timing import Timing
 from ambrose.verification.checks import Checks
-from ambrose.verification.moving.fixed import check_pressure
-from ambrose.verification.moving.pressure import FROZEN, pressure_loop, pressure_spans
+from ambrose.verification.moving.pressure import FROZEN, check_pressure, pressure_loop, pressure_spans
 from ambrose.verification.moving.schedule import check_schedule, scheduled_spans
 
 RATE, PRESSURE_RATE = 10_000.0, 2e6  # Hz; Pa/s

@@ -179,7 +179,7 @@ def monitor(machine: Machine | str, controller: Any, record: Any, **options: Any
     from ambrose.machine.record.files import read_record
 
     read = _read(controller)
-    measured = read_record(record) if isinstance(record, str | os.PathLike) else record
+    measured = read_record(Path(record)) if isinstance(record, str | os.PathLike) else record
     return watched(machine_of(machine), getattr(read, "controller", read), measured, **options)
 
 

@@ -16,8 +16,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification.moving.fixed import check_pressure
-from ambrose.verification.moving.pressure import PressureSpan, pressure_loop, pressure_spans
+from ambrose.verification.moving.pressure import PressureSpan, check_pressure, pressure_loop, pressure_spans
 
 from .conftest import PID, make_rig
 

@@ -26,8 +26,7 @@ from ambrose.synthesis.weights import machine_weights
 from ambrose.verification import nominal, robust, sampled
 from ambrose.verification.between import check_range
 from ambrose.verification.checks import Check, Checks
-from ambrose.verification.moving.fixed import check_pressure
-from ambrose.verification.moving.pressure import covered_spans
+from ambrose.verification.moving.pressure import check_pressure, covered_spans
 from ambrose.verification.moving.schedule import check_schedule, scheduled_spans
 from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 

@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, balance, is_stable, select
 from ambrose.core.varying.loop import VaryingLoop
-from ambrose.machine.criteria import TWO_PI, Demand
+from ambrose.core.varying.proof import Proof, proved_gain
+from ambrose.machine.criteria import TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint, Seal
 from ambrose.machine.machine import Machine
 from ambrose.physics.seal_rational import has_states
@@ -28,8 +29,8 @@ from ambrose.plant.loop import covers, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
-from ambrose.verification.checks import Check
-from ambrose.verification.criteria import judge
+from ambrose.verification.checks import Check, Checks
+from ambrose.verification.criteria import information, judge
 
 FROZEN = 21  # pressures at which the loop with a pressure that stands still is examined
 _MODES = 3  # bending modes per plane of the plant on which those are found; the ends are on the full plant
@@ -200,11 +201,59 @@ def filter_poles(frozen: Frozen, channels: int) -> tuple[float, ...]:
     return tuple(-np.geomspace(low, max(max(usable) / 2, _SPREAD * low), count))
 
 
+def check_pressure(
+    machine: Machine, span: PressureSpan, law: StateSpace, timing: Timing | None, rate: float, tell: Tell = lambda text: None
+) -> Checks:
+    """Stability and output sensitivity while the pressure moves within the span, at any speed and at up to ``rate`` [Pa/s].
+
+    law: a controller as for ``plant.loop.match_controller``. The proof for the rate is judged by the machine's requirement;
+    one that cannot be had has the value inf and says why. Raises InvalidInput.
+    """
+    check_positive(rate, "the rate of the pressure", "give the fastest change in Pa/s")
+    plant = assemble(machine, span.middle)
+    try:
+        loop = pressure_loop(plant, span, law, timing)
+        frozen = frozen_peaks(plant, span, law, timing)
+    except AmbroseError as error:
+        wanted = demand("maximum singular value of a sensitivity", machine.requirements)
+        return Checks(span.label, True, (judged_rate(wanted, rate, np.inf, f"not proved: {error}"),))
+    wanted = demand("maximum singular value of a sensitivity", machine.requirements)
+    where = f"the worst of {FROZEN} pressures, at {frozen.pressure / 1e5:.4g} bar" if frozen.stable else "unstable"
+    title = "Largest output sensitivity while the pressure stands still, found"
+    checks = [information("moving.frozen", title, frozen.gain, "-", where)]
+    if not frozen.stable:
+        return Checks(
+            span.label, False, (*checks, judged_rate(wanted, rate, np.inf, "a pressure that stands still is unstable"))
+        )
+    tell(f"proving the loop {span.label}, at any speed")
+    value, detail = _proof(loop, (), np.inf, tell)
+    title = "Output sensitivity proved for any motion of the pressure, however fast"
+    checks.append(information("moving.sensitivity.any", title, value, "-", detail))
+    tell(f"proving the loop {span.label}, at up to {rate / 1e5:.4g} bar/s")
+    bounded, words = _proof(loop, filter_poles(frozen, int(np.bincount(loop.owner).max())), rate / span.half, tell)
+    if value < bounded:  # what holds for any speed holds for this one
+        bounded, words = value, detail
+    checks.append(judged_rate(wanted, rate, bounded, f"{words}; {bounded / frozen.gain - 1:.1%} above what was found at rest"))
+    note = "proved is the energy gain from disturbances of the measurement to the measurement, which is sigma_max(S_o) at rest"
+    return Checks(span.label, True, tuple(checks), notes=(note,))
+
+
 def judged_rate(wanted: Demand, rate: float, value: float, detail: str) -> Check:
     """The row of what was proved for a rate [Pa/s]; failed where nothing was."""
     title = f"Output sensitivity proved for any motion of the pressure at up to {rate / 1e5:.4g} bar/s"
     check = judge("moving.sensitivity.rate", title, value, "-", wanted, detail)
     return check if np.isfinite(value) else replace(check, passed=False)  # also where nothing is required
+
+
+def _proof(loop: VaryingLoop, poles: tuple[float, ...], rate: float, tell: Tell) -> tuple[float, str]:
+    try:
+        found: Proof = proved_gain(loop, poles, [rate] * loop.parameters, tell=tell)
+    except NumericalFailure as error:
+        return np.inf, f"not proved: {error}"
+    size = f"full plant, {len(loop.A)} states" + (
+        f" and {loop.controller.n_states} of the sampled law" if loop.controller else ""
+    )
+    return found.gamma, f"{size}; the inequality holds by {found.slack:.0e}, rounding {found.rounding:.0e}"
 
 
 def covered_spans(machine: Machine, law: object) -> tuple[PressureSpan, ...]:

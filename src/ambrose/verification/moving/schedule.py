@@ -32,7 +32,7 @@ from ambrose.verification.criteria import information
 from ambrose.verification.moving.pressure import FROZEN, PressureSpan, Tell, judged_rate, pressure_spans, seal_terms
 
 _MODES = (1, 2, 3)  # bending modes per plane that are tried
-SAME = 5e-3  # relative, of the frozen sensitivities on a model and on the full plant
+_SAME = 5e-3  # relative, of the frozen sensitivities on a model and on the full plant
 _PADE = 2
 
 
@@ -160,7 +160,7 @@ def check_schedule(
     else:
         value = found.gamma
         words = (
-            f"{size}{late}, within {SAME:.1%} of the full plant at rest; {value / gains[worst] - 1:.1%} above what was found "
+            f"{size}{late}, within {_SAME:.1%} of the full plant at rest; {value / gains[worst] - 1:.1%} above what was found "
             f"at rest there; the inequality holds by {found.slack:.0e}, rounding {found.rounding:.0e}"
         )
     checks.append(judged_rate(wanted, rate, value, words))
@@ -185,7 +185,7 @@ def _model(full: Plant, whole: _Loop, span: PressureSpan, law: ScheduledSystem, 
         loops = [model.frozen(p, p) for p in places]
         if all(is_stable(loop) for loop in loops):
             off = np.abs(np.array([hinf_norm(loop).value for loop in loops]) / peaks - 1).max()
-            if off < SAME:
+            if off < _SAME:
                 break
     else:
         raise NumericalFailure(f"the model with {modes} bending modes per plane is {off:.1%} off the full plant")
