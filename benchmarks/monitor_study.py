@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 import ambrose as amb
-from ambrose.identification.monitor.watch import monitor
+from ambrose.identification.seal_monitor.watch import monitor
 from ambrose.plant.assemble import assemble
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.simulation import virtual_rig

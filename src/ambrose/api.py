@@ -24,8 +24,8 @@ from ambrose.core.checks import InvalidInput, invalid
 if TYPE_CHECKING:
     from ambrose.campaigns.result import Campaign
     from ambrose.deployment.pipeline import Delivery, ExportOptions, Target
-    from ambrose.identification.monitor.history import SealHistory
     from ambrose.identification.result import Identification
+    from ambrose.identification.seal_monitor.history import SealHistory
     from ambrose.machine.description import OperatingPoint
     from ambrose.machine.machine import Machine
     from ambrose.plant.model import Plant
@@ -171,11 +171,11 @@ def monitor(machine: Machine | str, controller: Any, record: Any, **options: Any
     """A seal's coefficients against time from one record of the running loop, with intervals and what they say.
 
     controller: the one that ran. record: a Record or a path, with y_<axis> [m], u_<axis> [A] and a small excitation e_<axis>
-    [A]. options, see ``identification.monitor.watch.seal_monitor``: seal (None: the only one); unknown, such as ("pressure",)
-    or ("k",); window [s]; rate [share of the file's value per s]; doubts; bending_modes; harmonics; computing_delay; progress.
-    Raises InvalidInput.
+    [A]. options, see ``identification.seal_monitor.watch.seal_monitor``: seal (None: the only one); unknown, such as
+    ("pressure",) or ("k",); window [s]; rate [share of the file's value per s]; doubts; bending_modes; harmonics;
+    computing_delay; progress. Raises InvalidInput.
     """
-    from ambrose.identification.monitor.watch import monitor as watched
+    from ambrose.identification.seal_monitor.watch import monitor as watched
     from ambrose.machine.record.files import read_record
 
     read = _read(controller)

@@ -14,8 +14,8 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.deployment.c.compiler import build_library, find_compiler, has_compiler, load_library
 from ambrose.deployment.c.monitor import generate_monitor, write_monitor
-from ambrose.identification.monitor.model import seal_model
-from ambrose.identification.monitor.watch import SealMonitor
+from ambrose.identification.seal_monitor.model import seal_model
+from ambrose.identification.seal_monitor.watch import SealMonitor
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.reduce import free_mode_reduction

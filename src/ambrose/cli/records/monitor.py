@@ -53,8 +53,8 @@ def monitor(
     Exit status 1: done, but the seal changes, leaves the range of the machine file's tolerances, contradicts the pressure
     given, or nothing can be said.
     """
-    from ambrose.identification.monitor.watch import monitor as watched
-    from ambrose.identification.monitor.watch import seal_monitor
+    from ambrose.identification.seal_monitor.watch import monitor as watched
+    from ambrose.identification.seal_monitor.watch import seal_monitor
     from ambrose.machine.atomic_write import write_text
     from ambrose.machine.record.files import read_record
     from ambrose.report.identification.monitor import monitor_report, monitor_table

@@ -1,4 +1,4 @@
-"""The seal monitor as C99: one parameter of one seal, no heap, no library; what it does: identification/monitor.
+"""The seal monitor as C99: one parameter of one seal, no heap, no library; what it does: identification/seal_monitor.
 
 The observer's filters run in modal coordinates, and what a parameter changes enters through the few directions it has.
 """
@@ -16,8 +16,8 @@ from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.c.literals import integer_table, real_table
 from ambrose.deployment.rendering import render
-from ambrose.identification.monitor.model import Direction
-from ambrose.identification.monitor.watch import OLD, WIDE, SealMonitor
+from ambrose.identification.seal_monitor.model import Direction
+from ambrose.identification.seal_monitor.watch import OLD, WIDE, SealMonitor
 from ambrose.machine.atomic_write import write_files
 
 _RANK = 1e-9  # of the largest: directions that are no more are left out

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.identification.monitor.history import SealHistory
+from ambrose.identification.seal_monitor.history import SealHistory
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units

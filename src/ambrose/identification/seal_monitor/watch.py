@@ -11,11 +11,11 @@ import numpy as np
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.excitation import signal_rows
-from ambrose.identification.monitor.estimator import BLOCK, Estimate, Window, block_sums
-from ambrose.identification.monitor.history import SealHistory, findings_of
-from ambrose.identification.monitor.model import SealModel, seal_model
-from ambrose.identification.monitor.signals import Filter, Signals, measuring_filter
 from ambrose.identification.parameters import nominal_values, reduced_plant
+from ambrose.identification.seal_monitor.estimator import BLOCK, Estimate, Window, block_sums
+from ambrose.identification.seal_monitor.history import SealHistory, findings_of
+from ambrose.identification.seal_monitor.model import SealModel, seal_model
+from ambrose.identification.seal_monitor.signals import Filter, Signals, measuring_filter
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.record.record import Record

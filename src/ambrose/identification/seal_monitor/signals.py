@@ -13,7 +13,7 @@ import numpy as np
 
 from ambrose.core.response import simulate
 from ambrose.core.statespace import StateSpace
-from ambrose.identification.monitor.model import Direction, SealModel
+from ambrose.identification.seal_monitor.model import Direction, SealModel
 
 HIGH_PASS, NOTCH = 2 * np.pi * 5.0, 2 * np.pi * 4.0  # [rad/s]: corner; width of a notch
 

@@ -11,10 +11,10 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate, simulate_piecewise
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification.monitor.estimator import students_t
-from ambrose.identification.monitor.model import seal_model
-from ambrose.identification.monitor.signals import NOTCH, measuring_filter
-from ambrose.identification.monitor.watch import SealMonitor, monitor
+from ambrose.identification.seal_monitor.estimator import students_t
+from ambrose.identification.seal_monitor.model import seal_model
+from ambrose.identification.seal_monitor.signals import NOTCH, measuring_filter
+from ambrose.identification.seal_monitor.watch import SealMonitor, monitor
 from ambrose.machine.description import Tolerance
 from ambrose.machine.record.record import Record
 from ambrose.machine.seals import SealTable
