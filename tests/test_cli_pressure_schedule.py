@@ -56,6 +56,16 @@ def test_verify_judges_each_point_at_its_own_pressure(folder):
     assert done.exit_code == 0 and found["passed"] and not found["left_out"] and len(found["points"]) == 3
 
 
+def test_simulate_falls_back_where_the_reading_is_lost(folder):
+    made = CliRunner().invoke(main, ["synthesize", str(folder / "rig.toml"), "--method", "pid", "-o", str(folder / "pid.json")])
+    assert made.exit_code == 0, made.stderr
+    words = ("simulate", "rig.toml", "--controller", "lpv.json", "--scenario", "surge.toml", "-o", "fallen.h5", "--json")
+    done = call(folder, *words, "--fallback", "pid.json", "--pressure-rate", "200 bar/s")
+    assert "fixed from 0.03 s (the reading is lost)" in json.loads(done.stdout)["text"]
+    refused = call(folder, *words, "--pressure-rate", "200 bar/s")
+    assert refused.exit_code == 2 and "--fallback" in refused.stderr
+
+
 def test_simulate_takes_the_sensor_of_the_scenario(folder):
     done = call(folder, "simulate", "rig.toml", "--controller", "lpv.json", "--scenario", "surge.toml", "-o", "run.h5")
     assert done.exit_code == 0, done.stderr

@@ -144,13 +144,16 @@ def simulate(
     """A scenario on the nonlinear virtual rig (``linear``: on the linear loop): its record and its outcome.
 
     scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine runs (None: the nominal
-    one). options: rate [Hz] and delay_samples of the controller (None: as it or the machine file says); others as for
+    one). options: rate [Hz] and delay_samples of the controller (None: as it or the machine file says); fallback, the fixed
+    controller that takes over from one scheduled over pressure where the reading cannot be trusted; others as for
     ``simulation.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
     from ambrose.evaluation.trial import simulate_scenario
     from ambrose.plant.model import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
+    if isinstance(options.get("fallback"), str | os.PathLike):
+        options["fallback"] = _read(options["fallback"])
     return simulate_scenario(place, _read(controller), scenario, point=point, linear=linear, **options)
 
 

@@ -18,6 +18,7 @@ from ambrose.cli.terminal import (
     load,
     load_controller,
     progress_shown,
+    quantity_given,
     say,
     say_json,
 )
@@ -29,6 +30,12 @@ from ambrose.cli.terminal import (
 @click.option("--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario.")
 @click.option("--linear", is_flag=True, help="The linear model instead of the nonlinear virtual rig.")
 @click.option("--second", type=click.Path(path_type=Path), help="A controller that takes over at the scenario's switch_at.")
+@click.option(
+    "--fallback",
+    type=click.Path(path_type=Path),
+    help="Fixed controller for when a schedule's pressure cannot be trusted.",
+)
+@click.option("--pressure-rate", metavar="RATE", help='With --fallback: the fastest change believed, such as "80 bar/s".')
 @click.option("--bending-modes", type=int, help="Bending modes per plane of the rig; default: 3, as identify models.")
 @click.option("--seed", type=int, help="Of the sensors' noise on the rig; default: 0.")
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
@@ -43,6 +50,8 @@ def simulate(
     scenario: str,
     linear: bool,
     second: Path | None,
+    fallback: Path | None,
+    pressure_rate: str | None,
     bending_modes: int | None,
     seed: int | None,
     point: str | None,
@@ -61,16 +70,21 @@ def simulate(
     from ambrose.machine.record.files import check_suffix, write_record
     from ambrose.plant.timing import DEFAULT, timing_of
 
-    for option, value in (("--bending-modes", bending_modes), ("--seed", seed), ("--second", second)):
+    for option, value in (("--bending-modes", bending_modes), ("--seed", seed), ("--second", second), ("--fallback", fallback)):
         if linear and value is not None:
             remedy = "the linear loop has all modes, no noise and one controller; leave one of the two out"
             raise invalid(option, value, "left out with --linear", remedy)
+    if pressure_rate is not None and fallback is None:
+        raise invalid("--pressure-rate", pressure_rate, "given with --fallback", "name the controller that takes over")
     description = load(machine)
     controller = load_controller(path, description)
     check_suffix(output)
     claim(record=output, report=report)
     growing = not linear and output.suffix.lower() != ".csv"
     options: dict[str, Any] = {} if second is None else {"second": load_controller(second, description)}
+    if fallback is not None:
+        rate = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
+        options |= {"fallback": load_controller(fallback, description), "pressure_rate": rate}
     if not linear:
         options |= {"bending_modes": bending_modes, "seed": seed or 0, "path": output if growing else None}
     with progress_shown(as_json) as progress:

@@ -20,8 +20,10 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
+from ambrose.plant.supervision import supervised
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.simulation import linear, virtual_rig
+from ambrose.simulation.rig.controller import sample_time
 from ambrose.simulation.run_up import Step, spin_up
 from ambrose.simulation.scenario import Scenario, load_scenario
 from ambrose.simulation.trace import Trace
@@ -50,6 +52,8 @@ def simulate_scenario(
     linear: bool = False,
     rate: float | None = None,
     delay_samples: int | None = None,
+    fallback: Any = None,
+    pressure_rate: float | None = None,
     progress: Progress = lambda stage: None,
     **rig: Any,
 ) -> Trace:
@@ -58,7 +62,9 @@ def simulate_scenario(
     machine: or a Plant, whose operating point is then the default. controller: a Synthesis, a schedule, or anything
     with A, B, C, D. scenario: bundled, a file, or a Scenario. point: operating point or label (None: the nominal one).
     rate [Hz], delay_samples: of the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
-    nobody does). rig: further arguments of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
+    nobody does). fallback: the fixed controller that takes over where the pressure that a schedule is told cannot be trusted,
+    pressure_rate [Pa/s]: how fast that may change (None: the machine file's); ``plant.supervision``. rig: further arguments
+    of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
     law = getattr(controller, "law", controller)
     plant = machine if isinstance(machine, Plant) else None
@@ -67,8 +73,13 @@ def simulate_scenario(
     events, where = events.on(described), chosen_point(described, point)
     timing = timing_of(described, controller, rate, delay_samples)
     if linear:
-        if rig:
-            raise invalid("the simulation", f"linear with {', '.join(rig)}", "on the virtual rig for these", "leave linear out")
+        if rig or fallback is not None:
+            raise invalid(
+                "the simulation",
+                f"linear with {', '.join(rig) or 'a fallback'}",
+                "on the virtual rig for these",
+                "leave linear out",
+            )
         if plant is None or where is not None:
             progress("assembling the plant")
             plant = assemble(described, where or described.operation.nominal)
@@ -81,7 +92,12 @@ def simulate_scenario(
     start = where or (plant.point if plant is not None else None)
     if "second" in rig:
         rig["second"] = getattr(rig["second"], "law", rig["second"])
-    return virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
+    if fallback is None:
+        return virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
+    sample = sample_time(law, described, events.sample_time)
+    program = supervised(law, getattr(fallback, "law", fallback), described, sample, pressure_rate)
+    trace = virtual_rig.run(described, program, events, point=start, progress=progress, **rig)
+    return replace(trace, text=f"{trace.text}; {program.words()}")
 
 
 def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, timing: Timing | None = None) -> Trace:

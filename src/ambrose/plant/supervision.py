@@ -1,0 +1,303 @@
+"""A controller scheduled over measured pressure under supervision: where the reading cannot be trusted, a fixed one takes over.
+
+Both run in every sample; the one that is not in charge is an observer of the currents that act (Astrom & Wittenmark,
+Computer-Controlled Systems, 3.5: x+ = A x + B e + L (u - C x - D e)), and what is left of the difference at the change fades
+away linearly. Nothing is proved of the change itself: the dwell time is tried on the rig.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
+from ambrose.core.sampling import c2d
+from ambrose.core.scheduled import ScheduledSystem, interval_points
+from ambrose.core.statespace import StateSpace, is_system
+from ambrose.machine.machine import Machine
+from ambrose.plant.loop import match_axes
+from ambrose.plant.scheduling import PRESSURE, scheduling_of
+
+_BETWEEN = 3  # points between two of the schedule where it is sampled; the sampled matrices are linear between them
+_RADIUS = 0.99  # of the slowest mode with which one that waits follows
+
+
+class State(IntEnum):
+    """Who is in charge: the schedule, or the fixed controller; while FALLING_BACK and RETURNING the difference fades."""
+
+    SCHEDULED = 0
+    FALLING_BACK = 1
+    FIXED = 2
+    RETURNING = 3
+
+
+class Fault(IntEnum):
+    """Why the reading of this sample is not trusted."""
+
+    NONE = 0
+    LOST = 1
+    RANGE = 2
+    JUMP = 3
+    STUCK = 4
+    DIVERGED = 5
+
+
+WORDS = {
+    Fault.LOST: "the reading is lost",
+    Fault.RANGE: "the reading is out of range", Fault.DIVERGED: "reading and estimate differ",
+    Fault.JUMP: "the reading moved faster than its rate", Fault.STUCK: "the reading is stuck",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a reading has to keep to.
+
+    low, high [Pa]: the schedule's range; margin [Pa]: how far beyond it a reading may be; rate [Pa/s]: its fastest change, and
+    noise [Pa]: the largest step between two samples besides (inf: not watched); stuck [s]: how long the very same value may
+    come (inf: not watched; for sensors whose last digit moves); band [Pa]: how far off the reading may be by the proof; dwell
+    [s]: how long readings have to be good before the schedule returns; fade [s]: of the difference at a change. InvalidInput.
+    """
+
+    low: float
+    high: float
+    margin: float
+    rate: float = math.inf
+    noise: float = 0.0
+    stuck: float = math.inf
+    band: float = 0.0
+    dwell: float = 0.2
+    fade: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in ("margin", "noise", "band", "fade"):
+            check_positive(getattr(self, name), f"{name} of the supervision", "give zero or more", zero_allowed=True)
+        for name in ("rate", "stuck"):
+            if not getattr(self, name) > 0:
+                raise invalid(f"{name} of the supervision", getattr(self, name), "above zero", "leave it out to watch nothing")
+        check_positive(self.dwell, "dwell of the supervision", "say how long readings have to be good, such as 0.2 s")
+
+
+@dataclass(slots=True)
+class Supervisor:
+    """The state machine, a few comparisons a sample. A jump, or a reading that left the estimate, is forgiven only by an
+    estimate that agrees: a sensor that is off by a constant looks healthy afterwards."""
+
+    limits: Limits
+    dt: float
+    state: State = State.SCHEDULED
+    fault: Fault = Fault.NONE
+    value: float = math.nan  # [Pa] what the schedule follows
+    last: float = math.nan
+    since: int = 0  # samples since it
+    same: int = 0
+    good: int = 0
+    clock: int = 0
+    latched: bool = False
+
+    def follow(self, told: float, estimate: float = math.nan, half_width: float = math.inf) -> State:
+        """One sample: told, estimate and its 95 % half width [Pa] (NaN, inf: nothing is said)."""
+        limits = self.limits
+        known = math.isfinite(estimate) and math.isfinite(half_width)
+        self.fault = self._fault(told, known, estimate, half_width)
+        if self.fault in (Fault.JUMP, Fault.DIVERGED):
+            self.latched = True
+        elif self.fault is Fault.NONE and known and half_width <= limits.band:
+            self.latched = False
+        trusted = self.fault is Fault.NONE and not self.latched
+        self.good = self.good + 1 if trusted else 0
+        if trusted:
+            trim = min(max(estimate - told, -limits.band), limits.band) if known and half_width <= limits.band else 0.0
+            self.value = min(max(told + trim, limits.low), limits.high)
+        self.clock += 1
+        faded = self.clock * self.dt >= limits.fade
+        if self.state in (State.SCHEDULED, State.RETURNING) and not trusted:
+            self.state, self.clock = State.FALLING_BACK, 0
+        elif self.state is State.FALLING_BACK and faded:
+            self.state = State.FIXED
+        elif self.state is State.FIXED and self.good * self.dt >= limits.dwell:
+            self.state, self.clock = State.RETURNING, 0
+        elif self.state is State.RETURNING and faded:
+            self.state = State.SCHEDULED
+        return self.state
+
+    def _fault(self, told: float, known: bool, estimate: float, half_width: float) -> Fault:
+        limits = self.limits
+        self.since += 1
+        if not math.isfinite(told):
+            return Fault.LOST
+        step, allowed = (
+            abs(told - self.last),
+            limits.rate * self.since * self.dt + limits.noise,
+        )  # NaN at the first one: no step
+        self.last, self.since = told, 0
+        self.same = self.same + 1 if step == 0.0 else 0
+        if not limits.low - limits.margin <= told <= limits.high + limits.margin:
+            return Fault.RANGE
+        if step > allowed:
+            return Fault.JUMP
+        if self.same * self.dt >= limits.stuck:
+            return Fault.STUCK
+        if known and abs(told - estimate) > limits.band + half_width:
+            return Fault.DIVERGED
+        return Fault.NONE
+
+
+@dataclass(slots=True)
+class SupervisedProgram:
+    """Schedule, fixed controller and supervisor as one program for the rig (``ControlProgram``).
+
+    estimate: the seal monitor's pressure and half width [Pa], set by who runs one. changes: sample, state and fault at every
+    change of state. Raises InvalidInput where the fallback is not a fixed law.
+    """
+
+    scheduled: ScheduledSystem
+    fixed: StateSpace
+    machine: Machine
+    sample_time: float
+    limits: Limits
+    tracking: bool = True
+    delay: int = 1
+    parameter: str = "pressure"
+    estimate: tuple[float, float] = (math.nan, math.inf)
+    changes: list[tuple[int, State, Fault]] = field(default_factory=list)
+    supervisor: Supervisor = field(init=False)
+    _grid: np.ndarray = field(init=False)
+    _laws: list[tuple[np.ndarray, ...]] = field(init=False)  # A, B, C, D, L of the schedule along its grid
+    _other: tuple[np.ndarray, ...] = field(init=False)
+    _most: np.ndarray = field(init=False)
+    _x: list[np.ndarray] = field(init=False)
+    _left: np.ndarray = field(init=False)  # [A] of the difference at the last change
+    _share: float = 0.0
+    _charge: int = 0
+    _count: int = 0
+
+    def __post_init__(self) -> None:
+        if not is_system(self.fixed):
+            raise InvalidInput("the fallback is scheduled itself; give a fixed controller, such as --method tuned makes")
+        axes = self.machine.axes
+        self._grid = interval_points(self.scheduled.grid, _BETWEEN)
+        self._laws = [self._sampled(match_axes(self.scheduled.at(p), axes)) for p in self._grid.tolist()]
+        self._other = self._sampled(match_axes(self.fixed, axes))
+        for first, second in zip(self._laws, self._laws[1:], strict=False):
+            self._check(tuple((a + b) / 2 for a, b in zip(first, second, strict=True)))
+        limits = [np.inf if b.max_current is None else b.max_current for b in self.machine.bearings for _ in range(2)]
+        self._most = np.array(limits)
+        self.supervisor = Supervisor(self.limits, self.sample_time)
+        self.begin(np.zeros(self.scheduled.n_states))
+
+    def _sampled(self, law: StateSpace) -> tuple[np.ndarray, ...]:
+        if law.dt is None:
+            law = c2d(law, self.sample_time, method="tustin")
+        elif abs(law.dt - self.sample_time) > 1e-9 * law.dt:
+            raise invalid("the sample time", f"{self.sample_time:g} s", f"the controller's own {law.dt:g} s", "leave it out")
+        found = law.A, law.B, law.C, law.D, tracking_gain(law.A, law.B, law.C)
+        self._check(found)
+        return found
+
+    def _check(self, law: tuple[np.ndarray, ...]) -> None:
+        A, _, C, _, L = law
+        radius = max(np.abs(np.linalg.eigvals(A - L @ C)), default=0.0)
+        if not radius < 1:
+            raise NumericalFailure(
+                f"a controller that waits would not follow the currents (radius {radius:g}); use another one"
+            )
+
+    def words(self) -> str:
+        """What happened, for people: "fixed from 0.1001 s (the reading is lost), schedule again from 0.25 s"."""
+        told = []
+        for sample, state, fault in self.changes:
+            if state is State.FALLING_BACK:
+                told.append(f"fixed from {sample * self.sample_time:.4g} s ({WORDS.get(fault, 'the reading was not trusted')})")
+            elif state is State.RETURNING:
+                told.append(f"schedule again from {sample * self.sample_time:.4g} s")
+        return ", ".join(told) or "schedule throughout"
+
+    @property
+    def range(self) -> tuple[float, float]:
+        return self.scheduled.range
+
+    @property
+    def system(self) -> StateSpace:
+        value = self.supervisor.value
+        return self(value if math.isfinite(value) else self.range[0])
+
+    def __call__(self, value: float) -> StateSpace:
+        """The schedule as it runs, frozen at a pressure [Pa] of its range, sampled."""
+        axes, (low, high) = self.machine.axes, self.range
+        A, B, C, D, _ = self._law(min(max(value, low), high))
+        return StateSpace(A, B, C, D, [f"err_{axis}" for axis in axes], [f"u_{axis}" for axis in axes], self.sample_time)
+
+    def _law(self, value: float) -> tuple[np.ndarray, ...]:
+        i = min(max(int(np.searchsorted(self._grid, value, side="right")) - 1, 0), len(self._grid) - 2)
+        share = (value - self._grid[i]) / (self._grid[i + 1] - self._grid[i])
+        return tuple((1 - share) * a + share * b for a, b in zip(self._laws[i], self._laws[i + 1], strict=True))
+
+    def begin(self, states: np.ndarray) -> None:
+        """The schedule in charge from its states (n,); the fixed one begins at rest and follows."""
+        self._x = [np.array(states, float), np.zeros(len(self._other[0]))]
+        self._left, self._share, self._charge, self._count = np.zeros(len(self._most)), 0.0, 0, 0
+        self.supervisor = Supervisor(self.limits, self.sample_time)
+        self.changes.clear()
+
+    def schedule(self, value: float) -> None:
+        """The reading [Pa] of the next step; NaN: lost."""
+        before = self.supervisor.state
+        after = self.supervisor.follow(value, *self.estimate)
+        if after is not before:
+            self.changes.append((self._count, after, self.supervisor.fault))
+
+    def step(self, errors: np.ndarray) -> np.ndarray:
+        """Currents (a,) [A] from errors (a,) [m]."""
+        supervisor = self.supervisor
+        value = supervisor.value if math.isfinite(supervisor.value) else self.range[0]
+        laws = self._law(value), self._other
+        outputs = [C @ x + D @ errors for (_, _, C, D, _), x in zip(laws, self._x, strict=True)]
+        charge = 0 if supervisor.state in (State.SCHEDULED, State.RETURNING) else 1
+        if charge != self._charge:
+            self._left, self._charge = outputs[1 - charge] + self._share * self._left - outputs[charge], charge
+        passed, fade = supervisor.clock * self.sample_time, self.limits.fade
+        self._share = 1 - passed / fade if passed < fade else 0.0
+        acting = np.clip(outputs[charge] + self._share * self._left, -self._most, self._most)
+        for i, (A, B, _, _, L) in enumerate(laws):
+            self._x[i] = A @ self._x[i] + B @ errors
+            if i != charge and self.tracking:
+                self._x[i] += L @ (acting - outputs[i])
+        self._count += 1
+        return acting
+
+
+def supervised(
+    law: Any, fallback: Any, machine: Machine, sample_time: float, pressure_rate: float | None = None
+) -> SupervisedProgram:
+    """The program with limits from the machine file: 5 % of the range beyond its ends, 1 % from sample to sample besides the
+    rate [Pa/s] (None: the file's, or not watched). Raises InvalidInput."""
+    if not isinstance(law, ScheduledSystem) or scheduling_of(law) is not PRESSURE:
+        raise InvalidInput("only a controller scheduled over pressure can have a fallback; make one with --pressures-bar")
+    low, high = law.range
+    rate = machine.operation.pressure_rate if pressure_rate is None else pressure_rate
+    limits = Limits(low, high, 0.05 * (high - low), math.inf if rate is None else rate, 0.01 * (high - low))
+    return SupervisedProgram(law, fallback, machine, sample_time, limits)
+
+
+def tracking_gain(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
+    """L (n, a) of x+ = A x + B e + L (u - C x - D e): the Kalman predictor of A / _RADIUS (Anderson & Moore, Optimal Control,
+    3.5: prescribed degree of stability), so that every mode dies away within about 100 samples. Raises NumericalFailure."""
+    if not len(A):
+        return np.zeros((0, len(C)))
+    size = np.linalg.norm(B, axis=1)
+    scale = np.maximum(size, 1e-9 * size.max())
+    faster, out = A * scale / scale[:, None] / _RADIUS, C * scale
+    unit = max(float(np.abs(out).max()), np.finfo(float).tiny)
+    out = out / unit
+    try:
+        P = solve_discrete_are(faster.T, out.T, 1e-6 * np.eye(len(A)), np.eye(len(C)))
+    except np.linalg.LinAlgError as error:
+        raise NumericalFailure("no gain makes this controller follow the currents that act; use another one") from error
+    gain = _RADIUS * np.linalg.solve(out @ P @ out.T + np.eye(len(C)), out @ P @ faster.T).T
+    return np.asarray(scale[:, None] * gain / unit)
