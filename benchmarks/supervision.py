@@ -1,6 +1,6 @@
 """Faults of the pressure sensor under a controller scheduled over pressure, with and without a fixed one to fall back to.
 
-    python -m benchmarks.supervision [--machine seal-rig]      four minutes of processor time, most of it the two designs
+    python -m benchmarks.supervision [--machine seal-rig]      20 s of processor time on one thread
 
 Virtual rig at 10 kHz with the rotor's weight: 0 to twice the nominal pressure in 0.1 s, 100 N for 2 ms at the seal 50 ms later;
 "stuck" goes up, freezes there and is vented. Largest measured motion and current over 0.4 s. Then what changes the controllers

@@ -121,6 +121,14 @@ def test_currents_do_not_jump_at_the_change_with_the_rotors_weight_on_them():
     assert steps["bumpless"] < 0.1 * steps["hard"]
 
 
+def test_a_reading_that_is_lost_from_the_start_moves_no_levitated_rotor_far():
+    scenario = Scenario("lost", 0.05, pressure_sensors=(PressureSensor(0.0, fault="lost"),), sample_time=DT)
+    program = supervised(SCHEDULE, PID, RIG, DT)
+    trace = virtual_rig.run(RIG, program, scenario, point=ZERO)
+    assert program.changes[0][:2] == (0, State.FALLING_BACK)
+    assert max(np.abs(trace.record[f"y_{axis}"]).max() for axis in RIG.axes) < 5e-6
+
+
 def test_refusals():
     with pytest.raises(InvalidInput, match="--pressures-bar"):
         supervised(PID, PID, RIG, DT)

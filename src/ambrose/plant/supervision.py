@@ -239,7 +239,7 @@ class SupervisedProgram:
         return tuple((1 - share) * a + share * b for a, b in zip(self._laws[i], self._laws[i + 1], strict=True))
 
     def begin(self, states: np.ndarray) -> None:
-        """The schedule in charge from its states (n,); the fixed one begins at rest and follows."""
+        """The schedule in charge from its states (n,); the fixed one begins as if their currents had been there for long."""
         self._x = [np.array(states, float), np.zeros(len(self._other[0]))]
         self._left, self._share, self._charge, self._count = np.zeros(len(self._most)), 0.0, 0, 0
         self.supervisor = Supervisor(self.limits, self.sample_time)
@@ -257,6 +257,10 @@ class SupervisedProgram:
         supervisor = self.supervisor
         value = supervisor.value if math.isfinite(supervisor.value) else self.range[0]
         laws = self._law(value), self._other
+        if self._count == 0 and self.tracking:  # as if the first currents had been there for long
+            A, B, C, D, L = self._other
+            first = laws[0][2] @ self._x[0] + laws[0][3] @ errors
+            self._x[1] = np.linalg.solve(np.eye(len(A)) - A + L @ C, B @ errors + L @ (first - D @ errors))
         outputs = [C @ x + D @ errors for (_, _, C, D, _), x in zip(laws, self._x, strict=True)]
         charge = 0 if supervisor.state in (State.SCHEDULED, State.RETURNING) else 1
         if charge != self._charge:
