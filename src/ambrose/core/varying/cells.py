@@ -30,7 +30,7 @@ from ambrose.core.varying.proof import Proof
 
 _ROOMS = (1e-3, 4e-3, 1e-2, 3e-2)  # of gamma, above the smallest found, at which the inequality is checked
 _ENOUGH = 4e-3
-_LIGHT = 0.3  # damping ratio of the middle loop's poles, below which X1 has them
+LIGHT = (0.3, 0.65)  # damping ratios: the first suffices for most loops, the second costs twice the time
 _SMALL = 16  # states up to which X1 has all rows
 _ROUNDS, _ADDED = 12, 6
 _FLOOR = 1e-12  # of X's largest eigenvalue, in the choice of coordinates
@@ -81,7 +81,7 @@ class _Entry:
 class _Search:
     """The inequalities in coordinates in which the middle loop's own X is I, and time in its own pace."""
 
-    def __init__(self, cells: Sequence[Cell], C: np.ndarray, rate: float) -> None:
+    def __init__(self, cells: Sequence[Cell], C: np.ndarray, rate: float, light: float) -> None:
         middle = cells[len(cells) // 2]
         A, B = middle.A.mean(axis=(0, 1)), middle.B.mean(axis=(0, 1))
         T, inverse = _coordinates(A, B, C)
@@ -93,9 +93,9 @@ class _Search:
         self.C = C @ T / np.sqrt(pace)
         self.entries: list[_Entry] = []
         free = np.isfinite(rate)
-        light = _light_rows(inverse @ A @ T)
+        rows = _light_rows(inverse @ A @ T, light)
         self.basis = _symmetric_basis(len(A))
-        self.moving = _rows_basis(light) if free else np.zeros((0, *A.shape))
+        self.moving = _rows_basis(rows) if free else np.zeros((0, *A.shape))
         for cell in cells:
             high, low = accurate_product(cell.A, T)
             turned_A, rest = accurate_product(inverse, high)
@@ -206,13 +206,13 @@ def _symmetric_basis(n: int) -> np.ndarray:
     return basis
 
 
-def _light_rows(A: np.ndarray) -> np.ndarray:
+def _light_rows(A: np.ndarray, damping: float) -> np.ndarray:
     """An orthonormal basis (n, k) of what the loop's light modes are seen by: their left eigenvectors; all of a small loop."""
     if len(A) <= _SMALL:
         return np.eye(len(A))
     values, right = np.linalg.eig(A)
     left = np.linalg.inv(right)
-    light = (values.imag > 0) & (-values.real < _LIGHT * np.abs(values))
+    light = (values.imag > 0) & (-values.real < damping * np.abs(values))
     rows = np.concatenate([left[light].real, left[light].imag])
     return np.asarray(np.linalg.qr(rows.T)[0])
 
@@ -230,13 +230,19 @@ def _pair(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def proved_on_cells(
-    cells: Sequence[Cell], C: np.ndarray, rate: float = np.inf, *, tell: Callable[[str], None] = lambda text: None
+    cells: Sequence[Cell],
+    C: np.ndarray,
+    rate: float = np.inf,
+    *,
+    light: float = LIGHT[0],
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Proof:
     """The smallest gamma for which a proof is found, over all motions within the cells with |p'| <= rate [1/s].
 
-    Raises NumericalFailure where none is found, with the reason.
+    light: damping ratio of the middle loop's modes below which X1 has their rows. Raises NumericalFailure where none is found,
+    with the reason.
     """
-    search = _Search(cells, C, rate)
+    search = _Search(cells, C, rate, light)
     chosen = search.first()
     size = len(search.basis) + len(search.moving) + 1
     best, reason = None, ""

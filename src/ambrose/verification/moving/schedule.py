@@ -18,7 +18,7 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, is_stable, select
-from ambrose.core.varying.cells import Cell, elevated, product, proved_on_cells
+from ambrose.core.varying.cells import LIGHT, Cell, elevated, product, proved_on_cells
 from ambrose.machine.criteria import demand
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
@@ -136,7 +136,7 @@ def check_schedule(
     try:
         whole = _Loop(full, span, law, lag)
         held = [(p, told) for told in np.linspace(span.low, span.high, FROZEN) for p in _told(told, error, span)]
-        modes, model = _model(full, whole, span, law, lag)
+        modes, model, off = _model(full, whole, span, law, lag)
         loops = [model.frozen(p, told) for p, told in held]
         if not all(is_stable(loop) for loop in loops):
             return without("a pressure that stands still is unstable", stable=False)
@@ -152,17 +152,22 @@ def check_schedule(
     late = f", {1e6 * lag:.4g} us late" if lag else ""
 
     tell(f"proving the loop {label}, at up to {rate / 1e5:.4g} bar/s")
-    value, words = np.inf, ""
-    try:
-        found = proved_on_cells(cells, model.output, rate / span.half, tell=tell)
-    except NumericalFailure as failure:
-        words = f"not proved: {failure}"
-    else:
-        value = found.gamma
-        words = (
-            f"{size}{late}, within {_SAME:.1%} of the full plant at rest; {value / gains[worst] - 1:.1%} above what was found "
-            f"at rest there; the inequality holds by {found.slack:.0e}, rounding {found.rounding:.0e}"
-        )
+    value, words, aim = np.inf, "", (1 + _SAME) * gains[worst]
+    for light in LIGHT:
+        try:
+            found = proved_on_cells(cells, model.output, rate / span.half, light=light, tell=tell)
+        except NumericalFailure as failure:
+            words = words or f"not proved: {failure}"
+            continue
+        if (raised := found.gamma * (1 + off)) < value:
+            value = raised
+            words = (
+                f"{size}{late}; {found.gamma / gains[worst] - 1:.1%} above what was found at rest there, and raised by the "
+                f"{off:.2%} by which the model is off the full plant at rest; the inequality holds by {found.slack:.0e}, "
+                f"rounding {found.rounding:.0e}"
+            )
+        if found.gamma <= aim:
+            break
     checks.append(judged_rate(wanted, rate, value, words))
     note = "proved is the energy gain from disturbances of the measurement to the measurement, which is sigma_max(S_o) at rest"
     return Checks(label, True, tuple(checks), notes=(note,))
@@ -173,8 +178,8 @@ def _told(told: float, error: float, span: PressureSpan) -> tuple[float, ...]:
     return tuple(sorted({max(span.low, told - error), told, min(span.high, told + error)}))
 
 
-def _model(full: Plant, whole: _Loop, span: PressureSpan, law: ScheduledSystem, lag: float) -> tuple[int, _Loop]:
-    """The smallest model that has the full plant's frozen sensitivities at the ends and in the middle."""
+def _model(full: Plant, whole: _Loop, span: PressureSpan, law: ScheduledSystem, lag: float) -> tuple[int, _Loop, float]:
+    """The smallest model that has the full plant's frozen sensitivities at the ends and in the middle; how far it is off."""
     places = (span.low, (span.low + span.high) / 2, span.high)
     wanted = [whole.frozen(p, p) for p in places]
     if not all(is_stable(loop) for loop in wanted):
@@ -189,7 +194,7 @@ def _model(full: Plant, whole: _Loop, span: PressureSpan, law: ScheduledSystem, 
                 break
     else:
         raise NumericalFailure(f"the model with {modes} bending modes per plane is {off:.1%} off the full plant")
-    return modes, model
+    return modes, model, float(off)
 
 
 def scheduled_spans(machine: Machine, law: ScheduledSystem) -> tuple[PressureSpan, ...]:
