@@ -18,7 +18,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification.moving.schedule import check_schedule, scheduled_spans
+from ambrose.verification.moving.schedule import check_schedule, scheduled_spans, told_range
 
 from .conftest import PID, make_rig
 
@@ -86,7 +86,9 @@ def test_a_sampled_schedule_and_an_unstable_one_have_no_proof(rig: Machine) -> N
     assert not found.passed and "unstable" in found.checks[-1].detail
 
 
-def test_spans_end_where_the_schedule_ends(rig: Machine) -> None:
-    (span,) = scheduled_spans(rig, schedule(rig, 0.1, (1.5e4, 2e4, 5e4)))
+def test_spans_end_where_the_schedule_ends_and_what_is_told_where_an_error_takes_it(rig: Machine) -> None:
+    law = schedule(rig, 0.1, (1.5e4, 2e4, 5e4))
+    (span,) = scheduled_spans(rig, law)
     assert (span.low, span.high) == (1.5e4, HIGH)
+    assert told_range(span, law, 5e3) == (1.5e4, HIGH + 5e3) and told_range(span, law, 0.0) == (1.5e4, HIGH)
     assert scheduled_spans(rig, schedule(rig, 0.1, (4e4, 5e4))) == ()

@@ -20,7 +20,7 @@ from ambrose.synthesis.certificate import certify
 from ambrose.synthesis.design import design
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.lpv.machine import plants_along
-from ambrose.synthesis.lpv.tolerances import constant_scaling, worst_corners
+from ambrose.synthesis.lpv.tolerances import Worst, constant_scaling, tolerant_lpv, worst_corners
 from ambrose.synthesis.problem import design_plant, open_model, unit_problem, with_performance_block
 
 HZ = 2 * np.pi
@@ -69,6 +69,22 @@ def test_worst_corner_is_that_of_the_loops_closed_one_by_one(few):
         peaks.append(closed.closed_loop_norm)
     assert (found.unstable, found.members) == (0, 32)
     assert found.sensitivity == pytest.approx(max(peaks), rel=5e-3) and max(peaks) > 1.02 * min(peaks)
+
+
+def test_an_interrupted_design_keeps_its_best_turn(few):
+    plant, law = few
+    speed, turns = plant.point.speed, []
+    designed = hinf_synthesis(design_plant(free_mode_reduction(plant, 0), uncertain=False), backoff=1.1)
+
+    def turn(plants, backoff):
+        turns.append(plants(speed).blocks)
+        if len(turns) > 1:
+            raise KeyboardInterrupt
+        return replace(designed, scheduled=ScheduledSystem([speed, 2 * speed], [law, law], "speed", "rad/s"))
+
+    plants = [plants_along(plant, tolerances=plant.machine.tolerances)]
+    best, worst, place, scaled = tolerant_lpv(plants, np.array([speed, 2 * speed]), turn, lambda law: Worst(5.0, 0, 4), 3.0)
+    assert best.stopped_early == "interrupted" and (worst.sensitivity, place, scaled, len(turns)) == (5.0, 0, False, 2)
 
 
 def test_tolerances_are_refused_where_they_say_nothing(plant):

@@ -15,6 +15,7 @@ every one.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import comb
@@ -34,7 +35,7 @@ LIGHT = (0.3, 0.65)  # damping ratios: the first suffices for most loops, the se
 _SMALL = 16  # states up to which X1 has all rows
 _ROUNDS, _ADDED = 12, 6
 _FLOOR = 1e-12  # of X's largest eigenvalue, in the choice of coordinates
-_TOLERANCE, _TIME_LIMIT = 1e-3, 600.0
+_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,21 +236,25 @@ def proved_on_cells(
     rate: float = np.inf,
     *,
     light: float = LIGHT[0],
+    time_limit: float = 600.0,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Proof:
     """The smallest gamma for which a proof is found, over all motions within the cells with |p'| <= rate [1/s].
 
-    light: damping ratio of the middle loop's modes below which X1 has their rows. Raises NumericalFailure where none is found,
-    with the reason.
+    light: damping ratio of the middle loop's modes below which X1 has their rows; time_limit [s]: of all. Raises
+    NumericalFailure where none is found, with the reason.
     """
     search = _Search(cells, C, rate, light)
     chosen = search.first()
     size = len(search.basis) + len(search.moving) + 1
-    best, reason = None, ""
+    best, reason, end = None, "", time.monotonic() + time_limit
     for step in range(_ROUNDS):
         items = [search.inequality(search.entries[i]) for i in chosen]
-        found = minimise(np.eye(size)[-1], items, tolerance=_TOLERANCE, time_limit=_TIME_LIMIT)
-        if found.status in ("infeasible", "time limit") or found.x[-1] <= 0:
+        found = minimise(np.eye(size)[-1], items, tolerance=_TOLERANCE, time_limit=end - time.monotonic())
+        if found.status == "time limit":
+            reason = f"the search was not at its end after {time_limit:.0f} s; a smaller error or fewer grid points help"
+            break
+        if found.status == "infeasible" or found.x[-1] <= 0:
             reason = f"no quadratic function proves the loop stable while the parameter moves ({found.status})"
             break
         X0, X1 = search.functions(found.x)

@@ -17,7 +17,6 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction
 from ambrose.plant.scheduling import SPEED, Scheduling
-from ambrose.plant.uncertainty import uncertain
 from ambrose.synthesis.certificate import certify_on_full_plant
 from ambrose.synthesis.lpv.synthesis import PlantAt, lpv_synthesis
 from ambrose.synthesis.lpv.tolerances import tolerant_lpv, worst_corners
@@ -133,12 +132,6 @@ def _over_tolerances(
         raise InvalidInput(f"machine {machine.name!r} has no tolerances; add [[tolerance]] tables, or design without them")
     wide, judged = design_tolerances(machine), values[[0, len(values) // 2, -1]].tolist()
     tried = [scale_control(weights, factor) for factor in _CONTROL]
-    blocks = {str(uncertain(replace(plant, point=along.moved(plant.point, v)), wide).blocks) for v in judged}
-    if len(blocks) > 1:
-        raise InvalidInput(
-            f"a tolerance vanishes at an end of the {along.name}s, where its parameter is zero; begin the {along.name}s above, "
-            "or give it as absolute"
-        )
     units = {}
     for value in judged:
         small = free_mode_reduction(replace(plant, point=along.moved(plant.point, value)), modes + _MODES)
@@ -146,14 +139,17 @@ def _over_tolerances(
     limit = machine.requirements.sensitivity_peak or _PEAK
     # the delay is judged, not designed for: with Pade's states the second pass of a scaled problem needs 1.4 times the optimum
     plants = [plants_along(plant, along, modes, 0.0, item, wide) for item in tried]
-    result, worst, place = tolerant_lpv(plants, values, scheduled, partial(worst_corners, units), limit, say)
+    result, worst, place, scaled = tolerant_lpv(plants, values, scheduled, partial(worst_corners, units), limit, say)
     where = ", ".join(along.words(value) for value in judged)
     factor = f", control weight times {_CONTROL[place]:g}" if place else ""
+    what = "is for them divided by it, however they move" if scaled else "is without them, which were held as it is"
+    held = f"none is unstable and sigma_max(S_o) is at most {worst.sensitivity:.3f}"
     notes = (
-        f"designed over {len(wide)} tolerances{factor}: gamma {result.gamma:.3g} is for them divided by it, however they move",
-        f"of {worst.members} corners of all tolerances at {where}, {worst.unstable} are unstable on the model with "
-        f"{modes + _MODES} bending modes, and sigma_max(S_o) is at most {worst.sensitivity:.3f} at the others",
+        f"designed over {len(wide)} tolerances{factor}: gamma {result.gamma:.3g} {what}",
+        f"of {worst.members} corners of all tolerances at {where}, "
+        f"{f'{worst.unstable} are unstable' if worst.unstable else held} on the model with {modes + _MODES} bending modes",
     )
+    kept = [note for note in result.notes if not note.startswith("for a plant that is linear")]  # D bends the scaled one
     margins = {**result.certificate.margins, "corner_sensitivity": worst.sensitivity, "unstable_corners": float(worst.unstable)}
     certificate = replace(result.certificate, margins=margins)
-    return replace(result, weights=tried[place], certificate=certificate, notes=(*notes, *result.notes[:-1]))
+    return replace(result, weights=tried[place], certificate=certificate, notes=(*notes, *kept))

@@ -49,39 +49,42 @@ def tolerant_lpv(
     judge: Callable[[ScheduledSystem], Worst],
     limit: float,
     say: Callable[[str], None] = lambda text: None,
-) -> tuple[Synthesis, Worst, int]:
-    """The scheduled controller that ``judge`` finds best, and the place of its plants.
+) -> tuple[Synthesis, Worst, int, bool]:
+    """The scheduled controller that ``judge`` finds best, the place of its plants, and whether D was in its problem.
 
     plants: the uncertain problem of a parameter's value with blocks, one function for each control weight to try, the most
     careful first; one follows the other until the judged sensitivity is at most ``limit``. synthesis: of plants without blocks,
-    at a back-off.
-    Raises NumericalFailure where no turn has a controller.
+    at a back-off. Ctrl-C ends the turns: the best so far is returned, ``stopped_early`` says so. Raises NumericalFailure where
+    no turn has a controller.
     """
-    best: tuple[Synthesis, Worst, int] | None = None
+    best: tuple[Synthesis, Worst, int, bool] | None = None
     reason = ""
-    for place, plant_at in enumerate(plants):
-        problem = _Scaled(plant_at, grid)
-        for turn in range(_TURNS):
-            try:
-                result = synthesis(problem.plant, _BACKOFF)
-            except NumericalFailure as failure:
-                reason = str(failure)
-                say(f"turn {turn + 1} failed: {reason}")
+    try:
+        for place, plant_at in enumerate(plants):
+            problem = _Scaled(plant_at, grid)
+            for turn in range(_TURNS):
+                try:
+                    result = synthesis(problem.plant, _BACKOFF)
+                except NumericalFailure as failure:
+                    reason = str(failure)
+                    say(f"turn {turn + 1} failed: {reason}")
+                    break
+                found = judge(result.law)  # type: ignore[arg-type]
+                say(
+                    f"turn {turn + 1}: gamma {result.gamma:.3f}, {found.unstable} of {found.members} members of the tolerances "
+                    f"unstable, sigma_max(S_o) {found.sensitivity:.3f}"
+                )
+                if best is None or _order(found) < _order(best[1]):
+                    best = result, found, place, turn > 0
+                elif turn:
+                    break
+                problem.rescale(result.law)  # type: ignore[arg-type]
+            if best is not None and best[1].sensitivity <= limit:
                 break
-            law = result.scheduled
-            assert law is not None
-            found = judge(law)
-            say(
-                f"turn {turn + 1}: gamma {result.gamma:.3f}, {found.unstable} of {found.members} members of the tolerances "
-                f"unstable, sigma_max(S_o) {found.sensitivity:.3f}"
-            )
-            if best is None or _order(found) < _order(best[1]):
-                best = result, found, place
-            elif turn:
-                break
-            problem.rescale(law)
-        if best is not None and best[1].sensitivity <= limit:
-            break
+    except KeyboardInterrupt:
+        if best is None:
+            raise
+        best = (replace(best[0], stopped_early="interrupted"), *best[1:])
     if best is None:
         raise NumericalFailure(f"no scheduled controller for these tolerances was found ({reason}); narrow the tolerances")
     return best

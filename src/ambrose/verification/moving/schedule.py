@@ -9,6 +9,7 @@ second-order all-pass.
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,7 @@ from ambrose.verification.moving.pressure import FROZEN, PressureSpan, Tell, jud
 _MODES = (1, 2, 3)  # bending modes per plane that are tried
 _SAME = 5e-3  # relative, of the frozen sensitivities on a model and on the full plant
 _PADE = 2
+_TIME_LIMIT = 900.0  # s, of the proof of one span
 
 
 class _Loop:
@@ -92,8 +94,9 @@ class _Loop:
     def cells(self, error: float) -> tuple[Cell, ...]:
         """One for every two neighbours among the grid's values, the span's ends and where the error's band meets them."""
         low, high = self.span.low, self.span.high
-        edges = {low, high, *(v for v in (*self.law.grid.tolist(), low + error, high - error) if low < v < high)}
-        knots = sorted(edges)
+        first, last = told_range(self.span, self.law, error)
+        inner = (*self.law.grid.tolist(), low + error, high - error)
+        knots = sorted({first, last, *(v for v in inner if first < v < last)})
         around = [self._around(self._controller(told)) for told in knots]
         bands = [(self.relative(max(low, told - error)), self.relative(min(high, told + error))) for told in knots]
         found = []
@@ -135,7 +138,7 @@ def check_schedule(
     full, lag = assemble(machine, span.middle), 0.0 if timing is None else timing.lag
     try:
         whole = _Loop(full, span, law, lag)
-        held = [(p, told) for told in np.linspace(span.low, span.high, FROZEN) for p in _told(told, error, span)]
+        held = [(p, told) for told in np.linspace(*told_range(span, law, error), FROZEN) for p in _told(told, error, span)]
         modes, model, off = _model(full, whole, span, law, lag)
         loops = [model.frozen(p, told) for p, told in held]
         if not all(is_stable(loop) for loop in loops):
@@ -153,9 +156,11 @@ def check_schedule(
 
     tell(f"proving the loop {label}, at up to {rate / 1e5:.4g} bar/s")
     value, words, aim = np.inf, "", (1 + _SAME) * gains[worst]
+    end = time.monotonic() + _TIME_LIMIT
     for light in LIGHT:
         try:
-            found = proved_on_cells(cells, model.output, rate / span.half, light=light, tell=tell)
+            left = end - time.monotonic()
+            found = proved_on_cells(cells, model.output, rate / span.half, light=light, time_limit=left, tell=tell)
         except NumericalFailure as failure:
             words = words or f"not proved: {failure}"
             continue
@@ -173,9 +178,15 @@ def check_schedule(
     return Checks(label, True, tuple(checks), notes=(note,))
 
 
+def told_range(span: PressureSpan, law: ScheduledSystem, error: float) -> tuple[float, float]:
+    """What a pressure of the span may be told as [Pa]: beyond its ends by the error, as far as the schedule goes."""
+    return max(span.low - error, law.range[0]), min(span.high + error, law.range[1])
+
+
 def _told(told: float, error: float, span: PressureSpan) -> tuple[float, ...]:
     """The pressures that may be told as this one, as far as they are looked at."""
-    return tuple(sorted({max(span.low, told - error), told, min(span.high, told + error)}))
+    here = min(max(told, span.low), span.high)
+    return tuple(sorted({max(span.low, told - error), here, min(span.high, told + error)}))
 
 
 def _model(full: Plant, whole: _Loop, span: PressureSpan, law: ScheduledSystem, lag: float) -> tuple[int, _Loop, float]:
