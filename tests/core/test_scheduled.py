@@ -88,3 +88,60 @@ def test_a_value_that_is_no_number_is_refused(value):
 def test_points_between():
     np.testing.assert_allclose(interval_points(GRID, 1), [10, 15, 20, 35, 50])
     np.testing.assert_allclose(interval_points(GRID, 0), GRID)
+
+
+AXES = ([10.0, 20.0, 50.0], [0.0, 4.0])
+SIX = [member(i) for i in range(6)]
+
+
+def rectangle(systems=SIX, outside="refuse"):
+    return ScheduledSystem(AXES, systems, "speed and pressure", "rad/s and Pa", outside)
+
+
+def test_a_rectangle_meets_its_points_and_is_linear_in_each_parameter():
+    """The oracle: multilinear interpolation of every entry by scipy."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    law = rectangle()
+    for value, system in zip(law.values, SIX, strict=True):
+        np.testing.assert_array_equal(law.at(value).A, system.A)
+    assert law.values[:3] == [(10.0, 0.0), (10.0, 4.0), (20.0, 0.0)]
+    for x in "ABCD":
+        entries = np.array([getattr(s, x) for s in SIX]).reshape(3, 2, *getattr(SIX[0], x).shape)
+        oracle = RegularGridInterpolator(AXES, entries)
+        for value in np.random.default_rng(1).uniform([10, 0], [50, 4], (20, 2)):
+            np.testing.assert_allclose(getattr(law.at(value), x), oracle(value)[0], rtol=1e-12, atol=1e-14)
+
+
+def test_a_rectangle_refuses_or_clamps_each_parameter_by_itself():
+    with pytest.raises(InvalidInput, match=r"the pressure is 5 Pa, but must be between 0 and 4 Pa"):
+        rectangle().at((20.0, 5.0))
+    with pytest.raises(InvalidInput, match=r"the speed is 9 rad/s"):
+        rectangle().at((9.0, 1.0))
+    with pytest.raises(InvalidInput, match=r"speed and pressure"):
+        rectangle().at(20.0)
+    clamped = rectangle(outside="clamp")
+    np.testing.assert_array_equal(clamped.at((1e3, -1.0)).A, SIX[4].A)
+
+
+def test_what_a_rectangle_says_of_itself():
+    law = rectangle()
+    assert law.words() == "speed 10 to 50 rad/s and pressure 0 to 4 Pa"
+    assert law.range == ((10.0, 0.0), (50.0, 4.0))
+    assert law.to_dict()["second"] == {"parameter": "pressure", "unit": "Pa", "grid": [0.0, 4.0]}
+    with pytest.raises(InvalidInput, match="speed and pressure was given where"):
+        _ = law.grid
+
+
+@pytest.mark.parametrize(
+    ("axes", "count", "message"),
+    [
+        (AXES, 5, r"number of systems is 5, but must be 6"),
+        (AXES[:1], 3, r"number of the grid's axes is 1, but must be 2"),
+        ((AXES[0], [4.0, 0.0]), 6, r"the grid of the pressure .*ascending"),
+        ((AXES[0], [4.0]), 3, r"grid points of the pressure .*at least 2"),
+    ],
+)
+def test_bad_rectangles_are_refused(axes, count, message):
+    with pytest.raises(InvalidInput, match=message):
+        ScheduledSystem(axes, SIX[:count], "speed and pressure", "rad/s and Pa")

@@ -396,6 +396,39 @@ class TestScheduling:
         assert (file.scheduled.parameter, file.scheduled.unit, file.scheduled.range) == ("pressure", "Pa", (0.0, 4e5))
         assert file.facts()["scheduled_over"] == "pressure 0 to 4e+05 Pa"
 
+    def rectangle(self) -> Synthesis:
+        systems = [random_controller(3, seed) for seed in range(6)]
+        over = ScheduledSystem(([100.0, 200.0, 500.0], [0.0, 4e5]), systems, "speed and pressure", "rad/s and Pa")
+        return replace(scheduled_synthesis(), scheduled=over)
+
+    def test_a_schedule_over_speed_and_pressure_comes_back(self, tmp_path):
+        result = self.rectangle()
+        path = write_controller(tmp_path / "k.json", result)
+        file = read_controller(path)
+        assert file == result
+        np.testing.assert_array_equal(file.scheduled.at((150.0, 3e5)).A, result.scheduled.at((150.0, 3e5)).A)
+        assert file.facts()["scheduled_over"] == "speed 100 to 500 rad/s and pressure 0 to 4e+05 Pa"
+        plain = json.loads(path.read_text())["scheduling"]  # a reader of another language counts as the schema says
+        assert plain["points"][1]["A"] == result.scheduled.at((100.0, 4e5)).A.tolist()
+        assert plain["second"] == {"parameter": "pressure", "unit": "Pa", "grid": [0.0, 4e5]}
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (lambda c: c["scheduling"]["second"].update(parameter="speed"), r"parameter is speed and speed .*but must be"),
+            (lambda c: c["scheduling"]["second"].update(grid=[0.0]), r"grid points of the pressure is 1"),
+            (lambda c: c["scheduling"]["points"].pop(), r"number of systems is 5, but must be 6"),
+            (lambda c: c["scheduling"].update(second=3.0), r"scheduling.second is float, but must be a table"),
+        ],
+    )
+    def test_bad_rectangles_are_named(self, tmp_path, change, message):
+        path = write_controller(tmp_path / "k.json", self.rectangle())
+        content = json.loads(path.read_text())
+        change(content)
+        path.write_text(json.dumps(content))
+        with pytest.raises(InvalidInput, match=message):
+            read_controller(path)
+
     def test_controller_at_the_speed_of_the_plant(self, tmp_path):
         scheduled = scheduled_synthesis().scheduled
         plant = assemble(MACHINE, OperatingPoint(speed=300.0))

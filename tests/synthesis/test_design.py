@@ -120,11 +120,11 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
 
 @pytest.fixture
 def told(monkeypatch):
-    """What ``design`` asks of the synthesis of a schedule: (parameter, ends of the grid, rate)."""
-    heard: list[tuple[str, tuple[float, float] | None, float | None]] = []
+    """What ``design`` asks of the synthesis of a schedule: (parameters, ends of their grids, their rates)."""
+    heard: list[tuple[str, Any, tuple[float | None, ...]]] = []
 
     def listen(plant, grid, along, **given):
-        heard.append((along.name, None if grid is None else (grid[0], grid[-1]), given["rate"]))
+        heard.append((along.name, None if grid is None else tuple((axis[0], axis[-1]) for axis in grid), given["rate"]))
         raise NumericalFailure("far enough")
 
     monkeypatch.setattr("ambrose.synthesis.design.design_schedule", listen)
@@ -137,12 +137,14 @@ def test_what_is_scheduled_over_and_its_rate_reach_the_synthesis(told):
     asked: list[dict[str, Any]] = [
         {"speeds": (700.0, 900.0), "speed_rate": 1760.0}, {"speeds": (700.0, 900.0)},
         {"pressures": (0.0, 4e6), "pressure_rate": 2e6}, {"pressure_rate": 2e6},
+        {"speeds": (700.0, 900.0), "pressures": (0.0, 4e6), "pressure_rate": 2e6},
     ]  # fmt: skip
     for options in asked:
         with pytest.raises(NumericalFailure, match="far enough"):
             design(plant, "lpv", **options)
-    expected = [("speed", (700.0, 900.0), 1760.0), ("speed", (700.0, 900.0), None)]
-    assert told == [*expected, ("pressure", (0.0, 4e6), 2e6), ("pressure", None, 2e6)]
+    speeds, pressures = (700.0, 900.0), (0.0, 4e6)
+    expected = [("speed", (speeds,), (1760.0,)), ("speed", (speeds,), (None,)), ("pressure", (pressures,), (2e6,))]
+    assert told == [*expected, ("pressure", None, (2e6,)), ("speed and pressure", (speeds, pressures), (None, 2e6))]
 
 
 @pytest.mark.parametrize(
@@ -157,8 +159,8 @@ def test_a_machine_without_several_speeds_of_one_pressure_is_scheduled_over_its_
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"speeds": (1.0, 2.0), "pressures": (0.0, 1e5)}, "scheduling over two cannot be had"),
-        ({"speed_rate": 1.0, "pressure_rate": 1e5}, "scheduling over two cannot be had"),
+        ({"speeds": (1.0, 2.0), "pressure_rate": 1e5}, "give the pressures, or leave pressure_rate out"),
+        ({"speed_rate": 1.0, "pressure_rate": 1e5}, "give the speeds, or leave speed_rate out"),
         ({"pressures": (2e5, 1e5)}, "the lower pressure, then the higher"),
         ({"pressures": (-1e5, 1e5)}, "none negative"),
         ({"pressures": (float("nan"), 1e5)}, "finite"),

@@ -83,7 +83,7 @@ from ambrose.cli.terminal import (
     type=float,
     nargs=2,
     default=None,
-    help="With --method lpv: lowest and highest seal pressure, to schedule over it instead of the speed.",
+    help="With --method lpv: lowest and highest seal pressure, to schedule over it instead of the speed, or over both.",
 )
 @click.option(
     "--pressure-rate",
@@ -128,7 +128,7 @@ def synthesize(
     """Design a controller on the reduced plant and certify it on the full one.
 
     With --method tuned, the default, for the whole envelope: all operating points and the tolerances around each; the other
-    methods design for one operating point (--point), lpv for a range of speeds or of seal pressures.
+    methods design for one operating point (--point), lpv for a range of speeds, of seal pressures or both.
     """
     from ambrose.core.checks import check_positive, invalid
     from ambrose.evaluation.plants import plant_at
@@ -160,7 +160,7 @@ def synthesize(
         raise invalid("--rate-hz", "not given", "given with --loss", "say at which rate the controller will run")
     if loss is not None:  # before the design, which takes a while
         check_positive(loss, "--loss", "5 allows 5 %", zero_allowed=True)
-    if speeds_hz is not None and not 0 < speeds_hz[0] < speeds_hz[1]:
+    if speeds_hz is not None and not 0 <= speeds_hz[0] < speeds_hz[1]:
         raise invalid("--speeds-hz", f"{speeds_hz[0]:g} {speeds_hz[1]:g}", "the lower speed, then the higher", "swap the two")
     if pressures_bar is not None and not 0 <= pressures_bar[0] < pressures_bar[1]:
         what = "the lower pressure, then the higher, none negative"

@@ -1,33 +1,39 @@
-"""A system that depends on a measured parameter: matrices on a grid of its values, interpolated linearly between them."""
+"""A system that depends on measured parameters: matrices on a grid of their values, interpolated linearly between them.
+
+A grid of several parameters is rectangular, and its matrices are linear in each of them between two neighbours (bilinear of
+two). A point of one parameter is a number, of several a tuple; the points of a grid are counted with the last parameter first.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, as_statespace
 
+AND = " and "  # between the names of several parameters
 _EDGE = 1e-9  # of the range: rounding of its ends is no excursion
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class ScheduledSystem(Presented):
-    """x' = A(p) x + B(p) u, y = C(p) x + D(p) u with every matrix piecewise linear in the parameter p.
+    """x' = A(p) x + B(p) u, y = C(p) x + D(p) u with every matrix piecewise linear in the parameter p, or in each of several.
 
-    grid (k,): ascending values of the parameter; systems: one StateSpace each, all in the same states, with the same signals
-    and sample time. ``outside``: what ``at`` does with a value beyond the grid, "refuse" it or "clamp" it to the nearest end.
-    parameter, unit: what p is. Called with a value it returns the StateSpace there, as the simulations expect of a controller
-    that changes with speed. Raises InvalidInput.
+    axes: ascending values (k,) of the parameter; of "a and b" an array for each. systems: a StateSpace for each point of the
+    grid, all in the same states, with the same signals and sample time. ``outside``: what ``at`` does with a value beyond the
+    grid, "refuse" it or "clamp" it to the nearest end. parameter, unit: what p is; "speed and pressure", "rad/s and Pa" of two.
+    Called with a value it returns the StateSpace there, as the simulations expect of a controller that changes with speed.
+    Raises InvalidInput.
     """
 
-    grid: np.ndarray
+    axes: tuple[np.ndarray, ...]
     systems: tuple[StateSpace, ...]
     parameter: str
     unit: str
@@ -35,37 +41,59 @@ class ScheduledSystem(Presented):
 
     def __init__(
         self,
-        grid: ArrayLike,
+        axes: ArrayLike | Sequence[ArrayLike],
         systems: Sequence[Any],
         parameter: str = "speed",
         unit: str = "rad/s",
         outside: Literal["refuse", "clamp"] = "refuse",
     ) -> None:
-        values = check_grid(grid, parameter)
-        members = tuple(as_statespace(system) for system in systems)
-        if len(members) != len(values):
-            raise invalid("the number of systems", len(members), f"{len(values)}, one per grid point", "give one for each")
+        values = check_axes(axes, parameter)
+        members, count = tuple(as_statespace(system) for system in systems), int(np.prod([len(axis) for axis in values]))
+        if len(members) != count:
+            raise invalid("the number of systems", len(members), f"{count}, one per grid point", "give one for each")
         check_alike(members, "system")
         if outside not in ("refuse", "clamp"):
             raise invalid("outside", repr(outside), '"refuse" or "clamp"', "refuse is the safe choice")
-        values.setflags(write=False)
+        for axis in values:
+            axis.setflags(write=False)
         for name, value in zip(self.__slots__, (values, members, parameter, unit, outside), strict=True):
             object.__setattr__(self, name, value)
 
     def facts(self) -> Mapping[str, Any]:
-        """The parameter and its range, and the size of the system."""
-        low, high = self.range
+        """The parameters and their ranges, and the size of the system."""
         return {
-            self.parameter: f"{low:.4g} to {high:.4g} {self.unit}, {len(self.grid)} points", "states": self.n_states,
+            "over": f"{self.words()}, {' x '.join(str(len(axis)) for axis in self.axes)} points", "states": self.n_states,
             "time": "continuous" if self.dt is None else f"sampled, dt = {self.dt:g} s", "outside": self.outside,
             "inputs": self.inputs, "outputs": self.outputs,
         }  # fmt: skip
 
+    def words(self) -> str:
+        """Its range: "speed 100 to 500 rad/s and pressure 0 to 2e+05 Pa"."""
+        named = zip(self.parameter.split(AND), self.axes, self.unit.split(AND), strict=True)
+        return AND.join(f"{name} {axis[0]:.4g} to {axis[-1]:.4g} {unit}" for name, axis, unit in named)
+
     def to_dict(self) -> dict[str, Any]:
-        """Grid, systems, parameter, unit and what happens outside, ready for JSON."""
-        systems = [system.to_dict() for system in self.systems]
-        fields = {"parameter": self.parameter, "unit": self.unit, "outside": self.outside}
-        return {"grid": self.grid.tolist(), "systems": systems, **fields}
+        """Grid, parameter, unit, what happens outside and systems, ready for JSON; a second parameter as "second"."""
+        return {**self.scheduling(), "systems": [system.to_dict() for system in self.systems]}
+
+    def scheduling(self) -> dict[str, Any]:
+        """``to_dict`` without the systems."""
+        named = zip(self.parameter.split(AND), self.unit.split(AND), self.axes, strict=True)
+        first, *others = [{"parameter": name, "unit": unit, "grid": axis.tolist()} for name, unit, axis in named]
+        head = {"parameter": "", "unit": "", "interpolation": "linear", "outside": self.outside}
+        return head | first | ({"second": others[0]} if others else {})
+
+    @property
+    def grid(self) -> np.ndarray:
+        """The values (k,) of its one parameter. Raises InvalidInput where there are several."""
+        if len(self.axes) > 1:
+            raise InvalidInput(f"a schedule over {self.parameter} was given where one over a single parameter can be taken")
+        return self.axes[0]
+
+    @property
+    def values(self) -> list[Any]:
+        """The points of the grid, in the systems' order."""
+        return grid_points(self.axes)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -88,28 +116,59 @@ class ScheduledSystem(Presented):
         return self.systems[0].n_states
 
     @property
-    def range(self) -> tuple[float, float]:
-        """The smallest and the largest value of the parameter."""
-        return float(self.grid[0]), float(self.grid[-1])
+    def range(self) -> tuple[Any, Any]:
+        """The smallest and the largest value of the parameter; of several tuples."""
+        values = self.values
+        return values[0], values[-1]
 
-    def at(self, value: float) -> StateSpace:
-        """The system at one value of the parameter. Raises InvalidInput outside the range, unless it clamps."""
-        value = float(check_shape(value, self.parameter, "()"))
-        low, high = self.range
-        slack = _EDGE * (high - low)
-        if not low - slack <= value <= high + slack and self.outside == "refuse":
-            raise invalid(
-                f"the {self.parameter}", f"{value:g} {self.unit}", f"between {low:g} and {high:g} {self.unit}",
-                'design over a wider range; outside="clamp" holds the controller of the nearest end, without any guarantee',
-            )  # fmt: skip
-        value = min(max(value, low), high)
-        i = min(int(np.searchsorted(self.grid, value, side="right")) - 1, len(self.grid) - 2)
-        share = (value - self.grid[i]) / (self.grid[i + 1] - self.grid[i])
-        first, last = self.systems[i], self.systems[i + 1]
-        A, B, C, D = ((1 - share) * getattr(first, x) + share * getattr(last, x) for x in "ABCD")
+    def at(self, value: ArrayLike) -> StateSpace:
+        """The system at one value of the parameter, or a tuple of several. Raises InvalidInput outside the range, unless it
+        clamps."""
+        names, d = self.parameter.split(AND), len(self.axes)
+        found = np.atleast_1d(check_shape(value, self.parameter, "()" if d == 1 else f"({d})")).astype(float)
+        for i, (name, unit, axis) in enumerate(zip(names, self.unit.split(AND), self.axes, strict=True)):
+            low, high, given = float(axis[0]), float(axis[-1]), float(found[i])
+            slack = _EDGE * (high - low)
+            if not low - slack <= given <= high + slack and self.outside == "refuse":
+                raise invalid(
+                    f"the {name}", f"{given:g} {unit}", f"between {low:g} and {high:g} {unit}",
+                    'design over a wider range; outside="clamp" holds the controller of the nearest end, without any guarantee',
+                )  # fmt: skip
+            found[i] = min(max(given, low), high)
+        index, share = (part[0].tolist() for part in corners(self.axes, found[None]))
+        A, B, C, D = (
+            sum(part * getattr(self.systems[i], x) for i, part in zip(index, share, strict=True)) for x in "ABCD"
+        )  # fmt: skip
+        first = self.systems[0]
         return StateSpace(A, B, C, D, first.inputs, first.outputs, first.dt)
 
     __call__ = at
+
+
+def check_axes(axes: ArrayLike | Sequence[ArrayLike], parameter: str) -> tuple[np.ndarray, ...]:
+    """The values (k,) of every parameter as ``check_grid`` takes them; ``axes``: an array of one alone. Raises InvalidInput."""
+    names = parameter.split(AND)
+    given: Any = axes if len(names) > 1 or (isinstance(axes, tuple) and len(axes) == 1 and np.ndim(axes[0])) else (axes,)
+    if len(given) != len(names):
+        raise invalid("the number of the grid's axes", len(given), f"{len(names)}, for {parameter}", "give one for each")
+    return tuple(check_grid(axis, name) for axis, name in zip(given, names, strict=True))
+
+
+def grid_points(axes: Sequence[np.ndarray]) -> list[Any]:
+    """The points of a rectangular grid: numbers of one axis, tuples of several."""
+    points = list(product(*(axis.tolist() for axis in axes)))
+    return [point[0] for point in points] if len(axes) == 1 else points
+
+
+def corners(axes: Sequence[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The points of the grid around each of the values (s, d) within it: their indices (s, 2^d), and their shares (s, 2^d)."""
+    index, share = np.zeros((len(values), 1), int), np.ones((len(values), 1))
+    for axis, v in zip(axes, values.T, strict=True):
+        low = np.clip(np.searchsorted(axis, v, side="right") - 1, 0, len(axis) - 2)
+        far = (v - axis[low]) / (axis[low + 1] - axis[low])
+        index = (len(axis) * index[:, :, None] + np.stack([low, low + 1], axis=1)[:, None]).reshape(len(v), -1)
+        share = (share[:, :, None] * np.stack([1 - far, far], axis=1)[:, None]).reshape(len(v), -1)
+    return index, share
 
 
 def check_grid(grid: ArrayLike, parameter: str) -> np.ndarray:

@@ -38,7 +38,7 @@ from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
-from ambrose.plant.scheduling import SCHEDULINGS, Scheduling, scheduling_of
+from ambrose.plant.scheduling import BOTH, Scheduling, scheduling_of
 from ambrose.plant.timing import DEFAULT, Timing, timing_of
 from ambrose.synthesis.result import Synthesis
 
@@ -193,10 +193,13 @@ def _check_target(synthesis: Synthesis, to: Target, options: ExportOptions) -> N
     if to not in TARGETS:
         raise invalid("the target", repr(to), " or ".join(TARGETS), "choose one of them")
     scheduled, along = synthesis.scheduled, scheduling_of(synthesis.law)
-    for other in SCHEDULINGS.values():
+    for other in BOTH.parts:
         if other is not along and options.told(other) != (None, None):
             what = f"{other.name}_limit or {other.name}_rate"
             raise invalid(what, "given", "left out", f"this controller is not scheduled over {other.name}")
+    if along is not None and along.parts:
+        what = "design over one with --speeds-hz or --pressures-bar alone"
+        raise invalid(f"a schedule over {along.name}", f"for the target {to!r}", "over one of the two", what)
     if scheduled is not None and along is not None:
         check_precision(options.arithmetic)
         if options.form == "cascade":

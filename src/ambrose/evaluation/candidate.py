@@ -150,7 +150,7 @@ def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress)
     scenario = load_scenario(RUN_UP).on(plant.machine)
     low, high = scenario.speed_at(0.0), scenario.speed_at(scenario.duration)
     schedules = [c.synthesis.scheduled for c in candidates if c.synthesis.scheduled is not None]
-    if not any(s.range[0] <= low * (1 + 1e-9) and high <= s.range[1] * (1 + 1e-9) for s in schedules):
+    if not any(s.axes[0][0] <= low * (1 + 1e-9) and high <= s.axes[0][-1] * (1 + 1e-9) for s in schedules):
         return ()
     runs = []
     for candidate in candidates:

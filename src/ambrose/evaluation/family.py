@@ -24,7 +24,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, law_at, match_controller
 from ambrose.plant.model import Plant, top_speed
 from ambrose.plant.reduce import default_bending_modes, reduce
-from ambrose.plant.scheduling import SPEED, scheduling_of
+from ambrose.plant.scheduling import SPEED, follows
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.plant.unbalance import residual_unbalance
 from ambrose.plant.uncertainty import tolerances_around
@@ -152,10 +152,13 @@ def explore(
 
 def _along_speed(law: Any, timing: Timing | None, at: OperatingPoint) -> Any:
     """The law as it runs for a map over speed: a function of it where it changes with it."""
-    if scheduling_of(law) is SPEED:
-        return law if timing is None else lambda speed: timing.in_loop(law_at(law, replace(at, speed=speed)))
-    fixed = law_at(law, at)
-    return fixed if timing is None else timing.in_loop(fixed)
+
+    def running_at(point: OperatingPoint) -> Any:
+        return law_at(law, point) if timing is None else timing.in_loop(law_at(law, point))
+
+    if follows(law, SPEED):
+        return lambda speed: running_at(replace(at, speed=speed))
+    return running_at(at)
 
 
 def _largest(machine: Machine, over: str) -> float:

@@ -55,7 +55,7 @@ def split_covered(law: Any, plants: Sequence[Plant]) -> tuple[tuple[Plant, ...],
     within = tuple(plant for plant in plants if covers(law, plant))
     if not within:
         (low, high), along = law.range, scheduling_of(law) or SPEED
-        wanted, remedy = "one with an operating point of the machine in it", f"design over the machine's own {along.name}s"
+        wanted, remedy = "one with an operating point of the machine in it", f"design over the machine's own {along.plural}"
         raise invalid("the scheduled range", f"{along.words(low)} to {along.words(high)}", wanted, remedy)
     return within, tuple(plant.point.label for plant in plants if not covers(law, plant))
 

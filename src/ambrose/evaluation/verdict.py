@@ -19,7 +19,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import covers, match_controller
 from ambrose.plant.model import Plant
-from ambrose.plant.scheduling import PRESSURE, SPEED, scheduling_of
+from ambrose.plant.scheduling import PRESSURE, SPEED, follows, scheduling_of
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.plant.uncertainty import not_varied, tolerances_around
 from ambrose.synthesis.weights import machine_weights
@@ -91,7 +91,7 @@ def verify_points(
     results = []
     for plant in plants:
         progress(f"verifying at {plant.point.label}")
-        fixed = scheduling_of(controller) is not SPEED  # a law that changes with it has its own verdict over speed
+        fixed = not follows(controller, SPEED)  # a law that changes with it has its own verdict over speed
         turning = fixed and plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
         along = plants_along_speed(plant) if turning else None
         results.append(nominal.check(plant, running_law(controller, plant, timing), plant_at=along))
@@ -124,14 +124,13 @@ def verify_moving(
     """The checks while the seal pressure changes between the points, at up to ``rate`` [Pa/s] (None: the machine file's).
 
     error [Pa]: how far what a controller scheduled over it is told may be off. Without a rate, with an unstable point, or for a
-    schedule over speed there are none. Raises InvalidInput for an error that no controller reads.
+    schedule over speed, or over speed and pressure, there are none. Raises InvalidInput for an error that no controller reads.
     """
     rate = machine.operation.pressure_rate if rate is None else rate
     over_pressure = isinstance(law, ScheduledSystem) and scheduling_of(law) is PRESSURE
     if error and not over_pressure:
-        raise invalid(
-            "the error of the pressure", f"{error:g} Pa", "0", "only a controller scheduled over pressure is told of it"
-        )
+        why = "alone is proved with it" if follows(law, PRESSURE) else "is told of it"
+        raise invalid("the error of the pressure", f"{error:g} Pa", "0", f"only a controller scheduled over pressure {why}")
     if rate is None or not all(checks.stable for checks in points):
         return ()
     if isinstance(law, ScheduledSystem):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
+import numpy as np
+
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, connect, is_system, rename, select
@@ -87,10 +89,10 @@ def covers(law: Any, plant: Plant) -> bool:
     along = scheduling_of(law)
     if along is None or not hasattr(law, "range"):
         return True
-    (low, high), value = law.range, along.of(plant.point)
+    low, high, value = (np.atleast_1d(x).astype(float) for x in (*law.range, along.of(plant.point)))
     slack = 1e-9 * high
     elsewhere = along is SPEED and plant.point.seal_pressure != plant.machine.operation.design.seal_pressure
-    return bool(low - slack <= value <= high + slack) and not elsewhere
+    return bool(((low - slack <= value) & (value <= high + slack)).all()) and not elsewhere
 
 
 def law_at(controller: Law, point: OperatingPoint) -> StateSpace:

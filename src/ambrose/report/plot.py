@@ -17,7 +17,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.mu.bounds import MuBounds, MuPeak
-from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, poles, select
 from ambrose.evaluation.candidate import Candidate, points_of
 from ambrose.evaluation.plants import plant_gain
@@ -141,13 +141,18 @@ def _systems(systems: dict) -> Any:
 @plot.register
 def _schedule(schedule: ScheduledSystem, name: str = "Schedule") -> Any:
     chosen = np.unique(np.linspace(0, len(schedule.systems) - 1, _FAMILY).astype(int))
-    members = [(units.quantity(float(schedule.grid[i]), schedule.unit), schedule.systems[i]) for i in chosen]
+    members = [(_place(schedule, i), schedule.systems[i]) for i in chosen]
     omega = np.unique(np.concatenate([grid_of(system) for _, system in members]))
     lines = [Line(label, omega, frequency_response(system, omega).values[:, 0, 0]) for label, system in members]
     unit = unit_of(frequency_response(members[0][1], omega[:1]))
     picture = bode_figure(lines, unit, sample_time=members[0][1].dt, style=theme.family_styles([line.name for line in lines]))
     axis = units.axis_name(schedule.outputs[0])
     return _titled(picture, f"{name}: {axis} from {units.axis_name(schedule.inputs[0])} over {schedule.parameter}")
+
+
+def _place(schedule: ScheduledSystem, i: int) -> str:
+    at = zip(np.atleast_1d(schedule.values[i]).tolist(), schedule.unit.split(AND), strict=True)
+    return ", ".join(units.quantity(value, unit) for value, unit in at)
 
 
 @plot.register

@@ -18,7 +18,7 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.plant.control_program import ControlProgram
 from ambrose.plant.loop import Law
-from ambrose.plant.scheduling import PRESSURE, SPEED, scheduling_of
+from ambrose.plant.scheduling import PRESSURE, SPEED, follows, scheduling_of
 from ambrose.plant.timing import DEFAULT, Timing, machine_timing
 from ambrose.simulation.disturbances import PressureChange, SpeedChange
 from ambrose.simulation.rig.controller import (
@@ -152,16 +152,16 @@ class _Laws:
     def stretch(self, scenario: Scenario) -> int | None:
         """After how many samples a law is to be read again; None: it does not change."""
         moves = {SPEED: scenario.runs_up, PRESSURE: bool(scenario.pressures or scenario.pressure_sensors)}
-        scheduled = [along for law in (self.first, self.second) if (along := scheduling_of(law)) is not None and moves[along]]
-        return min((_SCHEDULED_STRETCH[along] for along in scheduled), default=None)
+        scheduled = [one for law in (self.first, self.second) for one in moves if moves[one] and follows(law, one)]
+        return min((_SCHEDULED_STRETCH[one] for one in scheduled), default=None)
 
     def at(self, drive: Drive, k: int, switched: bool, sensor: bool = False) -> SampledLaw:
         """The law at the speed and, told by a ``sensor`` that may err, the pressure of sample k, before or after the switch."""
         controller = self.second if switched and self.second is not None else self.first
         pressure = float(drive.pressure[k])
-        if sensor and scheduling_of(controller) is PRESSURE:
-            low, high = getattr(controller, "range", (-np.inf, np.inf))
-            pressure = min(max(pressure, low), high)
+        if sensor and follows(controller, PRESSURE):
+            low, high = (np.atleast_1d(end)[-1] for end in getattr(controller, "range", (-np.inf, np.inf)))
+            pressure = min(max(pressure, float(low)), float(high))
         point = OperatingPoint(float(drive.speed[k]), pressure)
         return sampled_law(controller, self.machine, self.sample, point, self.delay)
 

@@ -51,7 +51,7 @@ def sampled_margins(plant: Plant, law: StateSpace | ScheduledSystem, timing: Tim
     if timing is None:
         return {}
     along, found = scheduling_of(law), []
-    values = law.grid.tolist() if isinstance(law, ScheduledSystem) else []
+    values = law.values if isinstance(law, ScheduledSystem) else []
     points = [plant.point] if along is None else [along.moved(plant.point, value) for value in values]
     for point in points:
         place = plant if point == plant.point else assemble(plant.machine, point)

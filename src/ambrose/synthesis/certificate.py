@@ -103,23 +103,23 @@ def generalized_certificate(plant: GeneralizedPlant, controller: Any) -> Certifi
 def full_plant_margins(plant: Plant, law: StateSpace | ScheduledSystem) -> tuple[bool, dict[str, float], str]:
     """Whether a law holds a full plant, a schedule at every point of its grid; the margins that say so; on what.
 
-    "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the grid, and "worst_speed" [rad/s] or
-    "worst_pressure" [Pa], where that is.
+    "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the grid, and "worst_speed" [rad/s] and
+    "worst_pressure" [Pa], of what it is scheduled over, where that is.
     """
     along = scheduling_of(law)
     if along is None or not isinstance(law, ScheduledSystem):
         found = certify(plant, law, margins=False)
         margins = {"full_spectral_abscissa": found.spectral_abscissa, "full_sensitivity_peak": found.closed_loop_norm}
         return found.stable, margins, found.plant
-    machine, values = plant.machine, [float(value) for value in law.grid]
+    machine, values = plant.machine, law.values
     results = [certify(assemble(machine, along.moved(plant.point, value)), law.at(value), False) for value in values]
     worst = int(np.argmax([item.closed_loop_norm for item in results]))
     margins = {
         "full_spectral_abscissa": max(item.spectral_abscissa for item in results),
         "full_sensitivity_peak": results[worst].closed_loop_norm,
-        f"worst_{along.name}": values[worst],
+        **{f"worst_{one.name}": float(at) for one, at in zip(along.each, np.atleast_1d(values[worst]), strict=True)},
     }
-    label = f"{machine.name}, full plant at {len(values)} of these {along.name}s"
+    label = f"{machine.name}, full plant at {len(values)} of these {along.plural}"
     return all(item.stable for item in results), margins, label
 
 

@@ -24,7 +24,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fai
 from pydantic.json_schema import GenerateJsonSchema
 
 from ambrose.core.checks import InvalidInput, check_path, invalid
-from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.controller import PidSettings
@@ -103,18 +103,23 @@ class SystemTable(_Table):
     D: Matrix
 
 
-class SchedulingTable(_Table):
-    """The controller over a range of a measured parameter: matrices at every point of a grid."""
+class AxisTable(_Table):
+    """A measured parameter that a controller follows."""
 
     parameter: Literal["speed", "pressure"] = Field(description="of the machine's operating point: spin speed, seal pressure")
     unit: Literal["rad/s", "Pa"]
-    interpolation: Literal["linear"]
+    grid: Annotated[list[Number], FailFast(), Field(max_length=GRID_POINTS, description="ascending values of the parameter")]
+
+
+class SchedulingTable(AxisTable):
+    """The controller over a range of a measured parameter, or of two: matrices at every point of a grid."""
+
+    interpolation: Literal["linear"] = Field(description="between the points, in each parameter by itself")
     outside: Literal["refuse", "clamp"] = Field(description="what happens beyond the grid")
-    grid: Annotated[list[Number], FailFast(), Field(max_length=GRID_POINTS)] = Field(
-        description="ascending values of the parameter"
-    )
+    second: AxisTable | None = Field(default=None, description="the pressure, beside the speed")
     points: Annotated[list[SystemTable], FailFast()] = Field(
-        description="one for each value of the grid, of the controller's own sizes"
+        description="one for each value of the grid, of the controller's own sizes; with a second grid one for each of its "
+        "values at each value of the first"
     )
 
 
@@ -389,7 +394,9 @@ def _synthesis(table: ControllerTable) -> Synthesis:
     scheduled = None
     if (plan := table.scheduling) is not None:
         points = [system(point, f"scheduling.points[{i}].") for i, point in enumerate(plan.points, start=1)]
-        scheduled = ScheduledSystem(plan.grid, points, plan.parameter, plan.unit, plan.outside)
+        over = [axis for axis in (plan, plan.second) if axis is not None]
+        names, units = (AND.join(getattr(axis, key) for axis in over) for key in ("parameter", "unit"))
+        scheduled = ScheduledSystem(tuple(axis.grid for axis in over), points, names, units, plan.outside)
         scheduling_of(scheduled)  # refuses a unit that is not the parameter's
     certificate = Certificate() if table.certificate is None else Certificate(**table.certificate.model_dump())
     if table.status is Status.VERIFIED and not certificate.stable:

@@ -16,7 +16,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import free_mode_reduction, reduce
-from ambrose.plant.scheduling import PRESSURE, SPEED, Scheduling
+from ambrose.plant.scheduling import BOTH, PRESSURE, SPEED, Scheduling
 from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
 from ambrose.synthesis.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
 from ambrose.synthesis.envelope.model import envelope_model
@@ -25,7 +25,7 @@ from ambrose.synthesis.explanation import explained, why_none
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.lpv.machine import POINTS, design_schedule, schedule_grid
+from ambrose.synthesis.lpv.machine import POINTS, POINTS_OF_TWO, design_schedule, schedule_grid
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.order_selection import reduce_order, sampled_sensitivity
@@ -73,9 +73,9 @@ def design(
     method: "tuned" (to the requirements themselves, at all operating points of the plant's machine and with the worst corners
     of the tolerances around each; the others know the plant's point alone), "pid" (the machine's reference controller), "hinf"
     (H-infinity for the nominal plant), "mu" (D-K iteration over the machine's tolerances), "polish" (the mu controller at half
-    its order, refined for the worst case), "lpv" (scheduled over speed or pressure). options: all of them, or single ones by
-    name as ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, speed_rate, pressures,
-    pressure_rate, tolerances, structure, envelope (DesignOptions).
+    its order, refined for the worst case), "lpv" (scheduled over speed, pressure or both). options: all of them, or single
+    ones by name as ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, speed_rate,
+    pressures, pressure_rate, tolerances, structure, envelope (DesignOptions).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
     "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
@@ -125,12 +125,14 @@ def design(
 def _designed(plant: Plant, method: str, options: DesignOptions, progress: Progress) -> Synthesis:
     if method == "lpv":
         asked = options.schedules or ((_varied(plant), None, None),)
-        (along, ends, rate), modes = asked[0], options.bending_modes or 0
-        grid = None if ends is None else np.linspace(*ends, POINTS)
+        along, count = (asked[0][0], POINTS) if len(asked) == 1 else (BOTH, POINTS_OF_TWO)
+        grid = tuple(np.linspace(*ends, count) for _, ends, _ in asked if ends is not None)
+        rates, modes = tuple(rate for _, _, rate in asked), options.bending_modes or 0
         lag = 0.0 if (timing := options.timing()) is None else timing.lag
         return design_schedule(
-            plant, grid, along, bending_modes=modes, rate=rate, lag=lag, tolerances=options.tolerances, progress=progress
-        )
+            plant, grid or None, along, bending_modes=modes, rate=rates, lag=lag, tolerances=options.tolerances,
+            progress=progress,
+        )  # fmt: skip
     return _tuned(plant, options, progress) if method == "tuned" else _by_weights(plant, method, options, progress)
 
 

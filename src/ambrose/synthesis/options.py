@@ -26,10 +26,10 @@ class DesignOptions:
     and one more). structure of the tuned controller: "plane" (zeta and eta kept apart where the bearings stand at one angle),
     "axis" (each alone), "free", or a filter bank: "pid" (per channel a PID and a low pass), "filters" (and notches).
     match_reference: scale the control weight until the direct gains below 200 Hz match the reference controller's, so that
-    controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds or
-    pressures: lowest and highest [rad/s], [Pa] that a controller is scheduled over (None: the speeds of the operating points
-    with the plant's seal pressure; where there is one speed alone, their pressures); speed_rate [rad/s^2], pressure_rate
-    [Pa/s]: the fastest change (None: any), for which gamma may be lower.
+    controllers are comparable (P5); None: where the machine has a reference controller and a constant control weight. speeds,
+    pressures or both: lowest and highest [rad/s], [Pa] that a controller is scheduled over (neither: the speeds of the
+    operating points with the plant's seal pressure; where there is one speed alone, their pressures); speed_rate [rad/s^2],
+    pressure_rate [Pa/s]: the fastest change (None: any), for which gamma may be lower.
     tolerances: a scheduled controller is designed over them ("mu", "polish" and "tuned" always are).
     envelope: "hinf" and "mu" are designed for all operating points at once, what changes between them being real parameters;
     "hinf" is then D-K iteration over those alone. Raises InvalidInput.
@@ -74,8 +74,10 @@ class DesignOptions:
                     raise invalid(f"{along.name}s", f"{low:g} and {high:g} {along.unit}", what, "swap the two")
             if rate is not None:
                 check_positive(rate, f"{along.name}_rate", f"give it in {along.rate_unit}, or leave it out for any")
-        if len(self.schedules) > 1:
-            raise invalid("the schedule", "over speed and pressure", "over one of them", "scheduling over two cannot be had")
+        for along, ends, _ in self.schedules if len(self.schedules) > 1 else ():
+            if ends is None:
+                remedy = f"give the {along.name}s, or leave {along.name}_rate out"
+                raise invalid(f"{along.name}s", None, "given for a schedule over speed and pressure", remedy)
 
     @property
     def schedules(self) -> tuple[tuple[Scheduling, tuple[float, float] | None, float | None], ...]:

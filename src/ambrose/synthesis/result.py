@@ -149,8 +149,7 @@ class Synthesis(Presented):
         if not math.isnan(self.gamma):
             known["gamma"] = float(self.gamma)
         if self.scheduled is not None:
-            low, high = self.scheduled.range
-            known["scheduled_over"] = f"{self.scheduled.parameter} {low:.4g} to {high:.4g} {self.scheduled.unit}"
+            known["scheduled_over"] = self.scheduled.words()
         return {**known, "certified_on": self.certificate.plant or "nothing"}
 
     def to_dict(self) -> dict[str, Any]:
@@ -165,7 +164,7 @@ class Synthesis(Presented):
             "outputs": list(self.controller.outputs),
             "sample_time": self.controller.dt,
             **matrices(self.controller),
-            "scheduling": None if schedule is None else _scheduling(schedule),
+            "scheduling": None if schedule is None else schedule.scheduling() | {"points": [*map(matrices, schedule.systems)]},
             "certificate": None if self.status is Status.UNCERTIFIED else self.certificate.to_dict(),
             "weights": None if self.weights is None else self.weights.to_dict(),
             "history": to_plain(self.history),
@@ -183,15 +182,3 @@ class Synthesis(Presented):
 def matrices(system: StateSpace) -> dict[str, Any]:
     """A, B, C and D as nested lists."""
     return {letter: getattr(system, letter).tolist() for letter in "ABCD"}
-
-
-def _scheduling(scheduled: ScheduledSystem) -> dict[str, Any]:
-    """The grid and the matrices at each of its points; inputs, outputs and sample time are those of the controller."""
-    return {
-        "parameter": scheduled.parameter,
-        "unit": scheduled.unit,
-        "interpolation": "linear",
-        "outside": scheduled.outside,
-        "grid": scheduled.grid.tolist(),
-        "points": [matrices(system) for system in scheduled.systems],
-    }

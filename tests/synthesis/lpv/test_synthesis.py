@@ -222,7 +222,69 @@ def test_plant_without_noise_or_control_cost_is_regularised():
     assert result.certificate.closed_loop_norm <= result.gamma
 
 
+def spring_and_damper(point: tuple[float, float]) -> GeneralizedPlant:
+    return oscillator(*point)
+
+
+RECTANGLE = (np.linspace(1.0, 5.0, 3), np.linspace(0.1, 2.0, 3))
+TWO = {"parameter": "k and d", "unit": "N/m and Ns/m"}
+
+
+@pytest.fixture(scope="module")
+def rectangle():
+    return lpv_synthesis(spring_and_damper, RECTANGLE, **TWO)
+
+
+def test_a_second_parameter_that_changes_nothing_changes_nothing(designed):
+    """The rectangle of one parameter and an idle one is the line."""
+    idle = lpv_synthesis(lambda p: oscillator(p[0]), (GRID, np.array([0.0, 1.0])), **TWO)
+    for name in ("gamma_optimal", "pointwise_largest"):
+        assert idle.certificate.margins[name] == pytest.approx(designed.certificate.margins[name], rel=2e-4)
+
+
+def test_a_rectangle_costs_no_less_than_its_edges_and_holds_between(rectangle):
+    margins = rectangle.certificate.margins
+    edges = [lpv_synthesis(lambda k, d=d: oscillator(k, d), RECTANGLE[0]).certificate.margins for d in RECTANGLE[1][[0, -1]]]
+    assert margins["gamma_optimal"] >= max(edge["gamma_optimal"] for edge in edges) * (1 - 1e-4)
+    for point in np.random.default_rng(2).uniform([1.0, 0.1], [5.0, 2.0], (25, 2)):
+        loop = lft(oscillator(*point), rectangle.scheduled.at(point))
+        assert spectral_abscissa(loop) < 0
+        assert hinf_norm(loop).value <= rectangle.gamma
+    assert "linear in each parameter" in rectangle.notes[1]
+
+
+@pytest.mark.parametrize("rate", [None, (1.0, None), (None, 0.5), (1.0, 0.5)])
+def test_gain_while_two_parameters_move_is_below_gamma(rectangle, rate):
+    """Random motions as fast as was allowed: jumps where no rate was given, steps at the largest rate where one was."""
+    result = rectangle if rate is None else lpv_synthesis(spring_and_damper, RECTANGLE, rate=rate, points_between=1, **TWO)
+    dt, steps = 0.02, 120
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        paths = []
+        for axis, fastest in zip(RECTANGLE, rate or (None, None), strict=True):
+            path = rng.uniform(axis[0], axis[-1], steps)
+            if fastest is not None:
+                for i in range(1, steps):
+                    path[i] = np.clip(path[i], path[i - 1] - 5 * dt * fastest, path[i - 1] + 5 * dt * fastest)
+            paths.append(path)
+        systems = [c2d(lft(oscillator(*p), result.scheduled.at(p)), dt) for p in zip(*paths, strict=True)]
+        w = rng.standard_normal((2, 5 * steps))
+        w[:, steps:] = 0.0
+        z = simulate_piecewise(systems, [w[:, 5 * i : 5 * i + 5] for i in range(steps)])
+        assert np.linalg.norm(z) / np.linalg.norm(w) < result.gamma
+    if rate is not None:
+        assert result.certificate.margins["gamma_optimal"] < rectangle.certificate.margins["gamma_optimal"]
+
+
 class TestBadInput:
+    def test_rates_of_a_rectangle(self):
+        with pytest.raises(InvalidInput, match=r"number of rates is 3, but must be 2"):
+            lpv_synthesis(spring_and_damper, RECTANGLE, rate=(1.0, 1.0, 1.0), **TWO)
+
+    def test_plants_of_a_rectangle(self):
+        with pytest.raises(InvalidInput, match=r"number of plants is 3, but must be 9"):
+            lpv_synthesis([oscillator(1.0)] * 3, RECTANGLE, **TWO)
+
     def test_one_point(self):
         with pytest.raises(InvalidInput, match=r"at least 2; one point needs no scheduling"):
             lpv_synthesis(oscillator, [1.0])

@@ -1,4 +1,4 @@
-"""The controller at one value of the parameter from R and S there: explicit, thus as smooth in the parameter as they are.
+"""The controller at one point of the parameters from R and S there: explicit, thus as smooth in the parameter as they are.
 
 With N M^T = I - S R the controller's states are common to all values, and no rate of the parameter enters, when M does not
 depend on it (R constant) or N does not (S constant): the terms S R' + N M'^T cancel. Sources: Gahinet 1996, Automatica 32
@@ -25,24 +25,24 @@ class Factors:
     varying: Varying
     fixed: np.ndarray
 
-    def at(self, p: float) -> tuple[np.ndarray, np.ndarray]:
-        """N and M (n, n) at a relative parameter."""
+    def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """N and M (n, n) at the relative parameters (d,)."""
         R, S = self.lyapunov.at(p)
         E = np.eye(len(R)) - S @ R
         if self.varying == "R":
             return self.fixed, np.linalg.solve(self.fixed, E).T
         return np.linalg.solve(self.fixed, E.T).T, self.fixed
 
-    def certificate(self, p: float) -> np.ndarray:
+    def certificate(self, p: np.ndarray) -> np.ndarray:
         """The closed loop's Lyapunov matrix X (2n, 2n) in the states (plant, controller)."""
         R, S = self.lyapunov.at(p)
         N, M = self.at(p)
         lower = -np.linalg.solve(M, (R @ N)).T  # -N^T R M^-T
         return np.block([[S, N], [N.T, (lower + lower.T) / 2]])
 
-    def certificate_slope(self, p: float) -> np.ndarray:
-        """dX/dp (2n, 2n), exact."""
-        dR, dS = self.lyapunov.slope(p)
+    def certificate_moved(self, p: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """dX/dt (2n, 2n) while the parameters move at ``rates`` (d,), exact."""
+        dR, dS = self.lyapunov.moved(p, rates)
         R, S = self.lyapunov.at(p)
         N, M = self.at(p)
         dE = -(dS @ R + S @ dR)
@@ -55,15 +55,15 @@ class Factors:
 
 def factors(lyapunov: Lyapunov, varying: Varying) -> Factors:
     """N and M share the singular values evenly at mid-range. Raises NumericalFailure when I - S R is singular there."""
-    R, S = lyapunov.at(0.0)
+    R, S = lyapunov.at(np.zeros(len(lyapunov.shape.largest)))
     U, s, Vt = np.linalg.svd(np.eye(len(R)) - S @ R)
     if len(s) and not s[-1] > 1e-12 * s[0]:
         raise NumericalFailure("R S is I in some direction: the controller would need infinitely fast poles")
     return Factors(lyapunov, varying, U * np.sqrt(s) if varying == "R" else Vt.T * np.sqrt(s))
 
 
-def controller(plant: ScaledPlant, point: Factors, p: float) -> Matrices:
-    """(A, B, C, D) at gamma = 1 for a scaled plant at the relative parameter p. Raises NumericalFailure.
+def controller(plant: ScaledPlant, point: Factors, p: np.ndarray) -> Matrices:
+    """(A, B, C, D) at gamma = 1 for a scaled plant at the relative parameters p (d,). Raises NumericalFailure.
 
     With D first put into the plant (A + B2 D C2 for A, and so on) and hats for what the inequalities determine,
 

@@ -1,4 +1,4 @@
-"""A family of generalized plants over a parameter, made ready for computing: one scaling and one state basis for all of them.
+"""A family of generalized plants over parameters, made ready for computing: one scaling and one state basis for all of them.
 
 The inequalities couple all points through common matrices, so that nothing may be scaled point by point. In order: states
 diagonally, u and y to unit direct terms, states in which the H-infinity solutions X and Y of the reference plant are equal and
@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.realisation.balancing import balance_system
-from ambrose.core.scheduled import check_alike
+from ambrose.core.scheduled import check_alike, grid_points
 from ambrose.synthesis.hinf.assumptions import check_assumptions, full_regularisation
 from ambrose.synthesis.hinf.riccati import Level, balancing_states, normal_form, search_gamma
 from ambrose.synthesis.hinf.scaling import ScaledPlant, scale_plant
@@ -27,13 +28,14 @@ _HARDLY = 1.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """plants in scaled states x_s and time t rate; x = T x_s for the original plants; T (n, n) and its inverse, rate [rad/s].
+    """plants at the points of a grid, in scaled states x_s and time t rate; x = T x_s for the original plants; T (n, n) and its
+    inverse, rate [rad/s].
 
-    unit: gamma of the original plants that is 1 here. t, reference: diagonal scaling of the states, and of u and y. notes: what
-    was regularised.
+    axes: of the grid. unit: gamma of the original plants that is 1 here. t, reference: diagonal scaling of the states, and of
+    u and y. notes: what was regularised.
     """
 
-    grid: np.ndarray
+    axes: tuple[np.ndarray, ...]
     plants: tuple[ScaledPlant, ...]
     T: np.ndarray
     inverse: np.ndarray
@@ -61,17 +63,29 @@ class Family:
         return len(self.T)
 
     @property
+    def values(self) -> list[Any]:
+        """The points of the grid."""
+        return grid_points(self.axes)
+
+    @property
     def relative(self) -> np.ndarray:
-        """The grid (k,) mapped to -1 .. 1, in which polynomials are written."""
-        return self.to_relative(self.grid)
+        """The points of the grid (k, d) mapped to -1 .. 1, in which polynomials are written."""
+        return np.array([self.to_relative(value) for value in self.values])
 
-    def to_relative(self, values: np.ndarray) -> np.ndarray:
-        """Parameter values mapped to -1 .. 1 over the range."""
-        return 2 * (values - self.grid[0]) / (self.grid[-1] - self.grid[0]) - 1
+    def to_relative(self, value: Any) -> np.ndarray:
+        """A point mapped to -1 .. 1 (d,) over the ranges."""
+        low, high = (np.array([axis[end] for axis in self.axes]) for end in (0, -1))
+        return np.asarray(2 * (np.atleast_1d(value) - low) / (high - low) - 1)
 
-    def relative_rate(self, rate: float) -> float:
-        """A rate of the parameter [its unit per s] in units of the relative parameter and of scaled time."""
-        return 2 * rate / (self.grid[-1] - self.grid[0]) / self.rate
+    def relative_rates(self, rates: Sequence[float | None]) -> tuple[float | None, ...]:
+        """Rates of the parameters [their units per s] in units of the relative ones and of scaled time."""
+        ranges = [float(axis[-1] - axis[0]) for axis in self.axes]
+        return tuple(None if r is None else 2 * r / wide / self.rate for r, wide in zip(rates, ranges, strict=True))
+
+    def on_grid(self, value: Any) -> bool:
+        """Whether a point is one of the grid."""
+        inside = zip(self.axes, np.atleast_1d(value), strict=True)
+        return all(bool(np.isclose(v, axis, rtol=1e-12).any()) for axis, v in inside)
 
     def in_states(self, T: np.ndarray, inverse: np.ndarray) -> Family:
         """In the states x_s = T x'."""
@@ -83,8 +97,8 @@ class Family:
         return replace(self, plants=tuple(plant.in_units(gamma) for plant in self.plants), unit=self.unit * gamma)
 
 
-def scaled_family(plants: Sequence[GeneralizedPlant], grid: np.ndarray) -> Family:
-    """The plants at the grid's values, scaled together. Raises InvalidInput where they differ in signals or states."""
+def scaled_family(plants: Sequence[GeneralizedPlant], axes: tuple[np.ndarray, ...]) -> Family:
+    """The plants at the points of the grid, scaled together. Raises InvalidInput where they differ in signals or states."""
     check_alike([plant.system for plant in plants], "plant")
     for side in "wuzy":
         if any(getattr(p, side) != getattr(plants[0], side) for p in plants):
@@ -97,9 +111,9 @@ def scaled_family(plants: Sequence[GeneralizedPlant], grid: np.ndarray) -> Famil
     C = [np.vstack([p.system.C[:r], p.system.C[r:] * y[:, None]]) for p in plants]
     largest = (np.abs(X).max(axis=0) for X in ([p.system.A for p in plants], B, C))
     t = balance_system(*largest)[3]
-    regular, notes = _regularised([_channels(plant, reference, t) for plant in plants], grid)
+    regular, notes = _regularised([_channels(plant, reference, t) for plant in plants], grid_points(axes))
     identity = np.eye(len(t))
-    bare = Family(grid, regular, identity * t, identity / t, 1.0, 1.0, t, reference, notes)
+    bare = Family(axes, regular, identity * t, identity / t, 1.0, 1.0, t, reference, notes)
     return _balanced(bare, middle)
 
 
@@ -113,18 +127,23 @@ def _channels(plant: GeneralizedPlant, reference: ScaledPlant, t: np.ndarray) ->
     )  # fmt: skip
 
 
-def _regularised(plants: Sequence[ScaledPlant], grid: np.ndarray) -> tuple[tuple[ScaledPlant, ...], tuple[str, ...]]:
+def _regularised(plants: Sequence[ScaledPlant], values: Sequence[Any]) -> tuple[tuple[ScaledPlant, ...], tuple[str, ...]]:
     """The plants, with small outputs and disturbances added to all where one of them violates an assumption."""
     findings: tuple[str, ...] = ()
-    for plant, value in zip(plants, grid, strict=True):
+    for plant, value in zip(plants, values, strict=True):
         try:
             findings = findings or check_assumptions(plant).findings
         except InvalidInput as error:
-            raise InvalidInput(f"grid point {value:g}: {error}") from error
+            raise InvalidInput(f"grid point {named(value)}: {error}") from error
     if not findings:
         return tuple(plants), ()
     notes = (f"{'; '.join(findings)}: every state, control and measurement is weighted with {_EPSILON:g} instead",)
     return tuple(_extended(plant) for plant in plants), notes
+
+
+def named(value: Any) -> str:
+    """A point of a grid in a message."""
+    return ", ".join(f"{part:g}" for part in np.atleast_1d(value).tolist())
 
 
 def _extended(plant: ScaledPlant) -> ScaledPlant:
@@ -142,7 +161,7 @@ def _balanced(family: Family, middle: int) -> Family:
         T, inverse = balancing_states(_disturbed(family.plants[middle], best))
     except NumericalFailure as failure:
         raise NumericalFailure(
-            f"the plant at {family.grid[middle]:g} alone has no H-infinity controller ({failure}); design that one first"
+            f"the plant at {named(family.values[middle])} alone has no H-infinity controller ({failure}); design that one first"
         ) from failure
     slow = tuple(plant.in_time(rate) for plant in family.plants)
     return replace(family, plants=slow, rate=rate).in_states(T, inverse).in_units(best.gamma)

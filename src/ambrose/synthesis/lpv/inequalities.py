@@ -1,6 +1,7 @@
-"""The linear matrix inequalities of gridded LPV synthesis: R and S common to all points, or one of them a polynomial.
+"""The linear matrix inequalities of gridded LPV synthesis: R and S common to all points, or one of them a polynomial in every
+parameter whose rate is bounded.
 
-They are those of hinf/lmi.py at every grid point and for both signs of the largest rate, with A R + R A^T - R' and
+They are those of hinf/lmi.py at every grid point and for all signs of the largest rates, with A R + R A^T - R' and
 A^T S + S A + S' in the corners. R' and S' are the time derivatives, zero for constant matrices, which therefore allow any
 rate. Two passes: gamma is made as
 small as it gets; then, a little above it, R S is driven away from I while R, S and the slack stay bounded, which keeps the
@@ -11,6 +12,7 @@ Wu, Yang, Packard & Becker 1996, Int. J. Robust Nonlinear Control 6 (rate bounds
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -30,40 +32,56 @@ _MARGINS = ((1e-4, 1e3), (1e-4, 1e4), (1e-5, 1e5), (1e-6, 1e6))  # (slack, large
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lyapunov:
-    """R(p) = sum_j p^j R_j and S(p) = sum_j p^j S_j of the relative parameter p; R (a, n, n), S (b, n, n)."""
+    """R(p) = sum_j f_j(p) R_j and S(p) = sum_j f_j(p) S_j of the relative parameters p (d,), with the functions f_j of the
+    ``shape``; R (a, n, n), S (b, n, n), of a constant one term."""
 
     R: np.ndarray
     S: np.ndarray
+    shape: Shape
 
-    def at(self, p: float) -> tuple[np.ndarray, np.ndarray]:
-        """R and S (n, n) at a relative parameter."""
-        R, S = (np.tensordot(p ** np.arange(len(X)), X, 1) for X in (self.R, self.S))
+    def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """R and S (n, n) at the relative parameters."""
+        f = self.shape.functions(p)
+        R, S = (np.tensordot(f[: len(X)], X, 1) for X in (self.R, self.S))
         return R, S
 
-    def slope(self, p: float) -> tuple[np.ndarray, np.ndarray]:
-        """dR/dp and dS/dp (n, n)."""
-        return _slope(self.R, p), _slope(self.S, p)
-
-
-def _slope(coefficients: np.ndarray, p: float) -> np.ndarray:
-    j = np.arange(1, len(coefficients))
-    return np.tensordot(j * p ** (j - 1), coefficients[1:], 1)
+    def moved(self, p: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """dR/dt and dS/dt (n, n) while the parameters move at ``rates`` (d,)."""
+        f = self.shape.moved(p, rates)
+        R, S = (np.tensordot(f[: len(X)], X, 1) for X in (self.R, self.S))
+        return R, S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """Which matrix varies, as a polynomial of which degree, and at which relative rate at most."""
+    """Which matrix varies, as a polynomial of which degree in every parameter by itself, and at which relative rates at most;
+    None: at any, so that it does not vary with that parameter."""
 
     varying: Varying
     degree: int
-    rate: float
-
-    def terms(self, name: str) -> int:
-        return 1 + self.degree if self.varying == name else 1
+    largest: tuple[float | None, ...]
 
     @property
-    def rates(self) -> tuple[float, ...]:
-        return (0.0,) if self.varying == "none" or self.rate == 0 else (-self.rate, self.rate)
+    def powers(self) -> list[tuple[int, int]]:
+        """(parameter, power) of every function but the first, which is 1."""
+        return [(i, j) for i, rate in enumerate(self.largest) if rate is not None for j in range(1, self.degree + 1)]
+
+    def functions(self, p: np.ndarray) -> np.ndarray:
+        """1, p_1, p_1^2 .., p_2 .. (f,) at the relative parameters (d,)."""
+        return np.array([1.0, *(p[i] ** j for i, j in self.powers)])
+
+    def moved(self, p: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Their time derivatives (f,) while the parameters move at ``rates`` (d,)."""
+        return np.array([0.0, *(j * p[i] ** (j - 1) * rates[i] for i, j in self.powers)])
+
+    def terms(self, name: str) -> int:
+        return 1 + len(self.powers) if self.varying == name else 1
+
+    @property
+    def rates(self) -> list[np.ndarray]:
+        """The corners of the largest rates (d,), zero for parameters with which nothing varies."""
+        ends = [(-rate, rate) if rate else (0.0,) for rate in self.largest]
+        return [np.array(corner) for corner in product(*ends)]
 
 
 def smallest_gamma(family: Family, shape: Shape, time_limit: float) -> tuple[float, float, Lyapunov]:
@@ -72,7 +90,7 @@ def smallest_gamma(family: Family, shape: Shape, time_limit: float) -> tuple[flo
     found = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
     inexact = found.status == "inexact" and found.primal_error < _TIGHT and found.value > 0
     if not (found.status == "optimal" or inexact):  # an inexact end will do: everything is recomputed at the end
-        what = f"gamma cannot be minimised over the {len(family.grid)} grid points"
+        what = f"gamma cannot be minimised over the {len(family.plants)} grid points"
         if found.status == "time limit":
             raise NumericalFailure(f"{what} within {time_limit:.3g} s; raise time_limit or take fewer grid points")
         raise NumericalFailure(f"{what} (the solver ended {found.status} with a residual of {found.primal_error:.2g})")
@@ -96,7 +114,7 @@ def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapuno
 def _lyapunov(x: np.ndarray, n: int, shape: Shape) -> Lyapunov:
     count, a = n * (n + 1) // 2, shape.terms("R")
     matrices = smat(x[:-1].reshape(-1, count))
-    return Lyapunov(matrices[:a], matrices[a:])
+    return Lyapunov(matrices[:a], matrices[a:], shape)
 
 
 def program(
@@ -111,10 +129,9 @@ def program(
     for plant, p in zip(family.plants, family.relative, strict=True):
         for dual, columns, terms in ((False, of_R, a), (True, of_S, b)):
             of_matrix, of_gamma, constant, of_rate = _existence(plant, dual)
-            for rate in shape.rates if terms > 1 else (0.0,):
-                rows = np.hstack([
-                    p**j * of_matrix + (j * p ** (j - 1) * rate * of_rate if j else 0.0) for j in range(terms)
-                ])  # fmt: skip
+            for rates in shape.rates if terms > 1 else (np.zeros(len(p)),):
+                factors = zip(shape.functions(p)[:terms], shape.moved(p, rates)[:terms], strict=True)
+                rows = np.hstack([f * of_matrix + (moved * of_rate if moved else 0.0) for f, moved in factors])
                 if gamma is None:
                     items.append(Inequality(np.column_stack([rows, of_gamma]), constant, np.append(columns, last)))
                 else:
@@ -137,15 +154,16 @@ def _coupling(
 ) -> list[Inequality]:
     """[R I; I S] >= 0 or [R tI; tI S] >= 0, and R and S at most ``largest``, at every point where that is needed.
 
-    Both are affine in R and S: for polynomials of degree 1 they hold everywhere when they hold at the two ends.
+    Both are affine in R and S: for polynomials of degree 1 they hold everywhere when they hold at the corners of the range.
     """
     n = family.n
     of_R, of_S, last = columns
     up, low, off = coupling(n)
     bound, items = largest * svec(np.eye(n)), []
-    ends = [0] if shape.varying == "none" else [0, -1] if shape.degree == 1 else slice(None)
-    for p in family.relative[ends]:
-        powers_R, powers_S = p ** np.arange(shape.terms("R")), p ** np.arange(shape.terms("S"))
+    every = family.relative
+    where = every[:1] if shape.varying == "none" else every[(np.abs(every) == 1).all(axis=1)] if shape.degree == 1 else every
+    for p in where:
+        powers_R, powers_S = (shape.functions(p)[: shape.terms(name)] for name in "RS")
         rows = np.hstack([np.kron(powers_R, up), np.kron(powers_S, low)])
         if gamma is None:
             items.append(Inequality(rows, off, np.concatenate([of_R, of_S])))

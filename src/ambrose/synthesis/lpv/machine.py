@@ -1,17 +1,18 @@
-"""LPV control of a machine over its speed or seal pressure: the family of design problems, the synthesis, the full plant at
-every point of the schedule."""
+"""LPV control of a machine over its speed, its seal pressure or both: the family of design problems, the synthesis, the full
+plant at every point of the schedule."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.scheduled import check_grid
+from ambrose.core.scheduled import check_axes, grid_points
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.plant.model import Plant
@@ -24,7 +25,7 @@ from ambrose.synthesis.problem import apply_delay, design_plant, design_toleranc
 from ambrose.synthesis.result import Synthesis
 from ambrose.synthesis.weights import Weights, machine_weights, scale_control
 
-POINTS = 8  # of a grid that is not given
+POINTS, POINTS_OF_TWO = 8, 3  # of a grid that is not given, along each of its parameters
 _BACKOFF = 1.1
 _CONTROL = (1.0, 0.7, 0.5, 0.35)  # factors of the control weight, tried until the tolerances are held
 _MODES = 3  # bending modes per plane besides those of the design, on which corners are judged
@@ -57,14 +58,14 @@ def plants_along(
     lag: float = 0.0,
     weights: Weights | None = None,
     tolerances: Sequence[Tolerance] | None = None,
-) -> Callable[[float], GeneralizedPlant]:
-    """The design problem at a speed or pressure, all else as at the plant's operating point, in common states.
+) -> Callable[[Any], GeneralizedPlant]:
+    """The design problem at a speed or pressure (or both), all else as at the plant's operating point, in common states.
 
     lag [s]: by which the currents act late. weights: None: the machine's; tolerances: None: none.
     """
     chosen, held = weights or machine_weights(plant.machine), tolerances is not None
 
-    def at(value: float) -> GeneralizedPlant:
+    def at(value: Any) -> GeneralizedPlant:
         small = free_mode_reduction(replace(plant, point=along.moved(plant.point, value)), bending_modes)
         return design_plant(apply_delay(open_model(small, tolerances, held), lag), chosen, uncertain=held)
 
@@ -73,32 +74,34 @@ def plants_along(
 
 def design_schedule(
     plant: Plant,
-    grid: Sequence[float] | np.ndarray | None = None,
+    grid: Sequence[Any] | np.ndarray | None = None,
     along: Scheduling = SPEED,
     *,
     bending_modes: int = 0,
-    rate: float | None = None,
+    rate: float | tuple[float | None, ...] | None = None,
     lag: float = 0.0,
     tolerances: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
-    """A controller scheduled over speed or pressure for a full plant, and verified on it at every point of its schedule.
+    """A controller scheduled over speed, pressure or both for a full plant, verified on it at every point of its schedule.
 
-    grid (k,) [rad/s] or [Pa]: None: ``schedule_grid``; it holds the plant's own value in its range. rate [of its unit per s]:
-    the fastest change (None: any); bending_modes: per plane, lag [s]: of the currents, in the design model. tolerances: it is
-    designed over the machine's, without the lag, with a control weight as small as the output sensitivity required at their
-    corners, judged with the lag, needs (``tolerant_lpv``). ``controller`` is the frozen form at the plant's own. margins gain
-    those of ``certificate.full_plant_margins``; a controller that does not hold the full plant at every point has the status
-    "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
+    grid (k,) [rad/s] or [Pa], of both one for each: None: ``schedule_grid``; it holds the plant's own value in its range. rate
+    [of its unit per s], of both one for each: the fastest change (None: any); bending_modes: per plane, lag [s]: of the
+    currents, in the design model. tolerances: it is designed over the machine's, without the lag, with a control weight as
+    small as the output sensitivity required at their corners, judged with the lag, needs (``tolerant_lpv``). ``controller`` is
+    the frozen form at the plant's own. margins gain those of ``certificate.full_plant_margins``; a controller that does not
+    hold the full plant at every point has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
     """
     machine, point = plant.machine, plant.point
     weights = machine_weights(machine)
-    values = schedule_grid(machine, point, along) if grid is None else check_grid(grid, along.name)
-    own = along.of(point)
-    if not values[0] <= own <= values[-1]:
-        what = f"between {values[0]:g} and {values[-1]:g} {along.unit}"
-        remedy = f"widen the {along.name}s or assemble it within them"
-        raise invalid(f"the plant's {along.name}", f"{own:g} {along.unit}", what, remedy)
+    if grid is None:
+        grid = tuple(schedule_grid(machine, point, one, POINTS_OF_TWO if along.parts else POINTS) for one in along.each)
+    axes, own = check_axes(grid, along.name), along.of(point)
+    for one, axis in zip(along.each, axes, strict=True):
+        value, (low, high) = one.of(point), axis[[0, -1]]
+        if not low <= value <= high:
+            remedy = f"widen the {one.name}s or assemble it within them"
+            raise invalid(f"the plant's {one.name}", one.number(value), f"between {low:g} and {one.number(high)}", remedy)
     if along is not SPEED and not machine.seals:
         raise InvalidInput(
             f"machine {machine.name!r} has no seal, and nothing changes with the {along.name}; use another method"
@@ -107,11 +110,11 @@ def design_schedule(
 
     def scheduled(plants: PlantAt, backoff: float) -> Synthesis:
         return lpv_synthesis(
-            plants, values, rate=rate, backoff=backoff, nominal=own, parameter=along.name, unit=along.unit, progress=say
+            plants, axes, rate=rate, backoff=backoff, nominal=own, parameter=along.name, unit=along.unit, progress=say
         )
 
     if tolerances:
-        result = _over_tolerances(plant, values, along, bending_modes, lag, say, scheduled)
+        result = _over_tolerances(plant, axes, along, bending_modes, lag, say, scheduled)
     else:
         result = scheduled(plants_along(plant, along, bending_modes, lag), _BACKOFF)
         result = replace(result, weights=weights)
@@ -120,7 +123,7 @@ def design_schedule(
 
 def _over_tolerances(
     plant: Plant,
-    values: np.ndarray,
+    axes: tuple[np.ndarray, ...],
     along: Scheduling,
     modes: int,
     lag: float,
@@ -130,7 +133,8 @@ def _over_tolerances(
     machine, weights = plant.machine, machine_weights(plant.machine)
     if not machine.tolerances:
         raise InvalidInput(f"machine {machine.name!r} has no tolerances; add [[tolerance]] tables, or design without them")
-    wide, judged = design_tolerances(machine), values[[0, len(values) // 2, -1]].tolist()
+    wide, points = design_tolerances(machine), grid_points(axes)
+    judged = sorted({points[len(points) // 2], *grid_points([axis[[0, -1]] for axis in axes])})
     tried = [scale_control(weights, factor) for factor in _CONTROL]
     units = {}
     for value in judged:
@@ -139,8 +143,8 @@ def _over_tolerances(
     limit = machine.requirements.sensitivity_peak or _PEAK
     # the delay is judged, not designed for: with Pade's states the second pass of a scaled problem needs 1.4 times the optimum
     plants = [plants_along(plant, along, modes, 0.0, item, wide) for item in tried]
-    result, worst, place, scaled = tolerant_lpv(plants, values, scheduled, partial(worst_corners, units), limit, say)
-    where = ", ".join(along.words(value) for value in judged)
+    result, worst, place, scaled = tolerant_lpv(plants, axes, scheduled, partial(worst_corners, units), limit, say)
+    where = f"{'; ' if along.parts else ', '}".join(along.words(value) for value in judged)
     factor = f", control weight times {_CONTROL[place]:g}" if place else ""
     what = "is for them divided by it, however they move" if scaled else "is without them, which were held as it is"
     held = f"none is unstable and sigma_max(S_o) is at most {worst.sensitivity:.3f}"

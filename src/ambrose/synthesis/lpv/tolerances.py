@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -20,7 +21,8 @@ from scipy.optimize import minimize
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant, design_grid, lft
-from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.scheduled import ScheduledSystem, grid_points
+from ambrose.core.scheduled import corners as around
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.core.worst_case.loop import box_loop, corners, default_grid, gains
 from ambrose.synthesis.lpv.synthesis import PlantAt
@@ -44,7 +46,7 @@ class Worst:
 
 def tolerant_lpv(
     plants: Sequence[PlantAt],
-    grid: np.ndarray,
+    axes: tuple[np.ndarray, ...],
     synthesis: Callable[[PlantAt, float], Synthesis],
     judge: Callable[[ScheduledSystem], Worst],
     limit: float,
@@ -61,7 +63,7 @@ def tolerant_lpv(
     reason = ""
     try:
         for place, plant_at in enumerate(plants):
-            problem = _Scaled(plant_at, grid)
+            problem = _Scaled(plant_at, axes)
             for turn in range(_TURNS):
                 try:
                     result = synthesis(problem.plant, _BACKOFF)
@@ -97,27 +99,28 @@ def _order(found: Worst) -> tuple[int, float]:
 class _Scaled:
     """The problems with D around them: log D at the grid's values, linear in between; at first that of the loop without any."""
 
-    def __init__(self, plant_at: PlantAt, grid: np.ndarray) -> None:
+    def __init__(self, plant_at: PlantAt, axes: tuple[np.ndarray, ...]) -> None:
         self._plant_at = plant_at
-        self._grid = grid
-        self._kept: dict[float, GeneralizedPlant] = {}
-        first = self.uncertain(float(grid[0]))
-        self._log_d = np.zeros((len(grid), len(first.blocks)))
+        self._axes, self._values = axes, grid_points(axes)
+        self._kept: dict[Any, GeneralizedPlant] = {}
+        first = self.uncertain(self._values[0])
+        self._log_d = np.zeros((len(self._values), len(first.blocks)))
         self._nominal = True
 
-    def uncertain(self, value: float) -> GeneralizedPlant:
+    def uncertain(self, value: Any) -> GeneralizedPlant:
         if value not in self._kept:
             self._kept[value] = with_performance_block(self._plant_at(value))
         return self._kept[value]
 
-    def plant(self, value: float) -> GeneralizedPlant:
+    def plant(self, value: Any) -> GeneralizedPlant:
         """The scaled problem at a value of the parameter, without blocks; before the first D the performance alone."""
         plant = self.uncertain(value)
         if self._nominal:
             last = plant.blocks[-1]
             w, z = plant.w[-last.n_w :], plant.z[-last.n_z :]
             return GeneralizedPlant(select(plant.system, [*w, *plant.u], [*z, *plant.y]), w, plant.u, z, plant.y)
-        d = np.exp([np.interp(value, self._grid, column) for column in self._log_d.T])
+        index, share = around(self._axes, np.atleast_1d(value)[None])
+        d = np.exp(share[0] @ self._log_d[index[0]])
         d_w, d_z = _spread(plant, d)
         s, q, r = plant.system, len(plant.w), len(plant.z)
         B, C, D = s.B.copy(), s.C.copy(), s.D.copy()
@@ -128,7 +131,7 @@ class _Scaled:
     def rescale(self, law: ScheduledSystem) -> None:
         """The D-step."""
         self._nominal = False
-        for i, value in enumerate(self._grid.tolist()):
+        for i, value in enumerate(self._values):
             plant = self.uncertain(value)
             M = frequency_response(lft(plant, law.at(value)), design_grid(plant)).values
             self._log_d[i] = constant_scaling(plant, M, self._log_d[i])
@@ -162,7 +165,7 @@ def constant_scaling(plant: GeneralizedPlant, M: np.ndarray, log_d: np.ndarray) 
     return np.append(x, 0.0)
 
 
-def worst_corners(units: Mapping[float, GeneralizedPlant], law: ScheduledSystem) -> Worst:
+def worst_corners(units: Mapping[Any, GeneralizedPlant], law: ScheduledSystem) -> Worst:
     """The largest output sensitivity of the frozen loops at the corners of the tolerances (and at their middle).
 
     units: the open problem with all weights and scales 1 at each value that is looked at (``problem.unit_problem``).

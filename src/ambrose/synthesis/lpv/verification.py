@@ -7,15 +7,16 @@ holds along every trajectory of the parameter, with the Lyapunov matrix X(p) tha
     [B^T X             -gamma I  D^T   ]  < 0     with A, B, C, D of the closed loop as it will run.
     [C                  D       -gamma I]
 
-Where the plant and the controller are linear in the parameter between two points, B2, C2, D12, D21 constant and X constant, it
-holds in between when it holds at both ends, for it is affine in A, B, C and D; a plant that bends between its grid points is
-checked at the points in between.
+Where the plant and the controller are linear in the parameter (in each of several) between neighbouring points, B2, C2, D12,
+D21 constant and X constant, it holds in between when it holds at these points, for it is affine in A, B, C and D, which are the
+same mean of theirs; a plant that bends between its grid points is checked at the points in between.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.certificate import generalized_certificate
 from ambrose.synthesis.lpv.controller import Factors
-from ambrose.synthesis.lpv.family import Family
+from ambrose.synthesis.lpv.family import Family, named
 
 _RAISED = 1.5  # how far above the designed gamma a guarantee between grid points is looked for
 _STEPS = 20
@@ -33,13 +34,13 @@ _STEPS = 20
 
 @dataclass(frozen=True, slots=True)
 class Frozen:
-    """The closed loop held at one value of the parameter.
+    """The closed loop held at one point of the parameters.
 
     guaranteed: smallest gamma, at least the designed one, for which the inequality holds there; inf where none does. slack:
     largest eigenvalue of the inequality at the designed gamma, with X = I and time in the family's units (negative: it holds).
     """
 
-    value: float
+    value: Any
     on_grid: bool
     stable: bool
     spectral_abscissa: float
@@ -51,28 +52,31 @@ class Frozen:
     def row(self) -> dict[str, float]:
         """For the history of a Synthesis."""
         names = ("spectral_abscissa", "norm", "fastest_pole", "slack", "guaranteed")
-        return {"parameter": self.value, "on_grid": float(self.on_grid), **{name: getattr(self, name) for name in names}}
+        where = {"parameter": self.value}
+        if isinstance(self.value, tuple):
+            where = {f"parameter_{i}": part for i, part in enumerate(self.value, start=1)}
+        return {**where, "on_grid": float(self.on_grid), **{name: getattr(self, name) for name in names}}
 
 
 def frozen(
-    plant_at: Callable[[float], GeneralizedPlant],
+    plant_at: Callable[[Any], GeneralizedPlant],
     controller: ScheduledSystem,
     family: Family,
     point: Factors,
-    values: np.ndarray,
-    relative_rates: Sequence[float],
+    values: Sequence[Any],
+    relative_rates: Sequence[np.ndarray],
 ) -> tuple[Frozen, ...]:
-    """The closed loop at every one of the ``values`` of the parameter; the family's unit is the designed gamma."""
+    """The closed loop at every one of the points ``values``; the family's unit is the designed gamma."""
     result = []
     for value in values:
-        plant, K = plant_at(float(value)), controller.at(float(value))
+        plant, K = plant_at(value), controller.at(value)
         found = generalized_certificate(plant, K)
-        p = float(family.to_relative(value))
-        slacks = [_BoundedReal(lft(plant, K), family, point, p, rate) for rate in relative_rates]
+        p = family.to_relative(value)
+        slacks = [_BoundedReal(lft(plant, K), family, point, p, rates) for rates in relative_rates]
         worst = max(slacks, key=lambda item: item.largest(1.0))
         result.append(
             Frozen(
-                float(value), bool(np.isclose(value, family.grid, rtol=1e-12).any()), found.stable, found.spectral_abscissa,
+                value, family.on_grid(value), found.stable, found.spectral_abscissa,
                 found.closed_loop_norm, found.fastest_pole, worst.largest(1.0), worst.smallest() * family.unit,
             )
         )  # fmt: skip
@@ -82,20 +86,22 @@ def frozen(
 class _BoundedReal:
     """The inequality at one point, in states in which X is I, gamma in units of the designed one."""
 
-    def __init__(self, loop: StateSpace, family: Family, point: Factors, p: float, rate: float) -> None:
+    def __init__(self, loop: StateSpace, family: Family, point: Factors, p: np.ndarray, rates: np.ndarray) -> None:
         n = family.n
         X = point.certificate(p)
         try:
             L = np.linalg.cholesky(X)
         except np.linalg.LinAlgError as error:
-            raise NumericalFailure(f"the Lyapunov matrix is not positive definite at the relative parameter {p:g}") from error
+            raise NumericalFailure(
+                f"the Lyapunov matrix is not positive definite at the relative parameter {named(p)}"
+            ) from error
         T, inverse = np.eye(2 * n), np.eye(2 * n)
         T[:n, :n], inverse[:n, :n] = family.T, family.inverse
         to_whole, back = np.linalg.solve(L, T.T).T, L.T @ inverse  # X = L L^T
         A = back @ loop.A @ to_whole / family.rate
         B = back @ loop.B / np.sqrt(family.rate * family.unit)
         C = loop.C @ to_whole / np.sqrt(family.rate * family.unit)
-        moved = np.linalg.solve(L, np.linalg.solve(L, rate * point.certificate_slope(p)).T)
+        moved = np.linalg.solve(L, np.linalg.solve(L, point.certificate_moved(p, rates)).T)
         q, r = B.shape[1], len(C)
         D = loop.D / family.unit
         self.n = 2 * n
@@ -121,8 +127,10 @@ class _BoundedReal:
         return high
 
 
-def between(plants: Sequence[GeneralizedPlant], grid: np.ndarray) -> Callable[[float], GeneralizedPlant]:
+def between(
+    plants: Sequence[GeneralizedPlant], axes: tuple[np.ndarray, ...], parameter: str, unit: str
+) -> Callable[[Any], GeneralizedPlant]:
     """The plants with matrices linear between the grid points, for want of others."""
-    schedule = ScheduledSystem(grid, [plant.system for plant in plants], "parameter", "")
+    schedule = ScheduledSystem(axes, [plant.system for plant in plants], parameter, unit)
     first = plants[0]
     return lambda value: GeneralizedPlant(schedule.at(value), first.w, first.u, first.z, first.y, first.blocks)
