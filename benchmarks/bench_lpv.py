@@ -88,8 +88,8 @@ def _against_cvxpy(
     name: str, plant_at: Callable[[float], GeneralizedPlant], grid: np.ndarray, solver: str | None
 ) -> dict[str, Any]:
     """solver: None is cvxpy's own choice, SCS, which takes hours for the turboexpander."""
-    family = scaled_family([plant_at(float(value)) for value in grid], grid)
-    cost, items = program(family, Shape("none", 0, 0.0))
+    family = scaled_family([plant_at(float(value)) for value in grid], (grid,))
+    cost, items = program(family, Shape("none", 0, (None,)))
     start = time.process_time()
     ours = minimise(cost, items, tolerance=1e-5)
     spent = time.process_time() - start

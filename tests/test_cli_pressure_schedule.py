@@ -85,3 +85,24 @@ def test_a_point_beyond_the_schedule_is_left_out_and_fails(folder):
     done = call(folder, "verify", "rig.toml", "--controller", "half.json")
     assert done.exit_code == 1
     assert "twice nominal pressure: left out, the schedule does not cover this operating point" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def both(folder):
+    words = ("--method", "lpv", "--speeds-hz", "0", "30", "--pressures-bar", "0", "4.08", "--json")
+    done = CliRunner().invoke(main, ["synthesize", str(folder / "rig.toml"), *words, "-o", str(folder / "both.json")])
+    assert done.exit_code == 0, done.stderr
+    return json.loads(done.stdout)["certificate"]
+
+
+def test_over_speed_and_pressure_at_once(folder, both):
+    margins = both["margins"]
+    assert margins["grid_points"] == 9 and {"worst_speed", "worst_pressure"} <= set(margins)
+    verdict = json.loads(call(folder, "verify", "rig.toml", "--controller", "both.json", "--json").stdout)
+    assert len(verdict["points"]) == 3 and not verdict["left_out"]
+    done = call(folder, "simulate", "rig.toml", "--controller", "both.json", "--scenario", "surge.toml", "-o", "both.h5")
+    assert done.exit_code == 0 and "completed without contact" in done.stdout + done.stderr
+    refused = call(folder, "verify", "rig.toml", "--controller", "both.json", "--pressure-error", "0.1 bar")
+    assert refused.exit_code == 2 and "over pressure alone" in refused.stderr
+    refused = call(folder, "synthesize", "rig.toml", "--method", "lpv", "--speeds-hz", "0", "30", "--pressure-rate", "1 bar/s")
+    assert refused.exit_code == 2 and "give the pressures" in refused.stderr

@@ -83,7 +83,7 @@ def test_an_interrupted_design_keeps_its_best_turn(few):
         return replace(designed, scheduled=ScheduledSystem([speed, 2 * speed], [law, law], "speed", "rad/s"))
 
     plants = [plants_along(plant, tolerances=plant.machine.tolerances)]
-    best, worst, place, scaled = tolerant_lpv(plants, np.array([speed, 2 * speed]), turn, lambda law: Worst(5.0, 0, 4), 3.0)
+    best, worst, place, scaled = tolerant_lpv(plants, (np.array([speed, 2 * speed]),), turn, lambda law: Worst(5.0, 0, 4), 3.0)
     assert best.stopped_early == "interrupted" and (worst.sensitivity, place, scaled, len(turns)) == (5.0, 0, False, 2)
 
 
