@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.semidefinite import Inequality, minimise
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble

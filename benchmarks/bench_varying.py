@@ -12,8 +12,9 @@ from ambrose.core.norms import hinf_norm
 from ambrose.plant.assemble import assemble
 from ambrose.plant.timing import Timing
 from ambrose.verification.checks import Checks
-from ambrose.verification.moving.pressure import FROZEN, check_pressure, pressure_loop, pressure_spans
-from ambrose.verification.moving.schedule import check_schedule, scheduled_spans
+from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
+from ambrose.verification.moving.pressure import check_pressure, pressure_loop
+from ambrose.verification.moving.spans import FROZEN, pressure_spans
 
 RATE, PRESSURE_RATE = 10_000.0, 2e6  # Hz; Pa/s
 _TIMING = Timing(1 / RATE, 1)
@@ -35,7 +36,7 @@ def run() -> list[dict[str, Any]]:
     machine = load_machine("seal-rig")
     law = design(machine, "lpv", pressures=(0.0, span.high)).scheduled
     begun = time.process_time()
-    found = check_schedule(machine, scheduled_spans(machine, law)[0], law, None, PRESSURE_RATE)
+    found = check_on_model(machine, scheduled_spans(machine, law)[0], law, None, PRESSURE_RATE)
     rows.append(_row("proof at 20 bar/s, scheduled controller, seal-rig, 1 bending mode", begun, found, None, ""))
     return rows
 

@@ -23,8 +23,9 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import match_controller
 from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
-from ambrose.verification.moving.pressure import PressureSpan, filter_poles, frozen_peaks, pressure_loop, pressure_spans
-from ambrose.verification.moving.schedule import check_schedule, scheduled_spans
+from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
+from ambrose.verification.moving.pressure import filter_poles, frozen_peaks, pressure_loop
+from ambrose.verification.moving.spans import PressureSpan, pressure_spans
 
 RATES = (2e5, 2e6, np.inf)  # Pa/s
 _TIMING = Timing(1e-4, 1)
@@ -105,7 +106,7 @@ def attack_schedule(name: str, error: float, runs: int) -> None:
     machine = load_machine(name)
     law = design(machine, "lpv", pressures=pressure_range(machine), rate=1 / _TIMING.sample_time).scheduled
     (span,), rng, begun = scheduled_spans(machine, law), np.random.default_rng(1), time.process_time()
-    rows = check_schedule(machine, span, law, _TIMING, RATES[1], error).checks
+    rows = check_on_model(machine, span, law, _TIMING, RATES[1], error).checks
     print(f"{name}, scheduled over pressure, told within {error / 1e5:g} bar of it, {RATES[1] / 1e5:g} bar/s:")
     print(*(f"  {row.name} {row.value:.4f} ({row.detail})" for row in rows), sep="\n")
     print(f"  {time.process_time() - begun:.0f} s of processor time", flush=True)

@@ -18,6 +18,7 @@ from ambrose.core.matrix_equations import (
     observability_gramian,
     solve_riccati,
 )
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
 from ambrose.core.mechanical import undamped_modes
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds, mu_peak
@@ -29,7 +30,6 @@ from ambrose.core.realisation.modal_form import modal_form
 from ambrose.core.realisation.zeros import invariant_zeros, minimal
 from ambrose.core.response import expm_derivative, impulse_response
 from ambrose.core.sampling import c2d
-from ambrose.core.semidefinite import Inequality, minimise, svec
 from ambrose.core.statespace import StateSpace, feedback, is_stable
 from ambrose.core.worst_case.bounds import gain_bound, proved_gain, proved_margin
 from ambrose.core.worst_case.crossing import box_margin

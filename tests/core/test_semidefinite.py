@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.semidefinite import Inequality, minimise, side, smat, svec
+from ambrose.core.matrix_inequalities.matrix_variables import MatrixVariable, Term
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, side, smat, svec
 
 
 def problem(seed: int) -> tuple[np.ndarray, list[Inequality]]:
@@ -100,3 +101,35 @@ def test_svec_and_back():
 def test_sizes_that_do_not_fit_are_refused():
     with pytest.raises(InvalidInput, match=r"inequality 0"):
         minimise(np.ones(2), [Inequality(np.ones((3, 1)), np.ones(3), np.array([0, 1]))])
+
+
+def bounded_real(terms: bool, rows: int = 3) -> tuple[np.ndarray, list[Inequality]]:
+    """The bounded real inequalities of a loop at five values of p with X0 + p X1: as terms, or written out column by column."""
+    rng, n, q = np.random.default_rng(4), 6, 2
+    A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, q)), rng.standard_normal((q, n)) / n
+    A -= (np.linalg.eigvals(A).real.max() + 1) * np.eye(n)
+    X0 = MatrixVariable(0, n, n)
+    X1 = MatrixVariable(X0.stop, n, rows)
+    k, one, corner = X1.stop, np.eye(n, n + q), np.zeros((n + q, n + q))
+    corner[n:, n:] = np.eye(q)
+    constant, items = svec(-np.block([[C.T @ C, C.T], [C, np.eye(q)]])), []
+    for p in np.linspace(-1, 1, 5):
+        V = np.hstack([A + 0.2 * p * rng.standard_normal((n, n)), B])
+        both = (Term(X0, -one, V), Term(X1, -one, p * V + 0.1 * one))
+        written = [svec(term.value(x)) for term in both for x in np.eye(k)[term.variable.start : term.variable.stop]]
+        dense = np.column_stack([*written, svec(corner)])
+        one_item = Inequality(svec(corner)[:, None], constant, np.array([k]), both)
+        items.append(one_item if terms else Inequality(dense, constant, np.arange(k + 1)))
+    return np.eye(k + 1)[k], items
+
+
+def test_matrices_among_the_variables_are_their_columns_written_out():
+    (cost, items), (_, written) = bounded_real(True), bounded_real(False)
+    x = np.random.default_rng(6).standard_normal(len(cost))
+    for item, dense in zip(items, written, strict=True):
+        np.testing.assert_allclose(item.value(x), smat(dense.rows @ x), atol=1e-12)
+        np.testing.assert_allclose(item.squares(len(x)), (dense.rows**2).sum(0), rtol=1e-12)
+    found, other = minimise(cost, items), minimise(cost, written)
+    assert found.status == "optimal" and found.steps == other.steps
+    assert found.value == pytest.approx(other.value, rel=1e-7) == pytest.approx(clarabel_value(cost, written), rel=1e-6)
+    assert minimise(*bounded_real(True, 1)).value > 1.001 * found.value  # fewer rows, less freedom

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,9 +15,12 @@ from ambrose.machine.description import OperatingPoint, Requirements, SealTable
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
+from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification.moving.pressure import PressureSpan, check_pressure, pressure_loop, pressure_spans
+from ambrose.verification.moving.model import MovingModel
+from ambrose.verification.moving.pressure import check_pressure, pressure_loop
+from ambrose.verification.moving.spans import BentSeal, PressureSpan, pressure_spans
 
 from .conftest import PID, make_rig
 
@@ -81,17 +85,38 @@ def test_a_pressure_that_destabilises_at_rest_is_not_proved(rig) -> None:
     assert found.checks[-1].value == np.inf
 
 
-def test_a_seal_that_bends_is_followed_or_refused(rig, span) -> None:
-    """A table over the pressure: on a parabola it is followed, with a corner it is refused with the deviation."""
+def with_table(rig: Machine, values: tuple[float, ...], pressures: tuple[float, ...]) -> Machine:
+    seal = rig.seals[0]
+    letters = tuple((name, tuple(0.0 for _ in pressures)) for name in ("K", "C", "c"))
+    table = SealTable((("pressure", pressures),), (("k", values), *letters))
+    own = {name: 0.0 for name in ("K", "k", "C", "c", "M")}
+    return replace(rig, seals=(replace(seal, table=table, reference_pressure=None, scales_with_pressure=(), **own),))
 
-    def with_table(values: tuple[float, ...], pressures: tuple[float, ...]) -> Machine:
-        seal = rig.seals[0]
-        letters = tuple((name, tuple(0.0 for _ in pressures)) for name in ("K", "C", "c"))
-        table = SealTable((("pressure", pressures),), (("k", values), *letters))
-        own = {name: 0.0 for name in ("K", "k", "C", "c", "M")}
-        return replace(rig, seals=(replace(seal, table=table, reference_pressure=None, scales_with_pressure=(), **own),))
 
-    corner = with_table((0.0, 1e5, 1e6), (0.0, 2e4, 4e4))
-    found = check_pressure(corner, span, pid_controller(PID, rig), TIMING, 1e3)
-    assert not found.passed
-    assert "off a polynomial" in found.checks[-1].detail
+def test_a_table_with_a_corner_is_followed_on_both_sides_of_it(rig, span) -> None:
+    """No polynomial goes around the corner: the cells beside it are halved until what is left does not matter."""
+    corner = with_table(rig, (0.0, 1e4, 1e5), (0.0, 2.13e4, 4e4))
+    law = pid_controller(PID, rig)
+    with pytest.raises(BentSeal, match="off a polynomial"):
+        pressure_loop(assemble(corner, span.middle), span, law, None)
+    checks = {check.name: check.value for check in check_pressure(corner, span, law, None, 1e3).checks}
+    gains = []
+    for pressure in (span.low, 2.13e4, span.high):
+        plant = assemble(corner, OperatingPoint(seal_pressure=pressure))
+        inputs, outputs = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "dy")
+        gains.append(hinf_norm(select(closed_loop(plant, law), inputs, outputs)).value)
+    assert checks["moving.frozen"] == pytest.approx(max(gains), rel=1e-3)
+    assert max(gains) < checks["moving.sensitivity.rate"] < 1.02 * max(gains)
+
+
+def test_the_forces_of_the_cells_are_those_of_the_table(rig, span) -> None:
+    corner = with_table(rig, (0.0, 1e4, 1e5), (0.0, 2.13e4, 4e4))
+    model = MovingModel(reduce(assemble(corner, span.middle), 0, static_correction=False), span, pid_controller(PID, rig), 0.0)
+    cells = model.cells(0.0)
+    assert cells[0].p[0, 0] == -1 and cells[-1].p[-1, 0] == 1
+    assert all(one.p[-1, 0] == other.p[0, 0] for one, other in pairwise(cells))
+    largest = np.abs(model.frozen(span.high, 0.0).A - model.frozen(span.low, 0.0).A).max()
+    for cell in cells:
+        for end in (0, -1):
+            pressure = span.low + (cell.p[end, 0] + 1) * span.half
+            np.testing.assert_allclose(cell.A[end, 0], model.frozen(pressure, 0.0).A, atol=2e-3 * largest)

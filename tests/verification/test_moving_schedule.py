@@ -18,7 +18,8 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop
 from ambrose.plant.timing import Timing
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification.moving.schedule import check_schedule, scheduled_spans, told_range
+from ambrose.verification.moving.model import told_range
+from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
 
 from .conftest import PID, make_rig
 
@@ -45,7 +46,7 @@ def schedule(rig: Machine, change: float, grid=(LOW, 2e4, HIGH)) -> ScheduledSys
 
 def proved(rig: Machine, law: ScheduledSystem, error: float = 0.0, timing: Timing | None = None) -> dict[str, float]:
     (span,) = scheduled_spans(rig, law)
-    return {check.name: check.value for check in check_schedule(rig, span, law, timing, 1e3, error).checks}
+    return {check.name: check.value for check in check_on_model(rig, span, law, timing, 1e3, error).checks}
 
 
 def at_rest(rig: Machine, law: ScheduledSystem, pairs: list[tuple[float, float]]) -> float:
@@ -79,10 +80,10 @@ def test_a_sampled_schedule_and_an_unstable_one_have_no_proof(rig: Machine) -> N
     law = schedule(rig, 0.15)
     (span,) = scheduled_spans(rig, law)
     sampled = ScheduledSystem(law.grid, [replace(s, dt=1e-4) for s in law.systems], "pressure", "Pa")
-    (row,) = check_schedule(rig, span, sampled, None, 1e3).checks
+    (row,) = check_on_model(rig, span, sampled, None, 1e3).checks
     assert not row.passed and "the continuous one that it was made of" in row.detail
     weak = schedule(rig, -0.9)
-    found = check_schedule(rig, span, weak, None, 1e3)
+    found = check_on_model(rig, span, weak, None, 1e3)
     assert not found.passed and "unstable" in found.checks[-1].detail
 
 

@@ -54,7 +54,7 @@ def verify(
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
     from ambrose.evaluation.verdict import verify_controller
-    from ambrose.verification.moving.pressure import pressure_spans
+    from ambrose.verification.moving.spans import pressure_spans
 
     description = load(machine)
     controller = load_controller(path, description)

@@ -26,8 +26,8 @@ from ambrose.synthesis.weights import machine_weights
 from ambrose.verification import nominal, robust, sampled
 from ambrose.verification.between import check_range
 from ambrose.verification.checks import Check, Checks
+from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
 from ambrose.verification.moving.pressure import check_pressure, covered_spans
-from ambrose.verification.moving.schedule import check_schedule, scheduled_spans
 from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
 
@@ -135,7 +135,7 @@ def verify_moving(
         return ()
     if isinstance(law, ScheduledSystem):
         spans = scheduled_spans(machine, law) if over_pressure else ()
-        return tuple(check_schedule(machine, span, law, timing, rate, error, progress) for span in spans)
+        return tuple(check_on_model(machine, span, law, timing, rate, error, progress) for span in spans)
     return tuple(check_pressure(machine, span, law, timing, rate, progress) for span in covered_spans(machine, law))
 
 

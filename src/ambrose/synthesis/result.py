@@ -129,18 +129,24 @@ class Synthesis(Presented):
         return self.controller.to_control()
 
     @property
+    def missed(self) -> bool:
+        """Whether a requirement that it was designed for is not met."""
+        margins = self.certificate.margins
+        beyond = margins.get("corner_sensitivity", 0.0) > margins.get("corner_sensitivity_limit", math.inf)
+        return beyond or (self.method == "tuned" and self.gamma > 1)
+
+    @property
     def verdict(self) -> str:
         """The status in words: at which operating points, and with an early end."""
         envelope = self.certificate.envelope
         lost = [label for label, abscissa in envelope.items() if not abscissa < 0]
-        missed = self.method == "tuned" and self.gamma > 1
-        only_stable = self.status is Status.VERIFIED and (missed or self.method == "pid")  # nothing else was claimed
+        only_stable = self.status is Status.VERIFIED and (self.missed or self.method == "pid")  # nothing else was claimed
         words = "certified as stable" if only_stable else str(self.status)
         if self.status is Status.VERIFIED and lost:
             words += f" at {len(envelope) - len(lost)} of {len(envelope)} operating points, unstable at {', '.join(lost)}"
         elif self.status is Status.VERIFIED and len(envelope) > 1:
             words += f" at all {len(envelope)} operating points"
-        if missed:
+        if self.missed:
             words += ", but not every requirement is met"
         return words if self.stopped_early is None else f"{words}, but stopped early: {self.stopped_early}"
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import NumericalFailure
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
 from ambrose.core.norms import hinf_norm
-from ambrose.core.semidefinite import Inequality, minimise, svec
 from ambrose.core.statespace import StateSpace
 from ambrose.core.varying.cells import Cell, accurate_product, elevated, product, proved_on_cells
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
 from ambrose.core.norms import hinf_norm
-from ambrose.core.semidefinite import Inequality, minimise, svec
 from ambrose.core.statespace import StateSpace
 from ambrose.core.varying.loop import VaryingLoop
 from ambrose.core.varying.proof import proved_gain

@@ -9,7 +9,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.semidefinite import smat, svec
+from ambrose.core.matrix_inequalities.semidefinite import smat, svec
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.hinf.lmi import smallest_gamma
 from ambrose.synthesis.hinf.scaling import scale_plant

@@ -75,7 +75,7 @@ def test_inequality_recomputed_by_hand(designed):
     clarabel = pytest.importorskip("clarabel")
     from scipy import sparse
 
-    from ambrose.core.semidefinite import svec
+    from ambrose.core.matrix_inequalities.semidefinite import svec
     from ambrose.synthesis.hinf.lmi import symmetric_basis
 
     loops = [lft(oscillator(k), designed.scheduled.at(k)) for k in np.linspace(1, 5, 9)]

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure
-from ambrose.core.semidefinite import Inequality, minimise, svec
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
 from ambrose.core.varying.loop import Responder, VaryingLoop, Widened, responder, widen
 
 ROOMS = (1e-3, 4e-3, 1.6e-2, 6e-2)  # of gamma, above the smallest, for multipliers of moderate size

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure
-from ambrose.core.semidefinite import Inequality, minimise, smat, svec
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, smat, svec
 
 _TIME_LIMIT = 20.0  # s
 _LARGEST = 30  # states; beyond, only the candidate of the middle grid point is tried

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.core.semidefinite import side, smat, svec
+from ambrose.core.matrix_inequalities.semidefinite import side, smat, svec
 from ambrose.synthesis.hinf.scaling import Matrices, ScaledPlant
 
 _MARGINS = ((1e-3, 1e3), (1e-4, 1e4), (1e-6, 1e6))  # (strictness of the inequalities, largest R and S) when designing

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from ambrose.core.checks import NumericalFailure
-from ambrose.core.semidefinite import Inequality, minimise, side, smat, svec
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, side, smat, svec
 from ambrose.synthesis.hinf.lmi import coupling, existence
 from ambrose.synthesis.hinf.scaling import ScaledPlant
 from ambrose.synthesis.lpv.family import Family

@@ -146,7 +146,11 @@ def _over_tolerances(
     result, worst, place, scaled = tolerant_lpv(plants, axes, scheduled, partial(worst_corners, units), limit, say)
     where = f"{'; ' if along.parts else ', '}".join(along.words(value) for value in judged)
     factor = f", control weight times {_CONTROL[place]:g}" if place else ""
-    what = "is for them divided by it, however they move" if scaled else "is without them, which were held as it is"
+    what = (
+        f"holds for {1 / result.gamma:.0%} of them, however they move"
+        if scaled
+        else "is without deviations: they were held all the same"
+    )
     held = f"none is unstable and sigma_max(S_o) is at most {worst.sensitivity:.3f}"
     notes = (
         f"designed over {len(wide)} tolerances{factor}: gamma {result.gamma:.3g} {what}",
@@ -154,6 +158,7 @@ def _over_tolerances(
         f"{f'{worst.unstable} are unstable' if worst.unstable else held} on the model with {modes + _MODES} bending modes",
     )
     kept = [note for note in result.notes if not note.startswith("for a plant that is linear")]  # D bends the scaled one
-    margins = {**result.certificate.margins, "corner_sensitivity": worst.sensitivity, "unstable_corners": float(worst.unstable)}
+    margins = {**result.certificate.margins, "corner_sensitivity": worst.sensitivity, "corner_sensitivity_limit": limit}
+    margins["unstable_corners"] = float(worst.unstable)
     certificate = replace(result.certificate, margins=margins)
     return replace(result, weights=tried[place], certificate=certificate, notes=(*notes, *kept))

@@ -37,7 +37,10 @@ _PER_DECADE = 30  # frequencies at which corners are judged
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Worst:
-    """The largest output sensitivity found (inf: a member is unstable), and how many of how many members are unstable."""
+    """The largest output sensitivity found (inf: a member is unstable), and how many of how many members are unstable.
+
+    No members: the loop is unstable without any deviation.
+    """
 
     sensitivity: float
     unstable: int
@@ -56,8 +59,8 @@ def tolerant_lpv(
 
     plants: the uncertain problem of a parameter's value with blocks, one function for each control weight to try, the most
     careful first; one follows the other until the judged sensitivity is at most ``limit``. synthesis: of plants without blocks,
-    at a back-off. Ctrl-C ends the turns: the best so far is returned, ``stopped_early`` says so. Raises NumericalFailure where
-    no turn has a controller.
+    at a back-off. A turn that is unstable without any deviation is the last. Ctrl-C ends the turns: the best so far is
+    returned, ``stopped_early`` says so. Raises NumericalFailure where no turn is stable without deviations.
     """
     best: tuple[Synthesis, Worst, int, bool] | None = None
     reason = ""
@@ -68,10 +71,15 @@ def tolerant_lpv(
                 try:
                     result = synthesis(problem.plant, _BACKOFF)
                 except NumericalFailure as failure:
-                    reason = str(failure)
+                    reason = f"{failure}; narrow the tolerances"
                     say(f"turn {turn + 1} failed: {reason}")
                     break
                 found = judge(result.law)  # type: ignore[arg-type]
+                if not found.members:
+                    reason = (
+                        "it is unstable without any deviation on a model with more bending modes; take more into the design"
+                    )
+                    raise _Lost
                 say(
                     f"turn {turn + 1}: gamma {result.gamma:.3f}, {found.unstable} of {found.members} members of the tolerances "
                     f"unstable, sigma_max(S_o) {found.sensitivity:.3f}"
@@ -83,13 +91,19 @@ def tolerant_lpv(
                 problem.rescale(result.law)  # type: ignore[arg-type]
             if best is not None and best[1].sensitivity <= limit:
                 break
+    except _Lost:
+        say(f"turn {turn + 1}: {reason}")
     except KeyboardInterrupt:
         if best is None:
             raise
         best = (replace(best[0], stopped_early="interrupted"), *best[1:])
     if best is None:
-        raise NumericalFailure(f"no scheduled controller for these tolerances was found ({reason}); narrow the tolerances")
+        raise NumericalFailure(f"no scheduled controller for these tolerances was found: {reason}")
     return best
+
+
+class _Lost(Exception):
+    """Further turns would only be faster, and worse."""
 
 
 def _order(found: Worst) -> tuple[int, float]:
@@ -174,7 +188,7 @@ def worst_corners(units: Mapping[Any, GeneralizedPlant], law: ScheduledSystem) -
     for value, unit in units.items():
         closed = lft(unit, law.at(value))
         if not is_stable(closed):
-            return Worst(np.inf, 1, 1)
+            return Worst(np.inf, 0, 0)
         a, w, z = len(unit.u), list(unit.w), list(unit.z)
         loop = box_loop(select(closed, w[: unit.n_w_blocks] + w[unit.n_w_blocks + a :], z[: unit.n_z_blocks + a]), unit.blocks)
         every = corners(loop.parameters)

@@ -2,7 +2,8 @@
 
 A primal-dual interior-point method: the direction of Helmberg, Kojima and Monteiro, Mehrotra's predictor and corrector, an
 infeasible start. Each inequality may depend on few of the variables; its part of the Schur complement is two products of dense
-matrices, so that dozens of inequalities of order 30 in 400 variables cost a tenth of a second per step. Sources: Helmberg,
+matrices, so that dozens of inequalities of order 30 in 400 variables cost a tenth of a second per step. Matrices among the
+variables are terms of matrix_variables.py beside this file: thousands of their entries cost a second. Sources: Helmberg,
 Rendl, Vanderbei & Wolkowicz 1996, SIAM J. Optim. 6; Todd, Toh & Tuetuencue 1998, SIAM J. Optim. 8.
 """
 
@@ -17,6 +18,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_failure
+from ambrose.core.matrix_inequalities.matrix_variables import MatrixVariable, Term, curvature, kronecker
 
 _STEPS = 80
 _SHORT = 1e-7  # a step length below which the method has stalled
@@ -24,16 +26,41 @@ _SHORT = 1e-7  # a step length below which the method has stalled
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inequality:
-    """smat(rows x[columns] + constant) >= 0; rows (d (d + 1)/2, k), constant (d (d + 1)/2,), columns (k,) of the variables."""
+    """smat(rows x[columns] + constant) + terms >= 0; rows (d (d + 1)/2, k), constant (d (d + 1)/2,), columns (k,).
+
+    columns: which of the variables; terms: of matrices among them, each of another one.
+    """
 
     rows: np.ndarray
     constant: np.ndarray
     columns: np.ndarray
+    terms: tuple[Term, ...] = ()
 
     @property
     def side(self) -> int:
         """The order d of the matrix."""
         return side(len(self.constant))
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        """The matrix (d, d) at the variables x, without its constant."""
+        found = smat(self.rows @ x[self.columns])
+        for term in self.terms:
+            found += term.value(x)
+        return found
+
+    def add_adjoint(self, M: np.ndarray, result: np.ndarray) -> None:
+        """<dF/dx_j, M>, M (d, d) symmetric, added to result (k,) of all variables."""
+        result[self.columns] += svec(M) @ self.rows
+        for term in self.terms:
+            result[term.variable.start : term.variable.stop] += term.adjoint(M)
+
+    def squares(self, count: int) -> np.ndarray:
+        """The squared norms of the matrix's derivatives by each of ``count`` variables."""
+        found = np.zeros(count)
+        found[self.columns] += (self.rows**2).sum(0)
+        for term in self.terms:
+            found[term.variable.start : term.variable.stop] += term.squares()
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,24 +131,24 @@ def minimise(
 
 
 class _Solver:
-    """The iterates: x, and for every inequality its slack S and multiplier Z (d, d)."""
+    """The iterates: x, and for every inequality its slack S and multiplier Z (d, d).
+
+    The variables are in units (k,) in which their derivatives have norm 1.
+    """
 
     def __init__(self, cost: np.ndarray, items: Sequence[Inequality]) -> None:
-        self.size = np.sqrt(np.bincount(
-            np.concatenate([i.columns for i in items]), np.concatenate([(i.rows**2).sum(0) for i in items]), len(cost)
-        ))  # fmt: skip
-        self.size[self.size == 0] = 1.0  # variables in units in which their columns have norm 1
-        self.cost = cost / self.size
+        squares = [item.squares(len(cost)) for item in items]
+        size = np.sqrt(np.sum(squares, axis=0))
+        size[size == 0] = 1.0
+        self.unit = 1 / size
+        self.cost = cost * self.unit
         self.items = items
-        self.rows = [item.rows / self.size[item.columns] for item in items]
-        self.wide = [smat(rows.T).transpose(1, 0, 2).reshape(i.side, -1) for i, rows in zip(items, self.rows, strict=True)]
+        self.wide = [smat(i.rows.T).transpose(1, 0, 2).reshape(i.side, -1) for i in items]
         self.order = sum(item.side for item in items)
-        reach = [
-            np.sqrt(i.side) * (1 + np.abs(self.cost[i.columns]).max(initial=0)) / (1 + np.linalg.norm(r, axis=0).max(initial=0))
-            for i, r in zip(items, self.rows, strict=True)
-        ]
         self.x = np.zeros(len(cost))
-        self.Z = [max(10.0, np.sqrt(i.side), i.side * f) * np.eye(i.side) for i, f in zip(items, reach, strict=True)]
+        reach = [i.side * (1 + np.abs(self.cost[own > 0]).max(initial=0)) / (1 + np.sqrt(own.max(initial=0)))
+                 for i, own in zip(items, (own * self.unit**2 for own in squares), strict=True)]  # fmt: skip
+        self.Z = [max(10.0, np.sqrt(i.side), np.sqrt(i.side) * f) * np.eye(i.side) for i, f in zip(items, reach, strict=True)]
         self.S = [max(10.0, np.sqrt(i.side), float(np.linalg.norm(i.constant))) * np.eye(i.side) for i in items]
 
     def run(self, tolerance: float, time_limit: float, hopeless: float) -> Minimum:
@@ -155,7 +182,7 @@ class _Solver:
         )
         dual = float(np.linalg.norm(self.cost - self.adjoint(self.Z))) / (1 + float(np.linalg.norm(self.cost)))
         gap = self.complementarity() / (1 + abs(value) + abs(bound))
-        return Minimum(self.x / self.size, value, bound, status, primal, dual, gap, step)
+        return Minimum(self.x * self.unit, value, bound, status, primal, dual, gap, step)
 
     def infeasible(self, found: Minimum) -> bool:
         """Whether Z, scaled, is a certificate: F^T(Z) = 0 and -<F_0, Z> > 0."""
@@ -164,16 +191,15 @@ class _Solver:
 
     def residuals(self) -> list[np.ndarray]:
         """F_i(x) - S_i."""
-        return [
-            smat(rows @ self.x[i.columns] + i.constant) - S for i, rows, S in zip(self.items, self.rows, self.S, strict=True)
-        ]
+        x = self.x * self.unit
+        return [i.value(x) + smat(i.constant) - S for i, S in zip(self.items, self.S, strict=True)]
 
     def adjoint(self, matrices: Sequence[np.ndarray]) -> np.ndarray:
         """sum_i <F_ij, M_i> for every variable j."""
         result = np.zeros(len(self.cost))
-        for i, rows, M in zip(self.items, self.rows, matrices, strict=True):
-            result[i.columns] += svec(M) @ rows
-        return result
+        for i, M in zip(self.items, matrices, strict=True):
+            i.add_adjoint(M, result)
+        return result * self.unit
 
     def complementarity(self) -> float:
         return float(sum(np.sum(S * Z) for S, Z in zip(self.S, self.Z, strict=True)))
@@ -201,12 +227,26 @@ class _Solver:
     def schur_complement(self, inverse: Sequence[np.ndarray]) -> tuple[np.ndarray, bool]:
         """Cholesky factor of M_jk = sum_i tr(F_ij Z_i F_ik S_i^-1)."""
         M = np.zeros((len(self.cost), len(self.cost)))
-        for i, rows, F, Z, W in zip(self.items, self.rows, self.wide, self.Z, inverse, strict=True):
+        products: dict[tuple[MatrixVariable, MatrixVariable], tuple[list[np.ndarray], list[np.ndarray]]] = {}
+        for i, F, Z, W in zip(self.items, self.wide, self.Z, inverse, strict=True):
             d, k = i.side, len(i.columns)
             G = (Z @ F).reshape(d, k, d).transpose(1, 0, 2).reshape(k * d, d) @ W
-            G = G.reshape(k, d * d)
-            upper, lower, weight = _places(d)
-            M[np.ix_(i.columns, i.columns)] += ((G.take(upper, 1) + G.take(lower, 1)) * (weight / 2)) @ rows
+            G = G.reshape(k, d, d)
+            G = (G + G.transpose(0, 2, 1)) / 2
+            M[np.ix_(i.columns, i.columns)] += svec(G) @ i.rows
+            for n, a in enumerate(i.terms):
+                here = slice(a.variable.start, a.variable.stop)
+                for column, inner in zip(i.columns, G, strict=True):
+                    M[here, column] += 2 * a.adjoint(inner)  # its mirror image is left to the end
+                for b in i.terms[n:]:
+                    P, Q = products.setdefault((a.variable, b.variable), ([], []))
+                    more = kronecker(a, b, Z, W)
+                    P += more[0]
+                    Q += more[1]
+        for (first, second), (P, Q) in products.items():
+            double = 1 if first is second else 2
+            M[first.start : first.stop, second.start : second.stop] += double * curvature(first, second, P, Q)
+        M *= self.unit[:, None] * self.unit
         M = (M + M.T) / 2
         diagonal = np.diag_indices(len(M))
         M[diagonal] = np.where(M[diagonal] > 0, M[diagonal] * (1 + 1e-14), 1.0)  # 1: a variable that appears nowhere
@@ -221,7 +261,7 @@ class _Solver:
         if second is not None:
             fixed = [f - s for f, s in zip(fixed, second, strict=True)]
         dx = sla.cho_solve(factor, self.adjoint(fixed) - self.cost)
-        change = [smat(rows @ dx[i.columns]) for i, rows in zip(self.items, self.rows, strict=True)]
+        change = [i.value(dx * self.unit) for i in self.items]
         dS = [c + R for c, R in zip(change, r, strict=True)]
         dZ = [f - Z - _symmetric(Z @ c @ W) for f, Z, c, W in zip(fixed, self.Z, change, inverse, strict=True)]
         return dx, dS, dZ
