@@ -15,6 +15,7 @@ from ambrose.deployment.discretisation.sampling import response
 
 ERROR, CURRENT, DT = 1e-3, 2.0, 1e-4
 GRID = (100.0, 250.0, 300.0, 600.0)  # rad/s
+PRESSURES = (0.0, 0.5e5, 2e5)  # Pa
 
 
 def small_schedule(dt: float | None = None) -> ScheduledSystem:
@@ -34,6 +35,16 @@ def pressure_schedule() -> ScheduledSystem:
     """The same over 0.1 to 0.6 bar: [Pa] is 100 times [rad/s]."""
     made = small_schedule()
     return ScheduledSystem(100.0 * made.grid, made.systems, "pressure", "Pa")
+
+
+def both_schedule() -> ScheduledSystem:
+    """The same over speed and 0 to 2 bar at three values: its gain and its damping change with the pressure, too."""
+    systems = []
+    for s in small_schedule().systems:
+        for p in PRESSURES:
+            A = s.A - np.diag([0.0, 4e-4 * p, 1e-4 * p])
+            systems.append(StateSpace(A, s.B, (1 + 2e-6 * p) * s.C, s.D + 1e-3 * p, s.inputs, s.outputs))
+    return ScheduledSystem((GRID, PRESSURES), systems, "speed and pressure", "rad/s and Pa")
 
 
 def two_states() -> ScheduledSystem:
@@ -63,10 +74,11 @@ def replay(
     return driver.replay(program, arithmetic, errors, valid, outputs=outputs, speeds=speeds, **signals)
 
 
-def adversarial_speeds(block: ScheduledBlock, count: int, seed: int = 0) -> np.ndarray:
+def adversarial_speeds(block: ScheduledBlock, count: int, seed: int = 0, axis: int = 0) -> np.ndarray:
     """Speeds (count,): sweeps, jumps, grid points and their neighbours, out of range, NaN, infinity, denormals, any bits."""
     rng = np.random.default_rng(seed)
-    low, high = block.range
+    grid = block.axes[axis]
+    low, high = grid[0], grid[-1]
     v = np.empty(count)
     start = 0
     while start < count:
@@ -79,9 +91,9 @@ def adversarial_speeds(block: ScheduledBlock, count: int, seed: int = 0) -> np.n
         elif kind == 3:
             part = rng.uniform(low, high, k)
         elif kind == 4:
-            part = np.nextafter(rng.choice(block.grid, k), rng.choice([-np.inf, 0.0, np.inf], k))
+            part = np.nextafter(rng.choice(grid, k), rng.choice([-np.inf, 0.0, np.inf], k))
         elif kind == 5:
-            part = rng.choice(block.grid, k)
+            part = rng.choice(grid, k)
         elif kind == 6:
             part = np.where(rng.random(k) < 0.3, rng.choice([np.nan, np.inf, -np.inf, 1e300], k), rng.uniform(low, high))
         elif kind == 7:

@@ -85,7 +85,7 @@ def call(*arguments):
 def test_the_sampled_loop_is_verified_at_the_grid_and_between(rig, deployment):
     machine, _ = rig
     assert deployment.verified
-    assert deployment.values.tolist() == [0.0, TOP / 2, TOP]
+    assert deployment.values == [0.0, TOP / 2, TOP]
     assert [c.stable for c in deployment.checks] == [True] * 3
     assert [c.label for c in deployment.points] == [p.label for p in machine.operation.points]
     plant = assemble(machine, replace(machine.operation.points[0], speed=TOP / 2))

@@ -131,7 +131,7 @@ def _tail(
     deployment: Deployment | ScheduledDeployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
 ) -> dict[str, Any]:
     origin = synthesis.provenance
-    told = {} if run.told is None else {run.parameter: _column(run.told)}
+    told = {} if run.told is None else {run.parameters[0]: _column(run.told)}
     return {
         "vectors": {
             "errors": run.errors, "valid": run.valid.astype(float), **told, "currents": run.currents,

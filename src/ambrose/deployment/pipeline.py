@@ -91,10 +91,10 @@ class ExportOptions(Presented):
         if self.delay_samples is not None:
             Timing(1.0, self.delay_samples)  # refuses what is no number of samples
 
-    def told(self, along: Scheduling) -> tuple[float | None, float | None]:
-        """The limits of what the code is told and of its rate."""
-        given: tuple[float | None, ...] = (getattr(self, f"{along.name}_limit"), getattr(self, f"{along.name}_rate"))
-        return given[0], given[1]
+    def told(self, along: Scheduling) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
+        """The limits of what the code is told, of each parameter, and of their rates."""
+        limits, rates = (tuple(getattr(self, f"{one.name}_{what}") for one in along.each) for what in ("limit", "rate"))
+        return limits, rates
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -194,19 +194,19 @@ def _check_target(synthesis: Synthesis, to: Target, options: ExportOptions) -> N
         raise invalid("the target", repr(to), " or ".join(TARGETS), "choose one of them")
     scheduled, along = synthesis.scheduled, scheduling_of(synthesis.law)
     for other in BOTH.parts:
-        if other is not along and options.told(other) != (None, None):
+        if (along is None or other not in along.each) and options.told(other) != ((None,), (None,)):
             what = f"{other.name}_limit or {other.name}_rate"
             raise invalid(what, "given", "left out", f"this controller is not scheduled over {other.name}")
-    if along is not None and along.parts:
-        what = "design over one with --speeds-hz or --pressures-bar alone"
-        raise invalid(f"a schedule over {along.name}", f"for the target {to!r}", "over one of the two", what)
+    if along is not None and along.parts and to != "c":
+        what = "write C, or design over one with --speeds-hz or --pressures-bar alone"
+        raise invalid(f"a schedule over {along.name}", f"for the target {to!r}", "for the target 'c'", what)
     if scheduled is not None and along is not None:
         check_precision(options.arithmetic)
         if options.form == "cascade":
             raise invalid(
                 "form", "'cascade'", "'modal' for a scheduled controller", f"its sections change with the {scheduled.parameter}"
             )
-        check_told_limits(scheduled.grid, along, *options.told(along))
+        check_told_limits(scheduled.axes, along, *options.told(along))
     if options.form == "cascade" and to != "c":
         raise invalid("form", "'cascade'", f"'modal' for the target {to!r}", "write C for the sections one by one")
     if options.arithmetic not in TARGETS[to]:

@@ -40,15 +40,15 @@ def _over_range(deployment: ScheduledDeployment) -> list[str]:
     lines = [
         f"Sampled    by {deployment.method} at every grid point, computing delay in the loop [samples]: {deployment.delay}.",
         f"Between    grid points within {deployment.deviation:.2g} of the gain of the sampled continuous controller (worst at "
-        f"{deployment.deviation_at:.6g} {along.unit}).",
+        f"{along.number(deployment.deviation_at)}).",
     ]
     if deployment.checks:
         stable = sum(c.stable for c in deployment.checks)
         peak, where = sensitivity_peak(deployment.checks)
+        lowest = ", ".join(f"{value:.6g}" for value in (low if along.parts else (low,)))
         lines.append(
-            f"Verified   stable at {stable} of {len(deployment.checks)} frozen {along.name}s from {low:.6g} to {high:.6g} "
-            f"{along.unit}, "
-            f"sensitivity peak {peak:.3g} (at {where})."
+            f"Verified   stable at {stable} of {len(deployment.checks)} frozen {along.plural} from {lowest} to "
+            f"{along.number(high)}, sensitivity peak {peak:.3g} (at {where})."
         )
     return lines + [f"Verified   {c.label}: {_verdict(c)}." for c in deployment.points]
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -38,22 +38,23 @@ class ControlProgram(Protocol):
 
 @runtime_checkable
 class ScheduledProgram(ControlProgram, Protocol):
-    """A program whose law changes with the speed [rad/s] or, where its attribute ``parameter`` says so, the pressure [Pa]: it
-    is told that before every step; called with a value it returns its law there, frozen, as ``system`` is at the present."""
+    """A program whose law changes with the speed [rad/s] or, where its attribute ``parameter`` says so, the pressure [Pa] or
+    both ("speed and pressure", a tuple): it is told that before every step; called with a value it returns its law there,
+    frozen, as ``system`` is at the present."""
 
-    def schedule(self, value: float) -> None:
+    def schedule(self, value: Any) -> None:
         """Speed or pressure of the next step; NaN: not known."""
 
-    def __call__(self, value: float) -> StateSpace: ...
+    def __call__(self, value: Any) -> StateSpace: ...
 
 
 @runtime_checkable
 class NativeProgram(ControlProgram, Protocol):
     """A program that the compiled rig calls by itself.
 
-    entry: address of ``int f(void *first, const double *errors, double told, double *currents)``, [m], speed [rad/s] or what a
-    ``ScheduledProgram`` is told, [A], and its first argument; both hold as long as the program does. A negative result ends the
-    run.
+    entry: address of ``int f(void *first, const double *errors, const double *told, double *currents)``, [m], speed [rad/s] or
+    what a ``ScheduledProgram`` is told, [A], and its first argument; both hold as long as the program does. A negative result
+    ends the run.
     """
 
     @property

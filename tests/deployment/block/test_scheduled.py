@@ -145,7 +145,9 @@ def test_states_stay_within_their_proved_bound_while_the_speed_jumps(block):
 def switching(A, count=2):
     """bound_motion() of matrices without inputs to speak of."""
     zero = np.zeros((count, 2, 1))
-    return bound_motion(np.array(A) - np.eye(2), zero + 1, np.zeros((count, 1, 2)), np.zeros((count, 1, 1)), zero, np.ones(2))
+    return bound_motion(
+        np.array(A) - np.eye(2), zero + 1, np.zeros((count, 1, 2)), np.zeros((count, 1, 1)), zero, np.ones(2), [(0, 1)]
+    )
 
 
 def test_no_bound_is_claimed_where_motion_can_destabilise():

@@ -66,15 +66,17 @@ def step_cost(block: ControlBlock, arithmetic: str) -> Cost:
 
 def scheduled_cost(block: ScheduledBlock, arithmetic: str) -> Cost:
     """Counted as the code does it: whole diagonals of the fixed A - I, dense B, C and D, and few signals for what changes."""
-    n, m, p, k = block.n_states, len(block.inputs), len(block.outputs), len(block.grid)
+    n, m, p, k = block.n_states, len(block.inputs), len(block.outputs), len(block.B)
     (r, q), size = block.changes.ranks, _BYTES[arithmetic][0]
+    d, places = len(block.axes), sum(len(axis) for axis in block.axes)
+    points = 2**d  # around a value
     fixed = len(diagonals_of(increment_of(block))) * n + n * m + n * p + m * p
     around = r * (n + p) + q * (n + m)
     transfer = k * n * (m + p) if block.transfers else 0
     return Cost(
-        multiplications=fixed + around + 2 * q * (r + 1),
-        additions=fixed + around + 2 * q * r + 3 * n + 4,
-        limited=2 * p * (n + 1),
-        state_bytes=(2 * n + sum(padding_of(block)) + m + 2) * size + 2 * (m + 3),
-        table_bytes=(fixed + around + k * (r * q + n * p + 1) + transfer + m + p + 2) * size,
+        multiplications=fixed + around + points * q * (r + 1) + 4 * (d - 1),
+        additions=fixed + around + points * q * r + 3 * n + 4 * d,
+        limited=points * p * (n + 1),
+        state_bytes=(2 * n + sum(padding_of(block)) + m + 2 * d) * size + 2 * (m + 3 * d),
+        table_bytes=(fixed + around + k * (r * q + n * p) + places + transfer + m + p + 2 * d) * size,
     )

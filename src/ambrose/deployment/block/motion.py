@@ -1,9 +1,9 @@
 """States of a scheduled block while its parameter moves: a common quadratic Lyapunov function, and the bound that it gives.
 
-Between two grid points A - L C = sum over i, j of s_i s_j (A_i - L_i C_j) with shares that add up to one, so that every such
-matrix is a convex combination of its values at the two ends and of the mean of the two mixed terms. What contracts in one norm
-|x|_P at these vertices of all intervals contracts in it along every motion of it, jumps included (Boyd, El Ghaoui, Feron
-& Balakrishnan 1994, Linear Matrix Inequalities in System and Control Theory, sec. 5.1).
+Between grid points A - L C = sum over i, j of s_i s_j (A_i - L_i C_j) with shares that add up to one, so that every such matrix
+is a convex combination of its values at these points and of the means of the two mixed terms of every pair. What contracts in
+one norm |x|_P at these vertices of all intervals (cells, of two parameters) contracts in it along every motion of it, jumps
+included (Boyd, El Ghaoui, Feron & Balakrishnan 1994, Linear Matrix Inequalities in System and Control Theory, sec. 5.1).
 """
 
 from __future__ import annotations
@@ -35,18 +35,25 @@ class Motion:
 
 
 def bound_motion(
-    increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, unwind: np.ndarray, inputs: np.ndarray
+    increment: np.ndarray,
+    B: np.ndarray,
+    C: np.ndarray,
+    D: np.ndarray,
+    unwind: np.ndarray,
+    inputs: np.ndarray,
+    pairs: list[tuple[int, int]],
 ) -> Motion:
     """The common Lyapunov function of A - L C over a grid, and the states' bounds.
 
     increment (k, n, n): A - I; B (k, n, m), C (k, p, n), D (k, p, m), unwind (k, n, p): L; inputs (m + p,): the largest errors
-    and the largest currents given. Examined, never assumed: the contraction is recomputed from the function that was found.
+    and the largest currents given; pairs: of neighbouring points. Examined, never assumed: the contraction is recomputed from
+    the function that was found.
     """
     n = increment.shape[1]
     if n == 0:
         return Motion(0.0, np.zeros(0))
     A = np.eye(n) + increment
-    vertices = _vertices(A, unwind, C)
+    vertices = _vertices(A, unwind, C, pairs)
     best = np.inf
     for P in _candidates(vertices):
         try:
@@ -55,7 +62,7 @@ def bound_motion(
             continue
         contraction = max(float(np.linalg.norm(_in_norm(root, N), 2)) for N in vertices)
         if contraction < 1:
-            push = max(float(np.linalg.norm(root.T @ b, axis=0) @ inputs) for b in _driving(B, unwind, D))
+            push = max(float(np.linalg.norm(root.T @ b, axis=0) @ inputs) for b in _driving(B, unwind, D, pairs))
             reach = np.linalg.norm(sla.solve_triangular(root, np.eye(n), lower=True), axis=0)  # sqrt of the diagonal of P^-1
             return Motion(contraction, reach * push / (1 - contraction))
         best = min(best, contraction)
@@ -67,17 +74,17 @@ def _in_norm(root: np.ndarray, N: np.ndarray) -> np.ndarray:
     return root.T @ sla.solve_triangular(root, N.T, lower=True).T
 
 
-def _vertices(A: np.ndarray, L: np.ndarray, C: np.ndarray) -> list[np.ndarray]:
-    """A - L C at the grid points, then the mean of the mixed terms of every interval."""
+def _vertices(A: np.ndarray, L: np.ndarray, C: np.ndarray, pairs: list[tuple[int, int]]) -> list[np.ndarray]:
+    """A - L C at the grid points, then the mean of the mixed terms of every pair of neighbours."""
     own = [a - gain @ c for a, gain, c in zip(A, L, C, strict=True)]
-    mixed = [(A[i] + A[i + 1] - L[i] @ C[i + 1] - L[i + 1] @ C[i]) / 2 for i in range(len(A) - 1)]
+    mixed = [(A[i] + A[j] - L[i] @ C[j] - L[j] @ C[i]) / 2 for i, j in pairs]
     return own + mixed
 
 
-def _driving(B: np.ndarray, L: np.ndarray, D: np.ndarray) -> list[np.ndarray]:
+def _driving(B: np.ndarray, L: np.ndarray, D: np.ndarray, pairs: list[tuple[int, int]]) -> list[np.ndarray]:
     """[B - L D, L] at the same vertices: what errors and given currents add to the states."""
-    gains = [*L, *((L[1:] + L[:-1]) / 2)]
-    return [np.hstack([b, gain]) for b, gain in zip(_vertices(B, L, D), gains, strict=True)]
+    gains = [*L, *((L[i] + L[j]) / 2 for i, j in pairs)]
+    return [np.hstack([b, gain]) for b, gain in zip(_vertices(B, L, D, pairs), gains, strict=True)]
 
 
 def _candidates(vertices: list[np.ndarray]) -> Iterator[np.ndarray]:

@@ -8,21 +8,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.core.scheduled import corners
 from ambrose.deployment.block.block import Block
 from ambrose.deployment.block.cascade_fixed import FixedCascade
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import FixedBlock
-from ambrose.deployment.block.scheduled import ScheduledBlock, places
+from ambrose.deployment.block.scheduled import ScheduledBlock
 
 HELD, FAULT, LIMITED = 1, 2, 4  # status bits, as in the header
-CLAMPED, TOLD, BEHIND = 8, 16, 32  # of a scheduled block besides
+CLAMPED, TOLD, BEHIND, TOLD_SECOND = 8, 16, 32, 64  # of a scheduled block besides
 FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denormal numbers linger
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockRun:
     """currents (k, p) [A] (whole numbers for fixed point), status (k,), the states after the last sample (n,) and the largest
-    magnitude of each on the way (n,); schedule (k,): where a scheduled law was taken (fixed: None)."""
+    magnitude of each on the way (n,); schedule (k,), of two parameters (k, 2): where a scheduled law was taken (fixed:
+    None)."""
 
     currents: np.ndarray
     status: np.ndarray
@@ -60,18 +62,19 @@ def run_scheduled(
     start: ArrayLike | None = None,
     single: bool = False,
 ) -> BlockRun:
-    """errors (k, m) [m] and told (k,), speeds [rad/s] or pressures [Pa]: NaN and infinity allowed; valid (k, m): the errors'
-    flags (None: all true); start (n,): the states before the first sample (None: zero). single: computed in single precision.
-    Raises InvalidInput.
+    """errors (k, m) [m] and told (k,), speeds [rad/s] or pressures [Pa], or both (k, 2): NaN and infinity allowed; valid (k,
+    m): the errors' flags (None: all true); start (n,): the states before the first sample (None: zero). single: computed in
+    single precision. Raises InvalidInput.
     """
     e, status = _plausible_errors(block, errors, valid)
     kind = np.float32 if single else np.float64
-    v = np.asarray(told, dtype=float)
-    if v.shape != (len(e),):
-        raise InvalidInput(f"the shape of {block.along.name}s is {v.shape}, but must be ({len(e)},), one for every sample")
+    v, d = np.asarray(told, dtype=float), len(block.axes)
+    if v.shape != ((len(e),) if d == 1 else (len(e), d)):
+        size = f"({len(e)},)" if d == 1 else f"({len(e)}, {d})"
+        raise InvalidInput(f"the shape of {block.along.plural} is {v.shape}, but must be {size}, one for every sample")
     schedule, told_status = follow_told(block, v)
     status |= told_status
-    i, share = places(block.grid, schedule)
+    index, share = corners(block.axes, schedule.reshape(len(e), d))
     x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
     carry, largest = np.zeros_like(x), np.abs(x)
     to_state = np.concatenate([block.increment, block.B], axis=2).astype(kind)
@@ -83,14 +86,14 @@ def run_scheduled(
     floor = FLOOR["float" if single else "double"]
     for k in range(len(e)):
         z = np.concatenate([x, e[k]])
-        low, high, a = (1 - share[k]) * z, share[k] * z, i[k]
-        u = to_current[a] @ low + to_current[a + 1] @ high
+        at = list(zip(index[k], share[k], strict=True))
+        u = sum(to_current[i] @ (part * z) for i, part in at)
         currents[k] = np.minimum(np.maximum(u, lowest), limit)
         cut = currents[k] - u
-        step = to_state[a] @ low + to_state[a + 1] @ high
+        step = sum(to_state[i] @ (part * z) for i, part in at)
         if cut.any():
             status[k] |= LIMITED
-            step += unwind[a] @ ((1 - share[k]) * cut) + unwind[a + 1] @ (share[k] * cut)
+            step += sum(unwind[i] @ (part * cut) for i, part in at)
         x = _add_compensated(x, step, carry, floor)
         largest = np.maximum(largest, np.abs(x))
     return BlockRun(currents.astype(float), status, x.astype(float), largest.astype(float), schedule)
@@ -107,20 +110,30 @@ def _add_compensated(x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: 
 
 
 def follow_told(block: ScheduledBlock, told: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the schedule stands (k,) for values (k,) as measured, and the status (k,) of them alone."""
-    low, high = block.range
+    """Where the schedule stands for values (k,) as measured, or (k, 2) of both, and the status (k,) of them alone."""
+    columns = told.reshape(len(told), -1).T
+    each = zip(block.axes, columns, block.told_limits, block.told_steps, (TOLD, TOLD_SECOND), strict=False)
+    found = [_follow_one(*item, block.hold_samples) for item in each]
+    places, status = (np.array(part) for part in zip(*found, strict=True))
+    return places.T.reshape(told.shape), np.bitwise_or.reduce(status)
+
+
+def _follow_one(
+    axis: np.ndarray, told: np.ndarray, limit: float, step: float, bit: int, hold: int
+) -> tuple[np.ndarray, np.ndarray]:
+    low, high = float(axis[0]), float(axis[-1])
     with np.errstate(invalid="ignore"):
-        good = np.abs(told) <= block.told_limit
-    known, status = _hold_last(told[:, None], good[:, None], block.hold_samples)
-    status = np.where(good, 0, status | TOLD)
+        good = np.abs(told) <= limit
+    known, status = _hold_last(told[:, None], good[:, None], hold)
+    status = np.where(good, 0, status | bit)
     first = int(np.argmax(good)) if good.any() else len(good)
     known = known[:, 0].astype(float)
     known[:first] = low  # nothing is known yet
     target = np.clip(known, low, high)
     status |= np.where(known != target, CLAMPED, 0)
-    if not np.isfinite(block.told_step):
+    if not np.isfinite(step):
         return target, status
-    place, step, at = np.empty(len(target)), block.told_step, low
+    place, at = np.empty(len(target)), low
     for k, wanted in enumerate(target.tolist()):
         if k > first and abs(wanted - at) > step:
             at += step if wanted > at else -step

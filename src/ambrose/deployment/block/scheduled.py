@@ -1,8 +1,9 @@
-"""Everything that the generated code of a scheduled controller contains, as numbers: sampled matrices on a grid of speeds or
-pressures.
+"""Everything that the generated code of a scheduled controller contains, as numbers: sampled matrices on a grid of speeds,
+pressures or both.
 
     v  = speed or pressure within the grid's range, moved by at most rate_limit * sample_time a sample
-    M  = (1 - s) M_i + s M_i+1 for every matrix, between the neighbouring grid points, s = (v - v_i) / (v_i+1 - v_i)
+    M  = (1 - s) M_i + s M_i+1 for every matrix, between the neighbouring grid points, s = (v - v_i) / (v_i+1 - v_i);
+         of both the same in each of them, between the four points around
     u  = C x + D e                         the current asked for
     us = min(max(u, -limit), limit)        the current given
     x += increment x + B e + unwind (us - u)
@@ -17,14 +18,15 @@ states are bounded where one quadratic Lyapunov function serves all its values, 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from itertools import combinations
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import UnstableSystem, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive, check_shape, invalid
 from ambrose.core.peak_gain import peak_gains
-from ambrose.core.scheduled import ScheduledSystem, interval_points
+from ambrose.core.scheduled import ScheduledSystem, corners, grid_points, interval_points
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.block import (
     HEADROOM,
@@ -53,17 +55,19 @@ _LEFT = 1e-14
 class ScheduledBlock(Block):
     """What runs: see the module's formulas; every matrix at k grid points.
 
-    along: what it is scheduled over; grid (k,) in its unit; steady (k, n, m) [1/m]: where fast states stand for a constant
-    error, pick (k, n, p) [1/A]: states for a current, applied ``passes`` times in a transfer (0: none). told_limit: a larger
-    magnitude is implausible; rate_limit [per s]: of the schedule (inf: none); motion: what is proved while it moves.
+    along: what it is scheduled over; axes: the values of each of its parameters, whose points are k in all; steady (k, n, m)
+    [1/m]: where fast states stand for a constant error, pick (k, n, p) [1/A]: states for a current, applied ``passes`` times in
+    a transfer (0: none). told_limits: of each parameter, a larger magnitude is implausible; rate_limits [per s]: of the
+    schedule (inf: none); motion: what is proved while it moves. grid, told_limit, rate_limit, told_step: of the one parameter,
+    where there is no other.
     """
 
-    grid: np.ndarray
+    axes: tuple[np.ndarray, ...]
     steady: np.ndarray
     pick: np.ndarray
     passes: int
-    told_limit: float
-    rate_limit: float
+    told_limits: tuple[float, ...]
+    rate_limits: tuple[float, ...]
     motion: Motion
     changes: Changes
     along: Scheduling = SPEED
@@ -73,31 +77,57 @@ class ScheduledBlock(Block):
         return self.passes > 0
 
     @property
-    def range(self) -> tuple[float, float]:
-        """The lowest and the highest value of the schedule."""
-        return float(self.grid[0]), float(self.grid[-1])
+    def grid(self) -> np.ndarray:
+        return _only(self.axes)
+
+    @property
+    def told_limit(self) -> float:
+        return _only(self.told_limits)
+
+    @property
+    def rate_limit(self) -> float:
+        return _only(self.rate_limits)
 
     @property
     def told_step(self) -> float:
-        """The largest move of the schedule in a sample (inf: any)."""
-        return self.rate_limit * self.sample_time
+        return _only(self.told_steps)
 
-    def at(self, value: float) -> StateSpace:
+    @property
+    def range(self) -> tuple[Any, Any]:
+        """The lowest and the highest value of the schedule; tuples of several parameters."""
+        values = grid_points(self.axes)
+        return values[0], values[-1]
+
+    @property
+    def told_steps(self) -> tuple[float, ...]:
+        """The largest moves of the schedule in a sample (inf: any)."""
+        return tuple(rate * self.sample_time for rate in self.rate_limits)
+
+    def at(self, value: Any) -> StateSpace:
         """The block between its limits at a frozen speed or pressure, clamped to the range, as a sampled system."""
         eye = np.eye(self.n_states)
         points = [
             StateSpace(eye + E, B, C, D, self.inputs, self.outputs, self.sample_time)
             for E, B, C, D in zip(self.increment, self.B, self.C, self.D, strict=True)
         ]
-        return ScheduledSystem(self.grid, points, self.along.name, self.along.unit, "clamp").at(value)
+        return ScheduledSystem(self.axes, points, self.along.name, self.along.unit, "clamp").at(value)
 
     def single(self) -> Self:
         """The block with limits and grid that single precision holds. Raises InvalidInput where grid points fall together."""
-        grid = np.float32(self.grid).astype(float)
-        if not (np.diff(grid) > 0).all():
-            raise invalid("the grid", self.grid.tolist(), "apart in single precision", 'use arithmetic="double"')
-        rate, limit = float(np.float32(self.told_step)) / self.sample_time, float(np.float32(self.told_limit))
-        return replace(Block.single(self), grid=grid, told_limit=limit, rate_limit=rate, changes=self.changes.single())
+        axes = tuple(np.float32(axis).astype(float) for axis in self.axes)
+        for axis, given in zip(axes, self.axes, strict=True):
+            if not (np.diff(axis) > 0).all():
+                raise invalid("the grid", given.tolist(), "apart in single precision", 'use arithmetic="double"')
+        rates = tuple(float(np.float32(step)) / self.sample_time for step in self.told_steps)
+        limits = tuple(float(np.float32(limit)) for limit in self.told_limits)
+        return replace(Block.single(self), axes=axes, told_limits=limits, rate_limits=rates, changes=self.changes.single())
+
+
+def _only(items: tuple[Any, ...]) -> Any:
+    """What there is one of. Raises InvalidInput for two."""
+    if len(items) > 1:
+        raise InvalidInput("this takes a block scheduled over one parameter; one over speed and pressure is written as C")
+    return items[0]
 
 
 def build_scheduled_block(
@@ -108,21 +138,21 @@ def build_scheduled_block(
     *,
     windup_time: float = WINDUP_TIME,
     hold_samples: int = HOLD_SAMPLES,
-    told_limit: float | None = None,
-    rate_limit: float | None = None,
+    told_limit: float | tuple[float | None, ...] | None = None,
+    rate_limit: float | tuple[float | None, ...] | None = None,
 ) -> ScheduledBlock:
     """The block of a scheduled deployment.
 
-    name, error_limit [m], current_limit [A], windup_time [s], hold_samples: as in ``build_block``. told_limit [rad/s] or
-    [Pa]: a value of larger magnitude is implausible and replaced by the last good one (None: twice the highest of the grid);
-    within it, one beyond the grid is clamped. rate_limit [per s]: how fast the schedule follows (None: at once). Raises
-    InvalidInput, UnstableSystem for a controller whose states have no bound at a frozen speed.
+    name, error_limit [m], current_limit [A], windup_time [s], hold_samples: as in ``build_block``. told_limit [rad/s] or [Pa]:
+    a value of larger magnitude is implausible and replaced by the last good one (None: twice the highest of the grid); within
+    it, one beyond the grid is clamped. rate_limit [per s]: how fast the schedule follows (None: at once). Of both a tuple.
+    Raises InvalidInput, UnstableSystem for a controller whose states have no bound at a frozen speed.
     """
     K = deployment.sampled
     settings = check_settings(K, name, error_limit, current_limit, windup_time, hold_samples)
     errors, currents = settings.error_limit, settings.current_limit
     along = scheduling_of(K) or SPEED
-    told_limit, rate_limit = check_told_limits(K.grid, along, told_limit, rate_limit)
+    limits, rates = check_told_limits(K.axes, along, told_limit, rate_limit)
     dt = float(K.dt or 0.0)
     law = _Points.of(deployment)
     unwind = _unwinding(law, currents, dt / windup_time)
@@ -137,12 +167,12 @@ def build_scheduled_block(
     increment, B, C, D = whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:]
     return ScheduledBlock(
         name=name, inputs=names_in_code(K.inputs), outputs=names_in_code(K.outputs),
-        sample_time=dt, delay=deployment.delay, grid=K.grid,
+        sample_time=dt, delay=deployment.delay, axes=K.axes,
         increment=increment, B=B, C=C, D=D, unwind=L, steady=steady / rows, pick=pick / rows, passes=passes,
         error_limit=errors, current_limit=currents, raw_limit=np.maximum(raw, currents), hold_samples=hold_samples,
-        windup_time=windup_time, told_limit=told_limit, rate_limit=rate_limit, along=along,
+        windup_time=windup_time, told_limits=limits, rate_limits=rates, along=along,
         changes=changes,
-        motion=bound_motion(increment, B, C, D, L, np.r_[errors, currents]),
+        motion=bound_motion(increment, B, C, D, L, np.r_[errors, currents], neighbours(K.axes)),
     )  # fmt: skip
 
 
@@ -153,10 +183,23 @@ def _changes(increment: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
     return changes_of(whole, zero)
 
 
+def neighbours(axes: tuple[np.ndarray, ...]) -> list[tuple[int, int]]:
+    """All pairs of grid points at the corners of a cell between neighbouring values."""
+    middles = np.array(grid_points([(axis[1:] + axis[:-1]) / 2 for axis in axes])).reshape(-1, len(axes))
+    cells = corners(axes, middles)[0].tolist()
+    return sorted({pair for cell in cells for pair in combinations(cell, 2)})
+
+
 def check_told_limits(
-    grid: np.ndarray, along: Scheduling, told_limit: float | None, rate_limit: float | None
-) -> tuple[float, float]:
-    """The limit of what is plausible and of the schedule's rate as they apply to a grid (k,). Raises InvalidInput."""
+    axes: tuple[np.ndarray, ...], along: Scheduling, told_limit: Any, rate_limit: Any
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The limits of what is plausible and of the schedule's rates as they apply to the axes of a grid. Raises InvalidInput."""
+    given = (item if isinstance(item, tuple) else (item,) * len(axes) for item in (told_limit, rate_limit))
+    found = [_check_told(*item) for item in zip(axes, along.each, *given, strict=True)]
+    return tuple(limit for limit, _ in found), tuple(rate for _, rate in found)
+
+
+def _check_told(grid: np.ndarray, along: Scheduling, told_limit: float | None, rate_limit: float | None) -> tuple[float, float]:
     largest, name, unit = float(np.abs(grid).max()), along.name, along.unit
     limit = _BEYOND * largest if told_limit is None else float(check_shape(told_limit, f"{name}_limit", "()"))
     if not limit >= largest:
@@ -170,31 +213,30 @@ def check_told_limits(
 class _Points:
     """The sampled matrices stacked over the grid: increment (k, n, n), B (k, n, m), C (k, p, n), D (k, p, m)."""
 
-    grid: np.ndarray
+    axes: tuple[np.ndarray, ...]
     increment: np.ndarray
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
-    unit: str
+    along: Scheduling
 
     @classmethod
     def of(cls, deployment: ScheduledDeployment) -> _Points:
         B, C, D = (np.array([getattr(s, x) for s in deployment.sampled.systems]) for x in "BCD")
-        return cls(deployment.sampled.grid, deployment.increments, B, C, D, deployment.sampled.unit)
+        return cls(deployment.sampled.axes, deployment.increments, B, C, D, deployment.along)
 
     def examined(self) -> np.ndarray:
         """Shares (s, k) of the grid points at every value that is looked at."""
-        values = interval_points(self.grid, _EXAMINED)
-        low, share = places(self.grid, values)
-        shares, rows = np.zeros((len(values), len(self.grid))), np.arange(len(values))
-        shares[rows, low], shares[rows, low + 1] = 1 - share, share
+        values = np.array(grid_points([interval_points(axis, _EXAMINED) for axis in self.axes])).reshape(-1, len(self.axes))
+        index, share = corners(self.axes, values)
+        shares = np.zeros((len(values), len(self.B)))
+        np.put_along_axis(shares, index, share, axis=1)
         return shares
 
-
-def places(grid: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The grid point (s,) below each of the values (s,) within the range, and the share (s,) of the next one."""
-    low = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)
-    return low, (values - grid[low]) / (grid[low + 1] - grid[low])
+    def words(self, share: np.ndarray) -> str:
+        """Where these shares (k,) of the grid points are."""
+        where = share @ np.array(grid_points(self.axes)).reshape(len(share), -1)
+        return ", ".join(f"{value:.4g} {one.unit}" for value, one in zip(where, self.along.each, strict=True))
 
 
 def _unwinding(law: _Points, currents: np.ndarray, rate: float) -> np.ndarray:
@@ -209,8 +251,8 @@ def _unwinding(law: _Points, currents: np.ndarray, rate: float) -> np.ndarray:
     if not len(size):
         return np.zeros(law.C.transpose(0, 2, 1).shape)
     return np.array([
-        anti_windup_gain(E, c, size, currents, rate, f"at {value:.4g} {law.unit}")
-        for E, c, value in zip(law.increment, C, law.grid, strict=True)
+        anti_windup_gain(E, c, size, currents, rate, f"at {law.words(here)}")
+        for E, c, here in zip(law.increment, C, np.eye(len(C)), strict=True)
     ])  # fmt: skip
 
 
@@ -224,7 +266,7 @@ def _bounds(law: _Points, unwind: np.ndarray, settings: Settings) -> tuple[np.nd
         states = HEADROOM * peak_gains(E - L @ C, inputs).sum(axis=1) if n else np.zeros(0)
         if not np.isfinite(states).all():
             raise UnstableSystem(
-                f"a state of the controller has no bound at {share @ law.grid:.4g} {law.unit}: it is unstable there, or an "
+                f"a state of the controller has no bound at {law.words(share)}: it is unstable there, or an "
                 "integrator that no output sees; design a stable controller for code, or a finer grid"
             )
         bound = np.maximum(bound, states)

@@ -23,15 +23,15 @@ _TAIL = 24  # samples without a value, at the end
 @dataclass(frozen=True, slots=True, eq=False)
 class Vectors:
     """errors (k, m) [m] and currents (k, p) [A], or counts of fixed point; valid (k, m) and status (k,): whole numbers. Of a
-    scheduled block besides what it is told (k,), NaN for none, by the name of the parameter, and rounding (p,) [A]: the largest
-    difference between single and double precision."""
+    scheduled block besides what it is told (k,), or (k, 2), NaN for none, by the names of the parameters, and rounding (p,)
+    [A]: the largest difference between single and double precision."""
 
     errors: np.ndarray
     valid: np.ndarray
     currents: np.ndarray
     status: np.ndarray
     told: np.ndarray | None = None
-    parameter: str = ""
+    parameters: tuple[str, ...] = ()
     rounding: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
@@ -54,19 +54,25 @@ def make_vectors(block: ControlBlock, fixed: FixedBlock | FixedCascade | None = 
 
 def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vectors:
     """The same with speeds or pressures: sweeps beyond both ends, limiting everywhere, grid points, none."""
-    k, (low, high) = len(block.grid), block.range
+    k = max(len(axis) for axis in block.axes)
     limited = max(24, 2 * k)
     e, valid = _errors(len(block.inputs), _SWEEP + limited + k + _TAIL)
     e[30] = 3.0  # implausible
     e[_SWEEP : _SWEEP + limited] = 1.0
     valid[40:58, -1] = 0
-    wide = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), _SWEEP)
-    told = np.concatenate([wide, np.linspace(high, low, limited), block.grid, np.full(_TAIL, np.nan)])
-    told[:2], told[-4:] = np.nan, [2 * block.told_limit, low, high, low]
+    columns = []
+    for i, (axis, limit) in enumerate(zip(block.axes, block.told_limits, strict=True)):
+        low, high = float(axis[0]), float(axis[-1])
+        wide = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), _SWEEP)
+        points = axis[np.minimum(np.arange(k), len(axis) - 1)]
+        column = np.concatenate([wide[:: -1 if i else 1], np.linspace(high, low, limited), points, np.full(_TAIL, np.nan)])
+        column[:2], column[-4:] = np.nan, [2 * limit, low, high, low]
+        columns.append(np.roll(column, 5 * i))  # so that one is told while the other is not
+    told = columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
     e, told = _held_exactly(e * block.error_limit, single), _held_exactly(told, single)
     run = run_scheduled(block, e, told, valid)
     rounding = np.abs(run_scheduled(block, e, told, valid, single=True).currents - run.currents).max(axis=0)
-    return Vectors(e, valid, run.currents, run.status, told, block.along.name, rounding)
+    return Vectors(e, valid, run.currents, run.status, told, tuple(one.name for one in block.along.each), rounding)
 
 
 def _errors(m: int, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -85,9 +91,8 @@ def _held_exactly(x: np.ndarray, single: bool) -> np.ndarray:
 
 def as_csv(block: Block, run: Vectors) -> str:
     """The vectors as CSV: errors, flags, [speed or pressure,] currents, status with all their digits, below a line of names."""
-    parameter = [] if run.told is None else [run.parameter]
-    titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *parameter, *block.outputs, "status"]
-    told = [] if run.told is None else [run.told[:, None]]
+    titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *run.parameters, *block.outputs, "status"]
+    told = [] if run.told is None else [run.told.reshape(len(run.told), -1)]
     columns = [run.errors, run.valid, *told, run.currents, run.status[:, None]]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ambrose.core.checks import invalid
+from ambrose.core.scheduled import grid_points
 from ambrose.deployment.block.block import Block
 from ambrose.deployment.block.cascade import CascadeBlock
 from ambrose.deployment.block.cascade_fixed import FixedCascade, cascade_error, to_fixed_cascade, word_errors
@@ -20,7 +21,7 @@ from ambrose.deployment.block.cost import increment_of, padding_of, scheduled_co
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, to_fixed_point
 from ambrose.deployment.block.names import as_comment
-from ambrose.deployment.block.run import FLOOR
+from ambrose.deployment.block.run import FLOOR, TOLD, TOLD_SECOND
 from ambrose.deployment.block.scheduled import ScheduledBlock
 from ambrose.deployment.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.deployment.block.word_length import BITS, MANTISSA, floating_error, gain_error, word_lengths
@@ -165,24 +166,35 @@ def _word_facts(block: ControlBlock, fixed: FixedBlock | FixedCascade | None) ->
 
 def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
     """What is added of a scheduled controller."""
-    (low, high), along = block.range, block.along
-    limited, padding = bool(np.isfinite(block.rate_limit)), padding_of(block)
+    along, padding = block.along, padding_of(block)
     motion_text = f"While the {along.name} moves no bound is proved."
     if block.motion.proved:
         farthest = block.motion.states.max(initial=0.0)
         motion_text = f"For any motion of the {along.name}: within +-{farthest:.3g} (proved, conservative)."
     return {
-        "one": literal(1.0, arithmetic), "ng": len(block.grid),
-        "low_padding": padding[0], "padded": block.n_states + sum(padding),
-        "low": f"{low:.6g}", "high": f"{high:.6g}",
-        "low_people": f"{low / along.size:.4g}", "high_people": f"{high / along.size:.4g}",
-        "parameter": along.name, "unit": along.unit, "rate_unit": along.rate_unit, "people": along.people,
-        "lowest": literal(low, arithmetic), "highest": literal(high, arithmetic),
-        "told_limit": literal(block.told_limit, arithmetic), "plausible": f"{block.told_limit:.6g}",
-        "rate_limit": f"{block.rate_limit:.9g}" if limited else "",
-        "rate_text": f" The schedule follows at {block.rate_limit:.6g} {along.rate_unit} at most." if limited else "",
+        "one": literal(1.0, arithmetic), "ng": len(block.B), "axes": _axes(block, arithmetic), "over": along.name,
+        "corners": list(range(2 ** len(block.axes))), "low_padding": padding[0], "padded": block.n_states + sum(padding),
         "motion_text": motion_text, "passes": block.passes,
     }  # fmt: skip
+
+
+def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
+    """What the templates say of every parameter; ``suffix``: of its own fields in the block, where there are two."""
+    found = []
+    table, limits = real_table(arithmetic), zip(block.told_limits, block.rate_limits, block.told_steps, strict=True)
+    for i, (axis, one, (told, rate, step)) in enumerate(zip(block.axes, block.along.each, limits, strict=True)):
+        low, high, limited = float(axis[0]), float(axis[-1]), bool(np.isfinite(rate))
+        found.append({
+            "name": one.name, "unit": one.unit, "rate_unit": one.rate_unit, "people": one.people, "count": len(axis),
+            "suffix": f"_{one.name}" if block.along.parts else "", "bit": f"{(TOLD, TOLD_SECOND)[i]}u", "grid": table(axis),
+            "low": f"{low:.6g}", "high": f"{high:.6g}",
+            "low_people": f"{low / one.size:.4g}", "high_people": f"{high / one.size:.4g}",
+            "lowest": literal(low, arithmetic), "highest": literal(high, arithmetic),
+            "told_limit": literal(told, arithmetic), "plausible": f"{told:.6g}",
+            "rate_limit": f"{rate:.9g}" if limited else "", "told_step": literal(step, arithmetic) if limited else "",
+            "rate_text": f" The schedule follows at {rate:.6g} {one.rate_unit} at most." if limited else "",
+        })  # fmt: skip
+    return found
 
 
 def _delay_text(delay: int) -> str:
@@ -269,8 +281,7 @@ def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
         **{name: table(x.T) for name, x in fixed.items()},
         "diagonals": [{**d, "table": table(d["entries"])} for d in diagonals(increment, increment)],
         "nr": changes.ranks[0], "nq": changes.ranks[1],
-        "error_limit": table(block.error_limit), "current_limit": table(block.current_limit), "grid": table(block.grid),
-        "told_step": literal(block.told_step, arithmetic) if np.isfinite(block.told_step) else "",
+        "error_limit": table(block.error_limit), "current_limit": table(block.current_limit),
         "floor": literal(FLOOR[arithmetic], arithmetic),
     }  # fmt: skip
 
@@ -283,8 +294,11 @@ def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, A
     }  # fmt: skip
     told = {}
     if run.told is not None:
-        known = ~np.isnan(run.told)
-        told = {"told": table(np.where(known, run.told, 0.0)), "known": integer_table(known)}
+        known, names = ~np.isnan(run.told), run.parameters
+        given = zip(
+            names, np.where(known, run.told, 0.0).reshape(len(known), -1).T, known.reshape(len(known), -1).T, strict=True
+        )
+        told = {"told": [{"name": name, "numbers": table(v), "known": integer_table(k)} for name, v, k in given]}
     return {
         "samples": len(run.errors), "errors": table(run.errors), "valid": integer_table(run.valid),
         "currents": table(run.currents), "status": integer_table(run.status), "tolerance": table(tolerance), **told, **number,
@@ -337,11 +351,14 @@ def _formats(fixed: FixedBlock | FixedCascade) -> list[dict[str, str]]:
 
 def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
     points = []
-    for value, E, B, C, D, L in zip(block.grid, block.increment, block.B, block.C, block.D, block.unwind, strict=True):
+    for value, E, B, C, D, L in zip(
+        grid_points(block.axes), block.increment, block.B, block.C, block.D, block.unwind, strict=True
+    ):
         z, led = (1 + np.linalg.eigvals(X) if len(X) else np.zeros(1) for X in (E, E - L @ C))
-        distance = 1 - np.abs(z)
+        distance, at = 1 - np.abs(z), list(zip(np.atleast_1d(value), block.along.each, strict=True))
         points.append({
-            "value": f"{value:.6g}", "people": f"{value / block.along.size:.4g}", "radius": f"{np.abs(led).max():.6f}",
+            "value": ", ".join(f"{v:.6g}" for v, _ in at),
+            "people": ", ".join(f"{v / one.size:.4g}" for v, one in at), "radius": f"{np.abs(led).max():.6f}",
             "slow": f"{distance.min():.3g}", "fast": f"{distance.max():.3g}",
             "single": f"{gain_error(E, B, C, D, MANTISSA['float']):.2g}",
         })  # fmt: skip

@@ -25,18 +25,18 @@ _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 _CALL = """#include <math.h>
 #include <stddef.h>
 #include "{name}.h"
-typedef struct {{ {name}_block *block; double told; int status; }} {name}_running;
+typedef struct {{ {name}_block *block; double told[2]; int status; }} {name}_running;
 size_t {name}_size(void);
-int {name}_call(void *running, const double *errors, double told, double *currents);
+int {name}_call(void *running, const double *errors, const double *told, double *currents);
 size_t {name}_size(void) {{ return sizeof({name}_block); }}
-int {name}_call(void *running, const double *errors, double told, double *currents)
+int {name}_call(void *running, const double *errors, const double *told, double *currents)
 {{
     static const double metre[] = {{{error}}}, ampere[] = {{{current}}};
     {name}_running *self = ({name}_running *)running;
     {word} in[{m}], out[{p}];
     int i;
     for (i = 0; i < {m}; i++) in[i] = ({word}){counted};
-    self->told = told;
+    for (i = 0; i < {d}; i++) self->told[i] = told[i];
     self->status = (int){name}_step(self->block, in, NULL, {told}out);
     for (i = 0; i < {p}; i++) currents[i] = (double)out[i] * ampere[i];
     return 0;
@@ -48,7 +48,7 @@ _COUNTED = "fmin(fmax(rint(errors[i] / metre[i]), {least:.0f}.0), {most:.0f}.0)"
 class _Running(ctypes.Structure):
     """What the C function gets first: its block, and where it leaves what it was told and the status of the last step."""
 
-    _fields_ = (("block", ctypes.c_void_p), ("told", ctypes.c_double), ("status", ctypes.c_int))
+    _fields_ = (("block", ctypes.c_void_p), ("told", ctypes.c_double * 2), ("status", ctypes.c_int))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,10 +91,11 @@ class _Words:
         if self.whole:
             ends = np.iinfo(self.signal)
             counted = _COUNTED.format(least=ends.min, most=ends.max)
-        told = f"({word})told, " if isinstance(block, ScheduledBlock) else ""
+        d = len(block.axes) if isinstance(block, ScheduledBlock) else 0
+        told = "".join(f"({word})told[{i}], " for i in range(d))
         error, current = (", ".join(map(repr, values.tolist())) for values in (self.error, self.current))
         return _CALL.format(
-            name=block.name, error=error, current=current, word=word, counted=counted, told=told,
+            name=block.name, error=error, current=current, word=word, counted=counted, told=told, d=d,
             m=len(block.inputs), p=len(block.outputs),
         )  # fmt: skip
 
@@ -115,9 +116,9 @@ class _Compiled(Generic[B]):
         size = self._library[f"{block.name}_size"]
         size.restype = ctypes.c_size_t
         self._memory = ctypes.create_string_buffer(size())
-        self._running = _Running(ctypes.addressof(self._memory), 0.0, 0)
+        self._running = _Running(ctypes.addressof(self._memory))
         self._step = self._library[f"{block.name}_call"]
-        self._step.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
+        self._step.argtypes = (ctypes.c_void_p,) * 4
         self._call("init")
 
     @property
@@ -156,7 +157,8 @@ class _Compiled(Generic[B]):
         """One sample: currents (p,) [A] from errors (m,) [m]."""
         given, currents = np.empty(len(self.block.inputs)), np.empty(len(self.block.outputs))
         given[:] = errors
-        self._step(ctypes.addressof(self._running), _pointer(given), self._running.told, _pointer(currents))
+        told = np.array(self._running.told)
+        self._step(ctypes.addressof(self._running), _pointer(given), _pointer(told), _pointer(currents))
         return currents
 
     def states(self) -> np.ndarray:
@@ -212,24 +214,26 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
         return self.block.along.name
 
     @property
-    def told(self) -> float:
-        """Speed [rad/s] or pressure [Pa] of the last step, or the next one."""
-        return self._running.told
+    def told(self) -> Any:
+        """Speed [rad/s] or pressure [Pa] (or both) of the last step, or the next one."""
+        both = tuple(self._running.told)
+        return both if self.block.along.parts else both[0]
 
     @property
     def system(self) -> StateSpace:
         """The law of the next step."""
         return self.block.at(self.told)
 
-    def __call__(self, value: float) -> StateSpace:
+    def __call__(self, value: Any) -> StateSpace:
         return self.block.at(value)
 
-    def schedule(self, value: float) -> None:
-        """Speed [rad/s] or pressure [Pa] of the next step; NaN: not known."""
-        self._running.told = value
+    def schedule(self, value: Any) -> None:
+        """Speed [rad/s] or pressure [Pa] of the next step, or both; NaN: not known."""
+        for i, one in enumerate(value if self.block.along.parts else (value,)):
+            self._running.told[i] = one
 
     def run(self, errors: np.ndarray, told: np.ndarray) -> np.ndarray:
-        """currents (k, p) [A] over errors (k, m) [m] and speeds or pressures (k,), from the present state."""
+        """currents (k, p) [A] over errors (k, m) [m] and speeds or pressures (k,), or both (k, 2), from the present state."""
         e = check_shape(errors, "errors", "(k, m)", m=len(self.block.inputs))
         currents = np.empty((len(e), len(self.block.outputs)))
         for k, value in enumerate(np.asarray(told, float).tolist()):
@@ -238,10 +242,11 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
         return currents
 
     def _told_argument(self) -> tuple[Any, ...]:
-        return (ctypes.c_double(self.told) if self.arithmetic == "double" else ctypes.c_float(self.told),)
+        kind = ctypes.c_double if self.arithmetic == "double" else ctypes.c_float
+        return tuple(kind(value) for value in self._running.told[: len(self.block.axes)])
 
 
-def read_law(code: CompiledBlock | CompiledSchedule, at: float | None = None) -> StateSpace:
+def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpace:
     """The law that the running code follows: its states are set one by one, its inputs too, and one step is taken from each.
 
     at: the value at which a schedule is frozen. Every column is what the compiled code made of it, rounding of its words

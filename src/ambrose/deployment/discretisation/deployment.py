@@ -21,7 +21,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive
 from ambrose.core.presentation import Presented, to_plain, with_unit
 from ambrose.core.sampling import Method, delayed
-from ambrose.core.scheduled import ScheduledSystem, interval_points
+from ambrose.core.scheduled import ScheduledSystem, grid_points, interval_points
 from ambrose.core.statespace import StateSpace, as_statespace, poles, spectral_abscissa
 from ambrose.deployment.discretisation.sampling import (
     common_states,
@@ -100,7 +100,7 @@ class ScheduledDeployment(_Deployed):
     sampled: at the grid, in common states, without the computing delay, clamped at the ends; increments (k, n, n):
     A - I with all its digits; source: what it was made from; deviation [-]: largest distance, half-way between grid points,
     from the sampled continuous interpolation, relative to its gain at the same frequency, at deviation_at.
-    values (s,), checks: the verification over the range; points: at the machine's own operating points in the range;
+    values, checks: the verification over the range; points: at the machine's own operating points in the range;
     outside: the others, where the code clamps; box: over the tolerances at the lowest, a middle and the highest value; sizes:
     of the blocks of the states at the middle of the grid.
     """
@@ -109,8 +109,8 @@ class ScheduledDeployment(_Deployed):
     increments: np.ndarray
     source: ScheduledSystem
     deviation: float
-    deviation_at: float
-    values: np.ndarray
+    deviation_at: Any
+    values: Sequence[Any]
     points: tuple[Checks, ...] = ()
     outside: tuple[Checks, ...] = ()
 
@@ -119,8 +119,8 @@ class ScheduledDeployment(_Deployed):
         """What it is scheduled over."""
         return SCHEDULINGS[self.sampled.parameter]
 
-    def in_loop(self, value: float) -> StateSpace:
-        """The controller at a frozen speed [rad/s] or pressure [Pa], with its computing delay."""
+    def in_loop(self, value: Any) -> StateSpace:
+        """The controller at a frozen speed [rad/s] or pressure [Pa] (or both), with its computing delay."""
         return delayed(self.sampled.at(value), self.delay)
 
 
@@ -176,7 +176,7 @@ def deploy_scheduled(
 ) -> ScheduledDeployment:
     """A scheduled ``controller`` sampled at sample_time [s] and verified with the computing delay [s] in the loop.
 
-    controller: a Synthesis with a schedule, or a ScheduledSystem over speed [rad/s] or pressure [Pa]. method, prewarp
+    controller: a Synthesis with a schedule, or a ScheduledSystem over speed [rad/s], pressure [Pa] or both. method, prewarp
     [rad/s]: as in ``deploy``. machine: its full plant is closed at every grid point and ``between`` values in every interval,
     all else as at its first operating point in the range (else its first), at its own operating points, and
     over its tolerances. Refused unless ``force``, as ``deploy`` does; operating points outside the range are examined with the
@@ -186,8 +186,9 @@ def deploy_scheduled(
     source = _schedule_of(controller)
     count = whole_samples(delay, sample_time)
     problems = _status_problems(controller, examined=machine is not None)
-    values = interval_points(source.grid, between)
-    problems += next(filter(None, (instability(source.at(float(v)), f" at {v:.4g} {source.unit}") for v in values)), [])
+    values = grid_points([interval_points(axis, between) for axis in source.axes])
+    along = scheduling_of(source) or SPEED
+    problems += next(filter(None, (instability(source.at(v), f" at {along.number(v)}") for v in values)), [])
     _refuse(problems, force)
     progress("sampling at every grid point")
     common, sizes = common_states(source)
@@ -253,24 +254,25 @@ def _unstable(boxes: Sequence[Checks]) -> list[tuple[str, str, str]]:
 def _verify_over_range(deployment: ScheduledDeployment, machine: Machine, progress: Progress) -> ScheduledDeployment:
     (low, high), along = deployment.sampled.range, deployment.along
     own = machine.operation.envelope
-    inside = [point for point in own if low <= along.of(point) <= high]
+    inside = [point for point in own if _within(low, along.of(point), high)]
     start = (inside or list(own))[0]
 
     def check(point: OperatingPoint) -> Checks:
         progress(f"verifying the sampled loop at {point.label}")
         return check_sampled(assemble(machine, point), deployment.in_loop(along.of(point)))
 
-    swept = [replace(along.moved(start, float(v)), label=f"{v:.6g} {along.unit}") for v in deployment.values]
+    swept = [replace(along.moved(start, v), label=along.number(v)) for v in deployment.values]
     boxes = []
     if machine.tolerances:
         first = along.of(start)
-        inner = first if low < first < high else float(deployment.source.grid[len(deployment.source.grid) // 2])
-        for value in sorted({low, inner, high}):
-            progress(f"verifying the sampled loop over the tolerances at {value:.4g} {along.unit}")
+        source = deployment.source
+        inner = first if _within(low, first, high, strictly=True) else source.values[len(source.values) // 2]
+        for value in sorted({*grid_points([axis[[0, -1]] for axis in source.axes]), inner}):
+            progress(f"verifying the sampled loop over the tolerances at {along.number(value)}")
             plant = assemble(machine, _point_at(machine, start, along, value))
             if along is SPEED or tolerances_around(plant):
                 box = check_over_box(plant, deployment.in_loop(value))
-                boxes.append(replace(box, label=f"over the tolerances at {value:.6g} {along.unit}"))
+                boxes.append(replace(box, label=f"over the tolerances at {along.number(value)}"))
     return replace(
         deployment,
         checks=tuple(check(point) for point in swept),
@@ -280,7 +282,12 @@ def _verify_over_range(deployment: ScheduledDeployment, machine: Machine, progre
     )
 
 
-def _point_at(machine: Machine, start: OperatingPoint, along: Scheduling, value: float) -> OperatingPoint:
+def _within(low: Any, value: Any, high: Any, strictly: bool = False) -> bool:
+    a, v, b = (np.atleast_1d(x) for x in (low, value, high))
+    return bool(((a < v) & (v < b)).all() if strictly else ((a <= v) & (v <= b)).all())
+
+
+def _point_at(machine: Machine, start: OperatingPoint, along: Scheduling, value: Any) -> OperatingPoint:
     """The operating point at another value. At another pressure what is given around the first one does not hold: it has the
     label of the machine's own point there, or none."""
     moved = along.moved(start, value)

@@ -7,13 +7,14 @@ beside the system.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.realisation.modal_form import modal_form
 from ambrose.core.sampling import Method, c2d
-from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.scheduled import ScheduledSystem, grid_points
 from ambrose.core.statespace import StateSpace, poles
 
 _TINY = 2.0**-150  # weight of the states among the outputs, from which the transform is read
@@ -110,18 +111,18 @@ def common_states(source: ScheduledSystem) -> tuple[ScheduledSystem, tuple[int, 
 
 def interpolation_deviation(
     source: ScheduledSystem, sampled: ScheduledSystem, dt: float, method: Method, prewarp: float | None
-) -> tuple[float, float]:
+) -> tuple[float, Any]:
     """The largest distance [-], and where, between interpolating before and after sampling, half-way between grid
     points; relative to the gain at the same frequency."""
     if source.dt is not None:
-        return 0.0, float(source.grid[0])
+        return 0.0, source.range[0]
     omega = np.geomspace(1e-5, 0.98, _FREQUENCIES) * np.pi / dt
     distances = []
-    for value in (source.grid[1:] + source.grid[:-1]) / 2:
-        exact = response(c2d(source.at(float(value)), dt, method, prewarp=prewarp), omega)
+    for value in grid_points([(axis[1:] + axis[:-1]) / 2 for axis in source.axes]):
+        exact = response(c2d(source.at(value), dt, method, prewarp=prewarp), omega)
         size = np.linalg.norm(exact, 2, axis=(1, 2))
-        distance = np.linalg.norm(response(sampled.at(float(value)), omega) - exact, 2, axis=(1, 2))
-        distances.append((float((distance / np.maximum(size, np.finfo(float).tiny)).max()), float(value)))
+        distance = np.linalg.norm(response(sampled.at(value), omega) - exact, 2, axis=(1, 2))
+        distances.append((float((distance / np.maximum(size, np.finfo(float).tiny)).max()), value))
     return max(distances)
 
 

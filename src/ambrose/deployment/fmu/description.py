@@ -64,7 +64,7 @@ def variables(block: AnyBlock) -> tuple[Variable, ...]:
         found.append(Variable(name, "real", "input", "m", text, "0", nominal=limit))
     found += [Variable(f"valid_{name}", "boolean", "input", "", f"{name} may be used", "true") for name in block.inputs]
     if isinstance(block, ScheduledBlock):
-        (low, high), along = block.range, block.along
+        (low, high), along = block.grid[[0, -1]].tolist(), block.along
         text = f"what the controller is scheduled over, from {low:.9g} to {high:.9g}, plausible within +-{block.told_limit:.9g}"
         found.append(Variable(along.name, "real", "input", along.unit, text, repr(low), nominal=high))
     if block.transfers:

@@ -15,11 +15,12 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.plant.control_program import ControlProgram, NativeProgram, ScheduledProgram
 from ambrose.plant.loop import Law, axis_order, law_at, match_axes
-from ambrose.plant.scheduling import scheduling_of
+from ambrose.plant.scheduling import SPEED, scheduling_of
 from ambrose.plant.timing import DEFAULT, machine_timing
 
+_TOLD = 2  # at most: speed and pressure
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
-_CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, _DOUBLES, ctypes.c_double, _DOUBLES)
+_CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, _DOUBLES, _DOUBLES, _DOUBLES)
 
 
 class SampledLaw(NamedTuple):
@@ -36,7 +37,8 @@ class SampledLaw(NamedTuple):
 class Program(NamedTuple):
     """A program as the compiled rig calls it; address 0: none.
 
-    address, first: of a ``NativeProgram``; signals (2a,): errors and currents in its order, place: their address; into, out
+    address, first: of a ``NativeProgram``; signals (2a + 2,): errors and currents in its order, what it is told; place: their
+    address; into, out
     (a,): the rig's axis of each error, and where each axis' current is.
     """
 
@@ -65,16 +67,17 @@ class RunningProgram:
             address, first = cast(int, ctypes.cast(self._callback, ctypes.c_void_p).value), 0
         into = np.argsort(axis_order(program.system, "inputs", axes))
         out = np.asarray(axis_order(program.system, "outputs", axes))
-        signals = np.zeros(2 * len(axes))
+        signals = np.zeros(2 * len(axes) + _TOLD)
         self.called = Program(address, first, signals, signals.ctypes.data, into.astype(np.int64), out.astype(np.int64))
 
     def _step_of(self, program: ControlProgram, m: int) -> Callable[..., int]:
         scheduled = program if isinstance(program, ScheduledProgram) else None
+        along = scheduling_of(program) or SPEED
 
-        def step(first: object, errors: Any, told: float, currents: Any) -> int:
+        def step(first: object, errors: Any, told: Any, currents: Any) -> int:
             try:
                 if scheduled is not None:
-                    scheduled.schedule(told)
+                    scheduled.schedule((told[0], told[1]) if along.parts else told[0])
                 for a, value in enumerate(np.asarray(program.step(np.array(errors[:m])), float).tolist()):
                     currents[a] = value
             except BaseException as error:  # told by who called the rig: nothing gets through compiled code

@@ -45,17 +45,17 @@ converted = compiled(sensor.sampled)
 
 
 @intrinsic
-def _call(context: Any, address: Any, first: Any, errors: Any, speed: Any, currents: Any) -> Any:
-    """int f(void *, const double *, double, double *) at an address; the pointers are integers, too."""
+def _call(context: Any, address: Any, first: Any, errors: Any, told: Any, currents: Any) -> Any:
+    """int f(void *, const double *, const double *, double *) at an address; the pointers are integers, too."""
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         byte = ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.IntType(32), [byte, byte, ir.DoubleType(), byte])
-        first, errors, currents = (builder.inttoptr(given[i], byte) for i in (1, 2, 4))
-        return builder.call(builder.inttoptr(given[0], kind.as_pointer()), [first, errors, given[3], currents])
+        kind = ir.FunctionType(ir.IntType(32), [byte] * 4)
+        pointers = [builder.inttoptr(item, byte) for item in given[1:]]
+        return builder.call(builder.inttoptr(given[0], kind.as_pointer()), pointers)
 
     whole = types.int64
-    return types.int32(whole, whole, whole, types.float64, whole), generate
+    return types.int32(*[whole] * 5), generate
 
 
 by_address: Any = _call  # whose first argument, the compiler's context, is numba's own

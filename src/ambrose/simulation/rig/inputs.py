@@ -38,7 +38,7 @@ class Drive(NamedTuple):
     disturbance: np.ndarray  # (a, K) of the measurement [m]
     noise: np.ndarray  # (c, K) at the single sensors [m], with the disturbance that they would have to see
     pressure: np.ndarray  # (K,) as its sensor tells it [Pa], the last one where it is lost
-    told: np.ndarray  # (K,) what a program is told, speed [rad/s] or that pressure, NaN where it is lost
+    told: np.ndarray  # (K, d) what a program is told, speed [rad/s], that pressure or both, NaN where it is lost
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +156,9 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
         if forces else np.zeros((4, 0, count)),
         np.array([divmod(i, 2) for i in forces], dtype=np.int64).reshape(-1, 2),
         _powered(plan, first, count), held("e"), held("r"), disturbance, np.ascontiguousarray(noise),
-        pressure, np.where(plan.lost(first, count), np.nan, pressure) if plan.along is PRESSURE else speed[:-1],
+        pressure, np.stack([
+            np.where(plan.lost(first, count), np.nan, pressure) if one is PRESSURE else speed[:-1] for one in plan.along.each
+        ], axis=1),
     )  # fmt: skip
 
 

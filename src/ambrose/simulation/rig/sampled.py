@@ -47,8 +47,10 @@ def run_program(law: Any, program: Any, drive: Any, k: int, y: Any, held: Any, u
         err[a] = drive.reference[a, k] - y[a]
     for i in range(m):
         program.signals[i] = err[program.into[i]]
+    for i in range(drive.told.shape[1]):
+        program.signals[2 * m + i] = drive.told[k, i]
     at = program.place
-    failed: int = by_address(program.address, program.first, at, drive.told[k], at + 8 * m)
+    failed: int = by_address(program.address, program.first, at, at + 16 * m, at + 8 * m)
     for a in range(m):
         held[a] = min(max(program.signals[m + program.out[a]], -law.limit[a]), law.limit[a])
     return failed
