@@ -84,7 +84,7 @@ class Minimum:
 def svec(M: np.ndarray) -> np.ndarray:
     """Upper triangles of symmetric matrices (..., d, d), column by column, off-diagonal entries times sqrt(2)."""
     upper, _, weight = _places(M.shape[-1])
-    return M.reshape(*M.shape[:-2], -1).take(upper, -1) * weight
+    return M.reshape(*M.shape[:-2], M.shape[-1] ** 2).take(upper, -1) * weight
 
 
 def smat(v: np.ndarray) -> np.ndarray:
@@ -143,7 +143,7 @@ class _Solver:
         self.unit = 1 / size
         self.cost = cost * self.unit
         self.items = items
-        self.wide = [smat(i.rows.T).transpose(1, 0, 2).reshape(i.side, -1) for i in items]
+        self.wide = [smat(i.rows.T).transpose(1, 0, 2).reshape(i.side, len(i.columns) * i.side) for i in items]
         self.order = sum(item.side for item in items)
         self.x = np.zeros(len(cost))
         reach = [i.side * (1 + np.abs(self.cost[own > 0]).max(initial=0)) / (1 + np.sqrt(own.max(initial=0)))

@@ -32,6 +32,7 @@ from ambrose.core.varying.proof import Proof
 _ROOMS = (5e-4, 1e-3, 2e-3, 4e-3, 1e-2, 3e-2)  # of gamma, above the smallest found, at which the inequality is checked
 _ENOUGH = 2e-3
 _ROUNDS, _ADDED = 12, 120
+_LARGEST = 1e6  # of X, which is I for the loop in the middle
 _FLOOR = 1e-12  # of X's largest eigenvalue, in the choice of coordinates
 _TOLERANCE = 2e-3
 
@@ -86,8 +87,9 @@ class _Search:
         turn = _reached_first(inverse @ A @ T, inverse @ B)
         T, inverse = T @ turn, turn.T @ inverse
         off = accurate_product(inverse, T)
-        F = off[0] - np.eye(len(A)) + off[1]  # inverse T = I + F, so that T^-1 A T = (I - F) inverse A T but for F^2
-        skew = float(np.linalg.norm(F, 2)) ** 2
+        F = off[0] - np.eye(len(A)) + off[1]  # inverse T = I + F, so that T^-1 A T = (I - F + F^2) inverse A T but for F^3
+        size = float(np.linalg.norm(F, 2))
+        skew = size**3 + np.finfo(float).eps * len(A) * size
         self.error = 0.0  # by which rounding in the change of coordinates moves A
         self.C = C @ T / np.sqrt(pace)
         self.entries: list[_Entry] = []
@@ -100,7 +102,7 @@ class _Search:
             high, low = accurate_product(cell.A, T)
             turned_A, rest = accurate_product(inverse, high)
             nets = [(turned_A + (rest + inverse @ low)) / pace, sum(accurate_product(inverse, cell.B)) / np.sqrt(pace)]
-            nets = [net - F @ net for net in nets]
+            nets = [net - F @ (net - F @ net) for net in nets]
             largest = float(np.linalg.norm(nets[0], 2, axis=(2, 3)).max())
             self.error = max(self.error, (2 * skew + np.finfo(float).eps * len(A)) * largest)
             self.entries += _entries(cell.p, nets[0], nets[1], self.degree, rate / pace)
@@ -121,6 +123,12 @@ class _Search:
             for X, A, B, slope in zip(self.variables, entry.A, entry.B, entry.slope, strict=True)
         )
         return Inequality(svec(corner)[:, None], svec(F0), np.array([self.size - 1]), terms)
+
+    def bound(self) -> Inequality:
+        """X_0 at most _LARGEST: where states hardly matter nothing else keeps it from growing until rounding hides the rest."""
+        X, one = self.variables[0], np.eye(self.variables[0].order)
+        term = Term(X, -one / 2, one)
+        return Inequality(np.zeros((len(svec(one)), 0)), _LARGEST * svec(one), np.zeros(0, int), (term,))
 
     def functions(self, x: np.ndarray) -> np.ndarray:
         """X_0 .. X_D (D + 1, n, n) of the variables."""
@@ -237,15 +245,18 @@ def proved_on_cells(
     """
     search = _Search(cells, C, rate, degree, share)
     chosen = search.first()
-    best, reason, end = None, "", time.monotonic() + time_limit
+    best, reason, bounded, end = None, "", True, time.monotonic() + time_limit
     for step in range(_ROUNDS):
-        items = [search.inequality(search.entries[i]) for i in chosen]
+        items = [search.inequality(search.entries[i]) for i in chosen] + [search.bound()] * bounded
         found = minimise(
             np.eye(1, search.size, search.size - 1)[0], items, tolerance=_TOLERANCE, time_limit=end - time.monotonic()
         )
         if found.status == "time limit":
             reason = f"the search was not at its end after {time_limit:.0f} s; a smaller error or fewer grid points help"
             break
+        if found.status == "infeasible" and bounded:
+            bounded = False
+            continue
         if found.status == "infeasible" or found.x[-1] <= 0:
             reason = f"no quadratic function proves the loop stable while the parameter moves ({found.status})"
             break

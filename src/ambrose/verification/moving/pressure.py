@@ -28,7 +28,7 @@ from ambrose.plant.reduce import reduce
 from ambrose.plant.timing import Timing
 from ambrose.verification.checks import Checks
 from ambrose.verification.criteria import information
-from ambrose.verification.moving.model import SAME
+from ambrose.verification.moving.model import CLOSE
 from ambrose.verification.moving.on_model import check_on_model
 from ambrose.verification.moving.spans import FROZEN, REST, PressureSpan, Tell, judged_rate, pressure_spans, seal_terms
 
@@ -162,7 +162,7 @@ def check_pressure(
     bounded, words = _proof(loop, filter_poles(frozen, int(np.bincount(loop.owner).max())), rate / span.half, tell)
     if value < bounded:  # what holds for any speed holds for this one
         bounded, words = value, detail
-    if bounded > (1 + SAME) * frozen.gain:
+    if bounded > (1 + CLOSE) * frozen.gain:
         other = check_on_model(machine, span, law, timing, rate, tell=tell).checks[-1]
         if other.value < bounded:
             proved = f"proved {bounded:.4g}" if np.isfinite(bounded) else words
