@@ -226,6 +226,8 @@ BAD = {
         ["synthesize", RIG, "--envelope", "--method", "pid"],
         "--envelope is given, but must be",
     ),
+    "a back-off without a method for it": (["synthesize", RIG, "--backoff", "1.1", "--method", "mu"], "it goes with lpv"),
+    "a back-off below one": (["synthesize", RIG, "--backoff", "0.9", "--method", "lpv"], "above 1 and at most 2; 1.03 to 1.2"),
     "an order without a method for it": (["synthesize", RIG, "--order", "4", "--method", "mu"], "it goes with polish or tuned"),
     "another ending of a machine file": (["new", "{tmp}/x.json"], 'x.toml"'),
     "a machine file as controller": (["verify", RIG, "--controller", "{tmp}/negative.toml"], "it is a machine file"),

@@ -96,6 +96,13 @@ from ambrose.cli.terminal import (
     is_flag=True,
     help="With --method lpv: design over the machine's tolerances, too (mu, polish and tuned always do).",
 )
+@click.option(
+    "--backoff",
+    type=float,
+    default=None,
+    help="With --method lpv: how far above the smallest gamma to stay; default 1.1, with --tolerances 1.2. Nearer to 1 it is "
+    "better, with faster poles.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("controller.json"), show_default=True)
 @click.option(
     "--machine-file",
@@ -121,6 +128,7 @@ def synthesize(
     pressures_bar: tuple[float, float] | None,
     pressure_rate: str | None,
     tolerances: bool,
+    backoff: float | None,
     output: Path,
     machine_file: Path | None,
     as_json: bool,
@@ -151,6 +159,7 @@ def synthesize(
         ("--pressures-bar", pressures_bar is not None, ("lpv",)),
         ("--pressure-rate", pressure_rate is not None, ("lpv",)),
         ("--tolerances", tolerances, ("lpv",)),
+        ("--backoff", backoff is not None, ("lpv",)),
     ):
         if given and method not in methods:
             raise invalid(option, "given", f"left out with --method {method}", f"it goes with {' or '.join(methods)}")
@@ -183,6 +192,7 @@ def synthesize(
         pressures=None if pressures_bar is None else (1e5 * pressures_bar[0], 1e5 * pressures_bar[1]),
         pressure_rate=quantity_given(pressure_rate, "--pressure-rate", "pressure per time"),
         tolerances=tolerances,
+        backoff=backoff,
     )
     if machine_file is not None and (method != "tuned" or structure not in BANKS):
         raise invalid("--machine-file", str(machine_file), "given with a filter bank", "add --method tuned --structure pid")

@@ -75,7 +75,7 @@ def design(
     (H-infinity for the nominal plant), "mu" (D-K iteration over the machine's tolerances), "polish" (the mu controller at half
     its order, refined for the worst case), "lpv" (scheduled over speed, pressure or both). options: all of them, or single
     ones by name as ``choices``: rate, delay_samples, loss, order, bending_modes, match_reference, speeds, speed_rate,
-    pressures, pressure_rate, tolerances, structure, envelope (DesignOptions).
+    pressures, pressure_rate, tolerances, backoff, structure, envelope (DesignOptions).
 
     Where a rate is known (options, else the machine file) the delay of the sampled loop is in the design model (not in that of
     "pid"), polishing is judged round by round by the worst sampled sensitivity, and poles beyond half the rate
@@ -100,6 +100,8 @@ def design(
         raise invalid("envelope", True, f"False for method {method!r}", "'hinf' and 'mu' can span it; 'tuned' always does")
     if options.tolerances and method != "lpv":
         raise invalid("tolerances", True, f"False for method {method!r}", "it is for 'lpv'; 'mu', 'polish', 'tuned' always do")
+    if options.backoff is not None and method != "lpv":
+        raise invalid("backoff", options.backoff, f"None for method {method!r}", "only 'lpv' can choose it")
     for along, ends, rate in options.schedules:
         if method != "lpv":
             name, value = (f"{along.name}s", ends) if ends is not None else (f"{along.name}_rate", rate)
@@ -131,7 +133,7 @@ def _designed(plant: Plant, method: str, options: DesignOptions, progress: Progr
         lag = 0.0 if (timing := options.timing()) is None else timing.lag
         return design_schedule(
             plant, grid or None, along, bending_modes=modes, rate=rates, lag=lag, tolerances=options.tolerances,
-            progress=progress,
+            backoff=options.backoff, progress=progress,
         )  # fmt: skip
     return _tuned(plant, options, progress) if method == "tuned" else _by_weights(plant, method, options, progress)
 

@@ -15,6 +15,9 @@ from ambrose.plant.timing import Timing, machine_timing, timing_of
 STRUCTURES = ("free", "plane", "axis", "pid", "filters")
 
 
+BACKOFF_ADVICE = "1.03 to 1.2 suits most uses"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignOptions:
     """rate [Hz]: the loop runs sampled, its controller ``delay_samples`` late. None: as the machine file says; where that
@@ -30,7 +33,8 @@ class DesignOptions:
     pressures or both: lowest and highest [rad/s], [Pa] that a controller is scheduled over (neither: the speeds of the
     operating points with the plant's seal pressure; where there is one speed alone, their pressures); speed_rate [rad/s^2],
     pressure_rate [Pa/s]: the fastest change (None: any), for which gamma may be lower.
-    tolerances: a scheduled controller is designed over them ("mu", "polish" and "tuned" always are).
+    tolerances: a scheduled controller is designed over them ("mu", "polish" and "tuned" always are). backoff [-]: how far above
+    the smallest gamma a scheduled controller stays (None: 1.1; 1.2 over tolerances): nearer to 1 it is better, and faster.
     envelope: "hinf" and "mu" are designed for all operating points at once, what changes between them being real parameters;
     "hinf" is then D-K iteration over those alone. Raises InvalidInput.
     """
@@ -47,6 +51,7 @@ class DesignOptions:
     pressures: tuple[float, float] | None = None
     pressure_rate: float | None = None
     tolerances: bool = False
+    backoff: float | None = None
     envelope: bool = False
 
     def __post_init__(self) -> None:
@@ -62,6 +67,8 @@ class DesignOptions:
             _check_count(self.order, "order", "None leaves it to the method")
         if self.loss is not None:
             check_positive(self.loss, "loss", "0.05 allows 5 %", zero_allowed=True)
+        if self.backoff is not None and not 1 < check_positive(self.backoff, "backoff", BACKOFF_ADVICE) <= 2:
+            raise invalid("backoff", self.backoff, "above 1 and at most 2", BACKOFF_ADVICE)
         if self.match_reference not in (None, True, False):
             raise invalid(
                 "match_reference", repr(self.match_reference), "True, False or None", "None decides by the machine file"

@@ -129,6 +129,15 @@ def test_the_certificate_is_the_worst_of_the_full_plant_at_every_pressure(rig, m
     assert set(made.certificate.envelope) == {"nominal pressure", "zero pressure", "twice nominal pressure"}
 
 
+def test_nearer_to_the_optimum_the_sensitivity_falls_and_poles_are_faster(rig, made):
+    near = design(rig, "lpv", pressures=(0.0, 4.08e5), backoff=1.04)
+    margins = [result.certificate.margins for result in (near, made)]
+    assert margins[0]["gamma_designed"] == pytest.approx(1.04 * margins[0]["gamma_optimal"], rel=1e-6)
+    assert margins[0]["full_sensitivity_peak"] < 0.97 * margins[1]["full_sensitivity_peak"]
+    fastest = [max(abs(np.linalg.eigvals(result.controller.A))) for result in (near, made)]
+    assert near.status == "verified" and fastest[0] > fastest[1]
+
+
 def test_points_beyond_its_pressures_are_left_out_of_a_verification(rig, made):
     narrow = ScheduledSystem([0.0, 2.04e5], [made.scheduled.at(0.0), made.scheduled.at(2.04e5)], "pressure", "Pa")
     verification = verify_controller(rig.machine, narrow, tolerances=False)

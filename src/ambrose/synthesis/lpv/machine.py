@@ -81,6 +81,7 @@ def design_schedule(
     rate: float | tuple[float | None, ...] | None = None,
     lag: float = 0.0,
     tolerances: bool = False,
+    backoff: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
     """A controller scheduled over speed, pressure or both for a full plant, verified on it at every point of its schedule.
@@ -88,9 +89,10 @@ def design_schedule(
     grid (k,) [rad/s] or [Pa], of both one for each: None: ``schedule_grid``; it holds the plant's own value in its range. rate
     [of its unit per s], of both one for each: the fastest change (None: any); bending_modes: per plane, lag [s]: of the
     currents, in the design model. tolerances: it is designed over the machine's, without the lag, with a control weight as
-    small as the output sensitivity required at their corners, judged with the lag, needs (``tolerant_lpv``). ``controller`` is
-    the frozen form at the plant's own. margins gain those of ``certificate.full_plant_margins``; a controller that does not
-    hold the full plant at every point has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
+    small as the output sensitivity required at their corners, judged with the lag, needs (``tolerant_lpv``). backoff: how far
+    above the smallest gamma it stays (None: 1.1, and 1.2 over tolerances). ``controller`` is the frozen form at the plant's
+    own. margins gain those of ``certificate.full_plant_margins``; a controller that does not hold the full plant at every
+    point has the status "unstable". Raises InvalidInput and NumericalFailure as ``lpv_synthesis``.
     """
     machine, point = plant.machine, plant.point
     weights = machine_weights(machine)
@@ -108,15 +110,16 @@ def design_schedule(
         )
     say = progress or (lambda _: None)
 
-    def scheduled(plants: PlantAt, backoff: float) -> Synthesis:
+    def scheduled(plants: PlantAt, usual: float = _BACKOFF) -> Synthesis:
+        above = usual if backoff is None else backoff
         return lpv_synthesis(
-            plants, axes, rate=rate, backoff=backoff, nominal=own, parameter=along.name, unit=along.unit, progress=say
+            plants, axes, rate=rate, backoff=above, nominal=own, parameter=along.name, unit=along.unit, progress=say
         )
 
     if tolerances:
         result = _over_tolerances(plant, axes, along, bending_modes, lag, say, scheduled)
     else:
-        result = scheduled(plants_along(plant, along, bending_modes, lag), _BACKOFF)
+        result = scheduled(plants_along(plant, along, bending_modes, lag))
         result = replace(result, weights=weights)
     return certify_on_full_plant(plant, result)
 
