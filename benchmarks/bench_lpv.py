@@ -20,6 +20,7 @@ from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.parameters import operating_point
 from ambrose.plant.assemble import assemble
+from ambrose.plant.scheduling import BOTH, SPEED, Scheduling
 from ambrose.synthesis.lpv.family import scaled_family
 from ambrose.synthesis.lpv.inequalities import Shape, program
 from ambrose.synthesis.lpv.machine import plants_along
@@ -35,6 +36,9 @@ def run() -> list[dict[str, Any]]:
     speeds = 2 * np.pi * np.linspace(20, 300, POINTS)
     rows = [_whole("turboexpander, 20 states, 8 points, any rate", plant_at, speeds, None, "< 30 s")]
     rows.append(_whole("turboexpander, 20 states, 8 points, 1760 rad/s^2", plant_at, speeds, 1760.0))
+    both = plants_along(assemble(machine, operating_point(machine, "140 Hz")), BOTH)
+    rectangle = (2 * np.pi * np.array([0.0, 262.5, 525.0]), np.array([0.0, 19.25e5, 38.5e5]))
+    rows.append(_whole("turboexpander, 20 states, 3 x 3 points, any rate", both, rectangle, None, "< 30 s", BOTH))
     rows.append(_against_cvxpy("first pass, turboexpander, 20 states, 8 points", plant_at, speeds, "CLARABEL"))
     rows.append(_against_cvxpy("first pass, chain, 8 states, 4 points", _chain(2), np.linspace(0, 1, 4), None))
     rows.append(_against_cvxpy("first pass, chain, 8 states, 4 points", _chain(2), np.linspace(0, 1, 4), "CLARABEL"))
@@ -73,10 +77,15 @@ def _row(name: str, ours: float, peer: float | None, peer_name: str, error: floa
 
 
 def _whole(
-    name: str, plant_at: Callable[[float], GeneralizedPlant], grid: np.ndarray, rate: float | None = None, target: str = ""
+    name: str,
+    plant_at: Callable[[Any], GeneralizedPlant],
+    grid: Any,
+    rate: float | None = None,
+    target: str = "",
+    along: Scheduling = SPEED,
 ) -> dict[str, Any]:
     start = time.process_time()
-    result = lpv_synthesis(plant_at, grid, rate=rate, backoff=1.1)
+    result = lpv_synthesis(plant_at, grid, rate=rate, backoff=1.1, parameter=along.name, unit=along.unit)
     spent = time.process_time() - start
     m = result.certificate.margins
     ratio = m["gamma_optimal"] / m["pointwise_largest"]

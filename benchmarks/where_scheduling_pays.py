@@ -34,7 +34,7 @@ from ambrose.synthesis.problem import apply_delay, design_plant, open_model
 from ambrose.synthesis.weights import machine_weights, scale_control
 
 RANGE = (0.0, 1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
-TOPS, LIMIT = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), 3.0  # of the map; S_o
+LIMIT, CONTROL = 3.0, 0.5  # of S_o; factor of the machine's control weight for the schedule, which lowers S_o
 HEADS = ("k up to, times nominal", "fixed, worst of its range", "tuned for that k alone", "worst of these", "most to win")
 
 
@@ -101,37 +101,31 @@ class Map:
         return best
 
     def scheduled(self, speeds, top):
-        """Over k, and over the speed where there are several; with the machine's control weight, or half of it."""
-        several, found = len(speeds) > 1, [math.inf]
+        """Over k, and over the speed where there are several."""
+        several, weights = len(speeds) > 1, scale_control(machine_weights(self.machine), CONTROL)
         names = ("speed and k", "rad/s and times nominal") if several else ("k", "times nominal")
 
-        for weights in (scale_control(machine_weights(self.machine), factor) for factor in (1.0, 0.5)):
+        def at(value):
+            speed, share = value if several else (speeds[0], value)
+            plant, offsets = self.plant(speeds[0], 1.0), tuple((item, share - 1) for item in self.k)
+            small = free_mode_reduction(replace(plant, point=replace(plant.point, speed=speed), offsets=offsets), 0)
+            return design_plant(apply_delay(open_model(small, None, False), self.timing.lag), weights, uncertain=False)
 
-            def at(value, weights=weights):
-                speed, share = value if several else (speeds[0], value)
-                plant = self.plant(speeds[0], 1.0)
-                plant = replace(plant, point=replace(plant.point, speed=speed), offsets=())
-                moved = replace(plant, offsets=tuple((item, share - 1) for item in self.k))
-                small = free_mode_reduction(moved, self.options.bending_modes or 0)
-                return design_plant(apply_delay(open_model(small, None, False), self.timing.lag), weights, uncertain=False)
-
-            shares = np.linspace(0.0, top, 3)
-            grid = (np.linspace(speeds[0], speeds[-1], 3), shares) if several else shares
-            try:
-                law = lpv_synthesis(at, grid, backoff=1.1, points_between=1, parameter=names[0], unit=names[1]).scheduled
-            except NumericalFailure:
-                continue
-            frozen = lambda speed, share: law.at((speed, share) if several else share)  # noqa: B023, E731
-            found.append(self.worst(frozen, speeds, top))
-        return min(found)
+        shares = np.linspace(0.0, top, 3)
+        grid = (np.linspace(speeds[0], speeds[-1], 3), shares) if several else shares
+        try:
+            law = lpv_synthesis(at, grid, backoff=1.1, points_between=1, parameter=names[0], unit=names[1]).scheduled
+        except NumericalFailure:
+            return math.inf
+        return self.worst(lambda speed, share: law.at((speed, share) if several else share), speeds, top)
 
 
-def over_speed(machine, options, speeds):
+def over_speed(machine, options, speeds, tops):
     print("| speed | k from 0 up to, times nominal | fixed, worst S_o | scheduled, worst S_o |\n|---|---|---|---|")
     job = Map(machine, options)
-    for chosen in [*([speed] for speed in speeds), list(speeds)]:
+    for chosen in [list(speeds), *([speed] for speed in speeds)]:
         near, held = None, [True, True]
-        for top in TOPS:
+        for top in tops:
             fixed, scheduled = math.nan, math.nan
             if held[0]:
                 fixed, near = job.fixed(chosen, top, near)
@@ -150,11 +144,14 @@ def main():
     parser.add_argument("--rate-hz", type=float, default=10_000)
     parser.add_argument("--order", type=int, default=12)
     parser.add_argument("--speeds-hz", type=float, nargs="+")
+    parser.add_argument(
+        "--times", type=float, nargs="+", default=[6.0, 12.0, 18.0, 24.0], help="upper ends of k, times nominal"
+    )
     given = parser.parse_args()
     machine, start = amb.load_machine(given.machine), time.process_time()
     options = DesignOptions(rate=given.rate_hz, order=given.order).on(machine)
     if given.speeds_hz:
-        over_speed(machine, options, [2 * math.pi * speed for speed in given.speeds_hz])
+        over_speed(machine, options, [2 * math.pi * speed for speed in given.speeds_hz], given.times)
         print(f"{time.process_time() - start:.0f} s of processor time")
         return
     worst, alone, fixed = 0.0, (0.0, None), (0.0, None)

@@ -82,8 +82,8 @@ def design(
 
     method: "tuned" (to the machine's requirements at all its operating points and over the tolerances around each); made for
     one point are "pid" (the machine's reference controller), "hinf", "mu" (D-K iteration over the tolerances), "polish" (mu
-    refined at fixed order) and "lpv" (scheduled over speed or pressure). point: of the machine (None: the one that designs are
-    made for).
+    refined at fixed order) and "lpv" (scheduled over speed, pressure or both). point: of the machine (None: the one that
+    designs are made for).
     options, see ``synthesis.options.DesignOptions``: rate [Hz] and delay_samples of the sampled loop that it is for; order of
     the polished or tuned controller; loss, with a rate: lower the order until the worst sampled sensitivity has risen by this
     share; bending_modes; match_reference; structure; speeds [rad/s] or pressures [Pa], lowest and highest. A controller

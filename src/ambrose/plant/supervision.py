@@ -282,7 +282,7 @@ def supervised(
     """The program with limits from the machine file: 5 % of the range beyond its ends, 1 % from sample to sample besides the
     rate [Pa/s] (None: the file's, or not watched). Raises InvalidInput."""
     if not isinstance(law, ScheduledSystem) or scheduling_of(law) is not PRESSURE:
-        raise InvalidInput("only a controller scheduled over pressure can have a fallback; make one with --pressures-bar")
+        raise InvalidInput("only a controller scheduled over pressure alone can have a fallback; make one with --pressures-bar")
     low, high = law.range
     rate = machine.operation.pressure_rate if pressure_rate is None else pressure_rate
     limits = Limits(low, high, 0.05 * (high - low), math.inf if rate is None else rate, 0.01 * (high - low))
