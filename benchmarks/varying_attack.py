@@ -1,6 +1,6 @@
 """Proofs while the seal pressure changes, attacked in time: bang-bang, telegraph and random motions on a rigid sampled loop.
 
-python -m benchmarks.varying_attack [--runs 1000] [--scheduled 0.408]
+python -m benchmarks.varying_attack [--runs 1000] [--machine seal-rig] [--scheduled 0.408]
 
 The attack looks for the largest energy gain along each motion of two seconds (power iteration with the adjoint); the
 proof is that of ``verify``.
@@ -134,12 +134,13 @@ def main() -> None:
     parser.add_argument(
         "--scheduled", type=float, metavar="BAR", help="attack a controller scheduled over pressure, told within BAR"
     )
+    parser.add_argument("--machine", nargs="+", default=("seal-rig-k-only", "seal-rig"))
     given = parser.parse_args()
     runs = given.runs
     if given.scheduled is not None:
         attack_schedule("seal-rig", 1e5 * given.scheduled, runs)
         return
-    for name in ("seal-rig-k-only", "seal-rig"):
+    for name in given.machine:
         machine = load_machine(name)
         attack(name, pressure_spans(machine)[0], design(machine, "tuned", rate=1 / _TIMING.sample_time).controller, runs)
 

@@ -107,6 +107,11 @@ def test_operating_points_are_told_apart():
     assert "Acceptance of the magnetic bearing loop" in page and page.count("Measured over predicted,") >= 2
 
 
+def with_pressure(data):
+    rising = np.linspace(2e5, 3e5, data.values.shape[1])
+    return replace(data, signals=(*data.signals, "p_seal"), units=(*data.units, "Pa"), values=np.vstack([data.values, rising]))
+
+
 def test_what_cannot_be_accepted_is_refused():
     data = record()
     still = replace(data, values=data.values * np.array([not n.startswith("e_") for n in data.signals])[:, None])
@@ -119,6 +124,9 @@ def test_what_cannot_be_accepted_is_refused():
         (data.select([n for n in data.signals if n != "y_free-end_eta"]), "y_free-end_eta"),
         ([], "no record"),
         (replace(data, sample_rate_hz=5000.0), "the controller's"),
+        (replace(data, machine="another"), "machine of record 1 is 'another'"),
+        ([data, replace(data)], "record 2 is the same as one before"),
+        (with_pressure(data), "the operating point changes"),
     ):
         with pytest.raises(InvalidInput, match=words):
             accept(machine(), law(), item)

@@ -215,7 +215,7 @@ BAD = {
     ),
     "a schedule over two": (
         ["synthesize", RIG, "--method", "lpv", "--pressures-bar", "0", "4", "--speed-rate", "9"],
-        "over two cannot be had",
+        "must be given for a schedule over speed and pressure; give the speeds",
     ),
     "a schedule's rate in kg": (["synthesize", RIG, "--method", "lpv", "--pressure-rate", "2 kg"], "20 bar/s"),
     "speeds without lpv": (
@@ -227,6 +227,12 @@ BAD = {
         "--envelope is given, but must be",
     ),
     "a back-off without a method for it": (["synthesize", RIG, "--backoff", "1.1", "--method", "mu"], "it goes with lpv"),
+    "pressures in another unit": (
+        ["synthesize", RIG, "--method", "lpv", "--pressures-bar", "0", "408000"],
+        "the highest of its operating points is 408000 Pa; is it in another unit?",
+    ),
+    "one pressure twice": (["synthesize", RIG, "--method", "lpv", "--pressures-bar", "2", "2"], "give two numbers that differ"),
+    "a speed that is none": (["synthesize", RIG, "--method", "lpv", "--speeds-hz", "2", "nan"], "give two numbers that differ"),
     "a back-off below one": (["synthesize", RIG, "--backoff", "0.9", "--method", "lpv"], "above 1 and at most 2; 1.03 to 1.2"),
     "an order without a method for it": (["synthesize", RIG, "--order", "4", "--method", "mu"], "it goes with polish or tuned"),
     "another ending of a machine file": (["new", "{tmp}/x.json"], 'x.toml"'),
@@ -267,6 +273,18 @@ BAD = {
     "a design at an unknown operating point": (["synthesize", RIG, "--point", "mars"], "nominal pressure"),
     "no controller given": (["verify", RIG], "--controller"),
     "pressure rate in kg": (["verify", RIG, "--controller", "{controller}", "--pressure-rate", "2 kg"], "20 bar/s"),
+    "pressure rate without unit": (
+        ["verify", RIG, "--controller", "{controller}", "--pressure-rate", "80"],
+        "is 80, without a unit",
+    ),
+    "pressure error without a rate": (
+        ["verify", "two-disc-rotor", "--controller", "{controller}", "--pressure-error", "1 bar"],
+        "given with --pressure-rate",
+    ),
+    "pressure error of a fixed law": (
+        ["verify", RIG, "--controller", "{controller}", "--pressure-rate", "2 bar/s", "--pressure-error", "1 bar"],
+        "only a controller scheduled over pressure",
+    ),
     "pressure rate negative": (["verify", RIG, "--controller", "{controller}", "--pressure-rate=-2 bar/s"], "must be positive"),
 }
 

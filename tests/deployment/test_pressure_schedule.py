@@ -19,6 +19,7 @@ from ambrose.deployment.block.scheduled import build_scheduled_block
 from ambrose.deployment.c.compiled import CompiledSchedule
 from ambrose.deployment.discretisation.deployment import deploy, deploy_scheduled
 from ambrose.deployment.pipeline import ExportOptions, export, machine_limits
+from ambrose.machine.description import Tolerance
 from ambrose.machine.file.update import save_machine
 from ambrose.plant.assemble import assemble
 from ambrose.plant.control_program import ScheduledProgram
@@ -57,6 +58,14 @@ def test_the_sampled_loop_is_verified_at_frozen_pressures(machine, deployment):
     assert [checks.label for checks in deployment.points] == [point.label for point in machine.operation.points]
     assert not deployment.outside
     assert [box.label for box in deployment.box] == ["over the tolerances at 204000 Pa"]
+
+
+def test_a_relative_tolerance_is_left_out_where_the_seal_is_zero(machine, made):
+    seal, bearing = Tolerance("seal.center.pressure", 0.1), Tolerance("bearing.A.force_per_current", 0.03)
+    found = deploy_scheduled(made, DT, DT, machine=replace(machine, tolerances=(seal, bearing)))
+    assert [box.label for box in found.box] == [f"over the tolerances at {p} Pa" for p in ("0", "204000", "408000")]
+    alone = deploy_scheduled(made, DT, DT, machine=replace(machine, tolerances=(seal,)))
+    assert [box.label for box in alone.box] == [f"over the tolerances at {p} Pa" for p in ("204000", "408000")]
 
 
 def test_what_changes_with_a_seal_is_few_signals(machine, made, deployment):

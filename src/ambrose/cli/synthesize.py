@@ -169,11 +169,10 @@ def synthesize(
         raise invalid("--rate-hz", "not given", "given with --loss", "say at which rate the controller will run")
     if loss is not None:  # before the design, which takes a while
         check_positive(loss, "--loss", "5 allows 5 %", zero_allowed=True)
-    if speeds_hz is not None and not 0 <= speeds_hz[0] < speeds_hz[1]:
-        raise invalid("--speeds-hz", f"{speeds_hz[0]:g} {speeds_hz[1]:g}", "the lower speed, then the higher", "swap the two")
-    if pressures_bar is not None and not 0 <= pressures_bar[0] < pressures_bar[1]:
-        what = "the lower pressure, then the higher, none negative"
-        raise invalid("--pressures-bar", f"{pressures_bar[0]:g} {pressures_bar[1]:g}", what, "swap the two")
+    for option, ends in (("--speeds-hz", speeds_hz), ("--pressures-bar", pressures_bar)):
+        if ends is not None and not 0 <= ends[0] < ends[1] < float("inf"):
+            remedy = "swap the two" if 0 <= ends[1] < ends[0] else "give two numbers that differ"
+            raise invalid(option, f"{ends[0]:g} {ends[1]:g}", "the lower, then the higher, none negative", remedy)
     if rate_hz is not None:
         check_positive(rate_hz, "--rate-hz", "10000 is usual")
     if speed_rate is not None:

@@ -152,8 +152,11 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
 
     if text is None:
         return None
+    unit = DIMENSIONS[dimension]
+    if text.strip().replace(".", "", 1).isdecimal():
+        raise InvalidInput(f'{option} is {text}, without a unit; write it with one, such as "{unit.example}"')
     try:
-        value = read_quantity(text, DIMENSIONS[dimension])
+        value = read_quantity(text, unit)
     except ValueError as error:
         raise InvalidInput(f"{option} {error}") from error
     if not value > 0:

@@ -53,6 +53,7 @@ def verify(
     as_json: bool,
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
+    from ambrose.core.checks import invalid
     from ambrose.evaluation.verdict import verify_controller
     from ambrose.verification.moving.spans import pressure_spans
 
@@ -60,6 +61,10 @@ def verify(
     controller = load_controller(path, description)
     fastest = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
     error = quantity_given(pressure_error, "--pressure-error", "pressure")
+    if error and fastest is None and description.operation.pressure_rate is None:
+        raise invalid("--pressure-error", pressure_error, "given with --pressure-rate", "say how fast the pressure changes")
+    if error and controller.scheduled is None:
+        raise invalid("--pressure-error", pressure_error, "left out", "only a controller scheduled over pressure is told of it")
     with progress_shown(as_json) as progress:
         result = verify_controller(
             description, controller, rate=rate_hz, delay_samples=delay_samples, pressure_rate=fastest,

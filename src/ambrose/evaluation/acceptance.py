@@ -22,8 +22,10 @@ from ambrose.core.presentation import Presented
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.evaluation.verdict import running_law
+from ambrose.identification.data_quality.signals import check_point
 from ambrose.identification.frf.local import local_response
 from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint
@@ -135,6 +137,10 @@ def accept(
     points: dict[OperatingPoint, list[Record]] = {}
     for number, record in enumerate(read, 1):
         _check(machine, record, number)
+        if any(
+            record.values.shape == other.values.shape and (record.values == other.values).all() for other in read[: number - 1]
+        ):
+            raise InvalidInput(f"record {number} is the same as one before; give each record once")
         points.setdefault(replace(record.point, label=""), []).append(record)
     timing = timing_of(machine, controller) or Timing(read[0].dt)
     if delay_samples is not None:
@@ -147,6 +153,8 @@ def accept(
 
 
 def _check(machine: Machine, record: Record, number: int) -> None:
+    check_machine(machine, record, f"record {number}")
+    check_point(record, f"record {number}")
     outcome = dict(record.notes).get("outcome", "")
     if outcome.startswith(("touchdown", "diverged", "not levitated")):
         raise InvalidInput(f"in record {number} the rotor did not stay free ({outcome}); excite less and record again")

@@ -205,6 +205,8 @@ def test_refusals():
     twice = replace(machine, seals=(*machine.seals, replace(machine.seals[0], name="second", position=0.4)))
     with pytest.raises(InvalidInput, match="name the one to watch"):
         monitor(twice, law, record)
+    with pytest.raises(InvalidInput, match="the machine of the record is 'another'"):
+        monitor(machine, law, replace(record, machine="another"))
     with pytest.raises(InvalidInput, match="no u_A_zeta"):
         monitor(machine, law, record.select([n for n in record.signals if n != "u_A_zeta"]))
     with pytest.raises(InvalidInput, match="record longer"):

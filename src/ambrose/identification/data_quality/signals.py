@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ambrose.core.checks import InvalidInput
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.machine.machine import Machine
@@ -97,6 +98,12 @@ def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[F
     return [Finding(code, ERROR if share > _SERIOUS or kind == "y" else WARNING, f"{where}: {name} {text}", evidence, remedy)]
 
 
+def check_point(record: Record, where: str) -> None:
+    """Raises InvalidInput for a speed or pressure that changes during the record."""
+    for found in _moving_point(record, where):
+        raise InvalidInput(f"{found.what} ({found.evidence}); {found.remedy}")
+
+
 def _moving_point(record: Record, where: str) -> Iterator[Finding]:
     """Speed or pressure that changes during the record: the model holds at one operating point."""
     for name, unit in zip(record.signals, record.units, strict=True):
@@ -105,7 +112,7 @@ def _moving_point(record: Record, where: str) -> Iterator[Finding]:
             if high - low > _STEADY * max(abs(low), abs(high)):
                 what = f"{where}: the operating point changes"
                 evidence = f"{name} goes from {low:.4g} to {high:.4g} {unit}"
-                remedy = "cut the record into stretches at one speed and pressure, and identify those"
+                remedy = "cut the record into stretches at one speed and pressure, and take those"
                 yield Finding(Code.MOVING_POINT, ERROR, what, evidence, remedy)
 
 

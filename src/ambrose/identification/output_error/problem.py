@@ -165,6 +165,13 @@ def check_records(machine: Machine, records: Sequence[Record], one_rate: bool = 
     return records[0].point, dt
 
 
+def check_machine(machine: Machine, record: Record, what: str) -> None:
+    """Raises InvalidInput for a record of another machine."""
+    if record.machine != machine.name:
+        remedy = "take that machine's file, or correct the record's attribute machine"
+        raise invalid(f"the machine of {what}", repr(record.machine), repr(machine.name), remedy)
+
+
 def operating_points(machine: Machine, records: Sequence[Record], one_rate: bool = True) -> tuple[list[OperatingPoint], float]:
     """The distinct operating points, without labels, and the sample time [s] of records of this machine; else InvalidInput.
 
@@ -174,9 +181,7 @@ def operating_points(machine: Machine, records: Sequence[Record], one_rate: bool
         raise InvalidInput("no record was given; identification needs at least one")
     first, points = records[0], []
     for number, record in enumerate(records, 1):
-        if record.machine != machine.name:
-            remedy = "take that machine's file, or correct the record's attribute machine"
-            raise invalid(f"the machine of record {number}", repr(record.machine), repr(machine.name), remedy)
+        check_machine(machine, record, f"record {number}")
         if one_rate and abs(record.sample_rate_hz - first.sample_rate_hz) > 1e-9 * first.sample_rate_hz:
             raise invalid(
                 f"the sample rate of record {number}", f"{record.sample_rate_hz:g} Hz",

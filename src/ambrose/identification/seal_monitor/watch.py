@@ -11,6 +11,7 @@ import numpy as np
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.excitation import signal_rows
+from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.parameters import nominal_values, reduced_plant
 from ambrose.identification.seal_monitor.estimator import BLOCK, Estimate, Window, block_sums
 from ambrose.identification.seal_monitor.history import SealHistory, findings_of
@@ -99,7 +100,7 @@ def seal_monitor(
     dt: float,
     *,
     seal: str | None = None,
-    unknown: Sequence[str] = (),
+    unknown: str | Sequence[str] = (),
     window: float = WINDOW,
     rate: float = RATE,
     bending_modes: int = 3,
@@ -118,7 +119,8 @@ def seal_monitor(
     check_positive(window, "window", "give the estimate's memory in seconds, such as 2")
     check_positive(rate, "rate", "say how fast the seal may change per second, such as 0.01", zero_allowed=True)
     watched = _watched(machine, seal)
-    paths = [f"seal.{watched.name}.{quantity}" for quantity in unknown or _usual(watched)]
+    names = (unknown,) if isinstance(unknown, str) else unknown
+    paths = [f"seal.{watched.name}.{quantity}" for quantity in names or _usual(watched)]
     model = seal_model(
         machine, controller, point, paths, dt, bending_modes=bending_modes, computing_delay=computing_delay, doubts=doubts
     )
@@ -138,6 +140,7 @@ def monitor(
 
     options: those of ``seal_monitor``. Raises InvalidInput.
     """
+    check_machine(machine, record, "the record")
     watched = _watched(machine, options.get("seal"))
     missing = [name for name in (f"{kind}_{axis}" for kind in "yu" for axis in machine.axes) if name not in record.signals]
     if missing:

@@ -29,6 +29,7 @@ POINTS, POINTS_OF_TWO = 8, 3  # of a grid that is not given, along each of its p
 _BACKOFF = 1.1
 _CONTROL = (1.0, 0.7, 0.5, 0.35)  # factors of the control weight, tried until the tolerances are held
 _MODES = 3  # bending modes per plane besides those of the design, on which corners are judged
+_FAR = 20  # times the highest of the operating points
 _PADE = 2
 _PEAK = 3.0  # where no sensitivity is required: border of zone A of ISO 14839-3
 
@@ -104,6 +105,12 @@ def design_schedule(
         if not low <= value <= high:
             remedy = f"widen the {one.name}s or assemble it within them"
             raise invalid(f"the plant's {one.name}", one.number(value), f"between {low:g} and {one.number(high)}", remedy)
+        usual = max(one.of(p) for p in machine.operation.envelope)
+        if high > _FAR * usual > 0:
+            remedy = f"the highest of its operating points is {one.number(usual)}; is it in another unit?"
+            raise invalid(
+                f"the highest {one.name} of the schedule", one.number(high), f"at most {_FAR} times the machine's", remedy
+            )
     if along is not SPEED and not machine.seals:
         raise InvalidInput(
             f"machine {machine.name!r} has no seal, and nothing changes with the {along.name}; use another method"
