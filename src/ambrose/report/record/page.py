@@ -113,6 +113,13 @@ def _over_time(curve: Curve, label: str) -> Figure:
     return Figure(curve.title, figure([(label, curve)]), _CAPTIONS.get(kind, _DRIVEN))
 
 
+def _pressure(record: Record) -> str:
+    """That of the operating point, or from the lowest to the highest where the record holds one that changes."""
+    found = record["p_seal"] if "p_seal" in record.signals else np.array([record.point.seal_pressure])
+    ends = [units.quantity(float(value), "Pa") for value in (found.min(), found.max())]
+    return " to ".join(dict.fromkeys(ends))
+
+
 def _facts(record: Record, speed: np.ndarray) -> tuple[tuple[str, str], ...]:
     """What the head of the page tells about the record."""
     k = record.values.shape[1]
@@ -123,6 +130,6 @@ def _facts(record: Record, speed: np.ndarray) -> tuple[tuple[str, str], ...]:
         ("Record", f"{units.number((k - 1) / record.sample_rate_hz, 4)} s at {rate} Hz, {len(record.signals)} signals"),
         ("Operating point", record.point.label),
         ("Speed", f"{rpm[0]} to {rpm[1]} rpm" if changes else f"{rpm[0]} rpm"),
-        ("Seal pressure", units.quantity(record.point.seal_pressure, "Pa")),
+        ("Seal pressure", _pressure(record)),
         *((key.replace("_", " "), text) for key, text in record.notes if key not in {"outcome", "complete", "scenario"}),
     )
