@@ -16,7 +16,7 @@ from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
 from ambrose.verification.moving.pressure import check_pressure, pressure_loop
 from ambrose.verification.moving.spans import FROZEN, pressure_spans
 
-RATE, PRESSURE_RATE = 10_000.0, 2e6  # Hz; Pa/s
+RATE, PRESSURE_RATE, ERROR = 10_000.0, 2e6, 0.408e5  # Hz; Pa/s; Pa, a fifth of nominal
 _TIMING = Timing(1 / RATE, 1)
 
 
@@ -32,12 +32,14 @@ def run() -> list[dict[str, Any]]:
         peer = time.process_time() - begun
         begun = time.process_time()
         found = check_pressure(machine, span, law, _TIMING, PRESSURE_RATE)
-        rows.append(_row(f"proof at 20 bar/s, tuned controller, {name}, full plant", begun, found, peer, f"{FROZEN} pressures"))
+        rows.append(_row(f"proof at 20 bar/s, tuned controller, {name}", begun, found, peer, f"{FROZEN} pressures"))
     machine = load_machine("seal-rig")
-    law = design(machine, "lpv", pressures=(0.0, span.high)).scheduled
-    begun = time.process_time()
-    found = check_on_model(machine, scheduled_spans(machine, law)[0], law, None, PRESSURE_RATE)
-    rows.append(_row("proof at 20 bar/s, scheduled controller, seal-rig, 1 bending mode", begun, found, None, ""))
+    law = design(machine, "lpv", pressures=(0.0, span.high), rate=RATE).scheduled
+    for error in (0.0, ERROR):
+        begun = time.process_time()
+        found = check_on_model(machine, scheduled_spans(machine, law)[0], law, _TIMING, PRESSURE_RATE, error)
+        told = f"told to {error / 1e5:g} bar" if error else "told exactly"
+        rows.append(_row(f"proof at 20 bar/s, scheduled controller, seal-rig, 10 kHz, {told}", begun, found, None, ""))
     return rows
 
 

@@ -84,7 +84,7 @@ def test_a_point_beyond_the_schedule_is_left_out_and_fails(folder):
     (folder / "half.json").write_text(json.dumps(content))
     done = call(folder, "verify", "rig.toml", "--controller", "half.json")
     assert done.exit_code == 1
-    assert "twice nominal pressure: left out, the schedule does not cover this operating point" in done.stdout
+    assert "Not judged, which does not pass: twice nominal pressure; the schedule does not cover them" in done.stdout
 
 
 @pytest.fixture(scope="module")

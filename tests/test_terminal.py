@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from ambrose.cli import main, terminal
-from ambrose.cli.terminal import print_table, say
+from ambrose.cli.terminal import _encoding, print_table, say
 from ambrose.core.checks import InvalidInput
 from ambrose.deployment.block.names import check_identifier
 from ambrose.identification.result import Provenance, as_comment
@@ -57,6 +57,16 @@ def test_every_encoding_takes_every_text(charset, tmp_path):
     status, _, err = call("check", "机器✓.toml", charset=charset)
     assert status == 2
     assert err.startswith("ambrose: ")
+
+
+@pytest.mark.parametrize(("locale", "plain"), [("C", True), ("POSIX", True), ("C.UTF-8", False)])
+def test_a_locale_that_asks_for_plain_text_has_it(locale, plain, monkeypatch):
+    monkeypatch.delenv("PYTHONIOENCODING", raising=False)
+    monkeypatch.delenv("PYTHONUTF8", raising=False)
+    monkeypatch.setenv("LC_ALL", locale)
+    assert (_encoding(io.TextIOWrapper(io.BytesIO(), "utf-8")) == "ascii") is plain
+    monkeypatch.setenv("PYTHONIOENCODING", "utf-8")
+    assert _encoding(io.TextIOWrapper(io.BytesIO(), "utf-8")) == "utf-8"
 
 
 def test_what_an_encoding_lacks_is_spelled_and_no_number_changes():

@@ -116,10 +116,16 @@ def _settled(stream: Any, name: str) -> Any:
     if isinstance(raw, io.RawIOBase):
         stream.flush()
         buffer = io.BufferedWriter(_Outlet(raw, name))
-        return io.TextIOWrapper(buffer, stream.encoding, "ambrose.spell", line_buffering=True)
+        return io.TextIOWrapper(buffer, _encoding(stream), "ambrose.spell", line_buffering=True)
     if isinstance(stream, io.TextIOWrapper):
-        stream.reconfigure(errors="ambrose.spell")
+        stream.reconfigure(encoding=_encoding(stream), errors="ambrose.spell")
     return stream
+
+
+def _encoding(stream: Any) -> str:
+    """The stream's, but ASCII where LC_ALL=C asks for it, which Python by itself takes for UTF-8 (PEP 538, 540)."""
+    told = {"PYTHONIOENCODING", "PYTHONUTF8"} & os.environ.keys()
+    return "ascii" if os.environ.get("LC_ALL") in {"C", "POSIX"} and not told else str(stream.encoding)
 
 
 def say(text: str, *, err: bool = False) -> None:

@@ -13,7 +13,7 @@ from ambrose.core.checks import NumericalFailure
 from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
-from ambrose.core.varying.cells import Cell, accurate_product, elevated, product, proved_on_cells
+from ambrose.core.varying.cells import Cell, _entries, accurate_product, elevated, product, proved_on_cells
 
 C = np.array([[1.0, 0.0]])
 
@@ -46,6 +46,33 @@ def test_products_are_as_of_twice_the_precision() -> None:
             size = sum(abs(a * b) for a, b in zip(A[i], B[:, k], strict=True))
             assert abs(Fraction(high[i, k]) + Fraction(low[i, k]) - exact) <= 1e-29 * size
     assert np.abs(low).max() > 0
+
+
+def test_entries_are_of_the_chebyshev_polynomials_and_their_slopes() -> None:
+    """Put together again, the entries of a cell give T_d(p) A, T_d(p) B and p' T_d'(p) everywhere in it."""
+    rng, degree, rate = np.random.default_rng(5), 3, 0.7
+    p, A, B = np.array([[-0.9, -0.2], [0.1, 0.8]]), rng.normal(size=(2, 2, 3, 3)), rng.normal(size=(1, 1, 3, 2))
+    entries = _entries(p, A, B, degree, rate)
+    shape = (len(A) + degree, A.shape[1] + degree)
+    assert len(entries) == 2 * shape[0] * shape[1]
+    for sign, own in ((-1, entries[::2]), (1, entries[1::2])):
+        nets = [np.array([getattr(e, name) for e in own]) for name in ("A", "B", "slope")]
+        nets = [net.reshape(*shape, *net.shape[1:]) for net in nets]
+        for s, t in ((0.0, 0.0), (0.3, 0.9), (1.0, 0.4)):
+            here = float(value(p[:, :, None, None], s, t)[0, 0])
+            for d in range(degree + 1):
+                T = np.polynomial.Chebyshev.basis(d)
+                found = [value(net[:, :, d], s, t) for net in nets]
+                np.testing.assert_allclose(found[0], T(here) * value(A, s, t), atol=1e-12)
+                np.testing.assert_allclose(found[1], T(here) * B[0, 0], atol=1e-12)
+                np.testing.assert_allclose(found[2], sign * rate * T.deriv()(here), atol=1e-12)
+
+
+def test_more_terms_prove_no_less_and_fewer_rows_no_more() -> None:
+    cells = band(0.0)
+    gains = [proved_on_cells(cells, C, 0.2, degree=d, share=share).gamma for d, share in ((3, 1.0), (1, 1.0), (1, 0.5))]
+    assert at_rest(cells) < gains[0] < 1.002 * gains[1] and gains[1] < 1.002 * gains[2]
+    assert gains[2] < 1.002 * proved_on_cells(cells, C).gamma
 
 
 def oscillator(stiffness: float, gain: float) -> np.ndarray:
