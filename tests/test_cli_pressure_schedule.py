@@ -102,7 +102,8 @@ def test_over_speed_and_pressure_at_once(folder, both):
     assert len(verdict["points"]) == 3 and not verdict["left_out"]
     done = call(folder, "simulate", "rig.toml", "--controller", "both.json", "--scenario", "surge.toml", "-o", "both.h5")
     assert done.exit_code == 0 and "completed without contact" in done.stdout + done.stderr
-    refused = call(folder, "verify", "rig.toml", "--controller", "both.json", "--pressure-error", "0.1 bar")
+    moving = ("--pressure-rate", "20 bar/s", "--pressure-error", "0.1 bar")
+    refused = call(folder, "verify", "rig.toml", "--controller", "both.json", *moving)
     assert refused.exit_code == 2 and "over pressure alone" in refused.stderr
     refused = call(folder, "synthesize", "rig.toml", "--method", "lpv", "--speeds-hz", "0", "30", "--pressure-rate", "1 bar/s")
     assert refused.exit_code == 2 and "give the pressures" in refused.stderr

@@ -112,7 +112,8 @@ def test_a_speed_at_which_the_loop_is_unstable_refuses(rig, monkeypatch):
 def test_tolerances_are_examined_at_the_ends_and_inside(rig, monkeypatch):
     speeds = []
 
-    def box(plant, late):
+    def box(plant, late, held):
+        assert [item.parameter for item in held]
         speeds.append(plant.point.speed)
         unstable = float(plant.point.speed == TOP)
         check = Check("sampled.stability.box", "", unstable, "-", 0.0, "<=", unstable == 0, detail="5 corners")

@@ -54,7 +54,7 @@ def verify(
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
     from ambrose.core.checks import invalid
-    from ambrose.evaluation.verdict import verify_controller
+    from ambrose.evaluation.verdict import check_pressure_error, verify_controller
     from ambrose.verification.moving.spans import pressure_spans
 
     description = load(machine)
@@ -63,8 +63,7 @@ def verify(
     error = quantity_given(pressure_error, "--pressure-error", "pressure")
     if error and fastest is None and description.operation.pressure_rate is None:
         raise invalid("--pressure-error", pressure_error, "given with --pressure-rate", "say how fast the pressure changes")
-    if error and controller.scheduled is None:
-        raise invalid("--pressure-error", pressure_error, "left out", "only a controller scheduled over pressure is told of it")
+    check_pressure_error(controller.law, error or 0.0)
     with progress_shown(as_json) as progress:
         result = verify_controller(
             description, controller, rate=rate_hz, delay_samples=delay_samples, pressure_rate=fastest,

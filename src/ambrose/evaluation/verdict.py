@@ -127,16 +127,22 @@ def verify_moving(
     schedule over speed, or over speed and pressure, there are none. Raises InvalidInput for an error that no controller reads.
     """
     rate = machine.operation.pressure_rate if rate is None else rate
-    over_pressure = isinstance(law, ScheduledSystem) and scheduling_of(law) is PRESSURE
-    if error and not over_pressure:
-        why = "alone is proved with it" if follows(law, PRESSURE) else "is told of it"
-        raise invalid("the error of the pressure", f"{error:g} Pa", "0", f"only a controller scheduled over pressure {why}")
+    over_pressure = check_pressure_error(law, error)
     if rate is None or not all(checks.stable for checks in points):
         return ()
     if isinstance(law, ScheduledSystem):
         spans = scheduled_spans(machine, law) if over_pressure else ()
         return tuple(check_on_model(machine, span, law, timing, rate, error, progress) for span in spans)
     return tuple(check_pressure(machine, span, law, timing, rate, progress) for span in covered_spans(machine, law))
+
+
+def check_pressure_error(law: Any, error: float) -> bool:
+    """Whether a law is scheduled over pressure alone. Raises InvalidInput for an error [Pa] where it is not."""
+    over_pressure = isinstance(law, ScheduledSystem) and scheduling_of(law) is PRESSURE
+    if error and not over_pressure:
+        why = "alone is proved with it" if follows(law, PRESSURE) else "is told of it"
+        raise invalid("the error of the pressure", f"{error:g} Pa", "0", f"only a controller scheduled over pressure {why}")
+    return over_pressure
 
 
 def verify_tolerances(
