@@ -41,12 +41,12 @@ def figures(machine, every_mode):
 @pytest.mark.parametrize(
     ("name", "factor", "of_poles", "of_responses"),
     [
-        ("seal-rig", 1, 2e-9, 4e-7), ("seal-rig", 2, 5e-9, 1e-6),
-        ("turboexpander", 1, 3e-9, 2e-7), ("turboexpander", 2, 5e-8, 4e-6),
+        ("seal-rig", 1, 1e-10, 4e-9), ("seal-rig", 2, 5e-10, 6e-9),
+        ("turboexpander", 1, 1e-10, 2e-7), ("turboexpander", 2, 1e-10, 4e-7),
     ],
 )  # fmt: skip
 def test_what_is_left_out_does_not_show(name, factor, of_poles, of_responses):
-    """Against all 78 or 156 modes per plane of the same mesh, which agree no better with its lowest 64: they round more."""
+    """Against all 78 or 156 modes per plane of the same mesh; measured 5e-11 and 6e-10, turboexpander 5e-12 and 5e-8."""
     machine = refined(name, factor)
     states, slow, response = figures(machine, False)
     every, exact, whole = figures(machine, True)
