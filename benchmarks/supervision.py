@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 import ambrose as amb
-from ambrose.plant.supervision import Limits, SupervisedProgram
+from ambrose.plant.supervision import Limits, SupervisedProgram, supervised
 from ambrose.simulation.disturbances import PressureChange, PressureSensor, Pulse
 from ambrose.simulation.scenario import Scenario
 
@@ -58,13 +58,13 @@ def main():
     for name, (pressures, sensors) in faults.items():
         events = Scenario("fault", 0.4, pulses=weight, pressures=pressures, pressure_sensors=sensors, sample_time=DT)
         watched = replace(limits, stuck=0.01 if "stuck" in name else math.inf)
-        laws = fixed, schedule, SupervisedProgram(schedule, fixed, machine, DT, watched)
+        laws = fixed, schedule, supervised(schedule, fixed, machine, DT, watched)
         print(f"| {name} | {' | '.join(run(machine, law, events) for law in laws)} |", flush=True)
     pressures, sensors = faults["lost, back after 50 ms"]
     events = Scenario("change", 0.4, pulses=weight, pressures=pressures, pressure_sensors=sensors, sample_time=DT)
     for tracking in (True, False):
         for fade in (0.0, 0.02):
-            program = SupervisedProgram(schedule, fixed, machine, DT, replace(limits, fade=fade), tracking)
+            program = supervised(schedule, fixed, machine, DT, replace(limits, fade=fade), tracking=tracking)
             print(
                 f"| {'observer' if tracking else 'free'}, fade {1e3 * fade:g} ms | {run(machine, program, events)} |",
                 flush=True,

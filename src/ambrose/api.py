@@ -193,19 +193,22 @@ def export(
     to: Target,
     machine: Machine | str | None = None,
     options: ExportOptions | None = None,
+    fallback: Any = None,
 ) -> Delivery:
     """The controller as files for a target, verified as it will run: "c" (C99), "mat", "fmu" (FMI 2 and 3), "st" (IEC 61131-3).
 
-    machine: the one it is for; None: the bundled machine that it was made for. Raises InvalidInput, and UnstableSystem where
+    machine: the one it is for; None: the bundled machine that it was made for. fallback: the fixed controller that takes over
+    from one scheduled over pressure where the reading cannot be trusted (C only). Raises InvalidInput, and UnstableSystem where
     the sampled loop does not hold the machine.
     """
     from ambrose.deployment.pipeline import export as exported
     from ambrose.synthesis.controller_file import read_controller
 
-    if isinstance(controller, str | os.PathLike):
-        controller = read_controller(controller)
+    controller, fallback = (
+        read_controller(item) if isinstance(item, str | os.PathLike) else item for item in (controller, fallback)
+    )
     description = None if machine is None else machine_of(machine)
-    return exported(controller, Path(directory), to=to, machine=description, options=options)
+    return exported(controller, Path(directory), to=to, machine=description, options=options, fallback=fallback)
 
 
 def study(machine: Machine | str, directory: str | os.PathLike[str] = "study", *, progress: Progress = _quiet) -> Study:
