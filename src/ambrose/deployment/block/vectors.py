@@ -96,7 +96,7 @@ def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
         (low + move, low + 0.4 * band, 0.5 * band, 1, 6, "all", 0.0), (low - below, none, none, 1, 3, "all", 0.0),
         (none, none, none, 1, 10, "all", 0.0), (none, none, none, fade + crossing + 2, 1, "none", 0.0),
         (none, none, none, 1, 10, "most", 0.0),
-        (other, none, none, dwell + 1, 1, "none", move), (other, none, none, 1, 10, "all", 0.0),
+        (other, none, none, dwell, 1, "none", move), (other, none, none, 1, 10, "all", 0.0),
         (other, none, none, fade + 1, 1, "none", move), (other, none, none, 1, 6, "all", 0.0),
         (other, none, none, stuck + 2, 1, "none", 0.0), (other, none, none, fade + dwell + 2, 1, "none", move),
         (high + 3 * watch.margin + move, none, none, 1, 3, "all", 0.0),
