@@ -40,6 +40,11 @@ from ambrose.cli.terminal import (
 @click.option("--pressure-rate", metavar="RATE", help='With --fallback: the fastest change believed, such as "80 bar/s".')
 @PRESSURE_ERROR
 @STUCK_AFTER
+@click.option(
+    "--estimate",
+    type=click.Choice(["beside", "alone"]),
+    help="With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is told in place of one.",
+)
 @click.option("--bending-modes", type=int, help="Bending modes per plane of the rig; default: 3, as identify models.")
 @click.option("--seed", type=int, help="Of the sensors' noise on the rig; default: 0.")
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
@@ -58,6 +63,7 @@ def simulate(
     pressure_rate: str | None,
     pressure_error: str | None,
     stuck_after: float | None,
+    estimate: str | None,
     bending_modes: int | None,
     seed: int | None,
     point: str | None,
@@ -81,6 +87,7 @@ def simulate(
             remedy = "the linear loop has all modes, no noise and one controller; leave one of the two out"
             raise invalid(option, value, "left out with --linear", remedy)
     watched = {"--pressure-rate": pressure_rate, "--pressure-error": pressure_error, "--stuck-after": stuck_after}
+    watched["--estimate"] = estimate
     for option, given in watched.items():
         if given is not None and fallback is None:
             raise invalid(option, given, "given with --fallback", "name the controller that takes over")
@@ -94,7 +101,7 @@ def simulate(
         rate = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
         error = quantity_given(pressure_error, "--pressure-error", "pressure")
         options |= {"fallback": load_controller(fallback, description), "pressure_rate": rate}
-        options |= {"pressure_error": error or 0.0, "stuck_after": stuck_after}
+        options |= {"pressure_error": error or 0.0, "stuck_after": stuck_after, "estimate": estimate}
     if not linear:
         options |= {"bending_modes": bending_modes, "seed": seed or 0, "path": output if growing else None}
     with progress_shown(as_json) as progress:

@@ -11,7 +11,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import check_positive, invalid
+from ambrose.core.checks import UnstableSystem, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import Method
 from ambrose.core.scheduled import ScheduledSystem
@@ -182,7 +182,10 @@ def export(
         lines, beside = provenance_lines(synthesis, deployment), None
         if other is not None and isinstance(block, ScheduledBlock) and synthesis.scheduled is not None:
             same = replace(options, rate=1 / block.sample_time, delay_samples=block.delay)
-            fixed, law = _deploy(other, machine, same, limits, progress)
+            try:
+                fixed, law = _deploy(other, machine, same, limits, progress)
+            except UnstableSystem as error:
+                raise UnstableSystem(f"the fallback: {error}") from error
             beside = cast(Deployment, fixed)
             stuck = math.inf if options.stuck_after is None else options.stuck_after
             band = options.pressure_error or 0.0

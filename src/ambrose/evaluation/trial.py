@@ -14,6 +14,7 @@ from ambrose.core.checks import invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.evaluation.plants import Progress, chosen_point
 from ambrose.evaluation.verdict import running_law
+from ambrose.evaluation.watched import Estimated, watched
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import mass_properties
@@ -57,6 +58,7 @@ def simulate_scenario(
     pressure_rate: float | None = None,
     pressure_error: float = 0.0,
     stuck_after: float | None = None,
+    estimate: Estimated | None = None,
     progress: Progress = lambda stage: None,
     **rig: Any,
 ) -> Trace:
@@ -67,8 +69,9 @@ def simulate_scenario(
     rate [Hz], delay_samples: of the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
     nobody does). fallback: the fixed controller that takes over where the pressure that a schedule is told cannot be trusted,
     pressure_rate [Pa/s]: how fast that may change (None: the machine file's), pressure_error [Pa]: how far off the reading may
-    be, stuck_after [s]: how long it may be the very same (None: for ever); ``plant.supervision``. rig: further arguments of
-    ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
+    be, stuck_after [s]: how long it may be the very same (None: for ever); ``plant.supervision``. estimate: a seal monitor runs
+    "beside" the reading, or "alone" in place of it (``evaluation.watched``). rig: further arguments of ``virtual_rig.run``
+    (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
     law = getattr(controller, "law", controller)
     plant = machine if isinstance(machine, Plant) else None
@@ -101,8 +104,12 @@ def simulate_scenario(
     sample = sample_time(law, described, events.sample_time)
     check_pair(law, other := getattr(fallback, "law", fallback))
     stuck = math.inf if stuck_after is None else stuck_after
-    limits = supervision_limits(law, described, pressure_rate, pressure_error, stuck)
-    program = supervised(law, other, described, sample, limits)
+    rate = math.inf if estimate == "alone" else pressure_rate  # a mean of the past moves by steps
+    limits = supervision_limits(law, described, rate, pressure_error, stuck)
+    program: Any = supervised(law, other, described, sample, limits)
+    if estimate is not None:
+        at = start or described.operation.nominal
+        program = watched(program, described, events, other, at, estimate, pressure_rate)
     trace = virtual_rig.run(described, program, events, point=start, progress=progress, **rig)
     return replace(trace, text=f"{trace.text}; {program.words()}")
 

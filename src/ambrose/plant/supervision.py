@@ -248,6 +248,11 @@ class SupervisedProgram:
         )
 
     @property
+    def fault(self) -> Fault:
+        """Why the last reading is not trusted."""
+        return self.supervisor.fault
+
+    @property
     def states(self) -> np.ndarray:
         """Of the schedule (n,)."""
         return self._x[0]

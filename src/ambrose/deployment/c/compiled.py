@@ -18,10 +18,12 @@ from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.cost import padding_of
 from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.block.run import REASON_AT
 from ambrose.deployment.block.scheduled import ScheduledBlock
 from ambrose.deployment.block.supervised import SupervisedBlock
 from ambrose.deployment.c.code import Arithmetic, Precision, generate, in_words
 from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler, load_library
+from ambrose.plant.supervision import Fault
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 _CALL = """#include <math.h>
@@ -243,6 +245,11 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
     def estimate(self, given: tuple[float, float]) -> None:
         for i, one in zip(_ESTIMATE, given, strict=True):
             self._running.told[i] = one
+
+    @property
+    def fault(self) -> Fault:
+        """Of a supervised block: why the last reading is not trusted."""
+        return Fault(self.status >> REASON_AT & 7 if isinstance(self.block, SupervisedBlock) else 0)
 
     def schedule(self, value: Any) -> None:
         """Speed [rad/s] or pressure [Pa] of the next step, or both; NaN: not known."""
