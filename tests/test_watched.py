@@ -150,6 +150,10 @@ def test_refusals():
         simulate_scenario(RIG, SCHEDULE, events(0.5, speed=10.0, to_speed=100.0), **given)
     with pytest.raises(InvalidInput, match="beside or alone"):
         simulate_scenario(RIG, SCHEDULE, events(0.5), **{**given, "estimate": "instead"})
+    with pytest.raises(InvalidInput, match="pressure_rate is not given"):
+        simulate_scenario(RIG, SCHEDULE, events(0.5), **{**given, "estimate": "alone"})
+    with pytest.raises(InvalidInput, match="a pressure that surges needs a sensor"):
+        simulate_scenario(RIG, SCHEDULE, events(0.5), **{**given, "estimate": "alone"}, pressure_rate=20 * NOMINAL)
     with pytest.raises(InvalidInput, match="the number of seals is 2"):
         two = replace(RIG, seals=(RIG.seals[0], replace(RIG.seals[0], name="second")))
         simulate_scenario(two, SCHEDULE, events(0.5), **given)

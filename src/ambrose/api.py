@@ -145,7 +145,8 @@ def simulate(
 
     scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine runs (None: the nominal
     one). options: rate [Hz] and delay_samples of the controller (None: as it or the machine file says); fallback, the fixed
-    controller that takes over from one scheduled over pressure where the reading cannot be trusted; others as for
+    controller that takes over from one scheduled over pressure where the reading cannot be trusted, with pressure_rate,
+    pressure_error, stuck_after and estimate as in ``evaluation.trial.simulate_scenario``; others as for
     ``simulation.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
     from ambrose.evaluation.trial import simulate_scenario

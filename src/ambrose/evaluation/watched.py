@@ -18,7 +18,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.seal_monitor.estimator import Estimate
-from ambrose.identification.seal_monitor.watch import RATE, SealMonitor, said, seal_monitor
+from ambrose.identification.seal_monitor.watch import RATE, SHORT, SealMonitor, said, seal_monitor
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import not_straight
@@ -157,7 +157,7 @@ def watched(
     """A supervised program with a monitor of the machine's only seal.
 
     fixed: the law whose loop the monitor simulates; point: where the machine runs; rate [Pa/s]: how fast the pressure changes
-    where the estimate is "alone" (None: 1 % of the file's value per second). Raises InvalidInput.
+    at most, which an estimate "alone" has to be told. Raises InvalidInput.
     """
     if how not in get_args(Estimated):
         raise invalid("estimate", repr(how), " or ".join(get_args(Estimated)), "choose one of them")
@@ -171,6 +171,8 @@ def watched(
         raise invalid(
             "pressure_error", "0 Pa", "above zero with an estimate", "say how far off the reading may be, such as 0.4 bar"
         )
+    if how == "alone":
+        _check_rate(rate, program.limits.band)
     if len(machine.seals) != 1:
         raise invalid(
             "the number of seals", len(machine.seals), "1 with an estimate of their pressure", "leave the estimate out"
@@ -187,6 +189,15 @@ def watched(
 
     excitation = _excitation(scenario, machine.axes, dt)
     return WatchedProgram(program, begin, excitation, program.limits.band, how == "alone")
+
+
+def _check_rate(rate: float | None, band: float) -> None:
+    """A mean of the past follows a pressure only so fast. Raises InvalidInput."""
+    if rate is None:
+        raise invalid("pressure_rate", "not given", "given with an estimate alone", "say how fast the pressure changes at most")
+    if not rate * SHORT <= band:
+        most = f"at most {band / SHORT:g} Pa/s, the pressure's error within the monitor's short memory of {SHORT:g} s"
+        raise invalid("pressure_rate of an estimate alone", f"{rate:g} Pa/s", most, "a pressure that surges needs a sensor")
 
 
 def _excitation(scenario: Scenario, axes: tuple[str, ...], dt: float) -> np.ndarray:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -190,6 +192,15 @@ def test_the_code_on_the_rig_is_the_program_on_the_rig(blocks):
         assert code.status >> STATE_AT & 3 == twin.supervisor.state
         others.add(twin.words().split("(")[-1])
     assert len(others) == 5  # schedule throughout, and four reasons
+
+
+@compiler
+def test_the_interrupt_of_the_page_compiles(blocks, tmp_path):
+    page = (Path(__file__).parents[3] / "docs" / "integrator.md").read_text()
+    for name, text in generate(supervise(*blocks, Limits(0.0, TOP, 0.05 * TOP))).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "main.c").write_text(next(text for text in re.findall(r"```c\n(.*?)```", page, re.DOTALL) if '"rig.h"' in text))
+    driver.build(driver.compilers()[0], ["-fsyntax-only", str(tmp_path / "main.c")])
 
 
 def test_what_it_costs(blocks):
