@@ -154,6 +154,8 @@ def test_refusals():
         simulate_scenario(RIG, SCHEDULE, events(0.5), **{**given, "estimate": "alone"})
     with pytest.raises(InvalidInput, match="a pressure that surges needs a sensor"):
         simulate_scenario(RIG, SCHEDULE, events(0.5), **{**given, "estimate": "alone"}, pressure_rate=20 * NOMINAL)
+    with pytest.raises(InvalidInput, match="stuck_after"):
+        simulate_scenario(RIG, SCHEDULE, events(0.5), **{**given, "estimate": "alone"}, stuck_after=0.01)
     with pytest.raises(InvalidInput, match="the number of seals is 2"):
         two = replace(RIG, seals=(RIG.seals[0], replace(RIG.seals[0], name="second")))
         simulate_scenario(two, SCHEDULE, events(0.5), **given)

@@ -22,7 +22,7 @@ from ambrose.identification.seal_monitor.watch import RATE, SHORT, SealMonitor, 
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import not_straight
-from ambrose.plant.supervision import Fault, SupervisedProgram
+from ambrose.plant.supervision import Fault, Limits, SupervisedProgram
 from ambrose.simulation.scenario import Scenario
 from ambrose.simulation.waveforms import waveforms
 
@@ -172,7 +172,7 @@ def watched(
             "pressure_error", "0 Pa", "above zero with an estimate", "say how far off the reading may be, such as 0.4 bar"
         )
     if how == "alone":
-        _check_rate(rate, program.limits.band)
+        _check_alone(rate, program.limits)
     if len(machine.seals) != 1:
         raise invalid(
             "the number of seals", len(machine.seals), "1 with an estimate of their pressure", "leave the estimate out"
@@ -191,8 +191,11 @@ def watched(
     return WatchedProgram(program, begin, excitation, program.limits.band, how == "alone")
 
 
-def _check_rate(rate: float | None, band: float) -> None:
-    """A mean of the past follows a pressure only so fast. Raises InvalidInput."""
+def _check_alone(rate: float | None, limits: Limits) -> None:
+    """A mean of the past follows a pressure only so fast, and is the same for a block of samples. Raises InvalidInput."""
+    band = limits.band
+    if math.isfinite(limits.stuck):
+        raise invalid("stuck_after", f"{limits.stuck:g} s", "left out with an estimate alone", "an estimate holds for a block")
     if rate is None:
         raise invalid("pressure_rate", "not given", "given with an estimate alone", "say how fast the pressure changes at most")
     if not rate * SHORT <= band:
