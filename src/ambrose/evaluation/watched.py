@@ -182,10 +182,12 @@ def watched(
             raise InvalidInput(f"no monitor tells the pressure of seal {seal.name!r}: {why.partition(';')[0]}; leave it out")
     dt, rotating = program.sample_time, point if scenario.speed is None else replace(point, speed=scenario.speed_at(0.0))
     first = seal_monitor(machine, fixed, rotating, dt, unknown="pressure", bending_modes=_MODES)
-    allowed = RATE if how == "beside" or rate is None else rate / float(first.model.reference[0])
+    allowed, window = RATE, first.window
+    if how == "alone" and rate:  # a memory in which the pressure changes by half the band
+        allowed, window = rate / float(first.model.reference[0]), min(window, 0.5 * program.limits.band / rate)
 
     def begin() -> SealMonitor:
-        return SealMonitor(first.model, first.window, allowed, first.harmonics)
+        return SealMonitor(first.model, window, allowed, first.harmonics)
 
     excitation = _excitation(scenario, machine.axes, dt)
     return WatchedProgram(program, begin, excitation, program.limits.band, how == "alone")
