@@ -62,8 +62,31 @@ def test_simulate_falls_back_where_the_reading_is_lost(folder):
     words = ("simulate", "rig.toml", "--controller", "lpv.json", "--scenario", "surge.toml", "-o", "fallen.h5", "--json")
     done = call(folder, *words, "--fallback", "pid.json", "--pressure-rate", "200 bar/s")
     assert "fixed from 0.03 s (the reading is lost)" in json.loads(done.stdout)["text"]
-    refused = call(folder, *words, "--pressure-rate", "200 bar/s")
-    assert refused.exit_code == 2 and "--fallback" in refused.stderr
+    for alone in (("--pressure-rate", "200 bar/s"), ("--pressure-error", "0.4 bar"), ("--estimate", "beside")):
+        refused = call(folder, *words, *alone)
+        assert refused.exit_code == 2 and "--fallback" in refused.stderr
+    done = call(folder, *words, "--fallback", "pid.json", "--estimate", "beside", "--pressure-error", "0.4 bar")
+    assert "the monitor saw no excitation and said nothing" in json.loads(done.stdout)["text"]
+
+
+def test_export_writes_the_fallback_beside_the_schedule(folder):
+    """One controller with both; a fallback for another rate is refused before anything is verified."""
+    pid = folder / "slow.json"
+    words = ["synthesize", str(folder / "rig.toml"), "--method", "pid", "-o", str(pid)]
+    assert CliRunner().invoke(main, [*words, "--rate-hz", "5000"]).exit_code == 0
+    code = ("export", "lpv.json", "--to", "c", "--machine", "rig.toml", "-o", str(folder / "code"), "--name", "rig", "--json")
+    refused = call(folder, *code, "--fallback", "slow.json")
+    assert refused.exit_code == 2 and "--rate-hz 10000" in refused.stderr
+    assert CliRunner().invoke(main, [*words, "--rate-hz", "10000"]).exit_code == 0
+    code += ("--fallback", "slow.json", "--pressure-rate", "80 bar/s", "--stuck-after", "0.01")
+    refused = call(folder, *code)
+    assert refused.exit_code == 2 and "the fallback: this controller is not deployed" in refused.stderr  # the PID whirls there
+    done = call(folder, *code, "--force")
+    found, unstable = json.loads(done.stdout), "of the fallback: the sampled loop is unstable at twice nominal pressure"
+    assert done.exit_code == 1 and not found["verified"] and unstable in found["problems"]
+    header = (folder / "code" / "rig.h").read_text()
+    for text in ("Fallback:", "Controller pid", "the very same value for 0.01 s", "8e+06 Pa/s", "#define RIG_LATCHED"):
+        assert text in header
 
 
 def test_simulate_takes_the_sensor_of_the_scenario(folder):

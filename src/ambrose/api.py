@@ -145,7 +145,8 @@ def simulate(
 
     scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine runs (None: the nominal
     one). options: rate [Hz] and delay_samples of the controller (None: as it or the machine file says); fallback, the fixed
-    controller that takes over from one scheduled over pressure where the reading cannot be trusted; others as for
+    controller that takes over from one scheduled over pressure where the reading cannot be trusted, with pressure_rate,
+    pressure_error, stuck_after and estimate as in ``evaluation.trial.simulate_scenario``; others as for
     ``simulation.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
     from ambrose.evaluation.trial import simulate_scenario
@@ -193,19 +194,22 @@ def export(
     to: Target,
     machine: Machine | str | None = None,
     options: ExportOptions | None = None,
+    fallback: Any = None,
 ) -> Delivery:
     """The controller as files for a target, verified as it will run: "c" (C99), "mat", "fmu" (FMI 2 and 3), "st" (IEC 61131-3).
 
-    machine: the one it is for; None: the bundled machine that it was made for. Raises InvalidInput, and UnstableSystem where
+    machine: the one it is for; None: the bundled machine that it was made for. fallback: the fixed controller that takes over
+    from one scheduled over pressure where the reading cannot be trusted (C only). Raises InvalidInput, and UnstableSystem where
     the sampled loop does not hold the machine.
     """
     from ambrose.deployment.pipeline import export as exported
     from ambrose.synthesis.controller_file import read_controller
 
-    if isinstance(controller, str | os.PathLike):
-        controller = read_controller(controller)
+    controller, fallback = (
+        read_controller(item) if isinstance(item, str | os.PathLike) else item for item in (controller, fallback)
+    )
     description = None if machine is None else machine_of(machine)
-    return exported(controller, Path(directory), to=to, machine=description, options=options)
+    return exported(controller, Path(directory), to=to, machine=description, options=options, fallback=fallback)
 
 
 def study(machine: Machine | str, directory: str | os.PathLike[str] = "study", *, progress: Progress = _quiet) -> Study:

@@ -13,7 +13,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.evaluation.trial import simulate_scenario
-from ambrose.plant.supervision import Fault, Limits, State, SupervisedProgram, Supervisor, supervised, tracking_gain
+from ambrose.plant.supervision import Fault, Limits, State, Supervisor, supervised, supervision_limits, tracking_gain
 from ambrose.simulation import virtual_rig
 from ambrose.simulation.disturbances import PressureChange, PressureSensor, Pulse
 from ambrose.simulation.scenario import Scenario
@@ -96,7 +96,7 @@ def test_who_waits_follows_the_currents_that_act():
 
 def test_with_a_good_reading_the_program_is_the_schedule_and_a_lost_one_does_not_lose_the_rotor():
     weightless = replace(RIG, gravity_direction=None)
-    program = supervised(SCHEDULE, PID, weightless, DT, 80e5)
+    program = supervised(SCHEDULE, PID, weightless, DT, supervision_limits(SCHEDULE, weightless, 80e5))
     told = simulate_scenario(weightless, SCHEDULE, SURGE, point=ZERO, rate=1 / DT, fallback=PID, pressure_rate=80e5)
     alone = virtual_rig.run(weightless, SCHEDULE, replace(SURGE, sample_time=DT), point=ZERO)
     for axis in RIG.axes:  # the schedule alone is read every ten samples
@@ -114,7 +114,7 @@ def test_currents_do_not_jump_at_the_change_with_the_rotors_weight_on_them():
     steps = {}
     scenario = Scenario("lost", 0.06, pressure_sensors=(PressureSensor(0.03, fault="lost"),), sample_time=DT)
     for name, limits, tracking in (("hard", replace(LIMITS, fade=0.0), False), ("bumpless", LIMITS, True)):
-        program = SupervisedProgram(SCHEDULE, PID, RIG, DT, limits, tracking)
+        program = supervised(SCHEDULE, PID, RIG, DT, limits, tracking=tracking)
         trace = virtual_rig.run(RIG, program, scenario, point=ZERO)
         u = np.array([trace.record[f"u_{axis}"] for axis in RIG.axes])
         steps[name] = np.abs(np.diff(u[:, 250:350])).max()

@@ -9,7 +9,18 @@ from typing import Any
 import click
 
 from ambrose.cli.convert_controller import METHODS
-from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, quantity_given, say, say_json
+from ambrose.cli.terminal import (
+    AS_JSON,
+    DELAY,
+    PRESSURE_ERROR,
+    RATE,
+    STUCK_AFTER,
+    load,
+    progress_shown,
+    quantity_given,
+    say,
+    say_json,
+)
 
 
 @click.command()
@@ -48,6 +59,13 @@ from ambrose.cli.terminal import AS_JSON, DELAY, RATE, load, progress_shown, qua
 @click.option(
     "--pressure-rate", metavar="RATE", default=None, help='Scheduled: how fast it follows the pressure, such as "40 bar/s".'
 )
+@click.option(
+    "--fallback",
+    type=click.Path(path_type=Path),
+    help="Fixed controller for when a schedule's pressure cannot be trusted; --pressure-rate: the fastest change believed.",
+)
+@PRESSURE_ERROR
+@STUCK_AFTER
 @click.option("--sources-only", is_flag=True, help="An FMU without a binary: no C compiler is needed here.")
 @click.option("--force", is_flag=True, help="Export a controller that is not verified, or not stable everywhere.")
 @AS_JSON
@@ -56,6 +74,7 @@ def export(
     sampling: Any, prewarp_hz: float | None, form: Any, machine: str | None, error_limit: float | None,
     current_limit: float | None,
     speed_limit: float | None, speed_rate: float | None, pressure_limit: str | None, pressure_rate: str | None,
+    fallback: Path | None, pressure_error: str | None, stuck_after: float | None,
     sources_only: bool, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Sample a controller, verify its loop as it will run, and write it as code for the target.
@@ -75,11 +94,13 @@ def export(
         form=form, error_limit=error_limit, current_limit=current_limit, speed_limit=speed_limit, speed_rate=speed_rate,
         pressure_limit=quantity_given(pressure_limit, "--pressure-limit", "pressure"),
         pressure_rate=quantity_given(pressure_rate, "--pressure-rate", "pressure per time"),
+        pressure_error=quantity_given(pressure_error, "--pressure-error", "pressure"), stuck_after=stuck_after,
         sources_only=sources_only, force=force,
     )  # fmt: skip
+    other = None if fallback is None else read_controller(fallback)
     file, known = read_controller(controller), None if machine is None else load(machine)
     with progress_shown(as_json) as progress:
-        delivery = write_for_target(file, output, to=target, machine=known, options=options, progress=progress)
+        delivery = write_for_target(file, output, to=target, machine=known, options=options, fallback=other, progress=progress)
     content = delivery.to_dict()
     if as_json:
         say_json(content)

@@ -12,7 +12,9 @@ from ambrose.cli.terminal import (
     AS_JSON,
     DELAY,
     MACHINE,
+    PRESSURE_ERROR,
     RATE,
+    STUCK_AFTER,
     claim,
     kept,
     load,
@@ -36,6 +38,13 @@ from ambrose.cli.terminal import (
     help="Fixed controller for when a schedule's pressure cannot be trusted.",
 )
 @click.option("--pressure-rate", metavar="RATE", help='With --fallback: the fastest change believed, such as "80 bar/s".')
+@PRESSURE_ERROR
+@STUCK_AFTER
+@click.option(
+    "--estimate",
+    type=click.Choice(["beside", "alone"]),
+    help="With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is told in place of one.",
+)
 @click.option("--bending-modes", type=int, help="Bending modes per plane of the rig; default: 3, as identify models.")
 @click.option("--seed", type=int, help="Of the sensors' noise on the rig; default: 0.")
 @click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
@@ -52,6 +61,9 @@ def simulate(
     second: Path | None,
     fallback: Path | None,
     pressure_rate: str | None,
+    pressure_error: str | None,
+    stuck_after: float | None,
+    estimate: str | None,
     bending_modes: int | None,
     seed: int | None,
     point: str | None,
@@ -74,8 +86,11 @@ def simulate(
         if linear and value is not None:
             remedy = "the linear loop has all modes, no noise and one controller; leave one of the two out"
             raise invalid(option, value, "left out with --linear", remedy)
-    if pressure_rate is not None and fallback is None:
-        raise invalid("--pressure-rate", pressure_rate, "given with --fallback", "name the controller that takes over")
+    watched = {"--pressure-rate": pressure_rate, "--pressure-error": pressure_error, "--stuck-after": stuck_after}
+    watched["--estimate"] = estimate
+    for option, given in watched.items():
+        if given is not None and fallback is None:
+            raise invalid(option, given, "given with --fallback", "name the controller that takes over")
     description = load(machine)
     controller = load_controller(path, description)
     check_suffix(output)
@@ -84,7 +99,9 @@ def simulate(
     options: dict[str, Any] = {} if second is None else {"second": load_controller(second, description)}
     if fallback is not None:
         rate = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
+        error = quantity_given(pressure_error, "--pressure-error", "pressure")
         options |= {"fallback": load_controller(fallback, description), "pressure_rate": rate}
+        options |= {"pressure_error": error or 0.0, "stuck_after": stuck_after, "estimate": estimate}
     if not linear:
         options |= {"bending_modes": bending_modes, "seed": seed or 0, "path": output if growing else None}
     with progress_shown(as_json) as progress:

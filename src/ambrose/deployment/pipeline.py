@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
@@ -10,7 +11,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import check_positive, invalid
+from ambrose.core.checks import UnstableSystem, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import Method
 from ambrose.core.scheduled import ScheduledSystem
@@ -20,6 +21,7 @@ from ambrose.deployment.block.cascade import build_cascade
 from ambrose.deployment.block.fixed import ControlBlock, build_block
 from ambrose.deployment.block.names import check_identifier
 from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block, check_told_limits
+from ambrose.deployment.block.supervised import supervise
 from ambrose.deployment.c.code import Arithmetic, Precision, check_precision, generate
 from ambrose.deployment.discretisation.deployment import (
     Deployment,
@@ -38,7 +40,9 @@ from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.plant.assemble import assemble
+from ambrose.plant.loop import match_axes
 from ambrose.plant.scheduling import BOTH, Scheduling, scheduling_of
+from ambrose.plant.supervision import check_pair, supervision_limits
 from ambrose.plant.timing import DEFAULT, Timing, timing_of
 from ambrose.synthesis.result import Synthesis
 
@@ -60,8 +64,9 @@ class ExportOptions(Presented):
     of filters "cascade", section by section (C only). error_limit [m], current_limit [A]: one number or one per axis (None:
     the bearings' gaps, or twice their touchdown gaps, and largest currents). windup_time [s], hold_samples: as in
     ``build_block``. speed_limit [rad/s], speed_rate [rad/s^2], pressure_limit [Pa], pressure_rate [Pa/s]: of a controller that
-    is scheduled over the one, as in ``build_scheduled_block``. sources_only: an FMU without a binary. force: write a controller
-    that is not verified, or not stable everywhere. Raises InvalidInput.
+    is scheduled over the one, as in ``build_scheduled_block``; with a fallback pressure_rate, pressure_error [Pa], stuck_after
+    [s] are rate, band and stuck of ``plant.supervision.Limits``. sources_only: an FMU without a binary. force: write a
+    controller that is not verified, or not stable everywhere. Raises InvalidInput.
     """
 
     name: str = "controller"
@@ -79,6 +84,8 @@ class ExportOptions(Presented):
     speed_rate: float | None = None
     pressure_limit: float | None = None
     pressure_rate: float | None = None
+    pressure_error: float | None = None
+    stuck_after: float | None = None
     sources_only: bool = False
     force: bool = False
 
@@ -99,32 +106,47 @@ class ExportOptions(Presented):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Delivery(Presented):
-    """What was written for a target, and what it was verified on."""
+    """What was written for a target, and what it was verified on; fallback: the same of the controller that takes over."""
 
     target: Target
     deployment: Deployment | ScheduledDeployment
     block: ControlBlock | ScheduledBlock
     paths: tuple[Path, ...]
+    fallback: Deployment | None = None
 
     def facts(self) -> Mapping[str, Any]:
         """Target, verdict, size, rate and files."""
         facts = {
-            "target": self.target, "verified": self.deployment.verified, "states": self.block.n_states,
+            "target": self.target, "verified": self.verified, "states": self.block.n_states,
             "rate_hz": 1 / self.block.sample_time, "files": [path.name for path in self.paths],
         }  # fmt: skip
-        found = {"problems": list(self.deployment.problems), "unmet_limits": list(self.unmet_limits)}
+        found = {"problems": list(self.problems), "unmet_limits": list(self.unmet_limits)}
         return facts | {name: items for name, items in found.items() if items}
+
+    @property
+    def verified(self) -> bool:
+        """Whether the controller, and the one that takes over, is stable wherever it has to be."""
+        return not self.problems
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What speaks against it, one sentence each."""
+        return (*self.deployment.problems, *_of_fallback(self.fallback.problems if self.fallback else ()))
 
     @property
     def unmet_limits(self) -> tuple[str, ...]:
         """The limits that the loop misses as it runs, at an operating point or over the tolerances, in words."""
-        return unmet_limits(self.deployment)
+        return (*unmet_limits(self.deployment), *_of_fallback(unmet_limits(self.fallback) if self.fallback else ()))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data: target, paths of the files, whether the controller is verified, and what speaks against it."""
-        paths, problems = [str(path) for path in self.paths], list(self.deployment.problems)
-        return {"target": self.target, "files": paths, "verified": self.deployment.verified, "problems": problems,
+        paths, problems = [str(path) for path in self.paths], list(self.problems)
+        return {"target": self.target, "files": paths, "verified": self.verified, "problems": problems,
                 "unmet_limits": list(self.unmet_limits)}  # fmt: skip
+
+
+def _of_fallback(sentences: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"of the fallback: {sentence}" for sentence in sentences)
 
 
 def export(
@@ -134,6 +156,7 @@ def export(
     to: Target,
     machine: Machine | None = None,
     options: ExportOptions | None = None,
+    fallback: Any = None,
     progress: Progress = lambda stage: None,
 ) -> Delivery:
     """Write a controller for a target into ``directory``, after its sampled loop was verified at every point of ``machine``.
@@ -141,22 +164,63 @@ def export(
     controller: a Synthesis, or a system from errors [m] to currents [A] (StateSpace, python-control); signals
     not called err_<axis> are the machine's axes in their order. A scheduled controller is written in floating point.
     to: "c" (C99), "mat" (MATLAB, Octave), "fmu" (FMI 2.0 and 3.0), "st" (IEC 61131-3). machine: None: the
-    bundled one that the controller was made for, if it is unchanged. Raises InvalidInput, and UnstableSystem for a controller
-    that is refused (``deploy``).
+    bundled one that the controller was made for, if it is unchanged. fallback: the fixed controller that takes over from one
+    scheduled over pressure where the reading cannot be trusted (C only). Raises InvalidInput, and UnstableSystem for a
+    controller that is refused (``deploy``).
     """
     options = ExportOptions() if options is None else options
     synthesis = _synthesis(controller, machine)
     _check_target(synthesis, to, options)
     machine = bundled_machine(synthesis) if machine is None else machine
+    other = _fallback(fallback, synthesis, to, machine, options)
     limits = _limits(synthesis, machine, options)
     check_place(directory)  # all this before the verification, which takes seconds
     if to == "fmu" and not options.sources_only:
         check_compiler()
     with claimed(directory, "folder"):
-        deployment, block = _deploy(synthesis, machine, options, limits, progress)
+        deployment, block = _deploy(synthesis, machine, options, limits, progress, other is not None)
+        lines, beside = provenance_lines(synthesis, deployment), None
+        if other is not None and isinstance(block, ScheduledBlock) and synthesis.scheduled is not None:
+            same = replace(options, rate=1 / block.sample_time, delay_samples=block.delay)
+            try:
+                fixed, law = _deploy(other, machine, same, limits, progress)
+            except UnstableSystem as error:
+                raise UnstableSystem(f"the fallback: {error}") from error
+            beside = cast(Deployment, fixed)
+            stuck = math.inf if options.stuck_after is None else options.stuck_after
+            band = options.pressure_error or 0.0
+            watch = supervision_limits(synthesis.scheduled, machine, options.pressure_rate, band, stuck)
+            block = supervise(block, cast(ControlBlock, law), watch)
+            lines = [*lines, "Fallback:", *provenance_lines(other, fixed)]
         progress("writing")
-        files = _files(to, synthesis, deployment, block, options)
-        return Delivery(to, deployment, block, tuple(write_files(directory, files, held=True)))
+        files = _files(to, synthesis, deployment, block, options, lines)
+        return Delivery(to, deployment, block, tuple(write_files(directory, files, held=True)), beside)
+
+
+def _fallback(
+    fallback: Any, synthesis: Synthesis, to: Target, machine: Machine | None, options: ExportOptions
+) -> Synthesis | None:
+    """What takes over, its signals in the schedule's order; None: nothing does. Raises InvalidInput."""
+    if fallback is None:
+        for name in ("pressure_error", "stuck_after"):
+            if getattr(options, name) is not None:
+                raise invalid(name, getattr(options, name), "left out", "it belongs to a fallback: name the fixed controller")
+        return None
+    check_pair(synthesis.law, getattr(fallback, "law", fallback))
+    if to != "c":
+        raise invalid("a fallback", f"given for the target {to!r}", "left out", "write C, which has the supervision")
+    if options.pressure_limit is not None:
+        remedy = "a reading beyond the range counts as lost: leave it out"
+        raise invalid("pressure_limit", f"{options.pressure_limit:g} Pa", "left out with a fallback", remedy)
+    found = _synthesis(fallback, machine)
+    axes = [name.removeprefix("err_") for name in synthesis.controller.inputs]
+    found = replace(found, controller=match_axes(found.controller, axes, found.provenance.machine or "this machine"))
+    own, given = timing_of(machine, synthesis) or DEFAULT, timing_of(machine, found)
+    alike = given is None or (own.sample_time, own.delay_samples) == (given.sample_time, given.delay_samples)
+    if options.rate is None and not alike:
+        remedy = f"design it with --rate-hz {own.rate:g}, or say at which rate both run"
+        raise invalid("the fallback", str(given), f"the schedule's: {own}", remedy)
+    return found
 
 
 def _synthesis(controller: Any, machine: Machine | None) -> Synthesis:
@@ -220,6 +284,7 @@ def _deploy(
     options: ExportOptions,
     limits: tuple[ArrayLike, ArrayLike],
     progress: Progress,
+    supervised: bool = False,
 ) -> tuple[Deployment | ScheduledDeployment, ControlBlock | ScheduledBlock]:
     asked = options.delay_samples if options.rate is not None or timing_of(machine, synthesis) is not None else None
     timing = timing_of(machine, synthesis, options.rate, asked) or replace(
@@ -237,7 +302,8 @@ def _deploy(
             return fixed, build_cascade(fixed, synthesis.filters, machine, options.name, *limits, **guards)
         return fixed, build_block(fixed, options.name, *limits, **guards)
     over = deploy_scheduled(synthesis, dt, delay, machine=machine, **how)
-    guards |= dict(zip(("told_limit", "rate_limit"), options.told(over.along), strict=True))
+    if not supervised:
+        guards |= dict(zip(("told_limit", "rate_limit"), options.told(over.along), strict=True))
     return over, build_scheduled_block(over, options.name, *limits, **guards)
 
 
@@ -247,8 +313,8 @@ def _files(
     deployment: Deployment | ScheduledDeployment,
     block: ControlBlock | ScheduledBlock,
     options: ExportOptions,
+    lines: Sequence[str],
 ) -> Mapping[str, str | bytes]:
-    lines = provenance_lines(synthesis, deployment)
     if to == "c":
         return generate(block, options.arithmetic, lines)
     if to == "mat":

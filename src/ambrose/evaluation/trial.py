@@ -5,6 +5,7 @@ trace = simulate_scenario(machine, controller, "levitation")          what the f
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from ambrose.core.checks import invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.evaluation.plants import Progress, chosen_point
 from ambrose.evaluation.verdict import running_law
+from ambrose.evaluation.watched import Estimated, watched
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.physics.rotor import mass_properties
@@ -20,7 +22,7 @@ from ambrose.plant.assemble import assemble
 from ambrose.plant.loop import closed_loop, match_controller
 from ambrose.plant.model import Plant
 from ambrose.plant.reduce import reduce
-from ambrose.plant.supervision import supervised
+from ambrose.plant.supervision import check_pair, supervised, supervision_limits
 from ambrose.plant.timing import Timing, timing_of
 from ambrose.simulation import linear, virtual_rig
 from ambrose.simulation.rig.controller import sample_time
@@ -54,6 +56,9 @@ def simulate_scenario(
     delay_samples: int | None = None,
     fallback: Any = None,
     pressure_rate: float | None = None,
+    pressure_error: float = 0.0,
+    stuck_after: float | None = None,
+    estimate: Estimated | None = None,
     progress: Progress = lambda stage: None,
     **rig: Any,
 ) -> Trace:
@@ -63,8 +68,10 @@ def simulate_scenario(
     with A, B, C, D. scenario: bundled, a file, or a Scenario. point: operating point or label (None: the nominal one).
     rate [Hz], delay_samples: of the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
     nobody does). fallback: the fixed controller that takes over where the pressure that a schedule is told cannot be trusted,
-    pressure_rate [Pa/s]: how fast that may change (None: the machine file's); ``plant.supervision``. rig: further arguments
-    of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
+    pressure_rate [Pa/s]: how fast that may change (None: the machine file's), pressure_error [Pa]: how far off the reading may
+    be, stuck_after [s]: how long it may be the very same (None: for ever); ``plant.supervision``. estimate: a seal monitor runs
+    "beside" the reading, or "alone" in place of it (``evaluation.watched``). rig: further arguments of ``virtual_rig.run``
+    (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
     law = getattr(controller, "law", controller)
     plant = machine if isinstance(machine, Plant) else None
@@ -95,7 +102,14 @@ def simulate_scenario(
     if fallback is None:
         return virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
     sample = sample_time(law, described, events.sample_time)
-    program = supervised(law, getattr(fallback, "law", fallback), described, sample, pressure_rate)
+    check_pair(law, other := getattr(fallback, "law", fallback))
+    stuck = math.inf if stuck_after is None else stuck_after
+    rate = math.inf if estimate == "alone" else pressure_rate  # a mean of the past moves by steps
+    limits = supervision_limits(law, described, rate, pressure_error, stuck)
+    program: Any = supervised(law, other, described, sample, limits)
+    if estimate is not None:
+        at = start or described.operation.nominal
+        program = watched(program, described, events, other, at, estimate, pressure_rate)
     trace = virtual_rig.run(described, program, events, point=start, progress=progress, **rig)
     return replace(trace, text=f"{trace.text}; {program.words()}")
 

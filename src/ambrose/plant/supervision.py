@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from ambrose.machine.machine import Machine
 from ambrose.plant.loop import match_axes
 from ambrose.plant.scheduling import PRESSURE, scheduling_of
 
+Law = tuple[np.ndarray, ...]  # E = A - I, B, C, D, L: sampled, with the gain that leads its states to the currents that act
 _BETWEEN = 3  # points between two of the schedule where it is sampled; the sampled matrices are linear between them
 _RADIUS = 0.99  # of the slowest mode with which one that waits follows
 
@@ -92,7 +94,7 @@ class Supervisor:
     dt: float
     state: State = State.SCHEDULED
     fault: Fault = Fault.NONE
-    value: float = math.nan  # [Pa] what the schedule follows
+    value: float = field(init=False)  # [Pa] what the schedule follows; the lowest until a reading is trusted
     last: float = math.nan
     since: int = 0  # samples since it
     same: int = 0
@@ -100,10 +102,13 @@ class Supervisor:
     clock: int = 0
     latched: bool = False
 
+    def __post_init__(self) -> None:
+        self.value = self.limits.low
+
     def follow(self, told: float, estimate: float = math.nan, half_width: float = math.inf) -> State:
         """One sample: told, estimate and its 95 % half width [Pa] (NaN, inf: nothing is said)."""
         limits = self.limits
-        known = math.isfinite(estimate) and math.isfinite(half_width)
+        known = math.isfinite(estimate) and math.isfinite(half_width) and half_width >= 0
         self.fault = self._fault(told, known, estimate, half_width)
         if self.fault in (Fault.JUMP, Fault.DIVERGED):
             self.latched = True
@@ -131,10 +136,8 @@ class Supervisor:
         self.since += 1
         if not math.isfinite(told):
             return Fault.LOST
-        step, allowed = (
-            abs(told - self.last),
-            limits.rate * self.since * self.dt + limits.noise,
-        )  # NaN at the first one: no step
+        step = abs(told - self.last)  # NaN at the first one: no step
+        allowed = limits.rate * self.dt * self.since + limits.noise
         self.last, self.since = told, 0
         self.same = self.same + 1 if step == 0.0 else 0
         if not limits.low - limits.margin <= told <= limits.high + limits.margin:
@@ -148,65 +151,67 @@ class Supervisor:
         return Fault.NONE
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SupervisedLaws:
+    """Schedule and fixed controller, sampled: x+ = x + E x + B e + L cut, u = C x + D e for errors e [m] of ``axes`` and
+    currents u [A] within +-limit (p,) [A]; cut: what acts less u.
+
+    schedule: E, B, C, D, L at every value of the grid (k,) [Pa], linear between; fixed: of the other one. start (n, m), (n, p):
+    where the fixed one stands after errors and currents that have been there for long. Raises NumericalFailure where one that
+    waits would not follow.
+    """
+
+    grid: np.ndarray
+    schedule: tuple[Law, ...]
+    fixed: Law
+    start: tuple[np.ndarray, np.ndarray]
+    limit: np.ndarray
+    axes: tuple[str, ...]
+    sample_time: float
+    delay: int = 1
+
+    def __post_init__(self) -> None:
+        halfway = (tuple((a + b) / 2 for a, b in zip(*pair, strict=True)) for pair in pairwise(self.schedule))
+        for E, _, C, _, L in (self.fixed, *self.schedule, *halfway):
+            radius = max(np.abs(1 + np.linalg.eigvals(E - L @ C)), default=0.0)
+            if not radius < 1:
+                raise NumericalFailure(
+                    f"a controller that waits would not follow the currents (radius {radius:g}); use another one"
+                )
+
+    def at(self, value: float) -> Law:
+        """The schedule at a pressure [Pa] of its range."""
+        i = min(max(int(np.searchsorted(self.grid, value, side="right")) - 1, 0), len(self.grid) - 2)
+        share = float((value - self.grid[i]) / (self.grid[i + 1] - self.grid[i]))
+        return tuple((1 - share) * a + share * b for a, b in zip(self.schedule[i], self.schedule[i + 1], strict=True))
+
+
 @dataclass(slots=True)
 class SupervisedProgram:
     """Schedule, fixed controller and supervisor as one program for the rig (``ControlProgram``).
 
-    estimate: the seal monitor's pressure and half width [Pa], set by who runs one. changes: sample, state and fault at every
-    change of state. Raises InvalidInput where the fallback is not a fixed law.
+    tracking: whether the one that waits follows the currents that act. estimate: the seal monitor's pressure and half width
+    [Pa], set by who runs one. changes: sample, state and fault at every change of state; limited: whether the last currents
+    were cut.
     """
 
-    scheduled: ScheduledSystem
-    fixed: StateSpace
-    machine: Machine
-    sample_time: float
+    laws: SupervisedLaws
     limits: Limits
     tracking: bool = True
-    delay: int = 1
     parameter: str = "pressure"
     estimate: tuple[float, float] = (math.nan, math.inf)
     changes: list[tuple[int, State, Fault]] = field(default_factory=list)
+    limited: bool = False
     supervisor: Supervisor = field(init=False)
-    _grid: np.ndarray = field(init=False)
-    _laws: list[tuple[np.ndarray, ...]] = field(init=False)  # A, B, C, D, L of the schedule along its grid
-    _other: tuple[np.ndarray, ...] = field(init=False)
-    _most: np.ndarray = field(init=False)
     _x: list[np.ndarray] = field(init=False)
+    _carry: list[np.ndarray] = field(init=False)
     _left: np.ndarray = field(init=False)  # [A] of the difference at the last change
     _share: float = 0.0
     _charge: int = 0
     _count: int = 0
 
     def __post_init__(self) -> None:
-        if not is_system(self.fixed):
-            raise InvalidInput("the fallback is scheduled itself; give a fixed controller, such as --method tuned makes")
-        axes = self.machine.axes
-        self._grid = interval_points(self.scheduled.grid, _BETWEEN)
-        self._laws = [self._sampled(match_axes(self.scheduled.at(p), axes)) for p in self._grid.tolist()]
-        self._other = self._sampled(match_axes(self.fixed, axes))
-        for first, second in zip(self._laws, self._laws[1:], strict=False):
-            self._check(tuple((a + b) / 2 for a, b in zip(first, second, strict=True)))
-        limits = [np.inf if b.max_current is None else b.max_current for b in self.machine.bearings for _ in range(2)]
-        self._most = np.array(limits)
-        self.supervisor = Supervisor(self.limits, self.sample_time)
-        self.begin(np.zeros(self.scheduled.n_states))
-
-    def _sampled(self, law: StateSpace) -> tuple[np.ndarray, ...]:
-        if law.dt is None:
-            law = c2d(law, self.sample_time, method="tustin")
-        elif abs(law.dt - self.sample_time) > 1e-9 * law.dt:
-            raise invalid("the sample time", f"{self.sample_time:g} s", f"the controller's own {law.dt:g} s", "leave it out")
-        found = law.A, law.B, law.C, law.D, tracking_gain(law.A, law.B, law.C)
-        self._check(found)
-        return found
-
-    def _check(self, law: tuple[np.ndarray, ...]) -> None:
-        A, _, C, _, L = law
-        radius = max(np.abs(np.linalg.eigvals(A - L @ C)), default=0.0)
-        if not radius < 1:
-            raise NumericalFailure(
-                f"a controller that waits would not follow the currents (radius {radius:g}); use another one"
-            )
+        self.begin(np.zeros(len(self.laws.schedule[0][0])))
 
     def words(self) -> str:
         """What happened, for people: "fixed from 0.1001 s (the reading is lost), schedule again from 0.25 s"."""
@@ -219,29 +224,45 @@ class SupervisedProgram:
         return ", ".join(told) or "schedule throughout"
 
     @property
+    def sample_time(self) -> float:
+        return self.laws.sample_time
+
+    @property
+    def delay(self) -> int:
+        return self.laws.delay
+
+    @property
     def range(self) -> tuple[float, float]:
-        return self.scheduled.range
+        return float(self.laws.grid[0]), float(self.laws.grid[-1])
 
     @property
     def system(self) -> StateSpace:
-        value = self.supervisor.value
-        return self(value if math.isfinite(value) else self.range[0])
+        return self(self.supervisor.value)
 
     def __call__(self, value: float) -> StateSpace:
         """The schedule as it runs, frozen at a pressure [Pa] of its range, sampled."""
-        axes, (low, high) = self.machine.axes, self.range
-        A, B, C, D, _ = self._law(min(max(value, low), high))
-        return StateSpace(A, B, C, D, [f"err_{axis}" for axis in axes], [f"u_{axis}" for axis in axes], self.sample_time)
+        axes, (low, high) = self.laws.axes, self.range
+        E, B, C, D, _ = self.laws.at(min(max(value, low), high))
+        return StateSpace(
+            np.eye(len(E)) + E, B, C, D, [f"err_{axis}" for axis in axes], [f"u_{axis}" for axis in axes], self.sample_time
+        )
 
-    def _law(self, value: float) -> tuple[np.ndarray, ...]:
-        i = min(max(int(np.searchsorted(self._grid, value, side="right")) - 1, 0), len(self._grid) - 2)
-        share = (value - self._grid[i]) / (self._grid[i + 1] - self._grid[i])
-        return tuple((1 - share) * a + share * b for a, b in zip(self._laws[i], self._laws[i + 1], strict=True))
+    @property
+    def fault(self) -> Fault:
+        """Why the last reading is not trusted."""
+        return self.supervisor.fault
+
+    @property
+    def states(self) -> np.ndarray:
+        """Of the schedule (n,)."""
+        return self._x[0]
 
     def begin(self, states: np.ndarray) -> None:
         """The schedule in charge from its states (n,); the fixed one begins as if their currents had been there for long."""
-        self._x = [np.array(states, float), np.zeros(len(self._other[0]))]
-        self._left, self._share, self._charge, self._count = np.zeros(len(self._most)), 0.0, 0, 0
+        kind = self.laws.fixed[0].dtype
+        self._x = [np.array(states, kind), np.zeros(len(self.laws.fixed[0]), kind)]
+        self._carry = [np.zeros_like(x) for x in self._x]
+        self._left, self._share, self._charge, self._count = np.zeros(len(self.laws.limit), kind), 0.0, 0, 0
         self.supervisor = Supervisor(self.limits, self.sample_time)
         self.changes.clear()
 
@@ -254,39 +275,81 @@ class SupervisedProgram:
 
     def step(self, errors: np.ndarray) -> np.ndarray:
         """Currents (a,) [A] from errors (a,) [m]."""
-        supervisor = self.supervisor
-        value = supervisor.value if math.isfinite(supervisor.value) else self.range[0]
-        laws = self._law(value), self._other
-        if self._count == 0 and self.tracking:  # as if the first currents had been there for long
-            A, B, C, D, L = self._other
+        supervisor, limit = self.supervisor, self.laws.limit
+        laws = self.laws.at(supervisor.value), self.laws.fixed
+        if self._count == 0 and self.tracking:
             first = laws[0][2] @ self._x[0] + laws[0][3] @ errors
-            self._x[1] = np.linalg.solve(np.eye(len(A)) - A + L @ C, B @ errors + L @ (first - D @ errors))
+            self._x[1] = self.laws.start[0] @ errors + self.laws.start[1] @ first
         outputs = [C @ x + D @ errors for (_, _, C, D, _), x in zip(laws, self._x, strict=True)]
         charge = 0 if supervisor.state in (State.SCHEDULED, State.RETURNING) else 1
         if charge != self._charge:
             self._left, self._charge = outputs[1 - charge] + self._share * self._left - outputs[charge], charge
         passed, fade = supervisor.clock * self.sample_time, self.limits.fade
         self._share = 1 - passed / fade if passed < fade else 0.0
-        acting = np.clip(outputs[charge] + self._share * self._left, -self._most, self._most)
-        for i, (A, B, _, _, L) in enumerate(laws):
-            self._x[i] = A @ self._x[i] + B @ errors
-            if i != charge and self.tracking:
-                self._x[i] += L @ (acting - outputs[i])
+        wanted = outputs[charge] + self._share * self._left
+        acting = np.clip(wanted, -limit, limit)
+        self.limited = bool((acting != wanted).any())
+        for i, (E, B, _, _, L) in enumerate(laws):
+            added = E @ self._x[i] + B @ errors
+            if i == charge:
+                added += L @ (np.clip(acting - self._share * self._left, -limit, limit) - outputs[i])
+            elif self.tracking:
+                added += L @ (acting - outputs[i])
+            added += self._carry[i]  # compensated: small increments are not lost
+            total = self._x[i] + added
+            self._carry[i], self._x[i] = added - (total - self._x[i]), total
         self._count += 1
         return acting
 
 
 def supervised(
-    law: Any, fallback: Any, machine: Machine, sample_time: float, pressure_rate: float | None = None
+    law: Any,
+    fallback: Any,
+    machine: Machine,
+    sample_time: float,
+    limits: Limits | None = None,
+    *,
+    tracking: bool = True,
 ) -> SupervisedProgram:
-    """The program with limits from the machine file: 5 % of the range beyond its ends, 1 % from sample to sample besides the
-    rate [Pa/s] (None: the file's, or not watched). Raises InvalidInput."""
+    """The program for a machine, its laws sampled by Tustin's map; limits: None for ``machine_limits``. Raises InvalidInput."""
+    check_pair(law, fallback)
+    axes = machine.axes
+    grid = interval_points(law.grid, _BETWEEN)
+    laws = tuple(_sampled(match_axes(law.at(p), axes), sample_time) for p in grid.tolist())
+    fixed = _sampled(match_axes(fallback, axes), sample_time)
+    E, B, C, D, L = fixed
+    stands = np.linalg.inv(L @ C - E)
+    most = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
+    pair = SupervisedLaws(grid, laws, fixed, (stands @ (B - L @ D), stands @ L), np.array(most), axes, sample_time)
+    return SupervisedProgram(pair, supervision_limits(law, machine) if limits is None else limits, tracking)
+
+
+def check_pair(law: Any, fallback: Any) -> None:
+    """Refuse what cannot be supervised. Raises InvalidInput."""
     if not isinstance(law, ScheduledSystem) or scheduling_of(law) is not PRESSURE:
         raise InvalidInput("only a controller scheduled over pressure alone can have a fallback; make one with --pressures-bar")
+    if not is_system(fallback):
+        raise InvalidInput("the fallback is scheduled itself; give a fixed controller, such as --method tuned makes")
+
+
+def supervision_limits(
+    law: ScheduledSystem, machine: Machine | None, rate: float | None = None, band: float = 0.0, stuck: float = math.inf
+) -> Limits:
+    """Limits of a schedule's readings: 5 % of the range beyond its ends, 1 % from sample to sample besides the rate [Pa/s]
+    (None: the machine file's, or not watched); band [Pa], stuck [s] as in ``Limits``. Raises InvalidInput."""
     low, high = law.range
-    rate = machine.operation.pressure_rate if pressure_rate is None else pressure_rate
-    limits = Limits(low, high, 0.05 * (high - low), math.inf if rate is None else rate, 0.01 * (high - low))
-    return SupervisedProgram(law, fallback, machine, sample_time, limits)
+    rate = machine.operation.pressure_rate if rate is None and machine is not None else rate
+    return Limits(
+        low, high, 0.05 * (high - low), math.inf if rate is None else rate, 0.01 * (high - low), stuck=stuck, band=band
+    )
+
+
+def _sampled(law: StateSpace, sample_time: float) -> Law:
+    if law.dt is None:
+        law = c2d(law, sample_time, method="tustin")
+    elif abs(law.dt - sample_time) > 1e-9 * law.dt:
+        raise invalid("the sample time", f"{sample_time:g} s", f"the controller's own {law.dt:g} s", "leave it out")
+    return law.A - np.eye(law.n_states), law.B, law.C, law.D, tracking_gain(law.A, law.B, law.C)
 
 
 def tracking_gain(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from ambrose.deployment.block.cascade import CascadeBlock
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.block.supervised import SupervisedBlock
 
 _BYTES = {"double": (8, 8), "float": (4, 4), "fixed32": (4, 8), "fixed16": (2, 4)}  # of a signal, of a state
 
@@ -73,10 +74,26 @@ def scheduled_cost(block: ScheduledBlock, arithmetic: str) -> Cost:
     fixed = len(diagonals_of(increment_of(block))) * n + n * m + n * p + m * p
     around = r * (n + p) + q * (n + m)
     transfer = k * n * (m + p) if block.transfers else 0
-    return Cost(
+    cost = Cost(
         multiplications=fixed + around + points * q * (r + 1) + 4 * (d - 1),
         additions=fixed + around + points * q * r + 3 * n + 4 * d,
         limited=points * p * (n + 1),
         state_bytes=(2 * n + sum(padding_of(block)) + m + 2 * d) * size + 2 * (m + 3 * d),
         table_bytes=(fixed + around + k * (r * q + n * p) + places + transfer + m + p + 2 * d) * size,
+    )
+    return _with_fallback(cost, block, size) if isinstance(block, SupervisedBlock) else cost
+
+
+def _with_fallback(cost: Cost, block: SupervisedBlock, size: int) -> Cost:
+    """The fixed law besides, whichever of the two is led because it waits, and what is left of the difference."""
+    fixed, p, m, n = block.fallback, len(block.outputs), len(block.inputs), block.fallback.n_states
+    products = len(diagonals_of(fixed.increment)) * n + n * (m + p) + m * p
+    led, numbers = max(fixed.winding * p, 2 * p * (block.n_states + 1)), 12
+    transfer = n * (m + p) if block.transfers else 0
+    return Cost(
+        multiplications=cost.multiplications + products + led + 2 * p + 2,
+        additions=cost.additions + products + 3 * n + led + 6 * p + 12,
+        limited=cost.limited,
+        state_bytes=cost.state_bytes + (2 * n + sum(padding_of(fixed)) + p + 2) * size + 26,
+        table_bytes=cost.table_bytes + (products + fixed.winding * p + transfer + numbers) * size,
     )

@@ -14,9 +14,11 @@ from ambrose.deployment.block.cascade_fixed import FixedCascade
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import FixedBlock
 from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.block.supervised import SupervisedBlock, supervised_twin
 
 HELD, FAULT, LIMITED = 1, 2, 4  # status bits, as in the header
 CLAMPED, TOLD, BEHIND, TOLD_SECOND = 8, 16, 32, 64  # of a scheduled block besides
+STATE_AT, REASON_AT, LATCHED = 4, 6, 512  # of a supervised block besides: who is in charge, why, and that it stays so
 FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denormal numbers linger
 
 
@@ -97,6 +99,30 @@ def run_scheduled(
         x = _add_compensated(x, step, carry, floor)
         largest = np.maximum(largest, np.abs(x))
     return BlockRun(currents.astype(float), status, x.astype(float), largest.astype(float), schedule)
+
+
+def run_supervised(
+    block: SupervisedBlock, errors: ArrayLike, told: ArrayLike, valid: ArrayLike | None = None, single: bool = False
+) -> BlockRun:
+    """errors (k, m) [m]; told (k, 3) [Pa]: readings, estimates, their half widths, NaN and infinity allowed; valid (k, m): the
+    errors' flags (None: all true). From the start of the code, without states that the caller set. Raises InvalidInput."""
+    e, status = _plausible_errors(block, errors, valid)
+    readings = np.asarray(told, dtype=float)
+    if readings.shape != (len(e), 3):
+        what = f"({len(e)}, 3), a reading, an estimate and its half width for every sample"
+        raise InvalidInput(f"the shape of what is told is {readings.shape}, but must be {what}")
+    twin = supervised_twin(block, np.float32 if single else np.float64)
+    e = e.astype(twin.laws.limit.dtype)
+    currents, schedule = np.empty((len(e), len(block.outputs))), np.empty(len(e))
+    for k, (value, *estimate) in enumerate(readings.tolist()):
+        twin.estimate = estimate[0], estimate[1]
+        twin.schedule(value)
+        currents[k] = twin.step(e[k])
+        found = twin.supervisor
+        status[k] |= LIMITED * twin.limited | found.state << STATE_AT | found.fault << REASON_AT | LATCHED * found.latched
+        schedule[k] = found.value
+    states = twin.states.astype(float)
+    return BlockRun(currents, status, states, np.abs(states), schedule)
 
 
 def _add_compensated(x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: float) -> np.ndarray:

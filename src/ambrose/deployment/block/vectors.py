@@ -12,11 +12,13 @@ from ambrose.deployment.block.block import Block
 from ambrose.deployment.block.cascade_fixed import FixedCascade
 from ambrose.deployment.block.fixed import ControlBlock
 from ambrose.deployment.block.fixed_point import FixedBlock
-from ambrose.deployment.block.run import run_block, run_fixed, run_fixed_cascade, run_scheduled
+from ambrose.deployment.block.run import run_block, run_fixed, run_fixed_cascade, run_scheduled, run_supervised
 from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.block.supervised import SupervisedBlock
 
 _SAMPLES = 96
 _SWEEP = 64  # samples of a scheduled run in which what it is told passes through the range and beyond
+_LONGEST = 20_000  # samples of one row of a supervised run
 _TAIL = 24  # samples without a value, at the end
 
 
@@ -24,7 +26,8 @@ _TAIL = 24  # samples without a value, at the end
 class Vectors:
     """errors (k, m) [m] and currents (k, p) [A], or counts of fixed point; valid (k, m) and status (k,): whole numbers. Of a
     scheduled block besides what it is told (k,), or (k, 2), NaN for none, by the names of the parameters, and rounding (p,)
-    [A]: the largest difference between single and double precision."""
+    [A]: the largest difference between single and double precision. times (k,): how many samples each row stands for, of which
+    the last is compared; moves (k,) [Pa]: what every second of them is told besides (None: each is one sample)."""
 
     errors: np.ndarray
     valid: np.ndarray
@@ -33,6 +36,8 @@ class Vectors:
     told: np.ndarray | None = None
     parameters: tuple[str, ...] = ()
     rounding: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    times: np.ndarray | None = None
+    moves: np.ndarray | None = None
 
 
 def make_vectors(block: ControlBlock, fixed: FixedBlock | FixedCascade | None = None, single: bool = False) -> Vectors:
@@ -53,7 +58,10 @@ def make_vectors(block: ControlBlock, fixed: FixedBlock | FixedCascade | None = 
 
 
 def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vectors:
-    """The same with speeds or pressures: sweeps beyond both ends, limiting everywhere, grid points, none."""
+    """The same with speeds or pressures: sweeps beyond both ends, limiting everywhere, grid points, none; of a supervised block
+    readings of every kind."""
+    if isinstance(block, SupervisedBlock):
+        return _supervised_vectors(block, single)
     k = max(len(axis) for axis in block.axes)
     limited = max(24, 2 * k)
     e, valid = _errors(len(block.inputs), _SWEEP + limited + k + _TAIL)
@@ -75,6 +83,50 @@ def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vecto
     return Vectors(e, valid, run.currents, run.status, told, tuple(one.name for one in block.along.each), rounding)
 
 
+def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
+    """Every doubt and every change of who is in charge; long waits are one row each, in silence."""
+    watch, (low, high) = block.watch, block.range
+    band, wide = watch.band, high - low
+    fade, dwell, crossing = (min(block.samples(t) or 0, _LONGEST) for t in (watch.fade, watch.dwell, wide / watch.rate))
+    move = min(1e-4 * wide, 0.5 * (watch.noise or watch.rate * block.sample_time))
+    stuck, below = min(block.samples(watch.stuck) or 8, _LONGEST), min(0.5 * watch.margin, move)
+    other, none = low + 0.7 * wide, np.nan
+    rows = [  # reading, estimate, half width, samples each, how many, kind of error, moves
+        (low, none, none, 1, 16, "all", 0.0), (low, none, none, 1, 8, "most", 0.0), (low, none, none, 1, 14, "flags", 0.0),
+        (low + move, low + 0.4 * band, 0.5 * band, 1, 6, "all", 0.0), (low - below, none, none, 1, 3, "all", 0.0),
+        (none, none, none, 1, 10, "all", 0.0), (none, none, none, fade + crossing + 2, 1, "none", 0.0),
+        (none, none, none, 1, 10, "most", 0.0),
+        (other, none, none, dwell, 1, "none", move), (other, none, none, 1, 10, "all", 0.0),
+        (other, none, none, fade + 1, 1, "none", move), (other, none, none, 1, 6, "all", 0.0),
+        (other, none, none, stuck + 2, 1, "none", 0.0), (other, none, none, fade + dwell + 2, 1, "none", move),
+        (high + 3 * watch.margin + move, none, none, 1, 3, "all", 0.0),
+        (np.inf, none, none, fade + crossing + 2, 1, "none", 0.0),
+        (other, none, none, fade + dwell + 2, 1, "none", move), (other, none, none, fade + 2, 1, "none", move),
+        (other, other + 3 * band + 0.1 * wide, band, 1, 3, "all", 0.0), (other, none, none, fade + dwell + 2, 1, "none", move),
+        (other, other + 0.5 * band, band, fade + dwell + 2, 1, "none", move), (other, none, none, 1, 6, "all", 0.0),
+        (low, none, none, 1, 12, "all", 0.0), (low, none, none, fade + dwell + 2, 1, "none", move),
+    ]  # fmt: skip
+    counts = np.array([row[4] for row in rows])
+    told = np.repeat([row[:3] for row in rows], counts, axis=0)
+    times, moves = np.repeat([row[3] for row in rows], counts), np.repeat([row[6] for row in rows], counts)
+    kind = np.repeat([row[5] for row in rows], counts)
+    e, valid = _errors(len(block.inputs), len(told))
+    e *= 0.05  # so that most currents are within their limits
+    e[kind == "most"], e[kind == "none"] = 1.0, 0.0
+    flagged = np.flatnonzero(kind == "flags")
+    e[flagged[0]], valid[flagged[1:], -1] = 3.0, 0
+    e, told, moves = (_held_exactly(x, single) for x in (e * block.error_limit, told, moves))
+    odd = np.concatenate([np.arange(n) % 2 for n in times])
+    readings = np.repeat(told, times, axis=0)
+    readings[:, 0] += odd * np.repeat(moves, times)
+    inputs, last = (np.repeat(e, times, axis=0), readings, np.repeat(valid, times, axis=0)), np.cumsum(times) - 1
+    run = run_supervised(block, *inputs)
+    rounding = np.abs(run_supervised(block, *inputs, single=True).currents - run.currents)[last].max(axis=0)
+    names = ("pressure", "estimate", "half_width")
+    told[~np.isfinite(told)] = np.nan
+    return Vectors(e, valid, run.currents[last], run.status[last], told, names, rounding, times, moves)
+
+
 def _errors(m: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Errors (count, m) of all sizes as parts of their limit, after a pulse into silence, and flags (count, m), all good."""
     rng = np.random.default_rng(7)
@@ -93,6 +145,9 @@ def as_csv(block: Block, run: Vectors) -> str:
     """The vectors as CSV: errors, flags, [speed or pressure,] currents, status with all their digits, below a line of names."""
     titles = [*block.inputs, *(f"valid_{name}" for name in block.inputs), *run.parameters, *block.outputs, "status"]
     told = [] if run.told is None else [run.told.reshape(len(run.told), -1)]
+    if run.times is not None and run.moves is not None:
+        titles[len(titles) - len(block.outputs) - 1 : -len(block.outputs) - 1] = ["move", "samples"]
+        told += [run.moves[:, None], run.times[:, None]]
     columns = [run.errors, run.valid, *told, run.currents, run.status[:, None]]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

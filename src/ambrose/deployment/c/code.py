@@ -23,9 +23,11 @@ from ambrose.deployment.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBl
 from ambrose.deployment.block.names import as_comment
 from ambrose.deployment.block.run import FLOOR, TOLD, TOLD_SECOND
 from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.block.supervised import SupervisedBlock
 from ambrose.deployment.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.deployment.block.word_length import BITS, MANTISSA, floating_error, gain_error, word_lengths
 from ambrose.deployment.c.literals import diagonals, integer_table, literal, real_table
+from ambrose.deployment.c.supervised import supervision_facts
 from ambrose.deployment.rendering import render
 from ambrose.machine.atomic_write import write_files
 
@@ -175,6 +177,7 @@ def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
         "one": literal(1.0, arithmetic), "ng": len(block.B), "axes": _axes(block, arithmetic), "over": along.name,
         "corners": list(range(2 ** len(block.axes))), "low_padding": padding[0], "padded": block.n_states + sum(padding),
         "motion_text": motion_text, "passes": block.passes,
+        "supervised": isinstance(block, SupervisedBlock) and supervision_facts(block, arithmetic, real_table(arithmetic)),
     }  # fmt: skip
 
 
@@ -270,17 +273,20 @@ def _fixed_tables(fixed: FixedBlock | FixedCascade) -> dict[str, Any]:
 def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
     table, n, changes = real_table(arithmetic), block.n_states, block.changes
     matrices = {"core": changes.core, "unwind": block.unwind, "steady": block.steady, "pick": block.pick}
-    fixed = {
-        "B": changes.fixed[:n, n:], "C": changes.fixed[n:, :n], "D": changes.fixed[n:, n:],
+    fixed = {"B": changes.fixed[:n, n:], "C": changes.fixed[n:, :n], "D": changes.fixed[n:, n:]}
+    signals = {
         "of_state": changes.right[:, :n], "of_error": changes.right[:, n:],
         "on_state": changes.left[:n], "on_current": changes.left[n:],
     }  # fmt: skip
-    increment = increment_of(block)
+    increment, nr = increment_of(block), changes.ranks[0]
+    law = {
+        **{name: table(x.T) for name, x in fixed.items()}, "suffix": "", "varies": True, "nx": n, "nr": nr,
+        "diagonals": [{**d, "table": table(d["entries"])} for d in diagonals(increment, increment)],
+    }  # fmt: skip
     return {
         **{name: table(x.transpose(0, 2, 1)) for name, x in matrices.items()},
-        **{name: table(x.T) for name, x in fixed.items()},
-        "diagonals": [{**d, "table": table(d["entries"])} for d in diagonals(increment, increment)],
-        "nr": changes.ranks[0], "nq": changes.ranks[1],
+        **{name: table(x.T) for name, x in signals.items()},
+        "law": law, "nr": nr, "nq": changes.ranks[1],
         "error_limit": table(block.error_limit), "current_limit": table(block.current_limit),
         "floor": literal(FLOOR[arithmetic], arithmetic),
     }  # fmt: skip
@@ -302,6 +308,7 @@ def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, A
     return {
         "samples": len(run.errors), "errors": table(run.errors), "valid": integer_table(run.valid),
         "currents": table(run.currents), "status": integer_table(run.status), "tolerance": table(tolerance), **told, **number,
+        "times": run.times is not None and integer_table(run.times), "moves": run.moves is not None and table(run.moves),
     }  # fmt: skip
 
 

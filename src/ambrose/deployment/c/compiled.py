@@ -8,6 +8,7 @@ that the same verification can be made of what the compiler made.
 from __future__ import annotations
 
 import ctypes
+import math
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, cast
 
@@ -17,15 +18,18 @@ from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.statespace import StateSpace
 from ambrose.deployment.block.cost import padding_of
 from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.deployment.block.run import REASON_AT
 from ambrose.deployment.block.scheduled import ScheduledBlock
+from ambrose.deployment.block.supervised import SupervisedBlock
 from ambrose.deployment.c.code import Arithmetic, Precision, generate, in_words
 from ambrose.deployment.c.compiler import COMPILERS, build_library, find_compiler, load_library
+from ambrose.plant.supervision import Fault
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 _CALL = """#include <math.h>
 #include <stddef.h>
 #include "{name}.h"
-typedef struct {{ {name}_block *block; double told[2]; int status; }} {name}_running;
+typedef struct {{ {name}_block *block; double told[4]; int status; }} {name}_running;
 size_t {name}_size(void);
 int {name}_call(void *running, const double *errors, const double *told, double *currents);
 size_t {name}_size(void) {{ return sizeof({name}_block); }}
@@ -42,13 +46,14 @@ int {name}_call(void *running, const double *errors, const double *told, double 
     return 0;
 }}
 """
+_ESTIMATE = (2, 3)  # places of an estimate and its half width among what is told
 _COUNTED = "fmin(fmax(rint(errors[i] / metre[i]), {least:.0f}.0), {most:.0f}.0)"  # as a converter does at its ends
 
 
 class _Running(ctypes.Structure):
     """What the C function gets first: its block, and where it leaves what it was told and the status of the last step."""
 
-    _fields_ = (("block", ctypes.c_void_p), ("told", ctypes.c_double * 2), ("status", ctypes.c_int))
+    _fields_ = (("block", ctypes.c_void_p), ("told", ctypes.c_double * 4), ("status", ctypes.c_int))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +98,8 @@ class _Words:
             counted = _COUNTED.format(least=ends.min, most=ends.max)
         d = len(block.axes) if isinstance(block, ScheduledBlock) else 0
         told = "".join(f"({word})told[{i}], " for i in range(d))
+        if isinstance(block, SupervisedBlock):
+            told += "".join(f"({word})self->told[{i}], " for i in _ESTIMATE)
         error, current = (", ".join(map(repr, values.tolist())) for values in (self.error, self.current))
         return _CALL.format(
             name=block.name, error=error, current=current, word=word, counted=counted, told=told, d=d,
@@ -116,7 +123,7 @@ class _Compiled(Generic[B]):
         size = self._library[f"{block.name}_size"]
         size.restype = ctypes.c_size_t
         self._memory = ctypes.create_string_buffer(size())
-        self._running = _Running(ctypes.addressof(self._memory))
+        self._running = _Running(ctypes.addressof(self._memory), (0.0, 0.0, math.nan, math.inf))
         self._step = self._library[f"{block.name}_call"]
         self._step.argtypes = (ctypes.c_void_p,) * 4
         self._call("init")
@@ -216,16 +223,33 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
     @property
     def told(self) -> Any:
         """Speed [rad/s] or pressure [Pa] (or both) of the last step, or the next one."""
-        both = tuple(self._running.told)
+        both = tuple(self._running.told[:2])
         return both if self.block.along.parts else both[0]
 
     @property
     def system(self) -> StateSpace:
         """The law of the next step."""
-        return self.block.at(self.told)
+        supervised = isinstance(self.block, SupervisedBlock)  # to be told nothing is no error there
+        return self.block.at(self.block.range[0] if supervised and math.isnan(self.told) else self.told)
 
     def __call__(self, value: Any) -> StateSpace:
         return self.block.at(value)
+
+    @property
+    def estimate(self) -> tuple[float, float]:
+        """Of a supervised block: a monitor's pressure and its half width [Pa] from the next step on; NaN, infinity: none."""
+        value, half_width = (self._running.told[i] for i in _ESTIMATE)
+        return value, half_width
+
+    @estimate.setter
+    def estimate(self, given: tuple[float, float]) -> None:
+        for i, one in zip(_ESTIMATE, given, strict=True):
+            self._running.told[i] = one
+
+    @property
+    def fault(self) -> Fault:
+        """Of a supervised block: why the last reading is not trusted."""
+        return Fault(self.status >> REASON_AT & 7 if isinstance(self.block, SupervisedBlock) else 0)
 
     def schedule(self, value: Any) -> None:
         """Speed [rad/s] or pressure [Pa] of the next step, or both; NaN: not known."""
@@ -243,7 +267,11 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
 
     def _told_argument(self) -> tuple[Any, ...]:
         kind = ctypes.c_double if self.arithmetic == "double" else ctypes.c_float
-        return tuple(kind(value) for value in self._running.told[: len(self.block.axes)])
+        told = [
+            *self._running.told[: len(self.block.axes)],
+            *(self.estimate if isinstance(self.block, SupervisedBlock) else ()),
+        ]
+        return tuple(kind(value) for value in told)
 
 
 def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpace:

@@ -48,9 +48,10 @@ class SealMonitor:
         self.filters = measuring_filter(self.model.point.speed, self.model.dt, self.harmonics)
         self._signals, self.settling = Signals(self.model, self.filters), self.filters.settling
         self._wait = round(self.settling / self.model.dt)
-        self._begin()
+        self.restart()
 
-    def _begin(self) -> None:
+    def restart(self) -> None:
+        """What was seen is forgotten; the filters go on."""
         q, c, step = len(self.model.unknown), len(self.model.doubts), self.block * self.model.dt
         self._long, self._short = (Window(q, c, size, step) for size in self.windows)
 
@@ -58,6 +59,11 @@ class SealMonitor:
     def windows(self) -> tuple[float, float]:
         """Long and short memory [s]."""
         return self.window, min(SHORT, 0.5 * self.window)
+
+    @property
+    def waiting(self) -> int:
+        """Samples until the filters have settled."""
+        return self._wait
 
     @property
     def block(self) -> int:
@@ -86,10 +92,15 @@ class SealMonitor:
             return long
         apart = np.abs(long.theta - short.theta)
         if (apart > long.noise + 2 * short.noise).any():
-            self._begin()
+            self.restart()
             return replace(self._long.estimate(kinds, self.rate), restarted=True)
         change = np.maximum(long.change, apart - short.noise)
         return replace(long, change=change, half_width=np.hypot(long.noise, long.known) + change)
+
+
+def said(item: Estimate, window: float) -> bool:
+    """Whether an estimate says anything: fresh, and sharper than the reference."""
+    return bool(item.age < OLD * window and (item.noise < WIDE).all() and np.isfinite(item.half_width).all())
 
 
 @names_wrong_types
