@@ -177,7 +177,7 @@ def gain(on: Tables, places: tuple[np.ndarray, np.ndarray], start: np.ndarray, s
 def closed(on: Tables, held: Motion, dt: float) -> StateSpace:
     """d -> y + d where a motion of one sample stands still."""
     (moved,), (told,) = (np.array(parts, float) for parts in _matrices(on, *on.places(held)))
-    p, n = on.C.shape
+    p = len(on.C)
     k = told.shape[0] - p
     A, B = _step(moved, told, on.C.astype(float), k)
     return StateSpace(A, B, np.hstack([on.C, np.zeros((p, k))]), np.eye(p), dt=dt)
@@ -203,7 +203,7 @@ def _matrices(on: Tables, *places: np.ndarray) -> list[list[np.ndarray]]:
 
 def _step(moved: np.ndarray, told: np.ndarray, C: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
     """States (x, z) from sample to sample, and what d adds, with u = K(-(C x + d))."""
-    p, n = C.shape
+    n = C.shape[1]
     P, Q, A, B, C_k, D = moved[:n].T, moved[n:].T, told[:k, :k].T, told[k:, :k].T, told[:k, k:].T, told[k:, k:].T
     return np.block([[P - Q @ D @ C, Q @ C_k], [-B @ C, A]]), np.vstack([-Q @ D, -B])
 
@@ -231,7 +231,7 @@ def _favoured(weights, levels, first):
 
 
 def favoured(slope: np.ndarray, first: float, rate: float) -> np.ndarray:
-    """The motion (samples,) from ``first`` back to it, at most ``rate`` a sample, with about the largest sum of slope x delta."""
+    """The motion (samples,) from ``first`` to it, at most ``rate`` a sample, with nearly the largest sum of slope delta."""
     if not np.isfinite(rate):
         return np.where(slope == 0, first, np.sign(slope))
     samples = len(slope)
