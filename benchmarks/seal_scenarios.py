@@ -1,7 +1,11 @@
 """Seals that change, on the virtual rig: controllers side by side in a surge, on a seal twice as strong as thought, over its
 wear, in a surge while the machine runs up, and at a trip; at 10 kHz and one sample late, every seal there twice.
 
-    python -m benchmarks.seal_scenarios [MACHINE ...] [--pages FOLDER]      half a minute, and two minutes
+    python -m benchmarks.seal_scenarios [MACHINE ...] [--pages FOLDER] [--wear SECONDS]
+
+What a controller scheduled over pressure is told: where the pressure makes the seal strong, twice the pressure of the two
+seals together, which is that of one as strong as both; where the seal is stronger than thought, or worn, the nominal
+pressure throughout. Its range is zero to twice the nominal pressure, so that nothing is clamped.
 """
 
 import argparse
@@ -16,7 +20,7 @@ from ambrose.physics.rotor import finite_element_rotor, mass_properties
 from ambrose.plant.model import top_speed
 from ambrose.report import theme
 from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict, write
-from ambrose.simulation.disturbances import PressureChange, Pulse, SpeedChange, Unbalance
+from ambrose.simulation.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, Unbalance
 from ambrose.simulation.scenario import Scenario
 
 MACHINES = ("seal-rig", "turboexpander")
@@ -45,25 +49,29 @@ def twice(machine):
     return replace(machine, seals=(*machine.seals, *again), tolerances=())
 
 
-def cases(machine):
-    """{name: Case}; pressures from nothing to the nominal one."""
+def cases(machine, wear):
+    """{name: Case}; pressures from nothing to the nominal one, wear within so many seconds."""
     nominal, top, held = machine.operation.nominal.seal_pressure, top_speed(machine), machine.operation.design.speed
     force = KNOCK * 9.81 * mass_properties(finite_element_rotor(machine)).mass
     unbalance = (Unbalance("every", grade=2.5e-3, grade_speed=machine.requirements.balance_speed or top),) if top else ()
 
-    def case(name, duration, knocks, pressures, speed=held, changes=()):
+    def case(name, duration, knocks, pressures, speed=held, changes=(), told=PressureSensor(gain=2.0)):
         pulses = tuple(Pulse(f"f_{machine.seals[0].name}_x", force, at, WIDTH) for at in knocks)
         changing = tuple(PressureChange(*item) for item in pressures)
         return Case(
             Scenario(
-                name, duration, pulses=pulses, unbalances=unbalance, speed=speed, speed_changes=changes, pressures=changing
+                name, duration, pulses=pulses, unbalances=unbalance, speed=speed, speed_changes=changes, pressures=changing,
+                pressure_sensors=(told,),
             ), knocks,
         )  # fmt: skip
 
     found = {
         "surge: 0 to 2 in 0.1 s": case("surge", 1.0, (0.1, 0.45), [(0.0, 0.0), (0.3, nominal, 0.1)]),
-        "twice as strong as thought": case("strong", 0.6, (0.1,), [(0.0, nominal)]),
-        "wear: 1 to 2, in 4 s": case("wear", 4.6, (0.1, 1.1, 2.1, 3.1, 4.1), [(0.0, nominal / 2), (0.05, nominal, 4.0)]),
+        "twice as strong as thought": case("strong", 0.6, (0.1,), [(0.0, nominal)], told=PressureSensor()),
+        f"wear: 1 to 2, in {wear:g} s": case(
+            "wear", wear + 0.6, tuple(0.1 + wear / 4 * k for k in range(5)), [(0.0, nominal / 2), (0.05, nominal, wear)],
+            told=PressureSensor(gain=0.0, offset=nominal),
+        ),
         "trip: 2 to 0 in 0.05 s": case("trip", 0.8, (0.1, 0.45), [(0.0, nominal), (0.3, 0.0, 0.05)]),
     }
     if top:
@@ -81,8 +89,11 @@ def controllers(machine):
     }  # fmt: skip
     if len(machine.operation.envelope) <= FEW:
         asked["mu of all points"] = "mu", rate | {"envelope": True}
-    if top_speed(machine):
-        asked["LPV over speed"] = ("lpv", {})
+    pressures = {"pressures": (0.0, 2 * machine.operation.nominal.seal_pressure)}
+    asked["LPV over pressure"] = "lpv", rate | pressures
+    if top := top_speed(machine):
+        asked["LPV over speed"] = "lpv", {}
+        asked["LPV over both"] = "lpv", rate | pressures | {"speeds": (0.0, top)}
     found = {}
     for name, (method, options) in asked.items():
         try:
@@ -112,12 +123,12 @@ def outcome(machine, case, trace):
     return f"{words}, {1e3 * (outside[-1] + 1) / RATE if len(outside) else 0:.0f} ms"
 
 
-def study(name):
+def study(name, wear):
     """The names of the controllers, {case: outcomes}, and the runs of the first case."""
     machine = amb.load_machine(name)
     laws, strong, rows, first = controllers(machine), twice(machine), {}, {}
     print(f"| {name} | {' | '.join(laws)} |\n|---|{'---|' * len(laws)}", flush=True)
-    for title, case in cases(machine).items():
+    for title, case in cases(machine, wear).items():
         rows[title] = []
         for called, law in laws.items():
             if isinstance(law, str):
@@ -167,9 +178,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("machine", nargs="*")
     parser.add_argument("--pages", type=Path)
+    parser.add_argument("--wear", type=float, default=4.0, metavar="SECONDS", help="in which the seal wears to twice its strength")
     given = parser.parse_args()
     for name in given.machine or MACHINES:
-        found = study(name)
+        found = study(name, given.wear)
         if given.pages:
             given.pages.mkdir(exist_ok=True)
             write(page(*found), given.pages / f"{name}-scenarios.html")
