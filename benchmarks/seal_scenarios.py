@@ -26,12 +26,13 @@ from ambrose.simulation.scenario import Scenario
 MACHINES = ("seal-rig", "turboexpander")
 RATE = 10_000
 FEW = 3  # operating points, above which one mu problem of all takes more than ten minutes
+TOLD = PressureSensor(gain=2.0)  # of one seal as strong as both
 KNOCK, WIDTH = 0.5, 2e-3  # of the rotor's weight; s
 SETTLED, LAST = 0.05, 0.05  # of a knock's peak above what is left; s, over which that is taken
 WORDS = (
     "Largest motion at the seal from its mean [um], and the time in which the last knock dies away to 5 %. Every knock is half "
     "the rotor's weight for 2 ms. The seals are there twice: at the nominal pressure twice as strong as the machine file says. "
-    "A schedule over pressure is told the nominal one where the seal is stronger than thought or worn, else twice the pressure. "
+    "A schedule over pressure is told the nominal one where the seal is stronger than thought or worn, else twice what it is. "
     "Where the rotor turns, unbalance G2.5."
 )
 
@@ -56,7 +57,7 @@ def cases(machine, wear):
     force = KNOCK * 9.81 * mass_properties(finite_element_rotor(machine)).mass
     unbalance = (Unbalance("every", grade=2.5e-3, grade_speed=machine.requirements.balance_speed or top),) if top else ()
 
-    def case(name, duration, knocks, pressures, speed=held, changes=(), told=PressureSensor(gain=2.0)):
+    def case(name, duration, knocks, pressures, speed=held, changes=(), told=TOLD):
         pulses = tuple(Pulse(f"f_{machine.seals[0].name}_x", force, at, WIDTH) for at in knocks)
         changing = tuple(PressureChange(*item) for item in pressures)
         return Case(
