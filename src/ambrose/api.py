@@ -109,6 +109,7 @@ def verify(
     delay_samples: int | None = None,
     pressure_rate: float | None = None,
     pressure_error: float = 0.0,
+    speed_rate: float | None = None,
     progress: Progress = _quiet,
 ) -> Verification:
     """The controller judged on the full plant: at every operating point, and over all tolerances around each.
@@ -117,8 +118,9 @@ def verify(
     loop as it runs, sampled by Tustin's map and late (None: as the controller or the machine file says; where neither knows a
     rate the continuous loop is judged). pressure_rate [Pa/s]: the fastest change of the seal pressure, for a proof while it
     changes (None: the machine file's, or no proof); pressure_error [Pa]: how far off what a controller scheduled over it is
-    told may be. Points that a schedule does not cover are listed as left out, and the verification is not passed. Raises
-    InvalidInput where the controller is not one for this machine.
+    told may be; speed_rate [rad/s^2]: the fastest run-up, for a proof while the speed changes. Points that a schedule does not
+    cover are listed as left out, and the verification is not passed. Raises InvalidInput where the controller is not one for
+    this machine.
     """
     from ambrose.evaluation.verdict import verify_controller
     from ambrose.plant.model import Plant as PlantType
@@ -127,7 +129,7 @@ def verify(
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
     return verify_controller(
         place, _read(controller), several, tolerances=tolerances, rate=rate, delay_samples=delay_samples,
-        pressure_rate=pressure_rate, pressure_error=pressure_error,
+        pressure_rate=pressure_rate, pressure_error=pressure_error, speed_rate=speed_rate,
         progress=progress,
     )  # fmt: skip
 

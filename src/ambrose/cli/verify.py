@@ -40,6 +40,12 @@ from ambrose.cli.terminal import (
     default=None,
     help='How far off what a controller scheduled over pressure is told may be, such as "0.4 bar"; default: not at all.',
 )
+@click.option(
+    "--speed-rate",
+    type=float,
+    default=None,
+    help="Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as well; default: none is tried.",
+)
 @ALL
 @AS_JSON
 def verify(
@@ -49,11 +55,12 @@ def verify(
     delay_samples: int | None,
     pressure_rate: str | None,
     pressure_error: str | None,
+    speed_rate: float | None,
     everything: bool,
     as_json: bool,
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
-    from ambrose.core.checks import invalid
+    from ambrose.core.checks import check_positive, invalid
     from ambrose.evaluation.verdict import check_pressure_error, verify_controller
     from ambrose.verification.moving.spans import pressure_spans
 
@@ -64,10 +71,12 @@ def verify(
     if error and fastest is None and description.operation.pressure_rate is None:
         raise invalid("--pressure-error", pressure_error, "given with --pressure-rate", "say how fast the pressure changes")
     check_pressure_error(controller.law, error or 0.0)
+    if speed_rate is not None:
+        check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
     with progress_shown(as_json) as progress:
         result = verify_controller(
             description, controller, rate=rate_hz, delay_samples=delay_samples, pressure_rate=fastest,
-            pressure_error=error or 0.0, progress=progress,
+            pressure_error=error or 0.0, speed_rate=speed_rate, progress=progress,
         )  # fmt: skip
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})

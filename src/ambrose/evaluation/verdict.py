@@ -12,7 +12,7 @@ from typing import Any
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
+from ambrose.core.statespace import StateSpace, is_system
 from ambrose.evaluation.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
@@ -28,6 +28,7 @@ from ambrose.verification.between import check_range
 from ambrose.verification.checks import Check, Checks
 from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
 from ambrose.verification.moving.pressure import check_pressure, covered_spans
+from ambrose.verification.moving.speed import check_speed, speed_spans
 from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
 
@@ -42,6 +43,7 @@ def verify_controller(
     delay_samples: int | None = None,
     pressure_rate: float | None = None,
     pressure_error: float = 0.0,
+    speed_rate: float | None = None,
     progress: Progress = lambda stage: None,
 ) -> Verification:
     """The checks of a controller on the full plant at every operating point, and over the tolerances around each.
@@ -51,7 +53,8 @@ def verify_controller(
     delay_samples: the loop as it runs, sampled by Tustin's map and late; None: as the controller or the machine file says
     (``plant.timing.timing_of``); where neither knows a rate the continuous loop is judged, and ``timing`` says so.
     pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the machine file's; without one nothing is proved for a
-    pressure that changes); pressure_error [Pa]: how far off what a controller scheduled over it is told may be. Operating
+    pressure that changes); pressure_error [Pa]: how far off what a controller scheduled over it is told may be; speed_rate
+    [rad/s^2]: the fastest run-up, for a proof while the speed changes, over the tolerances as well (None: none). Operating
     points that a schedule does not cover are listed as left out. Raises InvalidInput where the controller is not one for this
     machine.
     """
@@ -74,6 +77,8 @@ def verify_controller(
         ranges, beyond = verify_ranges(machine, law, checks, progress, timing)
         left_out = (*left_out, *beyond)
         moving = verify_moving(machine, law, checks, progress, timing, pressure_rate, pressure_error)
+        if speed_rate is not None:
+            moving = (*moving, *verify_speed(machine, law, checks, progress, timing, speed_rate, tolerances))
     still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
     return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still, ranges, moving)
 
@@ -134,6 +139,28 @@ def verify_moving(
         spans = scheduled_spans(machine, law) if over_pressure else ()
         return tuple(check_on_model(machine, span, law, timing, rate, error, progress) for span in spans)
     return tuple(check_pressure(machine, span, law, timing, rate, progress) for span in covered_spans(machine, law))
+
+
+def verify_speed(
+    machine: Machine, law: Any, points: Sequence[Checks], progress: Progress, timing: Timing | None, rate: float,
+    tolerances: bool,
+) -> tuple[Checks, ...]:  # fmt: skip
+    """The checks while the speed changes at one pressure, at up to ``rate`` [rad/s^2], of a fixed law or a schedule over speed.
+
+    With an unstable point there are none. Raises InvalidInput for a law scheduled over anything else.
+    """
+    if not is_system(law) and scheduling_of(law) is not SPEED:
+        raise InvalidInput(
+            "a controller scheduled over pressure is not proved while the speed changes; leave the speed's rate out"
+        )
+    spans = speed_spans(machine, law)
+    if not spans:
+        raise InvalidInput(
+            "no two operating points differ in speed alone; add one in the machine file, or leave the speed's rate out"
+        )
+    if not all(checks.stable for checks in points):
+        return ()
+    return tuple(check_speed(machine, span, law, timing, rate, tolerances, progress) for span in spans)
 
 
 def check_pressure_error(law: Any, error: float) -> bool:

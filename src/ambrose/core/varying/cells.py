@@ -76,21 +76,27 @@ class _Entry:
     slope: np.ndarray
 
 
-class _Search:
-    """The inequalities in coordinates in which the middle loop's own X is I, and time in its own pace."""
+class CellSearch:
+    """The inequalities in coordinates in which the middle loop's own X is I (or those given, T and its inverse), and time in
+    its own pace."""
 
-    def __init__(self, cells: Sequence[Cell], C: np.ndarray, rate: float, degree: int, share: float) -> None:
-        middle = cells[len(cells) // 2]
-        A, B = middle.A.mean(axis=(0, 1)), middle.B.mean(axis=(0, 1))
-        T, inverse = _coordinates(A, B, C)
+    def __init__(
+        self, cells: Sequence[Cell], C: np.ndarray, rate: float, degree: int, share: float,
+        coordinates: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> None:  # fmt: skip
+        A, B = middle_of(cells)
+        if coordinates is None:
+            T, inverse = own_coordinates(A, B, C)
+            turn = _reached_first(inverse @ A @ T, inverse @ B)
+            coordinates = T @ turn, turn.T @ inverse
+        T, inverse = coordinates
         pace = float(np.exp(np.log(np.abs(np.linalg.eigvals(A)) + 1e-9).mean()))
-        turn = _reached_first(inverse @ A @ T, inverse @ B)
-        T, inverse = T @ turn, turn.T @ inverse
         off = accurate_product(inverse, T)
         F = off[0] - np.eye(len(A)) + off[1]  # inverse T = I + F, so that T^-1 A T = (I - F + F^2) inverse A T but for F^3
         size = float(np.linalg.norm(F, 2))
         skew = size**3 + np.finfo(float).eps * len(A) * size
         self.error = 0.0  # by which rounding in the change of coordinates moves A
+        self.T, self.pace = T, pace
         self.C = C @ T / np.sqrt(pace)
         self.entries: list[_Entry] = []
         self.degree = degree if np.isfinite(rate) else 0
@@ -113,11 +119,11 @@ class _Search:
         return self.variables[-1].stop + 1
 
     def inequality(self, entry: _Entry) -> Inequality:
-        n, q = entry.B.shape[1:]
-        corner, F0 = np.zeros((n + q, n + q)), np.zeros((n + q, n + q))
-        corner[n:, n:] = np.eye(q)
-        F0[:n, :n], F0[:n, n:], F0[n:, :n], F0[n:, n:] = -self.C.T @ self.C, -self.C.T, -self.C, -np.eye(q)
-        one = np.eye(n, n + q)
+        (n, m), q = entry.B.shape[1:], len(self.C)
+        corner, F0 = np.zeros((n + m, n + m)), np.zeros((n + m, n + m))
+        corner[-q:, -q:] = np.eye(q)
+        F0[:n, :n], F0[:n, -q:], F0[-q:, :n], F0[-q:, -q:] = -self.C.T @ self.C, -self.C.T, -self.C, -np.eye(q)
+        one = np.eye(n, n + m)
         terms = tuple(
             Term(X, -one, np.hstack([A, B]) + slope / 2 * one)
             for X, A, B, slope in zip(self.variables, entry.A, entry.B, entry.slope, strict=True)
@@ -207,7 +213,13 @@ def _halves(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return high, a - high
 
 
-def _coordinates(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def middle_of(cells: Sequence[Cell]) -> tuple[np.ndarray, np.ndarray]:
+    """A and B in the middle of the cell in the middle."""
+    middle = cells[len(cells) // 2]
+    return middle.A.mean(axis=(0, 1)), middle.B.mean(axis=(0, 1))
+
+
+def own_coordinates(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """T and its inverse, x = T x', in which the loop's own bounded-real X, 5 % above its gain, is about I."""
     A, t = balance(A)
     B, C, q = B / t[:, None], C * t, len(C)
@@ -243,7 +255,7 @@ def proved_on_cells(
     degree: of X(p); share: of the states whose rows of X change with p; time_limit [s]: of all. Raises
     NumericalFailure where none is found, with the reason.
     """
-    search = _Search(cells, C, rate, degree, share)
+    search = CellSearch(cells, C, rate, degree, share)
     chosen = search.first()
     best, reason, bounded, end = None, "", True, time.monotonic() + time_limit
     for step in range(_ROUNDS):
