@@ -65,6 +65,9 @@ def test_simulate_falls_back_where_the_reading_is_lost(folder):
     for alone in (("--pressure-rate", "200 bar/s"), ("--pressure-error", "0.4 bar"), ("--estimate", "beside")):
         refused = call(folder, *words, *alone)
         assert refused.exit_code == 2 and "--fallback" in refused.stderr
+    lifted = [*words, "--fallback", "pid.json"]
+    lifted[5], lifted[7] = "levitation", "lifted.h5"  # currents are cut until the rotor is free of its touchdown bearings
+    assert "levitated since" in json.loads(call(folder, *lifted).stdout)["text"]
     done = call(folder, *words, "--fallback", "pid.json", "--estimate", "beside", "--pressure-error", "0.4 bar")
     assert "the monitor saw no excitation and said nothing" in json.loads(done.stdout)["text"]
 

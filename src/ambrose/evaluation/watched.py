@@ -171,6 +171,7 @@ def watched(
         raise invalid(
             "pressure_error", "0 Pa", "above zero with an estimate", "say how far off the reading may be, such as 0.4 bar"
         )
+    rate = machine.operation.pressure_rate if rate is None else rate
     if how == "alone":
         _check_alone(rate, program.limits)
     if len(machine.seals) != 1:

@@ -25,6 +25,7 @@ from ambrose.plant.loop import match_axes
 from ambrose.plant.scheduling import PRESSURE, scheduling_of
 
 Law = tuple[np.ndarray, ...]  # E = A - I, B, C, D, L: sampled, with the gain that leads its states to the currents that act
+_LONGEST = 3600.0  # s, after which a value counts as stuck: samples are counted in 32 bits
 _BETWEEN = 3  # points between two of the schedule where it is sampled; the sampled matrices are linear between them
 _RADIUS = 0.99  # of the slowest mode with which one that waits follows
 
@@ -82,6 +83,10 @@ class Limits:
         for name in ("rate", "stuck"):
             if not getattr(self, name) > 0:
                 raise invalid(f"{name} of the supervision", getattr(self, name), "above zero", "leave it out to watch nothing")
+        if math.isfinite(self.stuck) and self.stuck > _LONGEST:
+            raise invalid(
+                "stuck of the supervision", f"{self.stuck:g} s", f"at most {_LONGEST:g} s", "leave it out to watch nothing"
+            )
         check_positive(self.dwell, "dwell of the supervision", "say how long readings have to be good, such as 0.2 s")
 
 
@@ -157,8 +162,9 @@ class SupervisedLaws:
     currents u [A] within +-limit (p,) [A]; cut: what acts less u.
 
     schedule: E, B, C, D, L at every value of the grid (k,) [Pa], linear between; fixed: of the other one. start (n, m), (n, p):
-    where the fixed one stands after errors and currents that have been there for long. Raises NumericalFailure where one that
-    waits would not follow.
+    where the fixed one stands after errors and currents that have been there for long. unwinds: whether L is an anti-windup
+    gain, which the one in charge takes as well while its currents are cut; an observer's moves every state, and a rotor that
+    rests on its touchdown bearings would never get free. Raises NumericalFailure where one that waits would not follow.
     """
 
     grid: np.ndarray
@@ -169,6 +175,7 @@ class SupervisedLaws:
     axes: tuple[str, ...]
     sample_time: float
     delay: int = 1
+    unwinds: bool = False
 
     def __post_init__(self) -> None:
         halfway = (tuple((a + b) / 2 for a, b in zip(*pair, strict=True)) for pair in pairwise(self.schedule))
@@ -291,9 +298,9 @@ class SupervisedProgram:
         self.limited = bool((acting != wanted).any())
         for i, (E, B, _, _, L) in enumerate(laws):
             added = E @ self._x[i] + B @ errors
-            if i == charge:
+            if i == charge and self.laws.unwinds:
                 added += L @ (np.clip(acting - self._share * self._left, -limit, limit) - outputs[i])
-            elif self.tracking:
+            elif i != charge and self.tracking:
                 added += L @ (acting - outputs[i])
             added += self._carry[i]  # compensated: small increments are not lost
             total = self._x[i] + added

@@ -32,6 +32,7 @@ from ambrose.core.varying.proof import Proof
 
 _ROOMS = (5e-3, 2e-2, 5e-2)  # of gamma, above the smallest found, at which the inequality is checked
 _REMEDY = "narrower tolerances, a smaller range or a slower motion help"
+_USELESS = 100.0  # gain, beyond which nothing is called proved
 _LIGHT = 1e-9  # of X's largest eigenvalue, below which a direction counts as of that size
 
 
@@ -62,7 +63,7 @@ def proved_over_tolerances(
         )
     search = _Tolerant(cells, C, Z, rate, degree, (T, inverse), len(size))
     first = minimise(search.cost, search.inequalities(), tolerance=3e-3, time_limit=end - time.monotonic())
-    if first.status not in ("optimal", "inexact") or not first.x[-1] > 0:
+    if first.status not in ("optimal", "inexact") or not 0 < first.x[-1] < _USELESS**2:
         raise NumericalFailure(f"no quadratic function proves the loop over its tolerances ({first.status}); {_REMEDY}")
     least = float(np.sqrt(first.x[-1]))
     tell(f"gain below {least:.4f}; making it certain")

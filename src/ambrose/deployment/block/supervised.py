@@ -72,7 +72,7 @@ def supervised_twin(block: SupervisedBlock, kind: Any = np.float64) -> Supervise
         block.grid, tuple(_law(point, kind) for point in points),
         _law((fixed.increment, fixed.B, fixed.C, fixed.D, fixed.unwind), kind),
         (fixed.from_error.astype(kind) * block.transfers, fixed.from_output.astype(kind) * block.transfers),
-        block.current_limit.astype(kind), axes, block.sample_time, block.delay,
+        block.current_limit.astype(kind), axes, block.sample_time, block.delay, True,
     )  # fmt: skip
     return SupervisedProgram(pair, block.watch)
 
