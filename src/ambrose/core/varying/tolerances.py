@@ -32,6 +32,8 @@ from ambrose.core.varying.proof import Proof
 
 _ROOMS = (5e-3, 2e-2, 5e-2)  # of gamma, above the smallest found, at which the inequality is checked
 _REMEDY = "narrower tolerances, a smaller range or a slower motion help"
+_TURNS, _WORTH = 10, 0.98  # of the search in its own solution's states, and what a turn must gain
+_LESS = 0.25  # of the tolerances, where all of them have no solution in the states at hand
 _USELESS = 100.0  # gain, beyond which nothing is called proved
 _LIGHT = 1e-9  # of X's largest eigenvalue, below which a direction counts as of that size
 
@@ -61,17 +63,29 @@ def proved_over_tolerances(
         T, inverse = (
             np.pad(M, (0, 2 * len(size))) + np.diag(np.repeat([0.0, 1.0], [len(M), 2 * len(size)])) for M in (T, inverse)
         )
-    search = _Tolerant(cells, C, Z, rate, degree, (T, inverse), len(size))
-    first = minimise(search.cost, search.inequalities(), tolerance=3e-3, time_limit=end - time.monotonic())
-    if first.status not in ("optimal", "inexact") or not 0 < first.x[-1] < _USELESS**2:
+    least, unit, count, share = np.inf, np.ones(len(size)), len(size), 1.0  # share of the tolerances, by which states are found
+    for _ in range(_TURNS):
+        search = _Tolerant([_scaled(cell, share / unit) for cell in cells], C, Z, rate, degree, (T, inverse), count, unit)
+        first = minimise(search.cost, search.inequalities(), tolerance=3e-3, time_limit=end - time.monotonic())
+        held = first.status in ("optimal", "inexact") and first.x[-1] > 0
+        if held and share == 1.0:
+            if not np.sqrt(first.x[-1]) < _WORTH * least:
+                break
+            least = float(np.sqrt(first.x[-1]))
+            tell(f"gain below {least:.4f}")
+        elif least < np.inf or time.monotonic() > end:
+            break
+        if not held:
+            share *= _LESS
+            continue
+        values, V = np.linalg.eigh(search.functions(first.x)[0])
+        root = np.sqrt(np.maximum(np.abs(values), _LIGHT * np.abs(values).max()))
+        T, inverse = T @ (V / root), (V * root).T @ inverse
+        d = first.x[search.begin :][: search.each * count : search.each]
+        unit, share = unit * np.sqrt(np.maximum(d, np.finfo(float).tiny)), min(1.0, share / _LESS**0.5)
+    if not least < _USELESS:
         raise NumericalFailure(f"no quadratic function proves the loop over its tolerances ({first.status}); {_REMEDY}")
-    least = float(np.sqrt(first.x[-1]))
-    tell(f"gain below {least:.4f}; making it certain")
-    values, V = np.linalg.eigh(search.functions(first.x)[0])
-    root = np.sqrt(np.maximum(np.abs(values), _LIGHT * np.abs(values).max()))
-    T, inverse = T @ (V / root), (V * root).T @ inverse
-    unit = np.sqrt(np.maximum(first.x[search.begin :][: search.each * len(size) : search.each], np.finfo(float).tiny))
-    search = _Tolerant([_scaled(cell, 1 / unit) for cell in cells], C, Z, rate, degree, (T, inverse), len(size), unit)
+    search = _Tolerant([_scaled(cell, 1 / unit) for cell in cells], C, Z, rate, degree, (T, inverse), count, unit)
     for room in _ROOMS:
         gamma = least * (1 + room)
         found = minimise(-search.cost, search.inequalities(gamma), tolerance=1e-3, time_limit=end - time.monotonic())
