@@ -28,7 +28,7 @@ from ambrose.verification.between import check_range
 from ambrose.verification.checks import Check, Checks
 from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
 from ambrose.verification.moving.pressure import check_pressure, covered_spans
-from ambrose.verification.moving.speed import check_speed, speed_spans
+from ambrose.verification.moving.speed import SpeedSpan, check_speed, speed_spans
 from ambrose.verification.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
 
@@ -67,6 +67,7 @@ def verify_controller(
         plants = tuple(plant_at(machine, point) for point in points)
     if not plants:
         raise InvalidInput("no operating point is given; name one at least, or leave points out for all of the machine")
+    spans = check_speed_spans(machine, law) if speed_rate is not None and isinstance(machine, Machine) else ()
     within, left_out = split_covered(law, plants)
     timing = timing_of(within[0].machine, controller, rate, delay_samples)
     checks = verify_points(within, law, progress, timing)
@@ -77,8 +78,9 @@ def verify_controller(
         ranges, beyond = verify_ranges(machine, law, checks, progress, timing)
         left_out = (*left_out, *beyond)
         moving = verify_moving(machine, law, checks, progress, timing, pressure_rate, pressure_error)
-        if speed_rate is not None:
-            moving = (*moving, *verify_speed(machine, law, checks, progress, timing, speed_rate, tolerances))
+        if speed_rate is not None and all(item.stable for item in checks):
+            runs = (check_speed(machine, span, law, timing, speed_rate, tolerances, progress) for span in spans)
+            moving = (*moving, *runs)
     still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
     return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still, ranges, moving)
 
@@ -141,14 +143,8 @@ def verify_moving(
     return tuple(check_pressure(machine, span, law, timing, rate, progress) for span in covered_spans(machine, law))
 
 
-def verify_speed(
-    machine: Machine, law: Any, points: Sequence[Checks], progress: Progress, timing: Timing | None, rate: float,
-    tolerances: bool,
-) -> tuple[Checks, ...]:  # fmt: skip
-    """The checks while the speed changes at one pressure, at up to ``rate`` [rad/s^2], of a fixed law or a schedule over speed.
-
-    With an unstable point there are none. Raises InvalidInput for a law scheduled over anything else.
-    """
+def check_speed_spans(machine: Machine, law: Any) -> tuple[SpeedSpan, ...]:
+    """Where a fixed law or a schedule over speed is proved while the speed changes. Raises InvalidInput where it cannot be."""
     if not is_system(law) and scheduling_of(law) is not SPEED:
         raise InvalidInput(
             "a controller scheduled over pressure is not proved while the speed changes; leave the speed's rate out"
@@ -158,9 +154,7 @@ def verify_speed(
         raise InvalidInput(
             "no two operating points differ in speed alone; add one in the machine file, or leave the speed's rate out"
         )
-    if not all(checks.stable for checks in points):
-        return ()
-    return tuple(check_speed(machine, span, law, timing, rate, tolerances, progress) for span in spans)
+    return spans
 
 
 def check_pressure_error(law: Any, error: float) -> bool:

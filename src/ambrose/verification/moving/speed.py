@@ -16,6 +16,7 @@ from math import comb
 import numpy as np
 
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive
+from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, is_stable, select
@@ -81,11 +82,14 @@ class _Family:
         tolerances: Sequence[Tolerance],
     ) -> None:  # fmt: skip
         self.plant, self.span, self.law, self.lag, self.modes, self.tolerances = plant, span, law, lag, modes, tolerances
-        system, r = self._open(self._middle)
-        direct = system.D[:r].any(axis=1)
+        model = self._open(self._middle)
+        system, r = model.system, len(model.w)
+        owners = np.array([block.name for block in model.blocks for _ in range(block.n_z)])
+        lost = set(owners[system.D[:r].any(axis=1) | ~system.C[:r].any(axis=1)])  # a parameter is in it with all its rows
         if system.D[r:].any():
             raise InvalidInput("the currents reach the sensors at once; give the amplifier a bandwidth in the machine file")
-        self.rows = np.flatnonzero(~direct)  # of z that the states alone decide
+        self.rows = np.array([i for i, name in enumerate(owners) if name not in lost], int)  # of z that the states alone decide
+        self.covered = tuple(dict.fromkeys(owners[self.rows].tolist()))  # the parameters whose tolerances are in it
         self.directions = system.C[self.rows] / np.linalg.norm(system.C[self.rows], axis=1)[:, None]
         self.B, self.C = system.B[:, r:], system.C[r:]
         self._range = np.ptp(
@@ -97,24 +101,16 @@ class _Family:
     def _middle(self) -> float:
         return (self.span.low + self.span.high) / 2
 
-    @property
-    def covered(self) -> tuple[str, ...]:
-        """The parameters whose tolerances are in it."""
-        if not self.tolerances:
-            return ()
-        small = free_mode_reduction(replace(self.plant, point=self.span.at(self._middle)), self.modes)
-        owners = [block.name for block in open_model(small, self.tolerances, True).blocks for _ in range(block.n_z)]
-        return tuple(dict.fromkeys(owners[i] for i in self.rows))
-
-    def _open(self, speed: float) -> tuple[StateSpace, int]:
-        """(w, u) -> (z, y), and the number of w."""
+    def _open(self, speed: float) -> GeneralizedPlant:
+        """(w, u) -> (z, y)."""
         small = free_mode_reduction(replace(self.plant, point=self.span.at(speed)), self.modes)
         model = open_model(small, self.tolerances or None, bool(self.tolerances))
-        return apply_delay(model, self.lag, _PADE).system, len(model.w)
+        return apply_delay(model, self.lag, _PADE)
 
     def _of_speed(self, speed: float) -> np.ndarray:
         """A and the columns of w, z being unit rows of the states."""
-        system, r = self._open(speed)
+        model = self._open(speed)
+        system, r = model.system, len(model.w)
         Z, W = system.C[:r][self.rows], system.B[:, :r][:, self.rows]
         size = (Z * self.directions).sum(axis=1)
         if np.abs(Z - size[:, None] * self.directions).max(initial=0.0) > 1e-9 * np.abs(Z).max(initial=0.0):
@@ -135,7 +131,7 @@ class _Family:
 
     def frozen(self, speed: float) -> StateSpace:
         """d -> y + d at one speed, without deviations."""
-        system, (A, B) = self._open(speed)[0], self.around(speed)
+        system, (A, B) = self._open(speed).system, self.around(speed)
         n, C = len(self.B), self.wide(self.C)
         A[:n, :n] += system.A
         return StateSpace(A, B[:, len(self.rows) :], C, np.eye(len(C)))
