@@ -13,16 +13,16 @@ import ambrose as amb
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.evaluation.acceptance import accept
-from ambrose.evaluation.verdict import running_law
+from ambrose.annexes.site.acceptance import accept
+from ambrose.judge.verdict import running_law
 from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.machine.description import OperatingPoint, Runout
-from ambrose.plant.assemble import assemble
-from ambrose.plant.model import top_speed
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.timing import Timing, timing_of
-from ambrose.simulation.disturbances import Unbalance
-from ambrose.simulation.scenario import load_scenario
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import top_speed
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.law.timing import Timing, timing_of
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import load_scenario
 
 CASES = (  # machine, share of the top speed, balance grade [m/s]
     ("seal-rig", 0.0, 0.0),

@@ -14,12 +14,12 @@ import numpy as np
 from ambrose import assemble, load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
-from ambrose.plant.timing import Timing
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Sine
-from ambrose.simulation.scenario import Scenario
+from ambrose.law.loop import closed_loop
+from ambrose.model.plant import Plant
+from ambrose.law.timing import Timing
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Sine
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 AMPLITUDE = 2e-7  # m: the magnets stay linear within 0.1 %

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 import ambrose as amb
-from ambrose.identification.balancing.correction import balance
-from ambrose.identification.balancing.vectors import once_per_turn, revolution
+from ambrose.annexes.site.balancing.correction import balance
+from ambrose.annexes.site.balancing.vectors import once_per_turn, revolution
 from ambrose.machine.description import Runout
-from ambrose.physics.rotor import finite_element_rotor, mass_properties
-from ambrose.plant.model import top_speed
-from ambrose.simulation.disturbances import Unbalance
-from ambrose.simulation.scenario import Scenario
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+from ambrose.model.plant import top_speed
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import Scenario
 
 CASES = {  # planes; shares of the balancing speed, the first of them slow roll
     "turbomolecular-pump": (("bell", "fore-vacuum"), (0.05, 0.6, 1.0)),

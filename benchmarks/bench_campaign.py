@@ -9,9 +9,9 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from ambrose.campaigns.plan import plan_of
-from ambrose.campaigns.run import bases_of, fixed_of
-from ambrose.campaigns.tasks import PEAK, compute
+from ambrose.annexes.campaigns.plan import plan_of
+from ambrose.annexes.campaigns.run import bases_of, fixed_of
+from ambrose.annexes.campaigns.tasks import PEAK, compute
 
 _HEAD = {"machine": "seal-rig", "controller": "pid"}
 _TASKS = (("simulate", 4, {"scenario": "levitation"}), ("verify", 2, {}), ("design", 2, {"method": "tuned"}))

@@ -22,25 +22,25 @@ import numpy as np
 from ambrose import design as tuned
 from ambrose import load_machine
 from ambrose.core.statespace import StateSpace
-from ambrose.deployment.block.fixed import ControlBlock, build_block
-from ambrose.deployment.block.fixed_point import to_fixed_point
-from ambrose.deployment.block.scheduled import build_scheduled_block
-from ambrose.deployment.block.supervised import supervise
-from ambrose.deployment.c.code import Arithmetic, generate
-from ambrose.deployment.c.compiled import CompiledBlock, read_law
-from ambrose.deployment.discretisation.deployment import Deployment, deploy, deploy_scheduled
-from ambrose.deployment.fmu.archive import generate_fmus
-from ambrose.deployment.mat import generate_mat
-from ambrose.deployment.pipeline import machine_limits
-from ambrose.deployment.structured_text import generate_structured_text
+from ambrose.code.block.fixed import ControlBlock, build_block
+from ambrose.code.block.fixed_point import to_fixed_point
+from ambrose.code.block.scheduled import build_scheduled_block
+from ambrose.code.block.supervised import supervise
+from ambrose.code.c.code import Arithmetic, generate
+from ambrose.code.c.compiled import CompiledBlock, read_law
+from ambrose.code.sampled import Deployment, deploy, deploy_scheduled
+from ambrose.code.fmu.archive import generate_fmus
+from ambrose.code.mat import generate_mat
+from ambrose.code.pipeline import machine_limits
+from ambrose.code.structured_text import generate_structured_text
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.supervision import Limits
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Scenario, load_scenario
-from ambrose.simulation.trace import Trace
+from ambrose.model.assemble import assemble
+from ambrose.law.supervision import Limits
+from ambrose.rig import virtual_rig
+from ambrose.rig.scenario import Scenario, load_scenario
+from ambrose.rig.trace import Trace
 from ambrose.synthesis.design import design
-from ambrose.synthesis.result import Provenance, Synthesis
+from ambrose.judge.result import Provenance, Synthesis
 
 STEPS = 2_000_000
 _SAMPLES = 20_000

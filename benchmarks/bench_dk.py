@@ -18,11 +18,11 @@ from ambrose import load_machine
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty, lft
 from ambrose.core.statespace import StateSpace, is_stable
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import design_plant, with_performance_block
+from ambrose.law.design_problem import design_plant, with_performance_block
 from benchmarks.published_p5 import published_p5_problem
 
 

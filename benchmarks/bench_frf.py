@@ -17,10 +17,10 @@ from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.phasors import steps_of
 from ambrose.identification.seal import stepped_sine
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_controller
 from benchmarks import waveforms
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf.scaling import scale_plant
+from ambrose.core.hinf.scaling import scale_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.result import Synthesis
+from ambrose.judge.result import Synthesis
 from benchmarks.published_p5 import published_p5_problem
 
 
@@ -79,7 +79,7 @@ def _against_slicot(name: str, plant: GeneralizedPlant, tolerance: float) -> dic
 
 
 def _against_inequalities(name: str, plant: GeneralizedPlant) -> dict[str, Any]:
-    from ambrose.synthesis.hinf.lmi import smallest_gamma
+    from ambrose.core.hinf.lmi import smallest_gamma
 
     ours, result = _timed(lambda: hinf_synthesis(plant, tolerance=1e-5))
     scaled = scale_plant(plant)

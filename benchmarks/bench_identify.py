@@ -26,10 +26,10 @@ from ambrose.identification.output_error.normal_equations import normal_equation
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 from benchmarks import waveforms
 

@@ -19,12 +19,12 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.scheduling import BOTH, SPEED, Scheduling
-from ambrose.synthesis.lpv.family import scaled_family
-from ambrose.synthesis.lpv.inequalities import Shape, program
-from ambrose.synthesis.lpv.machine import plants_along
-from ambrose.synthesis.lpv.synthesis import lpv_synthesis
+from ambrose.model.assemble import assemble
+from ambrose.law.scheduling import BOTH, SPEED, Scheduling
+from ambrose.annexes.scheduled.lpv.family import scaled_family
+from ambrose.annexes.scheduled.lpv.inequalities import Shape, program
+from ambrose.annexes.scheduled.lpv.machine import plants_along
+from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 
 POINTS = 8
 

@@ -15,15 +15,15 @@ import numpy as np
 from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles, select
-from ambrose.evaluation.verdict import verify_controller
+from ambrose.judge.verdict import verify_controller
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import modal_reduction
-from ambrose.stages.plants import facts
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import modal_reduction
+from ambrose.chain.plants import facts
 from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification import nominal
+from ambrose.judge import nominal
 
 
 def seconds(action: Callable[[], Any], runs: int = 7) -> float:

@@ -18,14 +18,14 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.output_error.lifted import lift, stream
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.files import read_record, write_record
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulation import linear
-from ambrose.simulation.scenario import load_scenario
-from ambrose.simulation.trace import Trace
+from ambrose.record.files import read_record, write_record
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.rig import linear
+from ambrose.rig.scenario import load_scenario
+from ambrose.rig.trace import Trace
 from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4

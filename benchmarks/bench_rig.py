@@ -14,15 +14,18 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import amplifier, coupling, magnet, seal
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs
-from ambrose.simulation.rig.controller import sampled_law
-from ambrose.simulation.rig.equilibrium import levitated_state, measurement
-from ambrose.simulation.rig.inputs import Drive, plan, stretch
-from ambrose.simulation.rig.state import Rig, build, compiled
-from ambrose.simulation.scenario import Scenario
+from ambrose.record.record import Record
+from ambrose.model.effects import amplifier
+from ambrose.model.effects import coupling
+from ambrose.model.effects import magnet
+from ambrose.model.effects import seal
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs
+from ambrose.rig.engine.controller import sampled_law
+from ambrose.rig.engine.equilibrium import levitated_state, measurement
+from ambrose.rig.engine.inputs import Drive, plan, stretch
+from ambrose.rig.engine.state import Rig, build, compiled
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
@@ -33,14 +36,14 @@ PID = pid_controller(MACHINE.controller, MACHINE)
 MEMORY = """
 import resource, tempfile, pathlib
 from benchmarks.bench_rig import MACHINE, PID, excited
-from ambrose.simulation import virtual_rig
+from ambrose.rig import virtual_rig
 with tempfile.TemporaryDirectory() as folder:
     trace = virtual_rig.run(MACHINE, PID, excited(60.0), path=pathlib.Path(folder) / "run.h5")
 print(trace.run_time, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
 COMPILE = """
 from benchmarks.bench_rig import MACHINE, PID, excited
-from ambrose.simulation import virtual_rig
+from ambrose.rig import virtual_rig
 print(virtual_rig.run(MACHINE, PID, excited(0.01)).compile_time)
 """
 

@@ -20,10 +20,10 @@ from ambrose.core.worst_case.crossing import box_margin
 from ambrose.core.worst_case.loop import BoxLoop, corners, default_grid, gains, perturbed_matrix, sweep, unstable_poles
 from ambrose.core.worst_case.search import worst_gain
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.verification import robust
+from ambrose.judge import robust
 
 _EIGENVALUES, _RESPONSES = 16, 4  # points at which the peer is timed
 _GROWN = 3.0  # of the box, for the count: some of its points are unstable

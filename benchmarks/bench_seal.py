@@ -14,10 +14,10 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.machine.seals import GasSealGeometry
-from ambrose.physics import bulkflow
-from ambrose.physics.gas_seal import described
-from ambrose.physics.seal import coefficients
-from ambrose.physics.seal_rational import linearised, rational
+from ambrose.model.effects import bulkflow
+from ambrose.model.effects.gas_seal import described
+from ambrose.model.effects.seal import coefficients
+from ambrose.model.effects.seal_rational import linearised, rational
 
 HZ = 2 * np.pi
 DROP = 38.5e5

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 import ambrose as amb
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import perturbed, tolerances_around
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
+from ambrose.model.uncertainty import perturbed, tolerances_around
 from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.job import bending_modes_for, with_states
 from ambrose.synthesis.fixed_order.loops import loop_model

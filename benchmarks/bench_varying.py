@@ -9,12 +9,12 @@ import numpy as np
 
 from ambrose import design, load_machine
 from ambrose.core.norms import hinf_norm
-from ambrose.plant.assemble import assemble
-from ambrose.plant.timing import Timing
-from ambrose.verification.checks import Checks
-from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
-from ambrose.verification.moving.pressure import check_pressure, pressure_loop
-from ambrose.verification.moving.spans import FROZEN, pressure_spans
+from ambrose.model.assemble import assemble
+from ambrose.law.timing import Timing
+from ambrose.judge.checks import Checks
+from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
+from ambrose.annexes.scheduled.moving.pressure import check_pressure, pressure_loop
+from ambrose.annexes.scheduled.moving.spans import FROZEN, pressure_spans
 
 RATE, PRESSURE_RATE, ERROR = 10_000.0, 2e6, 0.408e5  # Hz; Pa/s; Pa, a fifth of nominal
 _TIMING = Timing(1 / RATE, 1)

@@ -10,11 +10,11 @@ import numpy as np
 
 import ambrose as amb
 from ambrose.core.statespace import static_gain
-from ambrose.identification.calibration import calibrate
+from ambrose.annexes.site.calibration import calibrate
 from ambrose.machine.description import Runout
-from ambrose.plant.model import top_speed
-from ambrose.simulation.disturbances import Sine
-from ambrose.simulation.scenario import Scenario
+from ambrose.model.plant import top_speed
+from ambrose.rig.disturbances import Sine
+from ambrose.rig.scenario import Scenario
 
 MACHINES = ("overhung-blower", "flywheel", "turbomolecular-pump", "nelson-mcvaugh-rotor")
 GAIN, OFFSET, CENTRE = (1.04, 0.97), (12e-6, -8e-6), (6e-6, -4e-6)

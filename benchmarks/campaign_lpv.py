@@ -16,16 +16,16 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import match_controller
-from ambrose.plant.model import Plant
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.run_up import spin_up, steps
-from ambrose.simulation.scenario import Scenario, load_scenario
-from ambrose.simulation.trace import Trace
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import match_controller
+from ambrose.model.plant import Plant
+from ambrose.rig import virtual_rig
+from ambrose.rig.run_up import spin_up, steps
+from ambrose.rig.scenario import Scenario, load_scenario
+from ambrose.rig.trace import Trace
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv.machine import design_schedule
-from ambrose.verification.loop_response import loop_evaluator
+from ambrose.annexes.scheduled.lpv.machine import design_schedule
+from ambrose.judge.loop_response import loop_evaluator
 
 HZ = 2 * np.pi
 SPEEDS_HZ = (20, 25, 30, 35, 60, 100, 140, 180, 220, 260, 300)

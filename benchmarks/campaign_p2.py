@@ -30,17 +30,17 @@ from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats, of_estimates, repeats
 from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop as loop_of
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.static_load import operating_magnets
+from ambrose.record.record import Record
+from ambrose.model.effects import magnet
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop as loop_of
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.static_load import operating_magnets
 from ambrose.report.page import Report, write
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs, Pulse
-from ambrose.simulation.scenario import Scenario
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs, Pulse
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 from benchmarks.campaign_page import Condition, campaign_report
 from benchmarks.scatter_study import ScatterStudy, scatter_study

@@ -24,22 +24,22 @@ from ambrose.core.worst_case.loop import box_points, corners, default_grid, gain
 from ambrose.core.worst_case.search import worst_gain
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.weights import machine_weights
-from ambrose.verification.family.responses import (
+from ambrose.law.design_problem import design_plant
+from ambrose.law.weights import machine_weights
+from ambrose.judge.family.responses import (
     BoxUnbalance,
     PulseFamily,
     loop_over_box,
     pulse_family,
     unbalance_over_box,
 )
-from ambrose.verification.robust import box_loops
+from ambrose.judge.robust import box_loops
 
 HZ = 2 * np.pi
 POINT = "140 Hz (P3)"

@@ -36,14 +36,14 @@ from ambrose.identification.seal.regression import Line
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import seal
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop as loop_of
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Chirp, Prbs, Pulse, Sine, SteppedSine
-from ambrose.simulation.scenario import Scenario
+from ambrose.record.record import Record
+from ambrose.model.effects import seal
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop as loop_of
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Chirp, Prbs, Pulse, Sine, SteppedSine
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 HZ, BAR, DT = 2 * np.pi, 1e5, 1e-4

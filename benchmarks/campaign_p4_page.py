@@ -12,7 +12,7 @@ from ambrose.report import theme, units
 from ambrose.report.figures import seals as seal_figures
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Figure, Report, Section
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Impulses, Stepped, Swept, truth
 
 GREEK = {"zeta": "ζ", "eta": "η"}

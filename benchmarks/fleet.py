@@ -19,8 +19,8 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import main
-from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
-from ambrose.plant.timing import machine_timing
+from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
+from ambrose.law.timing import machine_timing
 
 STORED = Path(__file__).with_name("fleet.json")
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "machines.md"

@@ -130,10 +130,10 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
 
     import ambrose as amb
     from ambrose.core.scheduled import ScheduledSystem
-    from ambrose.machine.record.files import write_record
-    from ambrose.machine.record.record import Record
-    from ambrose.synthesis.controller_file import write_controller
-    from ambrose.synthesis.result import Synthesis
+    from ambrose.record.files import write_record
+    from ambrose.record.record import Record
+    from ambrose.judge.controller_file import write_controller
+    from ambrose.judge.result import Synthesis
 
     machine = folder / "tiny.toml"
     machine.write_text(MACHINE)
@@ -222,9 +222,9 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     from click.testing import CliRunner
 
     from ambrose.cli import main
-    from ambrose.machine.record import apart as process
-    from ambrose.machine.record import foreign
-    from ambrose.machine.record.mat_tdms import read_variables
+    from ambrose.record import apart as process
+    from ambrose.record import foreign
+    from ambrose.record.mat_tdms import read_variables
 
     commands = {
         "machine": ["check", str(path)],
@@ -254,7 +254,7 @@ def place(kind: str, folder: Path) -> Path:
 
 def work(kind: str, folder: Path, seed: int, first: int, last: int) -> None:
     """What a worker does: judge one case after the other, and tell each."""
-    from ambrose.machine.record.apart import _MEMORY, _limit
+    from ambrose.record.apart import _MEMORY, _limit
 
     if kind in {"mat", "tdms"}:
         _limit(_MEMORY, 7200)

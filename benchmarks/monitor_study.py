@@ -13,12 +13,12 @@ from functools import cache
 import numpy as np
 
 import ambrose as amb
-from ambrose.identification.seal_monitor.watch import monitor
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs, PressureChange, Unbalance
-from ambrose.simulation.scenario import Scenario
+from ambrose.annexes.scheduled.seal_monitor.watch import monitor
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs, PressureChange, Unbalance
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
 TIMES = (0.1, 0.5, 2.0)  # [s] after the filters have settled

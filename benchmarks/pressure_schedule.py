@@ -17,11 +17,11 @@ import numpy as np
 
 import ambrose as amb
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.plant.loop import law_at
-from ambrose.plant.timing import Timing
-from ambrose.simulation.disturbances import PressureChange, Pulse
-from ambrose.simulation.scenario import Scenario
-from ambrose.synthesis.certificate import certify
+from ambrose.law.loop import law_at
+from ambrose.law.timing import Timing
+from ambrose.rig.disturbances import PressureChange, Pulse
+from ambrose.rig.scenario import Scenario
+from ambrose.judge.certificate import certify
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
 TIMING = Timing(1e-4, 1)

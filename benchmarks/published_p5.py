@@ -13,8 +13,8 @@ import numpy as np
 from ambrose.core.lft import GeneralizedPlant, RealBlock
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
 from ambrose.machine.description import DesignWeights, PidSettings
-from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.weights import Weights, machine_weights
+from ambrose.law.design_problem import design_plant
+from ambrose.law.weights import Weights, machine_weights
 
 
 @cache

@@ -17,14 +17,14 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values
 from ambrose.identification.validation.operating_load import machine_at_load
-from ambrose.machine.record.record import Record
-from ambrose.physics.rotor import finite_element_rotor, mass_properties
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Unbalance
-from ambrose.simulation.scenario import load_scenario
+from ambrose.record.record import Record
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.pid import pid_synthesis
 from benchmarks import waveforms
 

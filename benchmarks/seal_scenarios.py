@@ -16,12 +16,12 @@ import numpy as np
 
 import ambrose as amb
 from ambrose.core.checks import AmbroseError
-from ambrose.physics.rotor import finite_element_rotor, mass_properties
-from ambrose.plant.model import top_speed
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+from ambrose.model.plant import top_speed
 from ambrose.report import theme
 from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict, write
-from ambrose.simulation.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, Unbalance
-from ambrose.simulation.scenario import Scenario
+from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, Unbalance
+from ambrose.rig.scenario import Scenario
 
 MACHINES = ("seal-rig", "turboexpander")
 RATE = 10_000

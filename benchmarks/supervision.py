@@ -19,17 +19,17 @@ from dataclasses import replace
 import numpy as np
 
 import ambrose as amb
-from ambrose.deployment.block.fixed import build_block
-from ambrose.deployment.block.scheduled import build_scheduled_block
-from ambrose.deployment.block.supervised import supervise, supervised_twin
-from ambrose.deployment.c.compiled import CompiledSchedule
-from ambrose.deployment.c.compiler import has_compiler
-from ambrose.deployment.discretisation.deployment import deploy, deploy_scheduled
-from ambrose.deployment.pipeline import machine_limits
-from ambrose.evaluation.watched import watched
-from ambrose.plant.supervision import Limits, supervised
-from ambrose.simulation.disturbances import Prbs, PressureChange, PressureSensor, Pulse
-from ambrose.simulation.scenario import Scenario
+from ambrose.code.block.fixed import build_block
+from ambrose.code.block.scheduled import build_scheduled_block
+from ambrose.code.block.supervised import supervise, supervised_twin
+from ambrose.code.c.compiled import CompiledSchedule
+from ambrose.code.c.compiler import has_compiler
+from ambrose.code.sampled import deploy, deploy_scheduled
+from ambrose.code.pipeline import machine_limits
+from ambrose.annexes.scheduled.watched import watched
+from ambrose.law.supervision import Limits, supervised
+from ambrose.rig.disturbances import Prbs, PressureChange, PressureSensor, Pulse
+from ambrose.rig.scenario import Scenario
 
 DT = 1e-4
 

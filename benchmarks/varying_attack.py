@@ -24,14 +24,14 @@ from ambrose.core.norms import HinfNorm, hinf_norm
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import match_controller
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
-from ambrose.verification.moving.pressure import check_pressure, pressure_loop
-from ambrose.verification.moving.spans import PressureSpan, pressure_spans
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import match_controller
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
+from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
+from ambrose.annexes.scheduled.moving.pressure import check_pressure, pressure_loop
+from ambrose.annexes.scheduled.moving.spans import PressureSpan, pressure_spans
 from benchmarks.motion_gain import Gain, Motion, Tables, ascend, closed, gain, growth, tables
 
 _TIMING = Timing(1e-4, 1)

@@ -20,18 +20,18 @@ import numpy as np
 import ambrose as amb
 from ambrose.core.checks import NumericalFailure
 from ambrose.machine.description import Tolerance
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
-from ambrose.sizing.guarantee import tuning_job
-from ambrose.synthesis.certificate import certify
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed
+from ambrose.annexes.sizing.guarantee import tuning_job
+from ambrose.judge.certificate import certify
 from ambrose.synthesis.fixed_order.job import first_law, prepare
 from ambrose.synthesis.fixed_order.tuning import tuned
-from ambrose.synthesis.lpv.synthesis import lpv_synthesis
+from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_controller
-from ambrose.synthesis.problem import apply_delay, design_plant, open_model
-from ambrose.synthesis.weights import machine_weights, scale_control
+from ambrose.law.design_problem import apply_delay, design_plant, open_model
+from ambrose.law.weights import machine_weights, scale_control
 
 RANGE = (0.0, 1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
 LIMIT, CONTROL = 3.0, 0.5  # of S_o; factor of the machine's control weight for the schedule, which lowers S_o

@@ -163,7 +163,7 @@ def lowering():
 
 def gas_seal():
     """docs/seals.md: the hole-pattern seal of the thesis, its coefficients and what the rational fit leaves."""
-    from ambrose.physics.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
+    from ambrose.model.effects.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
 
     seal = SealGeometry(
         length=0.0857, diameter=0.11474, inlet_clearance=0.2115e-3, exit_clearance=0.2102e-3,

@@ -7,8 +7,8 @@ import inspect
 from dataclasses import MISSING, fields
 
 from ambrose.machine.units import DIMENSIONS
-from ambrose.simulation import scenario as reader
-from ambrose.simulation.machine_terms import _QUANTITIES
+from ambrose.rig import scenario as reader
+from ambrose.rig.machine_terms import _QUANTITIES
 from docs_build import DOCS
 
 HEAD = """# Scenario file

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ambrose.deployment.block.block import Block
-from ambrose.deployment.block.fixed import ControlBlock
-from ambrose.deployment.block.scheduled import ScheduledBlock
-from ambrose.deployment.c.code import generate
+from ambrose.code.block.block import Block
+from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.c.code import generate
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-Wconversion", "-Wshadow"]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]

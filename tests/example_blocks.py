@@ -4,8 +4,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose import StateSpace
-from ambrose.deployment.block.fixed import ControlBlock, build_block
-from ambrose.deployment.discretisation.deployment import deploy
+from ambrose.code.block.fixed import ControlBlock, build_block
+from ambrose.code.sampled import deploy
 
 ERROR, CURRENT, DT = 0.5e-3, 4.0, 1e-4
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

@@ -2,8 +2,8 @@
 
 import math
 
-from ambrose.simulation.disturbances import Unbalance
-from ambrose.simulation.scenario import Scenario
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import Scenario
 
 HERTZ = 2 * math.pi
 RUN_UP = Scenario(

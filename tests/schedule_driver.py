@@ -9,9 +9,9 @@ import code_driver as driver
 from ambrose import StateSpace
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.deployment.block.scheduled import ScheduledBlock, build_scheduled_block
-from ambrose.deployment.discretisation.deployment import deploy_scheduled
-from ambrose.deployment.discretisation.sampling import response
+from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block
+from ambrose.code.sampled import deploy_scheduled
+from ambrose.law.sampling import response
 
 ERROR, CURRENT, DT = 1e-3, 2.0, 1e-4
 GRID = (100.0, 250.0, 300.0, 600.0)  # rad/s

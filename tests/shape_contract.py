@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-PACKAGES = ("ambrose.core", "ambrose.physics", "ambrose.plant")
+PACKAGES = ("ambrose.core", "ambrose.model.effects", "ambrose.model")
 _STATED = re.compile(r"\b([A-Za-z_]\w*) (\([^()]*\)(?: or \([^()]*\))*)")
 _PART = re.compile(r"\.\.\.|\d+|[a-z]\w?|[a-z]_\w+|[\da-z ]+ [+*-] [\da-z ]{1,3}")  # not a word of prose
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.code.block.fixed import ControlBlock
 
 HOME = Path(os.environ.get("MATIEC", "/nonexistent"))
 AVAILABLE = (HOME / "iec2c").exists() and shutil.which("gcc") is not None

@@ -14,8 +14,8 @@ from ambrose.cli import main
 from ambrose.core.frequency import frequency_response
 from ambrose.machine.description import CasingMode, Support
 from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
 from ambrose.synthesis.pid import pid_controller
 
 NAMES = {"A": "DE", "B": "NDE", "center": "balance", "piston": "drum", "coupling": "quill"}

@@ -11,19 +11,19 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, append, series, transfer_function
-from ambrose.evaluation.verdict import verify_controller
+from ambrose.judge.verdict import verify_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import read_machine_text
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.synthesis.as_it_runs import certify_as_it_runs, sampled_margins, without_fast_poles
-from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.controller_file import read_controller
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
+from ambrose.judge.as_it_runs import certify_as_it_runs, sampled_margins, without_fast_poles
+from ambrose.judge.certificate import certify
+from ambrose.judge.controller_file import read_controller
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.result import Status, Synthesis
-from ambrose.verification import nominal
+from ambrose.law.design_problem import design_plant
+from ambrose.judge.result import Status, Synthesis
+from ambrose.judge import nominal
 from coarse import coarse
 
 

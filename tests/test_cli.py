@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.deployment.c.compiler import has_compiler
+from ambrose.code.c.compiler import has_compiler
 from ambrose.machine.file.toml import bundled_machines
 from ambrose.synthesis.design import design
 
@@ -39,7 +39,7 @@ def study(tmp_path_factory):
     directory = tmp_path_factory.mktemp("study")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "ambrose.stages.commissioning.METHOD", "hinf"
+            "ambrose.chain.commissioning.METHOD", "hinf"
         )  # for the identified machine: half a minute less than "polish"
         return directory, call("study", RIG, "-o", directory, "--json")
 
@@ -103,7 +103,7 @@ def test_verify_fails_a_check_with_status_1(controller):
 
 
 def test_simulate_writes_a_record(controller, tmp_path):
-    from ambrose.machine.record.files import read_record
+    from ambrose.record.files import read_record
 
     path = tmp_path / "record.h5"
     other = f"note: {controller} was made for another machine, seal-rig;"
@@ -124,7 +124,7 @@ def test_simulate_reports_divergence_with_status_1(controller, tmp_path):
 
 
 def test_simulate_runs_the_virtual_rig(controller, tmp_path):
-    from ambrose.machine.record.files import read_record
+    from ambrose.record.files import read_record
 
     path = tmp_path / "record.h5"
     done = call("simulate", RIG, "--controller", controller, "--scenario", "impulse-parallel", "-o", path, "--json")
@@ -167,8 +167,8 @@ def test_study_resumes_with_a_kept_controller_and_redesigns_a_damaged_one(tmp_pa
     def elsewhere(*arguments):
         raise InvalidInput("commissioning has tests of its own")
 
-    monkeypatch.setattr("ambrose.workflow.methods_for", lambda plant: ("pid",))
-    monkeypatch.setattr("ambrose.workflow.commission", elsewhere)
+    monkeypatch.setattr("ambrose.chain.study.methods_for", lambda plant: ("pid",))
+    monkeypatch.setattr("ambrose.chain.study.commission", elsewhere)
     text = coarse_text()
     machine = tmp_path / "pid-only.toml"
     machine.write_text(text[: text.index("[[tolerance]]")])  # requirements, weights and tolerances stand last
@@ -192,7 +192,7 @@ def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_pat
             raise NumericalFailure("no gamma below 1e6; relax the weights")
         return design(plant, method, **options)
 
-    monkeypatch.setattr("ambrose.stages.control.design", only_pid)
+    monkeypatch.setattr("ambrose.chain.control.design", only_pid)
     (tmp_path / "rig.toml").write_text(coarse_text())
     done = call("study", tmp_path / "rig.toml", "-o", tmp_path, "--json")
     assert done.exit_code == 1, done.stderr

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from ambrose import load_machine
 from ambrose.cli import main
 from ambrose.machine.file.toml import machine_hash, read_machine_text
-from ambrose.machine.record.files import read_record, write_record
+from ambrose.record.files import read_record, write_record
 
 RIG = "seal-rig"
 NINE = ("--unknown", "bearing.*.force_per_current.*", "--unknown", "bearing.*.negative_stiffness.*")

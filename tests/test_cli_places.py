@@ -13,8 +13,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import static_gain
 from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import bundled_machines
-from ambrose.synthesis.controller_file import read_controller, write_controller
-from ambrose.synthesis.result import Synthesis
+from ambrose.judge.controller_file import read_controller, write_controller
+from ambrose.judge.result import Synthesis
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 
@@ -37,8 +37,8 @@ def never(monkeypatch):
     def begun(*arguments, **options):
         raise AssertionError("begun")
 
-    for place in ("evaluation.trial.simulate_scenario", "synthesis.design.design", "evaluation.plants.plant_at",
-                  "identification.pipeline.identify", "machine.record.files.read_record"):  # fmt: skip
+    for place in ("rig.trial.simulate_scenario", "synthesis.design.design", "judge.plants.plant_at",
+                  "identification.pipeline.identify", "record.files.read_record"):  # fmt: skip
         monkeypatch.setattr(f"ambrose.{place}", begun)
 
 
@@ -99,9 +99,9 @@ def test_a_controller_that_cannot_be_written_in_the_end_is_written_elsewhere(tmp
             raise InvalidInput("cannot write the controller file: No space left on device")
         return real(place, result)
 
-    monkeypatch.setattr("ambrose.evaluation.plants.plant_at", lambda *arguments: None)
+    monkeypatch.setattr("ambrose.judge.plants.plant_at", lambda *arguments: None)
     monkeypatch.setattr("ambrose.synthesis.design.design", lambda *arguments, **options: made)
-    monkeypatch.setattr("ambrose.synthesis.controller_file.write_controller", full)
+    monkeypatch.setattr("ambrose.judge.controller_file.write_controller", full)
     done = call("synthesize", "seal-rig", "--method", "pid", "-o", path, "--json")
     assert done.exit_code == 2 and json.loads(done.stdout)["method"] == "pid"
     elsewhere = Path(done.stderr.split("it was written to ")[1].split(" instead")[0])

@@ -12,10 +12,10 @@ from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.seal.by_frequency import identify_by_frequency
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.files import write_record
-from ambrose.plant.assemble import seal_coefficients
-from ambrose.simulation.disturbances import Prbs, SteppedSine
-from ambrose.simulation.scenario import Scenario
+from ambrose.record.files import write_record
+from ambrose.model.assemble import seal_coefficients
+from ambrose.rig.disturbances import Prbs, SteppedSine
+from ambrose.rig.scenario import Scenario
 
 HZ, BAR = 2 * np.pi, 1e5
 

@@ -15,20 +15,20 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.deployment.c.compiler import has_compiler
-from ambrose.evaluation.candidate import evaluate
-from ambrose.evaluation.plants import full_plants
-from ambrose.evaluation.verdict import verify_points
+from ambrose.code.c.compiler import has_compiler
+from ambrose.rig.candidate import evaluate
+from ambrose.judge.plants import full_plants
+from ambrose.judge.verdict import verify_points
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
-from ambrose.machine.record.files import read_record
-from ambrose.plant.reduce import reduce
+from ambrose.record.files import read_record
+from ambrose.model.reduce import reduce
 from ambrose.report import page as document
 from ambrose.report.commissioning import commissioning_section
 from ambrose.report.page import Report
-from ambrose.stages import commissioning as stage
-from ambrose.stages.commissioning import commission, compile_controller
-from ambrose.synthesis.controller_file import read_controller
+from ambrose.chain import commissioning as stage
+from ambrose.chain.commissioning import commission, compile_controller
+from ambrose.judge.controller_file import read_controller
 from ambrose.synthesis.pid import pid_synthesis
 
 pytestmark = pytest.mark.campaign  # minutes
@@ -129,7 +129,7 @@ def test_a_second_run_takes_the_controller_up(commissioned, plants, reference, d
         raise AssertionError("designed again")
 
     monkeypatch.setattr(stage, "METHOD", "pid")
-    monkeypatch.setattr("ambrose.stages.control.design", never)
+    monkeypatch.setattr("ambrose.chain.control.design", never)
     monkeypatch.setattr(stage, "compile_controller", lambda known, place, progress: (commissioned.deployment, known[0], ()))
     monkeypatch.setattr(stage, "read_running_law", lambda program, deployment: (deployment.controller, None))
     monkeypatch.setattr(stage, "evaluate", lambda name, synthesis, *rest, **options: synthesis)

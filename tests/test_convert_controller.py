@@ -12,7 +12,7 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
-from ambrose.stages.imported_controller import not_held
+from ambrose.synthesis.imported_controller import not_held
 
 RIG = "turbomolecular-pump"
 DT = 5e-5

@@ -11,20 +11,20 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.evaluation.candidate import Candidate, evaluate
-from ambrose.evaluation.trial import simulate_linear, simulate_scenario
-from ambrose.evaluation.verdict import verify_controller
-from ambrose.plant.assemble import assemble
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
+from ambrose.rig.candidate import Candidate, evaluate
+from ambrose.rig.trial import simulate_linear, simulate_scenario
+from ambrose.judge.verdict import verify_controller
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
 from ambrose.report.comparison.envelope import decision
 from ambrose.report.comparison.tables import verdicts_of
-from ambrose.simulation.scenario import load_scenario
+from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.pid import pid_controller, pid_synthesis
-from ambrose.synthesis.result import Synthesis
-from ambrose.verification import nominal
-from ambrose.verification.checks import Check, Checks
-from ambrose.workflow import Study
+from ambrose.judge.result import Synthesis
+from ambrose.judge import nominal
+from ambrose.judge.checks import Check, Checks
+from ambrose.chain.study import Study
 from coarse import coarse
 
 LOW, HIGH = 2 * np.pi * 20.0, 2 * np.pi * 140.0
@@ -114,9 +114,9 @@ def test_the_linear_plant_turns_as_fast_as_the_scenario_says(coarse):
 
 
 def test_evaluation_keeps_what_a_schedule_leaves_out(coarse, schedule, made, monkeypatch):
-    monkeypatch.setattr("ambrose.evaluation.candidate.run_on_rig", lambda plant, program, scenario, timing: None)
-    monkeypatch.setattr("ambrose.evaluation.candidate.SCENARIOS", ("impulse-parallel",))
-    monkeypatch.setattr("ambrose.evaluation.candidate.simulate_linear", lambda plant, law, scenario, timing: None)
+    monkeypatch.setattr("ambrose.rig.candidate.run_on_rig", lambda plant, program, scenario, timing: None)
+    monkeypatch.setattr("ambrose.rig.candidate.SCENARIOS", ("impulse-parallel",))
+    monkeypatch.setattr("ambrose.rig.candidate.simulate_linear", lambda plant, law, scenario, timing: None)
     bare = replace(coarse, tolerances=())
     labels = ("standstill", "140 Hz (P3)")
     plants = [reduce(assemble(bare, point), 1) for point in bare.operation.points if point.label in labels]

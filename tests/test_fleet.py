@@ -4,7 +4,7 @@ import pytest
 from benchmarks.fleet import PAGE, call, commands, description, outcomes
 
 import ambrose as amb
-from ambrose.physics.rotor import displacement_row, finite_element_rotor, free_modes
+from ambrose.model.effects.rotor import displacement_row, finite_element_rotor, free_modes
 
 FLEET = list(amb.bundled_machines())
 

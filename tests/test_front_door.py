@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.plant.assemble import assemble as plant_assemble
+from ambrose.model.assemble import assemble as plant_assemble
 
 POINT = "nominal pressure"
 

@@ -14,11 +14,11 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select
-from ambrose.evaluation.family import explore
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.timing import timing_of
-from ambrose.plant.unbalance import residual_unbalance
-from ambrose.verification.family.poles import pole_map
+from ambrose.judge.exploration import explore
+from ambrose.law.loop import closed_loop
+from ambrose.law.timing import timing_of
+from ambrose.model.unbalance import residual_unbalance
+from ambrose.judge.family.poles import pole_map
 
 BAR = 1e5
 

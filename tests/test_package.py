@@ -133,7 +133,7 @@ def test_wheel_works_outside_the_checkout(installed):
     assert installed("ambrose", "--version").split()[-1] == version
     assert set(json.loads(installed("ambrose", "machines", "--json"))) == set(ambrose.bundled_machines())
     assert json.loads(installed("ambrose", "check", "seal-rig", "--json"))["rotor_states"] == 144
-    code = "from ambrose.simulation.scenario import bundled_scenarios; print(*bundled_scenarios())"
+    code = "from ambrose.rig.scenario import bundled_scenarios; print(*bundled_scenarios())"
     assert {"levitation", "prbs", "run-up"} <= set(installed("python", "-c", code).split())
 
     # A tenth of the time without tolerances. The PID whirls at twice the nominal pressure: forced, and status 1 says so.

@@ -15,17 +15,18 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from ambrose.cli import main, terminal
-from ambrose.cli.terminal import _encoding, print_table, say
+from ambrose.cli import main
+from ambrose import terminal
+from ambrose.terminal import _encoding, print_table, say
 from ambrose.core.checks import InvalidInput
-from ambrose.deployment.block.names import check_identifier
+from ambrose.code.block.names import check_identifier
 from ambrose.identification.result import Provenance, as_comment
 from ambrose.machine.atomic_write import write_files, write_text
 from ambrose.machine.ordinary_file import check_source, file_name
-from ambrose.machine.record import apart
-from ambrose.machine.record.files import read_record, write_record
-from ambrose.machine.record.record import Record
-from ambrose.machine.record.writer import RecordWriter, partial_path
+from ambrose.record import apart
+from ambrose.record.files import read_record, write_record
+from ambrose.record.record import Record
+from ambrose.record.writer import RecordWriter, partial_path
 
 SMALL = (Path(__file__).parent / "machine" / "small.toml").read_text(encoding="utf-8")
 STEERING = "\x1b[31m\x9b\x07\x08\r\x7f\x85\u202e\u2066\u2028\u200b\ufeff"
@@ -238,7 +239,7 @@ def test_a_study_stays_in_its_folder_whatever_the_machine_is_called(tmp_path, mo
     inner.mkdir(parents=True)
     places = []
     monkeypatch.chdir(inner)
-    monkeypatch.setattr("ambrose.workflow.study", lambda machine, place, progress: places.append(place) or 1 / 0)
+    monkeypatch.setattr("ambrose.chain.study.study", lambda machine, place, progress: places.append(place) or 1 / 0)
     (tmp_path / "m.toml").write_text(SMALL.replace('"small"', '"x/../../ESCAPED"', 1))
     assert isinstance(CliRunner().invoke(main, ["study", str(tmp_path / "m.toml")]).exception, ZeroDivisionError)
     assert [(inner / place).resolve().parent for place in places] == [inner.resolve()]
@@ -406,7 +407,7 @@ OUTSIDE_MAT = {
 
 @pytest.mark.parametrize("how", OUTSIDE_MAT)
 def test_nor_does_a_file_of_matlab(how, secret):
-    from ambrose.machine.record.foreign import read_foreign
+    from ambrose.record.foreign import read_foreign
 
     source, fill = OUTSIDE_MAT[how]
     with h5py.File(secret / "r.mat", "w") as file:

@@ -22,17 +22,17 @@ from typing import TYPE_CHECKING, Any
 from ambrose.core.checks import InvalidInput, invalid
 
 if TYPE_CHECKING:
-    from ambrose.campaigns.result import Campaign
-    from ambrose.deployment.pipeline import Delivery, ExportOptions, Target
+    from ambrose.annexes.campaigns.result import Campaign
+    from ambrose.code.pipeline import Delivery, ExportOptions, Target
     from ambrose.identification.result import Identification
-    from ambrose.identification.seal_monitor.history import SealHistory
+    from ambrose.annexes.scheduled.seal_monitor.history import SealHistory
     from ambrose.machine.description import OperatingPoint
     from ambrose.machine.machine import Machine
-    from ambrose.plant.model import Plant
-    from ambrose.simulation.trace import Trace
-    from ambrose.synthesis.result import Synthesis
-    from ambrose.verification.verification import Verification
-    from ambrose.workflow import Study
+    from ambrose.model.plant import Plant
+    from ambrose.rig.trace import Trace
+    from ambrose.judge.result import Synthesis
+    from ambrose.judge.verification import Verification
+    from ambrose.chain.study import Study
 
 Progress = Callable[[str], None]
 
@@ -49,7 +49,7 @@ def assemble(machine: Machine | str, point: OperatingPoint | str | None = None, 
     the point lies outside a seal's table or a bearing's measured bias currents.
     """
     from ambrose.machine.parameters import operating_point
-    from ambrose.plant.assemble import assemble as assembled
+    from ambrose.model.assemble import assemble as assembled
 
     description = machine_of(machine)
     return assembled(description, operating_point(description, point, **values))
@@ -61,9 +61,9 @@ def reduce(plant: Plant, bending_modes: int | None = None) -> Plant:
     None: all bending modes below the frequency to which the plant acts (twice the top speed or the fastest amplifier lag), plus
     one; ``plant.bending_modes`` says how many that is. Raises InvalidInput.
     """
-    from ambrose.plant.model import Plant as PlantType
-    from ambrose.plant.reduce import default_bending_modes
-    from ambrose.plant.reduce import reduce as reduced
+    from ambrose.model.plant import Plant as PlantType
+    from ambrose.model.reduce import default_bending_modes
+    from ambrose.model.reduce import reduce as reduced
 
     if not isinstance(plant, PlantType):
         raise invalid("plant", type(plant).__name__, "a Plant", "assemble(machine, point) gives one")
@@ -89,7 +89,7 @@ def design(
     share; bending_modes; match_reference; structure; speeds [rad/s] or pressures [Pa], lowest and highest. A controller
     that does not hold the full plant comes back with status "unstable". Raises InvalidInput.
     """
-    from ambrose.plant.model import Plant as PlantType
+    from ambrose.model.plant import Plant as PlantType
     from ambrose.synthesis.design import design as designed
 
     if not isinstance(machine, PlantType):
@@ -122,8 +122,8 @@ def verify(
     cover are listed as left out, and the verification is not passed. Raises InvalidInput where the controller is not one for
     this machine.
     """
-    from ambrose.evaluation.verdict import verify_controller
-    from ambrose.plant.model import Plant as PlantType
+    from ambrose.judge.verdict import verify_controller
+    from ambrose.model.plant import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
@@ -148,11 +148,11 @@ def simulate(
     scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine runs (None: the nominal
     one). options: rate [Hz] and delay_samples of the controller (None: as it or the machine file says); fallback, the fixed
     controller that takes over from one scheduled over pressure where the reading cannot be trusted, with pressure_rate,
-    pressure_error, stuck_after and estimate as in ``evaluation.trial.simulate_scenario``; others as for
-    ``simulation.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
+    pressure_error, stuck_after and estimate as in ``rig.trial.simulate_scenario``; others as for
+    ``rig.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
-    from ambrose.evaluation.trial import simulate_scenario
-    from ambrose.plant.model import Plant as PlantType
+    from ambrose.rig.trial import simulate_scenario
+    from ambrose.model.plant import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
     if isinstance(options.get("fallback"), str | os.PathLike):
@@ -177,12 +177,12 @@ def monitor(machine: Machine | str, controller: Any, record: Any, **options: Any
     """A seal's coefficients against time from one record of the running loop, with intervals and what they say.
 
     controller: the one that ran. record: a Record or a path, with y_<axis> [m], u_<axis> [A] and a small excitation e_<axis>
-    [A]. options, see ``identification.seal_monitor.watch.seal_monitor``: seal (None: the only one); unknown, such as
+    [A]. options, see ``annexes.scheduled.seal_monitor.watch.seal_monitor``: seal (None: the only one); unknown, such as
     ("pressure",) or ("k",); window [s]; rate [share of the file's value per s]; doubts; bending_modes; harmonics;
     computing_delay; progress. Raises InvalidInput.
     """
-    from ambrose.identification.seal_monitor.watch import monitor as watched
-    from ambrose.machine.record.files import read_record
+    from ambrose.annexes.scheduled.seal_monitor.watch import monitor as watched
+    from ambrose.record.files import read_record
 
     read = _read(controller)
     measured = read_record(Path(record)) if isinstance(record, str | os.PathLike) else record
@@ -204,8 +204,8 @@ def export(
     from one scheduled over pressure where the reading cannot be trusted (C only). Raises InvalidInput, and UnstableSystem where
     the sampled loop does not hold the machine.
     """
-    from ambrose.deployment.pipeline import export as exported
-    from ambrose.synthesis.controller_file import read_controller
+    from ambrose.code.pipeline import export as exported
+    from ambrose.judge.controller_file import read_controller
 
     controller, fallback = (
         read_controller(item) if isinstance(item, str | os.PathLike) else item for item in (controller, fallback)
@@ -216,7 +216,7 @@ def export(
 
 def study(machine: Machine | str, directory: str | os.PathLike[str] = "study", *, progress: Progress = _quiet) -> Study:
     """The whole chain: every controller that the machine file allows, verified, tried, compared in report.html."""
-    from ambrose.workflow import study as studied
+    from ambrose.chain.study import study as studied
 
     return studied(machine_of(machine), Path(directory), progress)
 
@@ -235,9 +235,9 @@ def campaign(
     cluster on it, or the address of a running scheduler. workers: None: one for each processor. In a script call it below
     ``if __name__ == "__main__"``: the workers import the script. Raises InvalidInput.
     """
-    from ambrose.campaigns.plan import Plan, plan_of, read_plan
-    from ambrose.campaigns.result import read_campaign
-    from ambrose.campaigns.run import executors, processors, run_plan
+    from ambrose.annexes.campaigns.plan import Plan, plan_of, read_plan
+    from ambrose.annexes.campaigns.result import read_campaign
+    from ambrose.annexes.campaigns.run import executors, processors, run_plan
 
     wanted = plan if isinstance(plan, Plan) else plan_of(plan) if isinstance(plan, dict) else read_plan(plan)
     with executors(engine, workers or processors()) as (make, count):
@@ -266,7 +266,7 @@ def machine_of(machine: Any) -> Machine:
 
 def _read(controller: Any) -> Any:
     """A controller with all that is known of it: a Synthesis, from its file too; else the law. Raises InvalidInput."""
-    from ambrose.synthesis.controller_file import read_controller
+    from ambrose.judge.controller_file import read_controller
 
     if isinstance(controller, str | os.PathLike):
         controller = read_controller(controller)
@@ -277,7 +277,7 @@ def law_of(controller: Any) -> Any:
     """What runs: of a Synthesis or a controller file its law, else the system itself. Raises InvalidInput for anything else."""
     from ambrose.core.scheduled import ScheduledSystem
     from ambrose.core.statespace import as_statespace
-    from ambrose.plant.control_program import ControlProgram
+    from ambrose.law.program import ControlProgram
 
     if isinstance(controller, str | os.PathLike) or hasattr(controller, "law"):
         return _read(controller).law

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.plant.assemble import assemble
-from ambrose.stages.plants import facts
+from ambrose.model.assemble import assemble
+from ambrose.chain.plants import facts
 from ambrose.synthesis.design import design
-from ambrose.verification import nominal
+from ambrose.judge import nominal
 
 HERE = Path(__file__).with_name("golden.json")
 CHECKS = ("sensitivity.output.max", "compliance.max", "unbalance.orbit", "impulse.displacement", "margin.disk.output")

@@ -15,8 +15,8 @@ from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.identification.validation.repeatability import repeats
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import dumps_machine, loads_machine, machine_hash
-from ambrose.plant.assemble import assemble
-from ambrose.plant.uncertainty import channels
+from ambrose.model.assemble import assemble
+from ambrose.model.uncertainty import channels
 
 NOMINAL = OperatingPoint(seal_pressure=2.04e5, label="nominal pressure")
 ENDS = [("A", "zeta"), ("A", "eta"), ("B", "zeta"), ("B", "eta")]

@@ -14,11 +14,11 @@ from ambrose.core.statespace import select
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.parameters import nominal_values
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.pid import pid_synthesis
 
 DT, NOMINAL = 1e-4, 2.04e5

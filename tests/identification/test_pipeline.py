@@ -20,11 +20,11 @@ from ambrose.core.statespace import select
 from ambrose.identification import loop
 from ambrose.identification.findings import Code
 from ambrose.identification.pipeline import Provenance, identify
-from ambrose.machine.record.files import write_record
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.files import write_record
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4

@@ -13,11 +13,11 @@ from ambrose.identification.seal.stepped_sine import _Model
 from ambrose.identification.static_load.identify import bearing_forces
 from ambrose.identification.static_load.levels import Levels
 from ambrose.machine.description import CasingMode, Support
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.static_load import magnet_coefficients, operating_magnets
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import load_scenario
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.static_load import magnet_coefficients, operating_magnets
+from ambrose.rig import virtual_rig
+from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")

@@ -15,10 +15,10 @@ from ambrose.identification.loop import identify_loop
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import nominal_values
 from ambrose.identification.validation import suspects
-from ambrose.machine.record.record import Record
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.timing import timing_of
-from ambrose.simulation.scenario import load_scenario, read_scenario
+from ambrose.record.record import Record
+from ambrose.law.loop import closed_loop
+from ambrose.law.timing import timing_of
+from ambrose.rig.scenario import load_scenario, read_scenario
 from linear_rig import AXES, DT, E, Y, rig
 
 U = tuple(f"u_{axis}" for axis in AXES)

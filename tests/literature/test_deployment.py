@@ -11,23 +11,23 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.sampling import c2d, delayed
-from ambrose.deployment.block.fixed import build_block
-from ambrose.deployment.c.compiled import CompiledBlock, read_law
-from ambrose.deployment.c.compiler import has_compiler
-from ambrose.deployment.discretisation.deployment import deploy, unmet_limits
-from ambrose.deployment.pipeline import machine_limits
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import load_scenario
+from ambrose.code.block.fixed import build_block
+from ambrose.code.c.compiled import CompiledBlock, read_law
+from ambrose.code.c.compiler import has_compiler
+from ambrose.code.sampled import deploy, unmet_limits
+from ambrose.code.pipeline import machine_limits
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
+from ambrose.rig import virtual_rig
+from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.synthesis.problem import apply_delay, design_plant, design_tolerances, open_model
-from ambrose.verification import nominal
-from ambrose.verification.sampled import check_over_box
+from ambrose.law.design_problem import apply_delay, design_plant, design_tolerances, open_model
+from ambrose.judge import nominal
+from ambrose.judge.sampled import check_over_box
 
 pytestmark = [pytest.mark.literature, pytest.mark.study, pytest.mark.skipif(not has_compiler(), reason="no C compiler here")]
 SAMPLE = 1e-4

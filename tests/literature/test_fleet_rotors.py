@@ -13,7 +13,7 @@ import pytest
 import scipy.linalg as sla
 
 import ambrose as amb
-from ambrose.physics.rotor import displacement_row, finite_element_rotor
+from ambrose.model.effects.rotor import displacement_row, finite_element_rotor
 
 pytestmark = pytest.mark.literature
 RPM = np.pi / 30

@@ -18,11 +18,11 @@ from ambrose.identification.youla import identify as youla
 from ambrose.identification.youla.residual_model import uncertain_residual
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction, reduce
-from ambrose.plant.uncertainty import perturbed
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction, reduce
+from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.pid import pid_controller
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]

@@ -15,8 +15,8 @@ import pytest
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.parameters import expand
 from ambrose.machine.description import OperatingPoint
-from ambrose.physics import magnet
-from ambrose.simulation import virtual_rig
+from ambrose.model.effects import magnet
+from ambrose.rig import virtual_rig
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from ambrose.core.statespace import poles, spectral_abscissa
-from ambrose.plant.loop import closed_loop
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Pulse
-from ambrose.simulation.scenario import Scenario
+from ambrose.law.loop import closed_loop
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Pulse
+from ambrose.rig.scenario import Scenario
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 FILE = Path(__file__).parents[2] / "benchmarks" / "campaign_p3.py"

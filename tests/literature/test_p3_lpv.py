@@ -12,14 +12,14 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.run_up import spin_up, steps
-from ambrose.simulation.scenario import load_scenario
-from ambrose.synthesis.certificate import certify
+from ambrose.model.assemble import assemble
+from ambrose.rig import virtual_rig
+from ambrose.rig.run_up import spin_up, steps
+from ambrose.rig.scenario import load_scenario
+from ambrose.judge.certificate import certify
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv.machine import design_schedule
-from ambrose.verification.loop_response import loop_evaluator
+from ambrose.annexes.scheduled.lpv.machine import design_schedule
+from ambrose.judge.loop_response import loop_evaluator
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi

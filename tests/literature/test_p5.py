@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.simulation import linear
-from ambrose.simulation.scenario import load_scenario
-from ambrose.simulation.trace import settling
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.rig import linear
+from ambrose.rig.scenario import load_scenario
+from ambrose.rig.trace import settling
 from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification.loop_response import loop_evaluator
+from ambrose.judge.loop_response import loop_evaluator
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi

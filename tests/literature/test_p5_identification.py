@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ambrose.identification.seal.model_updating import update_seal
-from ambrose.plant.assemble import assemble
+from ambrose.model.assemble import assemble
 
 pytestmark = pytest.mark.literature
 BAR = 1e5

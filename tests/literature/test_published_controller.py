@@ -21,19 +21,20 @@ from ambrose.core.lft import close_uncertainty
 from ambrose.core.response import settling_time
 from ambrose.core.statespace import StateSpace, connect, poles, rename, select, spectral_abscissa
 from ambrose.machine.description import Tolerance
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import reduce
-from ambrose.plant.uncertainty import perturbed
-from ambrose.simulation import linear, virtual_rig
-from ambrose.simulation.scenario import load_scenario
-from ambrose.simulation.trace import settling
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import perturbed
+from ambrose.rig import linear
+from ambrose.rig import virtual_rig
+from ambrose.rig.scenario import load_scenario
+from ambrose.rig.trace import settling
 from ambrose.synthesis.design import design
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.weights import machine_weights, scale_control
-from ambrose.verification import robust
-from ambrose.verification.loop_response import loop_evaluator
+from ambrose.law.design_problem import design_plant
+from ambrose.law.weights import machine_weights, scale_control
+from ambrose.judge import robust
+from ambrose.judge.loop_response import loop_evaluator
 
 pytestmark = pytest.mark.literature
 HZ = 2 * np.pi

@@ -11,7 +11,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, connect, rename, select, spectral_abscissa
-from ambrose.synthesis.certificate import certify
+from ambrose.judge.certificate import certify
 from ambrose.synthesis.pid import axes_controller
 
 pytestmark = pytest.mark.literature

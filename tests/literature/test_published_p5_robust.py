@@ -15,7 +15,7 @@ from benchmarks.published_p5 import (
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.pid import axes_controller
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
-from ambrose.verification import robust
+from ambrose.judge import robust
 
 pytestmark = pytest.mark.literature
 AXES = tuple(published_p5_data()["axes"])
@@ -71,7 +71,7 @@ def test_pid_is_unstable_at_twice_the_nominal_stiffness():
 
 def test_tuning_finds_the_published_weight():
     """Started ten times off, the search for the PID's gains comes back to W_u near 0.315, the value inferred from the print."""
-    from ambrose.synthesis.weights import scale_control
+    from ambrose.law.weights import scale_control
 
     found = tune_control_weight(
         published_p5(), scale_control(published_p5_weights(), 0.1), PID, hinf_synthesis, uncertain=False, tolerance=0.005

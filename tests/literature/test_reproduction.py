@@ -14,19 +14,20 @@ from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, poles, select
 from ambrose.machine.description import OperatingPoint
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import reduce
-from ambrose.simulation import linear
-from ambrose.simulation.scenario import load_scenario
-from ambrose.simulation.trace import settling
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import reduce
+from ambrose.rig import linear
+from ambrose.rig.scenario import load_scenario
+from ambrose.rig.trace import settling
 from ambrose.synthesis.design import design
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.pid import pid_controller
-from ambrose.synthesis.problem import design_plant
+from ambrose.law.design_problem import design_plant
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
-from ambrose.synthesis.weights import machine_weights, scale_control
-from ambrose.verification import nominal, robust
+from ambrose.law.weights import machine_weights, scale_control
+from ambrose.judge import nominal
+from ambrose.judge import robust
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi

@@ -18,7 +18,7 @@ from ambrose.core.statespace import poles
 from ambrose.machine.description import Amplifier, Disc, Material, ShaftSection
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import displacement_row, finite_element_rotor, mass_properties, plane_rows
+from ambrose.model.effects.rotor import displacement_row, finite_element_rotor, mass_properties, plane_rows
 
 pytestmark = pytest.mark.literature
 

@@ -23,13 +23,15 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine import limits
 from ambrose.machine.description import OperatingPoint, ShaftSection
 from ambrose.machine.file.toml import loads_machine
-from ambrose.machine.record import apart, csv_file, hdf5_file
-from ambrose.machine.record.column_map import Column, ColumnMap, load_columns
-from ambrose.machine.record.files import read_record, write_record
-from ambrose.machine.record.foreign import read_foreign
-from ambrose.machine.record.record import Record
-from ambrose.simulation.scenario import load_scenario
-from ambrose.synthesis.controller_file import read_controller
+from ambrose.record import apart
+from ambrose.record import csv_file
+from ambrose.record import hdf5_file
+from ambrose.record.column_map import Column, ColumnMap, load_columns
+from ambrose.record.files import read_record, write_record
+from ambrose.record.foreign import read_foreign
+from ambrose.record.record import Record
+from ambrose.rig.scenario import load_scenario
+from ambrose.judge.controller_file import read_controller
 
 HERE = Path(__file__)
 SMALL = HERE.with_name("small.toml").read_text()

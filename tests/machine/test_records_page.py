@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 from ambrose.cli import main
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.files import read_record
-from ambrose.machine.record.foreign import read_foreign
-from ambrose.machine.record.record import signal_dimension
+from ambrose.record.files import read_record
+from ambrose.record.foreign import read_foreign
+from ambrose.record.record import signal_dimension
 
 PAGE = (Path(__file__).parents[2] / "docs" / "records.md").read_text()
 

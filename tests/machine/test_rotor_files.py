@@ -13,7 +13,7 @@ from ambrose.machine.description import MachineDescription
 from ambrose.machine.file.ross import parse_ross, ross_text, rotor_of_ross
 from ambrose.machine.file.stations import read_rotor, rotor_of_stations
 from ambrose.machine.file.toml import load_machine
-from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
+from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 
 # The compressor of ROSS' own tests (compressor_example): length, inner and outer diameter of the steel, outer diameter of what
 # lies around it without stiffness [mm]; one finite element each. Discs: (node, mass [kg], diametral and polar inertia [kg m2]).

@@ -10,11 +10,11 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.parameters import operating_point
-from ambrose.physics.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
-from ambrose.physics.seal import coefficients
-from ambrose.plant.assemble import assemble, seal_coefficients
-from ambrose.plant.reduce import reduce
-from ambrose.plant.uncertainty import uncertain
+from ambrose.model.effects.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
+from ambrose.model.effects.seal import coefficients
+from ambrose.model.assemble import assemble, seal_coefficients
+from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import uncertain
 
 MACHINE = load_machine("turboexpander")
 PISTON = MACHINE.seals[0]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ambrose.machine.file.toml import bundled_machines, load_machine
-from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
+from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
 from ambrose.synthesis.pid import pid_controller
 
 MACHINE = load_machine("turboexpander")

@@ -17,7 +17,7 @@ from ambrose.machine.description import (
     ShaftSection,
 )
 from ambrose.machine.machine import Machine
-from ambrose.verification.checks import Check, Checks, Curve
+from ambrose.judge.checks import Check, Checks, Curve
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 ZONES = (("zone A/B", 3.0), ("zone B/C", 4.0), ("zone C/D", 5.0))

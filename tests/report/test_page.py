@@ -20,7 +20,7 @@ from ambrose.report import page as document
 from ambrose.report import tables
 from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict
 from ambrose.report.verification import verification_report
-from ambrose.verification.checks import Check, Checks, Curve
+from ambrose.judge.checks import Check, Checks, Curve
 
 VOID = {"meta", "link", "img", "br", "hr", "input", "col"}
 

@@ -17,19 +17,19 @@ from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.evaluation.candidate import Candidate
+from ambrose.rig.candidate import Candidate
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.report.figures.bode import entries, grid_of, phase
 from ambrose.report.plot import plot
-from ambrose.simulation.trace import Trace
-from ambrose.synthesis.result import Certificate, Status, Synthesis
-from ambrose.verification.checks import Checks
-from ambrose.verification.verification import Verification
+from ambrose.rig.trace import Trace
+from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.judge.checks import Checks
+from ambrose.judge.verification import Verification
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 

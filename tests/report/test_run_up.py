@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report.run_up import run_up_section
-from ambrose.simulation.run_up import Step
-from ambrose.simulation.trace import Trace
+from ambrose.rig.run_up import Step
+from ambrose.rig.trace import Trace
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ import pytest
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.file.toml import load_machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
 from ambrose.synthesis import design as module
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.lpv.synthesis import lpv_synthesis
+from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_synthesis

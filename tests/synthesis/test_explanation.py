@@ -7,7 +7,7 @@ import pytest
 import ambrose as amb
 from ambrose.core.checks import NumericalFailure
 from ambrose.machine.description import ShaftSection
-from ambrose.plant.timing import Timing
+from ambrose.law.timing import Timing
 from ambrose.synthesis.explanation import stiffness_margin, why_none, why_unstable
 from ambrose.synthesis.pid import pid_controller, pid_synthesis
 from coarse import coarse

@@ -15,8 +15,8 @@ import scipy.signal
 import ambrose as amb
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.deployment.pipeline import ExportOptions, export
-from ambrose.plant.timing import timing_of
+from ambrose.code.pipeline import ExportOptions, export
+from ambrose.law.timing import timing_of
 
 RATE = 1e4
 OMEGA = np.geomspace(1.0, 2e4, 25)

@@ -8,12 +8,12 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import select
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
 from ambrose.synthesis.design import design
-from ambrose.synthesis.problem import apply_delay, open_model
-from ambrose.verification.sampled import check_over_box
+from ambrose.law.design_problem import apply_delay, open_model
+from ambrose.judge.sampled import check_over_box
 
 pytestmark = pytest.mark.study  # minutes
 

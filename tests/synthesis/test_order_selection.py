@@ -7,13 +7,13 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
-from ambrose.synthesis.problem import apply_delay, design_plant, open_model
-from ambrose.synthesis.weights import machine_weights
+from ambrose.law.design_problem import apply_delay, design_plant, open_model
+from ambrose.law.weights import machine_weights
 
 pytestmark = pytest.mark.study  # minutes
 

@@ -15,12 +15,12 @@ from ambrose.core.statespace import StateSpace, feedback, select, series, spectr
 from ambrose.machine.controller import Channel
 from ambrose.machine.description import Amplifier, MagneticBearing, Notch, PidSettings, Sensor, ShaftSection
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
-from ambrose.stages.plausibility import springs
-from ambrose.synthesis.filters import chain, lead_lag, low_pass, notch, section_matrix
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+from ambrose.chain.check import springs
+from ambrose.law.filters import chain, lead_lag, low_pass, notch, section_matrix
 from ambrose.synthesis.pid import common_sections, modes, pid_controller, pid_synthesis, theta_system
 from eigenvalue_margins import loop_margins, opened
 

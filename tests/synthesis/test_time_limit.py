@@ -14,11 +14,11 @@ from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.plant.assemble import assemble
+from ambrose.model.assemble import assemble
 from ambrose.synthesis import design
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.synthesis.time_limit import TimeLimit
+from ambrose.core.time_limit import TimeLimit
 
 
 @pytest.fixture

@@ -14,26 +14,26 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
-from ambrose.cli.campaign import campaign
+from ambrose.annexes.campaigns.command import campaign
 from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
 from ambrose.cli.convert_controller import convert_controller
 from ambrose.cli.export import export
 from ambrose.cli.map import map_command
 from ambrose.cli.new import new
-from ambrose.cli.records.accept import accept
-from ambrose.cli.records.balance import balance
-from ambrose.cli.records.bias import bias
-from ambrose.cli.records.calibrate import calibrate
-from ambrose.cli.records.frf import frf
-from ambrose.cli.records.identify import identify
-from ambrose.cli.records.monitor import monitor
-from ambrose.cli.records.seal import seal
+from ambrose.annexes.site.accept_command import accept
+from ambrose.annexes.site.balance_command import balance
+from ambrose.annexes.site.bias_command import bias
+from ambrose.annexes.site.calibrate_command import calibrate
+from ambrose.annexes.site.frf_command import frf
+from ambrose.cli.identify import identify
+from ambrose.annexes.scheduled.monitor_command import monitor
+from ambrose.cli.seal import seal
 from ambrose.cli.simulate import simulate
-from ambrose.cli.size import size
+from ambrose.annexes.sizing.command import size
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
-from ambrose.cli.terminal import say, say_json, streams_settled
+from ambrose.terminal import say, say_json, streams_settled
 from ambrose.cli.trade_off import trade_off
 from ambrose.cli.verify import verify
 from ambrose.machine.messages import BULLET

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, say, say_json
+from ambrose.terminal import AS_JSON, MACHINE, load, print_table, say, say_json
 
 
 @click.command()
@@ -28,7 +28,7 @@ def machines(as_json: bool) -> None:
 @AS_JSON
 def scenarios(name: str | None, as_json: bool) -> None:
     """List the bundled scenarios, or print the file of the one called NAME, to copy and change."""
-    from ambrose.simulation.scenario import bundled_scenarios, scenario_text
+    from ambrose.rig.scenario import bundled_scenarios, scenario_text
 
     known = bundled_scenarios()
     if name is not None:
@@ -54,7 +54,7 @@ def check(machine: str, as_json: bool) -> None:
     What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i) is said with its remedy,
     and the exit status is 1.
     """
-    from ambrose.stages.plants import facts
+    from ambrose.chain.plants import facts
 
     known = facts(load(machine))
     if as_json:

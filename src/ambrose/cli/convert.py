@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from ambrose.cli.convert_controller import write_imported
-from ambrose.cli.terminal import AS_JSON, claim, say, say_json
+from ambrose.terminal import AS_JSON, claim, say, say_json
 
 
 @click.command()
@@ -33,8 +33,8 @@ def convert(
     As a machine file (*.toml): a rotor model of ROSS (*.toml, *.json) or a table of stations (*.csv), on magnets chosen as
     `ambrose new` does; a machine file, or a bundled machine's name, becomes a model of ROSS.
     """
-    from ambrose.machine.record.files import check_suffix, read_record, write_record
-    from ambrose.machine.record.foreign import read_foreign
+    from ambrose.record.files import check_suffix, read_record, write_record
+    from ambrose.record.foreign import read_foreign
 
     if output.suffix == ".json":
         write_imported(record, None, output, as_json)
@@ -61,8 +61,8 @@ def _convert_machine(
     from ambrose.machine.file.stations import read_rotor
     from ambrose.machine.file.toml import bundled_machines, load_machine, read_toml
     from ambrose.machine.file.update import save_machine
-    from ambrose.stages.new_machine import NOT_HELD, Known, machine_of_rotor, quantities_of, quantity_of
-    from ambrose.stages.plausibility import springs
+    from ambrose.chain.new_machine import NOT_HELD, Known, machine_of_rotor, quantities_of, quantity_of
+    from ambrose.chain.check import springs
 
     own = source.suffix.lower() == ".toml" and str(source) not in bundled_machines() and "machine" in read_toml(source, "file")
     if own or str(source) in bundled_machines():

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, claim, load, progress_shown, say, say_json
+from ambrose.terminal import AS_JSON, claim, load, progress_shown, say, say_json
 
 METHODS = ("tustin", "zoh", "backward-euler", "matched")  # core/sampling.py, which is not imported for --help
 
@@ -50,9 +50,9 @@ def write_imported(
 ) -> None:  # fmt: skip
     """What the command does; also `ambrose convert SOURCE -o NAME.json`."""
     from ambrose.core.checks import InvalidInput
-    from ambrose.deployment.discretisation.deployment import instability
-    from ambrose.stages.imported_controller import named_for, not_held, resampled
-    from ambrose.synthesis.controller_file import read_controller, write_controller
+    from ambrose.code.sampled import instability
+    from ambrose.synthesis.imported_controller import named_for, not_held, resampled
+    from ambrose.judge.controller_file import read_controller, write_controller
 
     known = None if machine is None else load(machine)
     claim(controller_file=output)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ambrose.cli.convert_controller import METHODS
-from ambrose.cli.terminal import (
+from ambrose.terminal import (
     AS_JSON,
     DELAY,
     PRESSURE_ERROR,
@@ -81,9 +81,9 @@ def export(
 
     A scheduled controller is written in floating point, verified at frozen speeds or pressures over its range."""
     from ambrose.core.checks import check_positive
-    from ambrose.deployment.pipeline import ExportOptions
-    from ambrose.deployment.pipeline import export as write_for_target
-    from ambrose.synthesis.controller_file import read_controller
+    from ambrose.code.pipeline import ExportOptions
+    from ambrose.code.pipeline import export as write_for_target
+    from ambrose.judge.controller_file import read_controller
 
     remedy = "give it in Hz"
     if rate_hz is not None:

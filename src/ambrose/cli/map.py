@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import (
+from ambrose.terminal import (
     AS_JSON,
     DELAY,
     MACHINE,
@@ -50,9 +50,9 @@ def map_command(
     """
     from math import pi
 
-    from ambrose.evaluation.family import explore
+    from ambrose.judge.exploration import explore
     from ambrose.report import units
-    from ambrose.report.family import family_report
+    from ambrose.report.exploration import family_report
 
     description = load(machine)
     law = load_controller(controller, description)

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, claim, say, say_json
+from ambrose.terminal import AS_JSON, claim, say, say_json
 
 _SHAFT = ("length", "diameter", "speed")
 
@@ -45,7 +45,7 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
     """
     from ambrose.core.checks import InvalidInput, invalid
     from ambrose.machine.file.update import save_machine
-    from ambrose.stages.new_machine import NOT_HELD, new_machine
+    from ambrose.chain.new_machine import NOT_HELD, new_machine
 
     if file.suffix.lower() != ".toml":
         raise invalid("the machine file", f'"{file}"', "a file *.toml", f'write "{file.with_suffix(".toml")}"')
@@ -118,7 +118,7 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _checked(key: str, answer: str) -> None:
-    from ambrose.stages.new_machine import quantity_of
+    from ambrose.chain.new_machine import quantity_of
 
     quantity_of(key, _united(key, answer))
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import (
+from ambrose.terminal import (
     AS_JSON,
     DELAY,
     MACHINE,
@@ -78,9 +78,9 @@ def simulate(
     An *.h5 record of the rig grows while it runs, as *.h5.partial, which stays readable when the run is interrupted.
     """
     from ambrose.core.checks import invalid
-    from ambrose.evaluation.trial import simulate_scenario
-    from ambrose.machine.record.files import check_suffix, write_record
-    from ambrose.plant.timing import DEFAULT, timing_of
+    from ambrose.rig.trial import simulate_scenario
+    from ambrose.record.files import check_suffix, write_record
+    from ambrose.law.timing import DEFAULT, timing_of
 
     for option, value in (("--bending-modes", bending_modes), ("--seed", seed), ("--second", second), ("--fallback", fallback)):
         if linear and value is not None:

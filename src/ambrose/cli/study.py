@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, print_table, progress_shown, say, say_json
+from ambrose.terminal import ALL, AS_JSON, MACHINE, load, print_checks, print_table, progress_shown, say, say_json
 
 
 @click.command(name="study")
@@ -21,7 +21,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     from ambrose.machine.ordinary_file import file_name
     from ambrose.report.comparison.envelope import decision
     from ambrose.report.tables import verdict
-    from ambrose.workflow import study
+    from ambrose.chain.study import study
 
     description = load(machine)
     directory = output or Path(f"study-{file_name(description.name)}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import (
+from ambrose.terminal import (
     AS_JSON,
     DELAY,
     MACHINE,
@@ -139,15 +139,15 @@ def synthesize(
     methods design for one operating point (--point), lpv for a range of speeds, of seal pressures or both.
     """
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.evaluation.plants import plant_at
+    from ambrose.judge.plants import plant_at
     from ambrose.machine.file.update import save_machine
-    from ambrose.plant.timing import machine_timing
-    from ambrose.synthesis.controller_file import write_controller
+    from ambrose.law.timing import machine_timing
+    from ambrose.judge.controller_file import write_controller
     from ambrose.synthesis.design import design
-    from ambrose.synthesis.filters import filter_rows
+    from ambrose.law.filters import filter_rows
     from ambrose.synthesis.fixed_order.bank import BANKS
     from ambrose.synthesis.options import DesignOptions
-    from ambrose.synthesis.result import Status
+    from ambrose.judge.result import Status
 
     for option, given, methods in (
         ("--order", order is not None, ("polish", "tuned")),

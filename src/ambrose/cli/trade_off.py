@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, say_json
+from ambrose.terminal import AS_JSON, DELAY, MACHINE, RATE, claim, kept, load, print_table, progress_shown, say_json
 
 _OVER = ("settling_time", "unbalance_orbit", "max_current", "compliance_peak", "control_gain", "log_decrement", "order")
 

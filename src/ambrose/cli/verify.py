@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import (
+from ambrose.terminal import (
     ALL,
     AS_JSON,
     DELAY,
@@ -61,8 +61,8 @@ def verify(
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.evaluation.verdict import check_pressure_error, verify_controller
-    from ambrose.verification.moving.spans import pressure_spans
+    from ambrose.judge.verdict import check_pressure_error, verify_controller
+    from ambrose.annexes.scheduled.moving.spans import pressure_spans
 
     description = load(machine)
     controller = load_controller(path, description)

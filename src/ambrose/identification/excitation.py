@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape, invalid
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 
 def excitation_order(signals: ArrayLike, order: int = 100, threshold: float = 1e-8) -> int:

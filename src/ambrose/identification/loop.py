@@ -25,7 +25,7 @@ from ambrose.identification.youla import identify as youla
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _SHORT = 1.0  # [s] of every record on which other delays are tried
 Progress = Callable[[str], None]

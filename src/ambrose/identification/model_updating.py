@@ -13,9 +13,9 @@ from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoi
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, Parameter, find_uncertain, parse_parameter
 from ambrose.machine.seals import constant_under_pressure
-from ambrose.physics import magnet
-from ambrose.physics.seal import coefficients
-from ambrose.plant.static_load import stated_at_load
+from ambrose.model.effects import magnet
+from ambrose.model.effects.seal import coefficients
+from ambrose.model.static_load import stated_at_load
 
 
 def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep_wider: bool = False) -> Machine:

@@ -13,11 +13,11 @@ from ambrose.machine.description import BendingMode, OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, CONTROLLER_DELAY, QUANTITIES, TIMING, find_uncertain, parse_parameter
 from ambrose.machine.units import DIMENSIONS
-from ambrose.plant.assemble import assemble
-from ambrose.plant.basis import bending_modes_of
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import channels, perturbed
+from ambrose.model.assemble import assemble
+from ambrose.model.basis import bending_modes_of
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import channels, perturbed
 
 COVERAGE = 1.96  # standard deviations of a normal 95 % interval
 _PORT = 0.01  # of a mode's frequency or damping: a tolerance is what gives it ports, its width is of no matter

@@ -32,8 +32,8 @@ from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
-from ambrose.machine.record.files import read_record
-from ambrose.machine.record.record import Record
+from ambrose.record.files import read_record
+from ambrose.record.record import Record
 
 __all__ = ["Identification", "IdentifiedParameter", "LoopIdentification", "Provenance", "StaticIdentification", "identify"]
 

@@ -86,7 +86,7 @@ class PidSettings(Part):
     """The reference controller K_p (1 + 1/(T_i s) + T_d s/(eps T_d s + 1)) per axis.
 
     gain in the order of the machine's axes; coordinates "axes" (decentralised) or "tilt-translate"; sample_time and delay
-    are those of every controller that runs on the machine (``plant.timing``).
+    are those of every controller that runs on the machine (``law.timing``).
     """
 
     gain: Annotated[

@@ -159,7 +159,7 @@ def operating_point(
 
 
 def bending_modes_of_mesh(machine: MachineDescription) -> int:
-    """How many bending modes per plane every full model of so many elements has, see ``plant.basis.bending_modes_of``."""
+    """How many bending modes per plane every full model of so many elements has, see ``model.basis.bending_modes_of``."""
     return min(2 * sum(section.elements for section in machine.shaft), LEAST_MODES)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 
 # The first entry whose words all occur in the curve's name applies.
 _BY_NAME = {

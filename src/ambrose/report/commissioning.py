@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.evaluation.candidate import Candidate
+from ambrose.rig.candidate import Candidate
 from ambrose.identification.result import LoopIdentification
 from ambrose.report import units
 from ambrose.report.identification.figures import change_figure
 from ambrose.report.identification.tables import findings_table, parameters_table
 from ambrose.report.page import Cell, Figure, Row, Section, Table
 from ambrose.report.record.figure import record_figure
-from ambrose.simulation.trace import Trace
+from ambrose.rig.trace import Trace
 
 _WORDS = (
     "The virtual rig stands for the machine on site. A record taken under the reference controller identifies the machine "

@@ -19,9 +19,9 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.mu.bounds import MuBounds, MuPeak
 from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, poles, select
-from ambrose.evaluation.candidate import Candidate, points_of
-from ambrose.evaluation.plants import plant_gain
-from ambrose.evaluation.trial import RunUp
+from ambrose.rig.candidate import Candidate, points_of
+from ambrose.judge.plants import plant_gain
+from ambrose.rig.trial import RunUp
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.result import Identification
@@ -29,8 +29,8 @@ from ambrose.identification.seal.result import SealFit, averaged
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.model import Plant
+from ambrose.record.record import Record
+from ambrose.model.plant import Plant
 from ambrose.report import theme, units
 from ambrose.report.comparison.envelope import decision
 from ambrose.report.comparison.figures import loop_figures
@@ -47,11 +47,11 @@ from ambrose.report.identification.page import seal_figure
 from ambrose.report.identification.static_load import line_figure
 from ambrose.report.record.figure import record_figure
 from ambrose.report.run_up import run_up_figure
-from ambrose.simulation.trace import Trace
+from ambrose.rig.trace import Trace
 from ambrose.synthesis.fixed_order.trade_off import TradeOff
-from ambrose.synthesis.result import Synthesis
-from ambrose.verification.checks import Checks, Curve
-from ambrose.verification.verification import Verification
+from ambrose.judge.result import Synthesis
+from ambrose.judge.checks import Checks, Curve
+from ambrose.judge.verification import Verification
 
 _DRAWN = (
     "a Machine, Plant, controller (StateSpace, Synthesis, schedule, python-control system), Checks, Verification, Trace, "

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.evaluation.trial import RunUp
+from ambrose.rig.trial import RunUp
 from ambrose.report import theme, units
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Cell, Figure, Row, Section, Table, numbers
-from ambrose.simulation.run_up import Step
-from ambrose.simulation.trace import Trace
-from ambrose.verification.checks import Curve
+from ambrose.rig.run_up import Step
+from ambrose.rig.trace import Trace
+from ambrose.judge.checks import Curve
 
 _SPAN = 0.1  # s, of the first and the last panel
 _WORDS = (

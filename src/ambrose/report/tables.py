@@ -9,8 +9,8 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Table, Verdict, numbers
-from ambrose.verification.checks import Check, Checks
-from ambrose.verification.verification import OVER_TOLERANCES
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.verification import OVER_TOLERANCES
 
 _WIDEST = 6  # operating points side by side in one table
 RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}

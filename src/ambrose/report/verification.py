@@ -10,7 +10,7 @@ from ambrose.report.captions import caption
 from ambrose.report.figures.curves import figure
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Figure, Report, Section, Table
-from ambrose.verification.checks import Checks, Curve
+from ambrose.judge.checks import Checks, Curve
 
 Labelled = Sequence[tuple[str, Curve]]
 OVER_SPEED = "The closed loop assembled anew at every speed; where a mode meets the line of the speed, unbalance drives it."

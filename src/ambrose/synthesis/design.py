@@ -14,26 +14,26 @@ from ambrose.core.presentation import to_plain
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import free_mode_reduction, reduce
-from ambrose.plant.scheduling import BOTH, PRESSURE, SPEED, Scheduling
-from ambrose.synthesis.as_it_runs import certify_as_it_runs, without_fast_poles
-from ambrose.synthesis.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
-from ambrose.synthesis.envelope.model import envelope_model
-from ambrose.synthesis.envelope.plants import envelope_of
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import free_mode_reduction, reduce
+from ambrose.law.scheduling import BOTH, PRESSURE, SPEED, Scheduling
+from ambrose.judge.as_it_runs import certify_as_it_runs, without_fast_poles
+from ambrose.judge.certificate import certify_envelope, certify_on_full_plant, full_plant_margins
+from ambrose.synthesis.envelope_model import envelope_model
+from ambrose.judge.envelope import envelope_of
 from ambrose.synthesis.explanation import explained, why_none
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.lpv.machine import POINTS, POINTS_OF_TWO, design_schedule, schedule_grid
+from ambrose.annexes.scheduled.lpv.machine import POINTS, POINTS_OF_TWO, design_schedule, schedule_grid
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.order_selection import reduce_order, sampled_sensitivity
 from ambrose.synthesis.pid import first_settings, pid_controller, pid_synthesis
-from ambrose.synthesis.problem import LEAST_TOLERANCE, apply_delay, design_plant, design_tolerances, open_model
-from ambrose.synthesis.result import Provenance, Synthesis
+from ambrose.law.design_problem import LEAST_TOLERANCE, apply_delay, design_plant, design_tolerances, open_model
+from ambrose.judge.result import Provenance, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
-from ambrose.synthesis.weights import machine_weights
+from ambrose.law.weights import machine_weights
 
 METHODS = ("tuned", "pid", "hinf", "mu", "polish", "lpv")
 POLISH_ROUNDS = 6

@@ -11,17 +11,17 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import assemble
-from ambrose.plant.basis import bending_modes_of
-from ambrose.plant.loop import closed_loop, law_at
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce_from
-from ambrose.plant.static_load import magnet_coefficients
-from ambrose.plant.timing import DEFAULT, Timing
-from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity
+from ambrose.model.effects.rotor import free_modes
+from ambrose.model.assemble import assemble
+from ambrose.model.basis import bending_modes_of
+from ambrose.law.loop import closed_loop, law_at
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce_from
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.law.timing import DEFAULT, Timing
+from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.synthesis.pid import channel_chains
-from ambrose.synthesis.result import Synthesis
+from ambrose.judge.result import Synthesis
 
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 _PEAK = "maximum singular value of a sensitivity"

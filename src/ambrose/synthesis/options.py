@@ -9,8 +9,8 @@ import numpy as np
 
 from ambrose.core.checks import check_positive, check_shape, invalid
 from ambrose.machine.machine import Machine
-from ambrose.plant.scheduling import PRESSURE, SPEED, Scheduling
-from ambrose.plant.timing import Timing, machine_timing, timing_of
+from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling
+from ambrose.law.timing import Timing, machine_timing, timing_of
 
 STRUCTURES = ("free", "plane", "axis", "pid", "filters")
 

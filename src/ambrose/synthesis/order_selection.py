@@ -15,17 +15,17 @@ from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty
 from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case.loop import corners
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import perturbed
-from ambrose.synthesis.certificate import certify, certify_on_full_plant, generalized_certificate
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
+from ambrose.model.uncertainty import perturbed
+from ambrose.judge.certificate import certify, certify_on_full_plant, generalized_certificate
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
 from ambrose.synthesis.options import DesignOptions
-from ambrose.synthesis.problem import apply_delay, design_plant, design_tolerances, open_model
-from ambrose.synthesis.result import Status, Synthesis
-from ambrose.synthesis.weights import machine_weights
+from ambrose.law.design_problem import apply_delay, design_plant, design_tolerances, open_model
+from ambrose.judge.result import Status, Synthesis
+from ambrose.law.weights import machine_weights
 
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of a single parameter; of several their corners and the centre
 _GIVE_UP = 3  # orders in a row beyond the loss: the values come in pairs, and an odd order may be the worse one

@@ -16,16 +16,16 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import CONTROLLER_COORDINATES, MODES, PidSettings, Section, modal_channels
 from ambrose.machine.machine import Machine
 from ambrose.machine.validation.controller import channel_problems
-from ambrose.physics import sensor
-from ambrose.physics.rotor import finite_element_rotor, mass_properties
-from ambrose.plant.model import Plant
-from ambrose.plant.ports import measured_ports, sensor_turn
-from ambrose.plant.static_load import magnet_coefficients
-from ambrose.plant.timing import Timing, machine_timing
-from ambrose.synthesis.as_it_runs import certify_as_it_runs
-from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.filters import bank, chain, check_sections, section_matrix
-from ambrose.synthesis.result import Status, Synthesis
+from ambrose.model.effects import sensor
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+from ambrose.model.plant import Plant
+from ambrose.model.ports import measured_ports, sensor_turn
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.law.timing import Timing, machine_timing
+from ambrose.judge.as_it_runs import certify_as_it_runs
+from ambrose.judge.certificate import certify
+from ambrose.law.filters import bank, chain, check_sections, section_matrix
+from ambrose.judge.result import Status, Synthesis
 
 
 @named_failure("the PID controller")

@@ -16,10 +16,10 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import as_statespace
-from ambrose.plant.model import Plant
-from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.result import Synthesis
-from ambrose.synthesis.weights import Weights, scale_control
+from ambrose.model.plant import Plant
+from ambrose.law.design_problem import design_plant
+from ambrose.judge.result import Synthesis
+from ambrose.law.weights import Weights, scale_control
 
 BAND = (0.0, 2 * np.pi * 200.0)  # [rad/s]
 _POINTS = 60

@@ -24,15 +24,15 @@ from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.machine.description import SealTable, Tolerance
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed
 from ambrose.report.identification.page import identification_report
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs, Pulse
-from ambrose.simulation.scenario import Scenario
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs, Pulse
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
 run = partial(pipeline.identify, bending_modes=1)  # as the loops have that made the records

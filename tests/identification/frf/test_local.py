@@ -11,7 +11,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.identification.frf.local import local_response
 from ambrose.identification.frf.spectral import h1
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 DT, K = 1e-3, 12000
 

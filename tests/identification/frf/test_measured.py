@@ -14,10 +14,10 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.frf.measured import measure
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.plant.loop import closed_loop
-from ambrose.simulation.disturbances import Chirp, Prbs, SteppedSine
-from ambrose.simulation.scenario import Scenario
+from ambrose.record.record import Record
+from ambrose.law.loop import closed_loop
+from ambrose.rig.disturbances import Chirp, Prbs, SteppedSine
+from ambrose.rig.scenario import Scenario
 
 HZ, NOISE, DT = 2 * np.pi, 2e-8, 1e-4
 POINT = OperatingPoint()

@@ -18,10 +18,10 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.validity import AGREES, DISAGREES, UNDECIDED, compare
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 
 HZ = 2 * np.pi

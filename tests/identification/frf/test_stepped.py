@@ -7,7 +7,7 @@ import scipy.signal
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.frf.phasors import steps_of
 from ambrose.identification.frf.stepped import stepped
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 HZ = 2 * np.pi
 DT = 1e-3

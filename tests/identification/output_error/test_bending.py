@@ -20,11 +20,11 @@ from ambrose.identification.parameters import COVERAGE, expand, nominal_values, 
 from ambrose.identification.validation.suspects import suspects
 from ambrose.machine.description import BendingMode, OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
-from ambrose.machine.record.record import Record
-from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.model.effects.rotor import finite_element_rotor, free_modes
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_controller
 from whole_records import simulate_derivative
 

@@ -18,16 +18,16 @@ from ambrose.identification.output_error import closed_loop as fit
 from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.machine.description import Tolerance
-from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.static_load import operating_magnets
-from ambrose.plant.uncertainty import perturbed
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs
-from ambrose.simulation.scenario import Scenario
+from ambrose.record.record import Record
+from ambrose.model.effects import magnet
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.static_load import operating_magnets
+from ambrose.model.uncertainty import perturbed
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 from whole_records import simulate_derivative
 

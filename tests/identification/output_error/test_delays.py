@@ -16,7 +16,7 @@ from ambrose.identification.output_error.delays import AHEAD, timed
 from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from linear_rig import AXES, DT, E, Y, rig
 from whole_records import simulate_derivative
 

@@ -13,8 +13,8 @@ from ambrose.identification.output_error import freedom, statistics
 from ambrose.identification.output_error.lagged_products import coloured_products
 from ambrose.identification.output_error.normal_equations import explained_columns, jacobian_pieces, normal_equations
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
-from ambrose.machine.record.record import Record
-from ambrose.plant.loop import closed_loop
+from ambrose.record.record import Record
+from ambrose.law.loop import closed_loop
 from linear_rig import DT, E, Y, rig
 
 UNKNOWN = ["bearing.*.negative_stiffness.*", "amplifier.natural_frequency"]

@@ -17,10 +17,10 @@ from ambrose.core.statespace import select
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.periodic import _columns, _rows
 from ambrose.identification.parameters import expand, nominal_values
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 
 DT, P = 1e-4, 1270

@@ -19,10 +19,10 @@ from ambrose.identification.output_error.synchronous import synchronous_of
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.identification.validation.plausibility import diagnose_outputs
 from ambrose.identification.validation.simulated_output import simulate_outputs
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
 from linear_rig import DT, E, Y, rig
 
 KNOWN = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")

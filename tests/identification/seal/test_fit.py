@@ -19,15 +19,15 @@ from ambrose.identification.seal.result import ENTRIES as ORDER
 from ambrose.identification.seal.result import SealFit, averaged, line
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import seal
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed, uncertain
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import SteppedSine
-from ambrose.simulation.scenario import Scenario
+from ambrose.record.record import Record
+from ambrose.model.effects import seal
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed, uncertain
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import SteppedSine
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 pytestmark = pytest.mark.campaign  # minutes

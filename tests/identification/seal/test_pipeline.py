@@ -20,11 +20,11 @@ from ambrose.identification.seal import time_domain as seal_records
 from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import dumps_machine, loads_machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import seal
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.model.effects import seal
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_controller
 
 DT, K = 1e-4, 8000

@@ -12,12 +12,12 @@ from ambrose.identification.model_updating import update_machine
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.levels import Levels, steady_levels
 from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
-from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
-from ambrose.plant.static_load import operating_magnets
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Pulse
-from ambrose.simulation.scenario import Scenario, load_scenario
+from ambrose.record.record import Record
+from ambrose.model.effects import magnet
+from ambrose.model.static_load import operating_magnets
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Pulse
+from ambrose.rig.scenario import Scenario, load_scenario
 from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")

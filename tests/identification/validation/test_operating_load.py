@@ -8,8 +8,8 @@ import pytest
 from ambrose import load_machine
 from ambrose.identification.validation.operating_load import load_doubt, load_remarks, machine_at_load
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.plant.static_load import operating_magnets
+from ambrose.record.record import Record
+from ambrose.model.static_load import operating_magnets
 
 RIG = load_machine("seal-rig")
 UPRIGHT = replace(RIG, bearings=tuple(replace(bearing, iron=None) for bearing in RIG.bearings), gravity_direction=None)

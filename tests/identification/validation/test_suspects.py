@@ -17,7 +17,7 @@ from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import nominal_values
 from ambrose.identification.validation import suspects as tried
 from ambrose.identification.validation.suspects import Suspect, explained, judged, suspects
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from linear_rig import DT, E, Y, rig
 
 SAMPLES = 3000

@@ -22,14 +22,14 @@ from ambrose.identification.youla.impulse_response import finite_response
 from ambrose.identification.youla.residual_model import sampled_residual
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs
-from ambrose.simulation.scenario import Scenario
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller, pid_synthesis
 from whole_records import simulate_derivative
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from ambrose.core.statespace import StateSpace
-from ambrose.evaluation.candidate import Candidate, points_of
+from ambrose.rig.candidate import Candidate, points_of
 from ambrose.machine.description import OperatingPoint, Operation
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report import page as document
 from ambrose.report import theme
 from ambrose.report.comparison import figures as comparison_figures
@@ -22,10 +22,10 @@ from ambrose.report.comparison import tables as comparison_tables
 from ambrose.report.comparison.envelope import decision, envelope_section, ratio_text, shade_of, share
 from ambrose.report.comparison.page import comparison_report
 from ambrose.report.page import Cell, Table
-from ambrose.simulation.trace import Trace
-from ambrose.synthesis.result import Synthesis
-from ambrose.verification.checks import Check, Checks, Curve
-from ambrose.verification.verification import box_label
+from ambrose.rig.trace import Trace
+from ambrose.judge.result import Synthesis
+from ambrose.judge.checks import Check, Checks, Curve
+from ambrose.judge.verification import box_label
 
 NAMES = ("tuned", "PID", "H-infinity", "mu", "mu, polished", "LPV", "commissioned")
 SPEEDS, PRESSURES = (0.0, 400.0, 900.0), (0.0, 2e5)

@@ -12,11 +12,11 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.evaluation.candidate import SCENARIOS, Candidate, points_of
-from ambrose.evaluation.trial import simulate_linear
+from ambrose.rig.candidate import SCENARIOS, Candidate, points_of
+from ambrose.rig.trial import simulate_linear
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.report import page as document
 from ambrose.report import theme, units
 from ambrose.report.comparison import figures as comparison_figures
@@ -27,10 +27,11 @@ from ambrose.report.page import Cell, Report, Section, Table
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.synthesis.problem import design_plant
-from ambrose.synthesis.result import Certificate, Synthesis
-from ambrose.verification import nominal, robust
-from ambrose.verification.checks import Check, Checks, Curve
+from ambrose.law.design_problem import design_plant
+from ambrose.judge.result import Certificate, Synthesis
+from ambrose.judge import nominal
+from ambrose.judge import robust
+from ambrose.judge.checks import Check, Checks, Curve
 
 pytestmark = pytest.mark.campaign  # minutes
 

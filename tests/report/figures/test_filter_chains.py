@@ -10,7 +10,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.machine.controller import MODES, Channel, PidSettings, Section
 from ambrose.report.figures.filter_chains import filter_figure
 from ambrose.synthesis.pid import pid_controller
-from ambrose.synthesis.result import Synthesis
+from ambrose.judge.result import Synthesis
 
 HZ = 2 * np.pi
 EVERY = (

@@ -15,7 +15,7 @@ from ambrose.report import theme
 from ambrose.report.figures import curves as plots
 from ambrose.report.figures.poles import pole_figure
 from ambrose.report.figures.rotor_drawing import equivalent_cylinder, rotor_drawing
-from ambrose.verification.checks import Checks, Curve
+from ambrose.judge.checks import Checks, Curve
 
 TWO_PI = 2 * np.pi
 

@@ -10,11 +10,11 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.youla import identify as youla
 from ambrose.machine.description import Tolerance
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed
 from ambrose.report.figures.residual_response import residual_figure
 from ambrose.synthesis.pid import pid_synthesis
 

@@ -16,10 +16,10 @@ from ambrose.identification.seal.by_pressure import SealByPressure
 from ambrose.identification.seal.result import SealFit, line
 from ambrose.identification.validation.agreement import compare
 from ambrose.identification.youla import identify as youla
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.report.identification.figures import (
     change_figure,
     correlation_figure,

@@ -10,7 +10,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.findings import Code
 from ambrose.identification.pipeline import Provenance, identify
 from ambrose.identification.validation.agreement import compare
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report.identification.static_load import line_figure, static_report, static_table
 from ambrose.report.page import render
 

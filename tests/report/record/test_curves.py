@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report.record.curves import trace_curves
-from ambrose.simulation.trace import Trace
+from ambrose.rig.trace import Trace
 
 
 def trace() -> Trace:

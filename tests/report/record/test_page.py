@@ -9,7 +9,7 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import load_machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report.figures.orbits import orbit_figure
 from ambrose.report.figures.rotor_animation import rotor_animation
 from ambrose.report.figures.stations import Station, rotor_speed, stations, window
@@ -18,8 +18,8 @@ from ambrose.report.page import render
 from ambrose.report.record.curves import radius_curve, signal_curves, thinned
 from ambrose.report.record.page import record_report
 from ambrose.report.record.verdicts import record_verdicts
-from ambrose.simulation.scenario import Scenario
-from ambrose.simulation.trace import Trace
+from ambrose.rig.scenario import Scenario
+from ambrose.rig.trace import Trace
 
 RATE, RADIUS, WHIRL = 10e3, 20e-6, 2 * np.pi * 80.0
 MACHINE = load_machine("seal-rig")

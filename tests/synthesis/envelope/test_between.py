@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.evaluation.verdict import verify_controller, verify_ranges
+from ambrose.judge.verdict import verify_controller, verify_ranges
 from ambrose.machine.description import OperatingPoint, OperatingRange
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.envelope.between import search
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
+from ambrose.judge.certificate import certify
+from ambrose.judge.range_search import search
 from ambrose.synthesis.pid import pid_controller
 
 AREA = OperatingRange("running", (0.0, 600.0), (0.0, 0.5e5))

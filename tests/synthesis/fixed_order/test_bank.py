@@ -15,9 +15,9 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.controller import Channel, PidSettings, Section
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
 from ambrose.synthesis import design
 from ambrose.synthesis.fixed_order import tuning
 from ambrose.synthesis.fixed_order.aims import aims_of

@@ -20,7 +20,7 @@ from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import with_performance_block
+from ambrose.law.design_problem import with_performance_block
 
 pytestmark = pytest.mark.study  # minutes
 

@@ -12,7 +12,7 @@ from ambrose.cli import main
 from ambrose.synthesis.fixed_order import trade_off as module
 from ambrose.synthesis.fixed_order.trade_off import TradeOff, read_value, trade_off
 from ambrose.synthesis.options import DesignOptions
-from ambrose.synthesis.result import Certificate, Status
+from ambrose.judge.result import Certificate, Status
 from coarse import coarse
 
 

@@ -15,11 +15,11 @@ from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, append, feedback, rename, select, series, static_gain
-from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing, machine_timing
-from ambrose.plant.uncertainty import perturbed
+from ambrose.model.effects.rotor import free_modes
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing, machine_timing
+from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.fixed_order import tuning
 from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.channels import _by_samples
@@ -30,7 +30,7 @@ from ambrose.synthesis.fixed_order.objective import Objective, Ratio, largest_ga
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.pid import first_settings, pid_controller
-from ambrose.verification import nominal
+from ambrose.judge import nominal
 
 MACHINE = amb.load_machine(Path(__file__).parent / "flexible_compressor.toml")
 RUNS = Timing(5e-5, 1)

@@ -8,9 +8,9 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf.assumptions import check_assumptions
-from ambrose.synthesis.hinf.riccati import normal_form, try_gamma
-from ambrose.synthesis.hinf.scaling import scale_plant
+from ambrose.core.hinf.assumptions import check_assumptions
+from ambrose.core.hinf.riccati import normal_form, try_gamma
+from ambrose.core.hinf.scaling import scale_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import KINDS, random_plant
 

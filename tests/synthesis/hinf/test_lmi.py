@@ -11,8 +11,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_inequalities.semidefinite import smat, svec
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf.lmi import smallest_gamma
-from ambrose.synthesis.hinf.scaling import scale_plant
+from ambrose.core.hinf.lmi import smallest_gamma
+from ambrose.core.hinf.scaling import scale_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import KINDS, random_plant
 

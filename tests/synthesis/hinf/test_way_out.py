@@ -10,7 +10,7 @@ from ambrose.core.checks import NumericalFailure
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.hinf import synthesis as module
-from ambrose.synthesis.hinf.scaling import scale_plant, unavoidable
+from ambrose.core.hinf.scaling import scale_plant, unavoidable
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import random_plant
 

@@ -30,8 +30,8 @@ from ambrose.core.statespace import (
     transfer_function,
 )
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import RealRational, fit_magnitude
 from ambrose.synthesis.mu.d_step import d_blocks, d_step, fit_scaling
@@ -39,7 +39,7 @@ from ambrose.synthesis.mu.matrix_fit import fit_matrix
 from ambrose.synthesis.mu.refine import peak_gain, refine
 from ambrose.synthesis.mu.scaling import BlockScaling, Scaling, scalar_scaling, scaled_loop, scaled_plant
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import design_plant, with_performance_block
+from ambrose.law.design_problem import design_plant, with_performance_block
 
 pytestmark = pytest.mark.campaign  # minutes
 

@@ -20,9 +20,9 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.output_error.normal_equations import distinct
-from ambrose.machine.record.record import Record
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
+from ambrose.record.record import Record
+from ambrose.law.loop import closed_loop
+from ambrose.model.plant import Plant
 
 KINDS = {"y": "displacement", "u": "controller output", "i": "coil current", "e": "excitation"}
 _LINES = 400  # of a response that are compared, at most

@@ -15,7 +15,7 @@ from ambrose.core.response import impulse_response, simulate
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.identification.excitation import signal_rows
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 LAGS = 6  # samples, the longest delay that is tried
 _BLOCK = 8000  # samples that are compared at once, with an initial state of their own

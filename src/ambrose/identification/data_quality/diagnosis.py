@@ -32,9 +32,9 @@ from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.output_error.problem import as_records, deployed_controller
 from ambrose.identification.parameters import plant_at, ratios
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.model import Plant
+from ambrose.record.record import Record
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
 
 _RATES = (0.1, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 10.0)  # true over stated
 _SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}  # share of power from which other explanations are tried

@@ -10,7 +10,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _LONG, _FEW = 3, 2  # samples of a flat top, and how many flat tops make it clipping
 _CROWDED = 4.0  # samples at the extreme over those one step below it: 2.4 at the crest of a sine in coarse steps

@@ -17,7 +17,7 @@ from ambrose.core.statespace import Names
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.output_error.synchronous import without_synchronous
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _DEGREE = 2
 _INDEPENDENT = 1e-5  # least singular value of the lines' matrix, columns of unit length

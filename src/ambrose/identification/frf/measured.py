@@ -22,7 +22,7 @@ from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.frf.stepped import is_stepped, stepped
 from ambrose.identification.output_error.periodic import shortest_period
 from ambrose.identification.output_error.synchronous import without_synchronous
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 METHODS = ("sines", "periods", "polynomials")
 IN_WORDS = {

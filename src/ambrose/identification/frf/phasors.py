@@ -10,7 +10,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.statespace import index_of
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _ALIKE = 0.02  # relative difference of successive periods within one step
 _SLACK = 1e-3  # [s] by which steps of two signals may overlap and still follow each other

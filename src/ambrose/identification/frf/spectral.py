@@ -20,7 +20,7 @@ from ambrose.core.frequency import FrequencyResponse
 from ambrose.core.statespace import Names, index_of
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.output_error.synchronous import without_synchronous
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 WINDOWS = ("hann", "boxcar")
 _EXCITED = 1e-4  # of the strongest line's power: weaker lines are left out

@@ -10,7 +10,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import Names
 from ambrose.identification.frf.phasors import Phasors, Step, find_steps, phasors
 from ambrose.identification.frf.spectral import Frf
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _APART = 1e-6  # least over largest singular value of the inputs at a frequency
 _BESIDE, _MOST = 2e-3, 0.6  # shares of power: what is no sine within the steps, and what lies within them (not their ends)

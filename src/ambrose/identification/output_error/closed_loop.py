@@ -52,7 +52,7 @@ from ambrose.identification.output_error.problem import (
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _EARLY = 5000  # samples on which a good start is found
 _NEGLIGIBLE = 1e-4  # a gain of this many variances of the noise: steps of 0.01 standard deviations need no second look

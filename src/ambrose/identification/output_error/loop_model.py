@@ -20,8 +20,8 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.response import SystemDerivative, held_derivative
 from ambrose.core.statespace import StateSpace, index_of
 from ambrose.machine.description import Tolerance
-from ambrose.plant.model import Plant
-from ambrose.plant.uncertainty import channels, uncertain
+from ambrose.model.plant import Plant
+from ambrose.model.uncertainty import channels, uncertain
 
 
 class ParametricModel(Protocol):

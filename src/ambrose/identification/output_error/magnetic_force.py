@@ -36,11 +36,11 @@ from ambrose.identification.output_error.statistics import TurningWave
 from ambrose.identification.parameters import plant_at
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
-from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
-from ambrose.plant.static_load import operating_magnets
+from ambrose.record.record import Record
+from ambrose.model.effects import magnet
+from ambrose.law.loop import closed_loop
+from ambrose.model.plant import Plant
+from ambrose.model.static_load import operating_magnets
 
 _LOAD = 0.25  # of the bias current: the load that amplitude 1 of a quadratic signal stands for
 _PASSES = 2

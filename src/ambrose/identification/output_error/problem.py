@@ -20,9 +20,9 @@ from ambrose.identification.parameters import nominal_values, ratios, reduced_pl
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
-from ambrose.machine.record.record import Record
-from ambrose.plant.loop import match_controller
-from ambrose.plant.model import Plant
+from ambrose.record.record import Record
+from ambrose.law.loop import match_controller
+from ambrose.model.plant import Plant
 
 _WINDOW = 16_384  # samples in which an excitation is judged at a time
 

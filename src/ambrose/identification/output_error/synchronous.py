@@ -15,7 +15,7 @@ import numpy as np
 import scipy.fft
 
 from ambrose.core.checks import check_positive, invalid
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _NEARLY = 0.02  # of the stated speed, within which the true one is looked for; assumed
 _CLEAR = 20.0  # power of the lines over what noise makes of it, from which they tell the speed

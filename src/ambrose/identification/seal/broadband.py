@@ -16,7 +16,7 @@ from ambrose.identification.frf.local import local_response
 from ambrose.identification.frf.measured import driven_groups
 from ambrose.identification.frf.phasors import Phasors
 from ambrose.identification.output_error.synchronous import without_synchronous
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _DRAWS = 60  # their standard deviation is good to 9 %
 

@@ -25,9 +25,9 @@ from ambrose.identification.seal.by_pressure import beyond_tolerance, scattered
 from ambrose.identification.seal.model_updating import FORMS, update_seal
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.files import read_record
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import seal_coefficients
+from ambrose.record.files import read_record
+from ambrose.record.record import Record
+from ambrose.model.assemble import seal_coefficients
 
 _LOWEST, _HIGHEST, _LINES = 5.0, 100.0, 20  # [Hz], of broadband records where nothing else is asked for
 

@@ -17,7 +17,7 @@ from ambrose.identification.seal.regression import fit_line
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
-from ambrose.plant.assemble import seal_coefficients
+from ambrose.model.assemble import seal_coefficients
 
 _FAR = 3.0  # standard deviations from which a point is said to be off the line
 _SMALL = 0.02  # of a coefficient's largest value: what is less off is a note, no doubt (as identification.loop has it)

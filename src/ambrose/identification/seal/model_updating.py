@@ -13,7 +13,7 @@ from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, 
 from ambrose.machine.description import Seal, SealTable, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import parse_parameter
-from ambrose.plant.assemble import seal_coefficients
+from ambrose.model.assemble import seal_coefficients
 
 _LEVEL = 0.95  # of every tolerance
 FORMS = ("line", "table", "frequency")

@@ -21,7 +21,7 @@ from ambrose.identification.validation.plausibility import diagnose_outputs
 from ambrose.identification.validation.simulated_output import simulate_outputs
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _LEAST = {"line": 3, "table": 2}  # pressures
 

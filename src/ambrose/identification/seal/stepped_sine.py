@@ -25,10 +25,11 @@ from ambrose.identification.seal.broadband import Driven, at_lines
 from ambrose.identification.seal.result import SealFit
 from ambrose.machine.description import OperatingPoint, Seal
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import amplifier, sensor
-from ambrose.plant.assemble import assemble, seal_coefficients
-from ambrose.plant.static_load import magnet_coefficients
+from ambrose.record.record import Record
+from ambrose.model.effects import amplifier
+from ambrose.model.effects import sensor
+from ambrose.model.assemble import assemble, seal_coefficients
+from ambrose.model.static_load import magnet_coefficients
 
 CURRENTS = ("measured", "commanded")
 _ONE_DIRECTION = 1e-3  # of the larger singular value: below, the motions at the seal do not span the plane

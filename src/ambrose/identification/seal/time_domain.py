@@ -16,8 +16,8 @@ from ambrose.identification.output_error.problem import FitOptions, build_experi
 from ambrose.identification.seal.result import COEFFICIENTS, ENTRIES, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import seal_coefficients
+from ambrose.record.record import Record
+from ambrose.model.assemble import seal_coefficients
 
 # Which entries make a coefficient of the symmetric model: their mean.
 _MEMBERS = {"K": ("K_xx", "K_yy"), "k": ("k_xy", "k_yx"), "C": ("C_xx", "C_yy"), "c": ("c_xy", "c_yx")}

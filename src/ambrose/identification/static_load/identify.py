@@ -23,13 +23,13 @@ from ambrose.identification.output_error.problem import as_records
 from ambrose.identification.static_load.levels import Levels, steady_levels
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import sensor
-from ambrose.physics.rotor import finite_element_rotor
-from ambrose.plant.assemble import attached_rotor
-from ambrose.plant.basis import bending_modes_of
-from ambrose.plant.ports import sensor_ports
-from ambrose.plant.static_load import magnet_coefficients
+from ambrose.record.record import Record
+from ambrose.model.effects import sensor
+from ambrose.model.effects.rotor import finite_element_rotor
+from ambrose.model.assemble import attached_rotor
+from ambrose.model.basis import bending_modes_of
+from ambrose.model.ports import sensor_ports
+from ambrose.model.static_load import magnet_coefficients
 
 _BENDING = 20  # modes per plane that make the rotor's static flexibility; more change nothing
 _MOVED = 0.05  # share of the magnet's force that comes from displacement, above which K_s must be well known

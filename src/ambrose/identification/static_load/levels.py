@@ -11,7 +11,7 @@ from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.output_error.problem import as_records, check_records
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _BLOCK = 0.01  # [s] over which a load is averaged before its steps are looked for
 _STEP = 0.02  # of the loads' range: less is no step but the noise of the force transducer

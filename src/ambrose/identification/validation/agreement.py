@@ -10,7 +10,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identification.parameters import COVERAGE, Estimate, half_width, nominal_values
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
-from ambrose.plant.assemble import assemble
+from ambrose.model.assemble import assemble
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.physics.loaded_magnet import LoadedMagnet, slopes, with_coefficients
-from ambrose.physics.magnet import MagnetCoefficients
-from ambrose.plant.static_load import operating_magnets, static_sag
+from ambrose.record.record import Record
+from ambrose.model.effects.loaded_magnet import LoadedMagnet, slopes, with_coefficients
+from ambrose.model.effects.magnet import MagnetCoefficients
+from ambrose.model.static_load import operating_magnets, static_sag
 
 _TOLD = 0.01  # relative change of a coefficient that is worth a sentence
 _DOUBTED = 0.1  # relative difference of the static currents from which on the machine file is doubted

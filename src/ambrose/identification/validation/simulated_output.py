@@ -11,7 +11,7 @@ from ambrose.identification.output_error.delays import TimedLoop
 from ambrose.identification.output_error.loop_model import ParametricModel, over_weights
 from ambrose.identification.output_error.normal_equations import fit, synchronised
 from ambrose.identification.output_error.problem import Experiment
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

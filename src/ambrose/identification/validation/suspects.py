@@ -28,7 +28,7 @@ from ambrose.identification.parameters import unit_of
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, TIMING, bending_modes_of_mesh, parse_parameter
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _CERTAIN = 4.0  # standard deviations of a step, below which noise may make it
 _HARMLESS = 0.02  # of a value; assumed: less than a tolerance of a magnet's coefficients ever is

@@ -39,8 +39,8 @@ from ambrose.identification.output_error.synchronous import synchronous_of
 from ambrose.identification.parameters import expand, nominal_values, reduced_plant
 from ambrose.identification.youla.residual_model import SampledResidual, held_residual, sampled_residual
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.model import Plant
+from ambrose.record.record import Record
+from ambrose.model.plant import Plant
 
 _LOOKED_AT = 10_000  # samples on which the controller is compared with the one that ran
 _GROWTH = 10.0  # of the motion over a record, beyond that of its excitation

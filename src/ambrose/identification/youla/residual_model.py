@@ -19,8 +19,8 @@ from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace, index_of
 from ambrose.identification.output_error.loop_model import LoopModel, directions_of, loop_model
 from ambrose.machine.description import Tolerance
-from ambrose.plant.model import Plant
-from ambrose.plant.uncertainty import uncertain
+from ambrose.model.plant import Plant
+from ambrose.model.uncertainty import uncertain
 
 
 @dataclass(frozen=True, slots=True, eq=False)

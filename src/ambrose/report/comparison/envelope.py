@@ -11,14 +11,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ambrose.evaluation.candidate import Candidate, find
+from ambrose.rig.candidate import Candidate, find
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Section, Table, Verdict
 from ambrose.report.tables import around, listed
-from ambrose.verification.checks import Check, Checks
-from ambrose.verification.verification import box_label
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.verification import box_label
 
 NOT_EVALUATED = "not evaluated"
 _MEETS, _FAILS = (0.6, 0.8, 1.0), (1.1, 1.5, 2.0)  # upper ends of the shades

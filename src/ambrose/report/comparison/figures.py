@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from ambrose.core.frequency import frequency_response
-from ambrose.evaluation.candidate import Candidate, find
+from ambrose.rig.candidate import Candidate, find
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.captions import caption
@@ -19,8 +19,8 @@ from ambrose.report.figures.filter_chains import filter_figure
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Figure
 from ambrose.report.record.curves import thinned, trace_curves
-from ambrose.simulation.trace import Trace
-from ambrose.verification.checks import Checks, Curve
+from ambrose.rig.trace import Trace
+from ambrose.judge.checks import Checks, Curve
 
 T = TypeVar("T")
 

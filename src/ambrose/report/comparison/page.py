@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ambrose.evaluation.candidate import Candidate, points_of
+from ambrose.rig.candidate import Candidate, points_of
 from ambrose.machine.machine import Machine
 from ambrose.report import tables, units
 from ambrose.report.comparison import figures

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import date as calendar
 
-from ambrose.evaluation.candidate import Candidate
+from ambrose.rig.candidate import Candidate
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
-from ambrose.plant.separation import LEAST_AMPLIFICATION
+from ambrose.model.separation import LEAST_AMPLIFICATION
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Section, Table
-from ambrose.verification.checks import Checks
-from ambrose.verification.critical_speeds import critical_speeds
+from ambrose.judge.checks import Checks
+from ambrose.judge.critical_speeds import critical_speeds
 from ambrose.version import __version__
 
 _CURVES = ("unbalance.assembled", "unbalance")  # the rotor assembled at every speed where that was done, else frozen at one

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ambrose.evaluation.candidate import Candidate, find
+from ambrose.rig.candidate import Candidate, find
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Table, Verdict
 from ambrose.report.tables import RELATION, around, listed, place, reason, verdict
-from ambrose.verification.checks import Check, Checks
-from ambrose.verification.verification import WITH_MEAN_DELAY
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.verification import WITH_MEAN_DELAY
 
 Better = Callable[..., Any]  # min or max
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.report import theme, units
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 
 _DECADES, _OVERLAY_DECADES = 4.0, 7.0  # of a logarithmic view below its top; models differ where they are small
 _BELOW_LIMITS = 2.0  # decades below the lowest limit: what is read against limits needs the room around them

@@ -10,10 +10,10 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.core.statespace import StateSpace, poles
-from ambrose.machine.record.record import signal_dimension
+from ambrose.record.record import signal_dimension
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import drawn
-from ambrose.verification.loop_response import add_poles
+from ambrose.judge.loop_response import add_poles
 
 _MOST = 8  # entries drawn one by one; of a larger matrix that is not square only the largest singular value
 _NONE = 1e-9  # a gain this small beside the largest is none

@@ -18,7 +18,7 @@ from ambrose.report import theme, units
 from ambrose.report.figures.axes import Axes, axes_of, drawn, is_map, set_ranges
 from ambrose.report.figures.limits import amount, beyond, draw_limits, limit_levels
 from ambrose.report.figures.poles import pole_figure
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 
 Labelled = Sequence[tuple[str, Curve]]
 

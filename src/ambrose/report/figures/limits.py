@@ -8,7 +8,7 @@ from typing import Any
 
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import Axes
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 
 BEYOND = "beyond the view: "
 

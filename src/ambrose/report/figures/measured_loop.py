@@ -11,7 +11,7 @@ from ambrose.machine.criteria import SENSITIVITY
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import axes_of, drawn, set_ranges
 from ambrose.report.figures.limits import draw_limits, limit_levels
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 
 _MEASURED, _BAND = "#0072b2", "rgba(0,114,178,0.25)"
 _LOOKS = (theme.Style(theme.INK, "solid", "x-thin", 1.3), theme.Style("#d55e00", "7px,3px", "x-thin", 1.6))  # of the models

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import drawn
 from ambrose.report.figures.stations import NEAR, Station, largest, window

@@ -13,7 +13,7 @@ from ambrose.report import theme, units
 from ambrose.report.figures.axes import Axes, axes_of, drawn, set_ranges
 from ambrose.report.figures.curves import mark_peak
 from ambrose.report.figures.limits import beyond, draw_limits, limit_levels
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 
 Labelled = tuple[tuple[str, Curve], ...]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import drawn
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 
 _FEWEST, _MOST = 4, 16  # the left picture ends at the widest gap after so many slow poles of an operating point
 _FINE = 1e-3  # damping ratios beyond this are shown logarithmically, below it linearly: 0 and instability stay visible

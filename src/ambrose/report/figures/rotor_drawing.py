@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_shape
 from ambrose.machine.description import Disc
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import finite_element_rotor, free_modes
+from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.report import theme, units
 
 _PIXELS = 800  # width of the plot area that the height is computed for [px]

@@ -8,10 +8,10 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.ports import Port, measured_ports, ports
+from ambrose.record.record import Record
+from ambrose.model.ports import Port, measured_ports, ports
 from ambrose.report import theme, units
-from ambrose.simulation.scenario import Scenario
+from ambrose.rig.scenario import Scenario
 
 _FEWEST = 32  # samples in a window
 _PERIODS = 3.0

@@ -18,13 +18,13 @@ from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report import theme, units
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.figures.seals import response_figure
 from ambrose.report.identification.tables import fixed
 from ambrose.report.record.curves import thinned
-from ambrose.verification.checks import Curve
+from ambrose.judge.checks import Curve
 
 _PERIODS = 6  # of the strongest frequency in the telling window
 _DECADES = 4.0  # of the magnitude of a frequency response that are shown

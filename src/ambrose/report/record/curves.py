@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report.figures.stations import Station
-from ambrose.simulation.trace import Trace
-from ambrose.verification.checks import Curve
+from ambrose.rig.trace import Trace
+from ambrose.judge.checks import Curve
 
 _BINS = 1000  # of a thinned curve, each with its lowest and highest value
 _DRIVEN = (("e", "Current excitation"), ("r", "Reference"), ("d", "Output disturbance"), ("f", "Applied forces"))

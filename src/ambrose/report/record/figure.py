@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import drawn
 from ambrose.report.record.curves import thinned

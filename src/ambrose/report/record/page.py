@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report import units
 from ambrose.report.figures.curves import figure
 from ambrose.report.figures.orbits import orbit_figure
@@ -19,9 +19,9 @@ from ambrose.report.figures.waterfall import waterfall_figure
 from ambrose.report.page import Figure, Report, Section, Verdict
 from ambrose.report.record.curves import radius_curve, signal_curves, zoomed_curves
 from ambrose.report.record.verdicts import record_verdicts, signals_table
-from ambrose.simulation.scenario import Scenario
-from ambrose.simulation.trace import Trace
-from ambrose.verification.checks import Curve
+from ambrose.rig.scenario import Scenario
+from ambrose.rig.trace import Trace
+from ambrose.judge.checks import Curve
 
 _CAPTIONS = {
     "radius": "The decisive picture: how near the shaft comes to the touchdown bearings, and whether the motion dies out, "

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from ambrose.report import units
 from ambrose.report.figures.orbits import percent
 from ambrose.report.figures.stations import Station
 from ambrose.report.page import Cell, Row, Table, Verdict, numbers
-from ambrose.simulation.trace import Trace
+from ambrose.rig.trace import Trace
 
 _AT_LIMIT = 0.999
 _CLEAR = 0.05  # [s] without contact after which a rotor that starts in contact counts as lifted

@@ -15,9 +15,9 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.criteria import CLEARANCE, SENSITIVITY, SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, demand
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.plant.model import top_speed
-from ambrose.plant.unbalance import residual_unbalance
+from ambrose.model.effects.rotor import finite_element_rotor, free_modes
+from ambrose.model.plant import top_speed
+from ambrose.model.unbalance import residual_unbalance
 
 _BANDWIDTH, _STIFF = 2.0, 0.01  # assumed: sigma_max(S_o) below 2 rad/s falls to 0.01; with a settling time t_s below 1/t_s
 _GAIN = 1.5  # assumed: times the largest gain of the controller that tuning starts from

@@ -17,9 +17,9 @@ from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import SECTIONS, Channel, PidSettings, Section
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.plant.static_load import magnet_coefficients
-from ambrose.synthesis.filters import DERIVATIVE_FILTER, bank, chain, embedded, section_matrix, section_text
+from ambrose.model.effects.rotor import finite_element_rotor, free_modes
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.law.filters import DERIVATIVE_FILTER, bank, chain, embedded, section_matrix, section_text
 from ambrose.synthesis.pid import channel_chains, channel_names, first_settings, mixings, theta_system
 
 _STEP = 1e-30  # of a complex derivative

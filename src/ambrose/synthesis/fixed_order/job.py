@@ -14,18 +14,18 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import free_modes
-from ambrose.plant.basis import bending_modes_of
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce, reduce_from
-from ambrose.plant.timing import Timing
-from ambrose.synthesis.certificate import fastest_pole
+from ambrose.model.effects.rotor import free_modes
+from ambrose.model.basis import bending_modes_of
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce, reduce_from
+from ambrose.law.timing import Timing
+from ambrose.judge.certificate import fastest_pole
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
 from ambrose.synthesis.fixed_order.bank import BANKS, first_bank
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, warped
 from ambrose.synthesis.fixed_order.structure import Groups, axis_groups
 from ambrose.synthesis.pid import pid_controller
-from ambrose.synthesis.time_limit import TimeLimit
+from ambrose.core.time_limit import TimeLimit
 
 _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order

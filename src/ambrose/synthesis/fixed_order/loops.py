@@ -16,9 +16,9 @@ from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.sampling import c2d, delayed, hold
 from ambrose.core.statespace import select
-from ambrose.plant.model import Plant
-from ambrose.plant.static_load import magnet_coefficients
-from ambrose.plant.timing import Timing
+from ambrose.model.plant import Plant
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.law.timing import Timing
 
 
 @dataclass(frozen=True, slots=True, eq=False)

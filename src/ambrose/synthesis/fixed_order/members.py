@@ -8,9 +8,9 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace, select
-from ambrose.plant.model import Plant
-from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import tolerances_around, uncertain
+from ambrose.model.plant import Plant
+from ambrose.law.timing import Timing
+from ambrose.model.uncertainty import tolerances_around, uncertain
 from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.loops import lateness, warped
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
-from ambrose.plant.separation import needed_damping, runs_within
+from ambrose.model.separation import needed_damping, runs_within
 from ambrose.synthesis.fixed_order.active import Active, active
 from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.bank import FilterBank

@@ -20,14 +20,14 @@ from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncer
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa
-from ambrose.synthesis.certificate import fastest_pole
+from ambrose.judge.certificate import fastest_pole
 from ambrose.synthesis.fixed_order.cost import Cost, Form, block_form
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
-from ambrose.synthesis.hinf.scaling import check_plant
-from ambrose.synthesis.problem import PERFORMANCE, with_performance_block
-from ambrose.synthesis.result import Certificate, Status, Synthesis
-from ambrose.synthesis.time_limit import TimeLimit
+from ambrose.core.hinf.scaling import check_plant
+from ambrose.law.design_problem import PERFORMANCE, with_performance_block
+from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.core.time_limit import TimeLimit
 
 JUDGED_ROUNDS = 2  # few long ones leave a smoother loop: sampled S_o on the seal rig 2.73, not 2.85; identified 2.65, not 3.01
 _POWERS = (15.0, 40.0, 100.0, 250.0)
@@ -59,7 +59,7 @@ def polish_synthesis(
     residualised; a pair of near-equal values is not cut), None keeps its order. deltas [-]: values of a single real parameter,
     within -1 and 1; with several parameters the centre and bad corners are models. iterations: of L-BFGS, all rounds together;
     rounds: of descent, each followed by the true norms and a search for the worst parameters; time_limit [s] of computing, and
-    five times that on the wall (``synthesis.time_limit``); judge: decides which round's controller is returned, the lowest of
+    five times that on the wall (``core.time_limit``); judge: decides which round's controller is returned, the lowest of
     its values (the worst sensitivity of the sampled loop, say; None: the lowest worst-case norm); prove: False leaves
     "proved_norm" out, which may take longer than the descent; progress: called with one line of text per round.
 

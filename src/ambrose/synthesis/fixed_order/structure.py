@@ -20,7 +20,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.realisation.modal_form import modal_form
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.machine import Machine
-from ambrose.plant.ports import measured_ports
+from ambrose.model.ports import measured_ports
 
 _SLOWEST = 1.0  # rad/s; an integrator is a state of this rate, else descent could never move it
 _ZERO = 1e-9  # of the largest entry: couples nothing

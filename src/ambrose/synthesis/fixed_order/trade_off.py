@@ -16,15 +16,15 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.plant.assemble import assemble
-from ambrose.synthesis.envelope.plants import envelope_of
+from ambrose.model.assemble import assemble
+from ambrose.judge.envelope import envelope_of
 from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
 from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import first_settings, pid_controller
-from ambrose.synthesis.result import Synthesis
-from ambrose.synthesis.time_limit import TimeLimit
+from ambrose.judge.result import Synthesis
+from ambrose.core.time_limit import TimeLimit
 
 ORDER = "order"
 # what can be traded -> its dimension; all but the log decrement are easier to meet at larger values

@@ -18,13 +18,13 @@ import numpy as np
 from ambrose.core.checks import NumericalFailure, named_failure
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.controller import PidSettings
-from ambrose.plant.assemble import assemble
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import in_tolerances, perturbed, tolerances_around, with_offsets_of
-from ambrose.synthesis.certificate import certify, fastest_pole
-from ambrose.synthesis.envelope.between import search
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+from ambrose.law.timing import Timing
+from ambrose.model.uncertainty import in_tolerances, perturbed, tolerances_around, with_offsets_of
+from ambrose.judge.certificate import certify, fastest_pole
+from ambrose.judge.range_search import search
 from ambrose.synthesis.fixed_order.bank import FilterBank, advice, at_limits, filter_bank
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.job import FASTEST, Job, Law, as_system, first_law, prepare, with_states
@@ -32,7 +32,7 @@ from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped
 from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
 from ambrose.synthesis.fixed_order.structure import Structure, axis_groups, structured
-from ambrose.synthesis.result import Certificate, Status, Synthesis
+from ambrose.judge.result import Certificate, Status, Synthesis
 
 _POWERS = (10, 24, 60, 120, 120)  # even
 INTERRUPTED = "interrupted"

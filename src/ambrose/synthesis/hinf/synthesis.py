@@ -14,9 +14,9 @@ from ambrose.core.checks import AmbroseError, NumericalFailure, UnstableSystem, 
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, select
-from ambrose.synthesis.certificate import generalized_certificate
-from ambrose.synthesis.hinf.assumptions import Assumptions, check_assumptions, full_regularisation
-from ambrose.synthesis.hinf.riccati import (
+from ambrose.judge.certificate import generalized_certificate
+from ambrose.core.hinf.assumptions import Assumptions, check_assumptions, full_regularisation
+from ambrose.core.hinf.riccati import (
     GammaSearch,
     Level,
     balancing_states,
@@ -24,9 +24,9 @@ from ambrose.synthesis.hinf.riccati import (
     normal_form,
     search_gamma,
 )
-from ambrose.synthesis.hinf.scaling import ScaledPlant, check_plant, original_controller, scale_plant, unavoidable
-from ambrose.synthesis.result import Certificate, Status, Synthesis
-from ambrose.synthesis.time_limit import TimeLimit
+from ambrose.core.hinf.scaling import ScaledPlant, check_plant, original_controller, scale_plant, unavoidable
+from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.core.time_limit import TimeLimit
 
 _WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
 _LARGEST_LMI = 50  # states up to which the matrix inequalities take over by themselves; their cost grows with the sixth power
@@ -191,7 +191,7 @@ def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
 
 def _by_lmi(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
     """The smallest gamma of the matrix inequalities, then the first verified controller at growing back-offs."""
-    from ambrose.synthesis.hinf.lmi import lmi_controller, smallest_gamma
+    from ambrose.core.hinf.lmi import lmi_controller, smallest_gamma
 
     def time_left() -> float:
         job.check_time()

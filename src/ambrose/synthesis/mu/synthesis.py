@@ -29,8 +29,8 @@ from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, spectral_abscissa
-from ambrose.synthesis.certificate import generalized_certificate
-from ambrose.synthesis.hinf.scaling import check_plant
+from ambrose.judge.certificate import generalized_certificate
+from ambrose.core.hinf.scaling import check_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import constant
 from ambrose.synthesis.mu.d_step import (
@@ -45,9 +45,9 @@ from ambrose.synthesis.mu.d_step import (
     peak_below,
 )
 from ambrose.synthesis.mu.scaling import Scaling, scaled_loop, scaled_plant
-from ambrose.synthesis.problem import with_performance_block
-from ambrose.synthesis.result import Certificate, Status, Synthesis
-from ambrose.synthesis.time_limit import TimeLimit
+from ambrose.law.design_problem import with_performance_block
+from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.core.time_limit import TimeLimit
 
 _GAIN = 1e-3  # a step that lowers the best bound by less than this fraction ends the iteration
 _STRIDES = (4.0, 16.0, 64.0)  # how much further than the D-step says D may be moved
@@ -78,7 +78,7 @@ def mu_synthesis(
     ("scalar") or a matrix D(s) ("full") for repeated blocks; a D of order n costs 2 r n states of the controller for a block of
     size r either way. backoff [-]: see hinf_synthesis. omega (w,) [rad/s]: grid of the D-step, default: the plant's poles and
     a decade around them; resonances and peaks are added. time_limit [s] of computing, and five times
-    that on the wall (``synthesis.time_limit``); progress: called with one line of text per step.
+    that on the wall (``core.time_limit``); progress: called with one line of text per step.
 
     ``gamma`` and the certificate's norm are the H-infinity norm of D M D^-1, a certified bound of complex mu: below 1 the
     performance holds for every perturbation. certificate.margins: "mu_complex" (upper bound on the grid), "mu_mixed" and

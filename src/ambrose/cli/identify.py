@@ -1,0 +1,154 @@
+"""`ambrose identify`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ambrose.terminal import AS_JSON, MACHINE, claim, kept, load, print_table, progress_shown, say, say_json
+
+METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, which is not imported for --help
+
+
+@click.command()
+@MACHINE
+@click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--method", type=click.Choice(METHODS), default="closed-loop", show_default=True, help="How to identify.")
+@click.option("--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json).")
+@click.option(
+    "--unknown", multiple=True, metavar="PATH",
+    help='What to identify, "*" for every name or axis: bearing.*.negative_stiffness.* (repeatable). '
+    "Default: what the machine file marks as uncertain, K_i and K_s of every axis, and the amplifier's lag; "
+    "delay, and bending (bending_2, ...) for frequency and damping of a bending mode, add to these.",
+)  # fmt: skip
+@click.option("--start", multiple=True, metavar="PATH=VALUE", help="SI value to begin at; default: the machine's (repeatable).")
+@click.option("--signals", multiple=True, metavar="NAME", help="Signals to fit, y_, u_ or i_<axis>; default: every y_<axis>.")
+@click.option(
+    "--delay-samples", "computing_delay", type=float, default=1,
+    help="From measured errors to acting currents; default: the controller file's, or 1.",
+)  # fmt: skip
+@click.option("--bending-modes", type=int, default=3, show_default=True, help="Bending modes per plane in the model.")
+@click.option("--harmonics", type=int, default=3, show_default=True, help="Multiples of the speed that unbalance may hold.")
+@click.option("--tone", "tones", type=float, multiple=True, metavar="HZ", help="Another tone, as of the mains (repeatable).")
+@click.option(
+    "--seal-fit", "seal_form", type=click.Choice(("line", "table")), help="The seal pressure by pressure, and how kept."
+)
+@click.option("--seal", metavar="NAME", help="Which seal, where there are several.")
+@click.option("--average", type=float, default=0.5, show_default=True, help="Static: seconds averaged at the end of a level.")
+@click.option("--repeats", is_flag=True, help="The records are repeats: identify each alone, too.")
+@click.option("--compare", type=click.Path(path_type=Path), help="A machine file found by another method: the differences.")
+@click.option("--report", type=click.Path(path_type=Path), help="A page: parameters, measured over model, residual tests.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("identified.toml"), show_default=True)
+@AS_JSON
+@click.pass_context
+def identify(
+    context: click.Context, /, machine: str, records: tuple[Path, ...], method: str, controller: Path | None,
+    start: tuple[str, ...], compare: Path | None, report: Path | None, output: Path, as_json: bool, **asked: Any,
+) -> None:  # fmt: skip
+    """Identify parameters from records of the running machine; write the machine with them and their uncertainty.
+
+    RECORDS are *.h5 or *.csv files with the excitations e_<axis> and the displacements y_<axis>; with u_<axis> the controller
+    is checked too. --method youla needs every u_<axis>; --method static takes loads f_<port> and currents, and finds K_i.
+    Exit status 1: done, but a warning says that the result is doubtful; 2: refused.
+    """
+    from click.core import ParameterSource
+
+    from ambrose.identification.pipeline import Provenance, check_arguments
+    from ambrose.identification.pipeline import identify as run
+    from ambrose.identification.validation.agreement import compare as agreement
+    from ambrose.machine.atomic_write import write_text
+    from ambrose.machine.file.update import machine_text
+    from ambrose.judge.controller_file import read_controller
+
+    flags = {item.name: item.opts[-1] for item in context.command.params if item.name}
+    arguments = {"controller", "start", *asked}
+    given = {name for name in arguments if context.get_parameter_source(name) is not ParameterSource.DEFAULT}
+    check_arguments(method, given, flags)
+    description = load(machine)
+    other = load(str(compare)) if compare is not None else None
+    claim(machine_file=output, report=report)
+    settings = {name: value for name, value in asked.items() if name in given}
+    if start:
+        settings["start"] = _starts(start)
+    names = Provenance(tuple(path.name for path in records), controller.name if controller else "")
+    with progress_shown(as_json) as progress:
+        law = read_controller(controller) if controller else None
+        done = run(description, records, law, method=method, provenance=names, progress=progress, **settings)
+        compared = None if other is None else agreement(done.result, other)
+        text = done.comment + machine_text(done.machine)
+        failure = kept(lambda path: write_text(path, text, "machine file"), output)
+        if report is not None:
+            from ambrose.report.identification.page import identification_report
+            from ambrose.report.identification.static_load import static_report
+            from ambrose.report.page import write
+
+            progress("writing the report")
+            make: Any = static_report if done.method == "static" else identification_report
+            unwritten = kept(lambda path: write(make(done, compared=compared), path), report)
+            failure, report = unwritten or failure, None if unwritten else report
+    if as_json:
+        rows = None if compared is None else [row.to_dict() for row in compared]
+        files = {"machine_file": str(output), "report": str(report) if report else None}
+        say_json({**done.to_dict(), "compared": rows, **files})
+    else:
+        _print(done, compared)
+        say(f"Machine with these values and their uncertainty: {output}" + (f". Report: {report}" if report else ""))
+    if failure is not None:
+        raise failure
+    sys.exit(0 if done.passed else 1)
+
+
+def _starts(texts: tuple[str, ...]) -> dict[str, float]:
+    """ "PATH=VALUE" -> path and value; raises InvalidInput."""
+    from ambrose.core.checks import invalid
+
+    values = {}
+    for text in texts:
+        path, equals, value = text.partition("=")
+        try:
+            values[path.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise invalid(
+                "--start", repr(text), "PATH=VALUE with a number in SI units", "write bearing.A.force_per_current.zeta=140"
+            )
+    return values
+
+
+def _print(done: Any, compared: Any) -> None:
+    from ambrose.report.identification import tables
+    from ambrose.report.identification.static_load import static_table
+
+    if done.method == "static":
+        _table(static_table(done))
+    else:
+        _table(tables.parameters_table(done.result))
+    if done.repeats is not None:
+        _table(tables.repeats_table(done.repeats))
+    if done.method != "static":
+        _table(tables.fit_table(done.result))
+        if done.result.turning:
+            _table(tables.turning_table(done.result))
+        if not all(test.passed for test in done.result.tests):
+            _table(tables.residual_tests_table(done.result), only_failed=True)
+        if done.seal is not None:
+            _table(tables.seal_table(done.seal.fit))
+            if done.seal.form == "line":
+                _table(tables.seal_lines_table(done.seal.fit))
+    if compared is not None:
+        _table(tables.compared_table(compared))
+    for line in (f"Verdict: {done.verdict}", *[f"Warning: {finding}" for finding in done.doubts]):
+        say(line)
+    for remark in () if done.method == "static" else done.remarks:
+        say(f"Note: {remark}.")
+
+
+def _table(table: Any, only_failed: bool = False) -> None:
+    rows = [row for row in table.cells if not only_failed or any(cell.mark == "fail" for cell in row)]
+    texts = [tuple(f"{cell.symbol} {cell.text}".strip() for cell in row) for row in rows]
+    marks = ["red" if any(cell.mark == "fail" for cell in row) else "" for row in rows]
+    print_table(table.title, table.columns, texts, marks)
