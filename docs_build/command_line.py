@@ -17,17 +17,24 @@ def page():
     """reference/command-line.md."""
     main = importlib.import_module("ambrose.cli").main
     parts = [HEAD, f"```text\n{main.get_help(click.Context(main, info_name='ambrose'))}\n```\n"]
-    return "\n".join([*parts, *(section(name, command) for name, command in sorted(main.commands.items()))])
+    return "\n".join(
+        [*parts, *(section(name, command) for name, command in sorted(main.commands.items()))]
+    )
 
 
 def section(name, command):
     """A command: what it does, how it is called, a row per option."""
     context = click.Context(command, info_name=f"ambrose {name}")
     usage = " ".join(command.collect_usage_pieces(context))
-    rows = [row(parameter, context) for parameter in command.get_params(context) if isinstance(parameter, click.Option)]
+    rows = [
+        row(parameter, context)
+        for parameter in command.get_params(context)
+        if isinstance(parameter, click.Option)
+    ]
     options = "\n".join(["| option | meaning |", "|---|---|", *rows])
     return (
-        f"## ambrose {name}\n\n{escaped(inspect.cleandoc(command.help))}\n\n```text\nambrose {name} {usage}\n```\n\n{options}\n"
+        f"## ambrose {name}\n\n{escaped(inspect.cleandoc(command.help))}\n\n```text\nambrose "
+        f"{name} {usage}\n```\n\n{options}\n"
     )
 
 

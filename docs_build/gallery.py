@@ -1,7 +1,9 @@
-"""examples/*.py -> the gallery: each program with what it prints and its pictures, made while the site is built.
+"""examples/*.py -> the gallery: each program with what it prints and its pictures, made while the
+site is built.
 
-An example that has a picture defines ``picture()``, which gives a plotly figure. Results are kept in .site_cache/ until the
-example or the package changes. DRAFT=1 in the environment builds the pages without running anything.
+An example that has a picture defines ``picture()``, which gives a plotly figure. Results are kept
+in .site_cache/ until the example or the package changes. DRAFT=1 in the environment builds the
+pages without running anything.
 """
 
 import contextlib
@@ -21,7 +23,8 @@ def page():
     """gallery.md."""
     parts = [
         "# Examples\n",
-        "One page of Python each. They run as tests; what they print and their pictures come from the build of this site.\n",
+        "One page of Python each. They run as tests; what they print and their pictures come from "
+        "the build of this site.\n",
         '<script src="assets/plotly.min.js"></script>\n',
     ]
     for path in sorted(EXAMPLES.glob("[0-9]*.py")):
@@ -53,7 +56,10 @@ def of_example(path):
 def html_of(figure):
     """A plotly figure as a piece of a page that has the library already."""
     return figure.to_html(
-        full_html=False, include_plotlyjs=False, default_width="100%", config={"responsive": True, "displayModeBar": False}
+        full_html=False,
+        include_plotlyjs=False,
+        default_width="100%",
+        config={"responsive": True, "displayModeBar": False},
     )
 
 
@@ -79,7 +85,9 @@ def indented(text):
 
 
 def kept(source, make, draft):
-    """What ``make`` gives, as JSON; kept until the source or the package changes. ``draft``: what a draft shows."""
+    """What ``make`` gives, as JSON; kept until the source or the package changes. ``draft``: what a
+    draft shows.
+    """
     if os.environ.get("DRAFT"):
         return draft
     path = CACHE / f"{hashlib.sha256((source + _package()).encode()).hexdigest()}.json"
@@ -95,7 +103,9 @@ def kept(source, make, draft):
 
 def _package():
     digest = hashlib.sha256()
-    for path in sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "src").rglob("*.toml"), *EXAMPLES.iterdir()]):
+    for path in sorted(
+        [*(ROOT / "src").rglob("*.py"), *(ROOT / "src").rglob("*.toml"), *EXAMPLES.iterdir()]
+    ):
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()

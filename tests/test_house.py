@@ -1,4 +1,6 @@
-"""The structure stays: rooms that one can overlook, no import circle, packages are nouns. (The layers: `lint-imports`.)"""
+"""The structure stays: rooms that one can overlook, no import circle, packages are nouns. (The
+layers: `lint-imports`.)
+"""
 
 import inspect
 from importlib import import_module
@@ -26,7 +28,10 @@ def circles(imports):
 
     imports: {module: modules that it imports}.
     """
-    index, low, stack, components = {}, {}, [], []
+    index = {}
+    low = {}
+    stack = []
+    components = []
 
     def visit(module):
         index[module] = low[module] = len(index)
@@ -54,17 +59,26 @@ def test_circles_are_seen():
 
 
 def test_no_module_imports_itself_through_others():
-    """Imports inside functions and under TYPE_CHECKING count: a circle is a circle, even where Python bears it."""
+    """Imports inside functions and under TYPE_CHECKING count: a circle is a circle, even where
+    Python bears it.
+    """
     graph = grimp.build_graph("ambrose", cache_dir=None)
     assert len(graph.modules) == len(MODULES)
-    assert circles({module: graph.find_modules_directly_imported_by(module) for module in graph.modules}) == []
+    assert (
+        circles(
+            {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize("folder", PACKAGES, ids=name_of)
 def test_a_folder_can_be_overlooked(folder):
     modules = [path.stem for path in folder.glob("*.py") if path.stem != "__init__"]
     if name_of(folder) in CROWDED:
-        assert len(modules) > MOST_MODULES, f"{name_of(folder)} is small enough now; take it out of CROWDED"
+        assert len(modules) > MOST_MODULES, (
+            f"{name_of(folder)} is small enough now; take it out of CROWDED"
+        )
     else:
         assert len(modules) <= MOST_MODULES, (
             f"{name_of(folder)}: {len(modules)} modules; make a room, or give the reason in CROWDED"
@@ -72,12 +86,16 @@ def test_a_folder_can_be_overlooked(folder):
 
 
 def test_a_module_can_be_read_in_one_go():
-    lengths = {name_of(path): len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES}
+    lengths = {
+        name_of(path): len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES
+    }
     assert {name: lines for name, lines in lengths.items() if lines > MOST_LINES} == {}
 
 
 def test_a_package_is_a_noun():
-    """Functions are verbs. A package with the name of a public function would replace it on import (``ambrose.verify``)."""
+    """Functions are verbs. A package with the name of a public function would replace it on import
+    (``ambrose.verify``).
+    """
     verbs = {name for name in ambrose.__all__ if inspect.isfunction(getattr(ambrose, name))}
     verbs |= {
         "assemble",
@@ -93,7 +111,8 @@ def test_a_package_is_a_noun():
         "verify",
     }
     assert {name_of(folder) for folder in PACKAGES if folder.name in verbs} == set()
-    assert {path.stem for path in SOURCE.glob("*.py")} & verbs == set()  # modules at the root would, too
+    # modules at the root would, too
+    assert {path.stem for path in SOURCE.glob("*.py")} & verbs == set()
 
 
 def test_every_folder_of_modules_is_a_package():
@@ -101,7 +120,12 @@ def test_every_folder_of_modules_is_a_package():
 
 
 @pytest.mark.parametrize(
-    "name", sorted(path.stem for path in (SOURCE.parents[1] / "benchmarks").glob("*.py") if "__" not in path.stem)
+    "name",
+    sorted(
+        path.stem
+        for path in (SOURCE.parents[1] / "benchmarks").glob("*.py")
+        if "__" not in path.stem
+    ),
 )
 def test_every_benchmark_finds_what_it_imports(name):
     import_module(f"benchmarks.{name}")

@@ -1,7 +1,9 @@
-"""What the commands share: options, progress, tables, and the one way by which anything reaches the terminal.
+"""What the commands share: options, progress, tables, and the one way by which anything reaches the
+terminal.
 
-Whatever a text holds and wherever it goes, the exit status says what was found: a line is one line without control characters,
-what an encoding lacks is spelled (``>=``, ``10^-7``, ``\\u4e00``), and output that nobody reads any more is dropped.
+Whatever a text holds and wherever it goes, the exit status says what was found: a line is one line
+without control characters, what an encoding lacks is spelled (``>=``, ``10^-7``, ``\\u4e00``), and
+output that nobody reads any more is dropped.
 """
 
 from __future__ import annotations
@@ -25,44 +27,88 @@ import click
 
 from ambrose.machine.messages import one_line
 
-ALL = click.option("--all", "everything", is_flag=True, help="Show the quantities without a limit as well.")
-AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+ALL = click.option(
+    "--all", "everything", is_flag=True, help="Show the quantities without a limit as well."
+)
+AS_JSON = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
+)
 MACHINE = click.argument("machine")
-RATE = click.option("--rate-hz", type=float, default=None, help="Sample rate; default: the controller's or the machine file's.")
+RATE = click.option(
+    "--rate-hz",
+    type=float,
+    default=None,
+    help="Sample rate; default: the controller's or the machine file's.",
+)
 DELAY = click.option(
     "--delay-samples",
     type=int,
     default=None,
-    help="From measured errors to currents set; default: the controller's, the machine file's, or 1.",
+    help="From measured errors to currents set; default: the controller's, the machine file's, or "
+    "1.",
 )
 PRESSURE_ERROR = click.option(
-    "--pressure-error", metavar="PRESSURE",
-    help='With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate trims it by as much.',
-)  # fmt: skip
+    "--pressure-error",
+    metavar="PRESSURE",
+    help='With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate trims '
+    "it by as much.",
+)
 STUCK_AFTER = click.option(
-    "--stuck-after", type=float, metavar="SECONDS",
+    "--stuck-after",
+    type=float,
+    metavar="SECONDS",
     help="With --fallback: how long the very same reading may come; default: not watched.",
-)  # fmt: skip
+)
 _SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html", "page": ".html"}
-_KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}  # endings that mean a file of this package, or a record
+# endings that mean a file of this package, or a record
+_KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}
 _SILENCE = 30.0  # s
 _said: list[bool] = []  # whether this command has printed its JSON object
-_GONE = {errno.EPIPE, errno.EINVAL, errno.EIO}  # nobody reads: as Unix, as Windows, and as a terminal that was closed says it
+# nobody reads: as Unix, as Windows, and as a terminal that was closed says it
+_GONE = {errno.EPIPE, errno.EINVAL, errno.EIO}
 _SPELLED = {
-    "≤": "<=", "≥": ">=", "≠": "!=", "±": "+-", "×": "*", "·": "*", "−": "-", "–": "-", "→": "->", "…": "...", "°": " deg",
-    "µ": "u", "μ": "u", "∞": "inf", "✓": "+", "✗": "x", "•": "*",
-    "ζ": "zeta", "η": "eta", "ω": "omega", "γ": "gamma", "σ": "sigma", "Ω": "Omega",
-    "\u00a0": " ", "\u2009": " ", "\u202f": " ",
-}  # fmt: skip
+    "≤": "<=",
+    "≥": ">=",
+    "≠": "!=",
+    "±": "+-",
+    "×": "*",
+    "·": "*",
+    "−": "-",
+    "–": "-",
+    "→": "->",
+    "…": "...",
+    "°": " deg",
+    "µ": "u",
+    "μ": "u",
+    "∞": "inf",
+    "✓": "+",
+    "✗": "x",
+    "•": "*",
+    "ζ": "zeta",
+    "η": "eta",
+    "ω": "omega",
+    "γ": "gamma",
+    "σ": "sigma",
+    "Ω": "Omega",
+    "\u00a0": " ",
+    "\u2009": " ",
+    "\u202f": " ",
+}
 _POWER, _DIGITS = re.compile("[⁻⁰¹²³⁴-⁹]+"), str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 def _spell(error: UnicodeError) -> tuple[str, int]:
-    """A codec's error handler: the package's own signs in ASCII, other characters as their escapes."""
+    """A codec's error handler: the package's own signs in ASCII, other characters as their
+    escapes.
+    """
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    text = _POWER.sub(lambda power: "^" + power[0].translate(_DIGITS), error.object[error.start : error.end])
-    spelled = (_SPELLED.get(c) or (c if c.isascii() else c.encode("unicode_escape").decode()) for c in text)
+    text = _POWER.sub(
+        lambda power: "^" + power[0].translate(_DIGITS), error.object[error.start : error.end]
+    )
+    spelled = (
+        _SPELLED.get(c) or (c if c.isascii() else c.encode("unicode_escape").decode()) for c in text
+    )
     return "".join(spelled), error.end
 
 
@@ -70,7 +116,9 @@ codecs.register_error("ambrose.spell", _spell)
 
 
 class _Outlet(io.RawIOBase):
-    """A standard stream that drops what nobody reads; errors of another kind are those of ``name``, or dropped as well."""
+    """A standard stream that drops what nobody reads; errors of another kind are those of ``name``,
+    or dropped as well.
+    """
 
     def __init__(self, raw: io.RawIOBase, name: str) -> None:
         self._raw, self._name, self._lost = raw, name, False
@@ -105,7 +153,9 @@ def streams_settled() -> Iterator[None]:
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
-        except OSError:  # closed: the next file that is opened would take its place, and what is printed
+        except (
+            OSError
+        ):  # closed: the next file that is opened would take its place, and what is printed
             os.open(os.devnull, os.O_RDWR)
     before = sys.stdout, sys.stderr
     _said.clear()
@@ -131,9 +181,13 @@ def _settled(stream: Any, name: str) -> Any:
 
 
 def _encoding(stream: Any) -> str:
-    """The stream's, but ASCII where LC_ALL=C asks for it, which Python by itself takes for UTF-8 (PEP 538, 540)."""
+    """The stream's, but ASCII where LC_ALL=C asks for it, which Python by itself takes for UTF-8
+    (PEP 538, 540).
+    """
     told = {"PYTHONIOENCODING", "PYTHONUTF8"} & os.environ.keys()
-    return "ascii" if os.environ.get("LC_ALL") in {"C", "POSIX"} and not told else str(stream.encoding)
+    return (
+        "ascii" if os.environ.get("LC_ALL") in {"C", "POSIX"} and not told else str(stream.encoding)
+    )
 
 
 def say(text: str, *, err: bool = False) -> None:
@@ -142,7 +196,9 @@ def say(text: str, *, err: bool = False) -> None:
 
 
 def say_json(content: Any, *, unless_said: bool = False) -> None:
-    """Print one JSON object, in ASCII; unless_said: only where a command has not printed its own."""
+    """Print one JSON object, in ASCII; unless_said: only where a command has not printed its
+    own.
+    """
     if not (unless_said and _said):
         say(json.dumps(content))
         _said.append(True)
@@ -160,7 +216,9 @@ def _worded(text: str) -> str:
 
 
 def quantity_given(text: str | None, option: str, dimension: str) -> float | None:
-    """A positive quantity of an option such as "20 bar/s" in SI; None: not given. Raises InvalidInput."""
+    """A positive quantity of an option such as "20 bar/s" in SI; None: not given. Raises
+    InvalidInput.
+    """
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.units import DIMENSIONS, read_quantity
 
@@ -168,13 +226,17 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
         return None
     unit = DIMENSIONS[dimension]
     if text.strip().replace(".", "", 1).isdecimal():
-        raise InvalidInput(f'{option} is {text}, without a unit; write it with one, such as "{unit.example}"')
+        raise InvalidInput(
+            f'{option} is {text}, without a unit; write it with one, such as "{unit.example}"'
+        )
     try:
         value = read_quantity(text, unit)
     except ValueError as error:
         raise InvalidInput(f"{option} {error}") from error
     if not value > 0:
-        raise InvalidInput(f"{option} is {text}, but must be positive; leave it out where nothing is known")
+        raise InvalidInput(
+            f"{option} is {text}, but must be positive; leave it out where nothing is known"
+        )
     return value
 
 
@@ -185,15 +247,25 @@ def load(machine: str) -> Any:
 
 
 def load_controller(path: Path, machine: Any) -> Any:
-    """A controller file; that it was made for another machine, or before the machine file was changed, is noted."""
-    from ambrose.machine.file.toml import machine_hash
+    """A controller file; that it was made for another machine, or before the machine file was
+    changed, is noted.
+    """
     from ambrose.judge.controller_file import read_controller
+    from ambrose.machine.file.toml import machine_hash
 
     result = read_controller(path)
     made = result.provenance
     if made.machine_hash not in {None, machine_hash(machine)}:
-        other = f"another machine, {made.machine}" if made.machine != machine.name else f"other numbers of {machine.name}"
-        say(f"note: {path} was made for {other}; what is said here is about {machine.name} as it is given", err=True)
+        other = (
+            f"another machine, {made.machine}"
+            if made.machine != machine.name
+            else f"other numbers of {machine.name}"
+        )
+        say(
+            f"note: {path} was made for {other}; what is said here is about {machine.name} as it "
+            "is given",
+            err=True,
+        )
     return result
 
 
@@ -250,11 +322,15 @@ def _lines() -> Iterator[Callable[[str], None]]:
         over.set()
 
 
-def print_table(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], marks: Sequence[str] = ()) -> None:
+def print_table(
+    title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], marks: Sequence[str] = ()
+) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 140, markup=False, emoji=False, highlight=False)
+    console = Console(
+        width=None if sys.stdout.isatty() else 140, markup=False, emoji=False, highlight=False
+    )
     table = Table(title=_worded(title), title_justify="left", title_style="bold")
     for column in columns:
         table.add_column(_worded(column), overflow="fold")
@@ -266,15 +342,25 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ..
 
 
 def print_checks(checks: Any, everything: bool) -> None:
-    """One operating point: the verdict in words, then the checks that have a limit (or all), without their sources."""
+    """One operating point: the verdict in words, then the checks that have a limit (or all),
+    without their sources.
+    """
     from ambrose.report.tables import checks_table, verdict
 
     table = checks_table(checks)
     keep = [i for i, column in enumerate(table.columns) if not column.startswith("Standard")]
     shown = [i for i, check in enumerate(checks.checks) if everything or check.passed is not None]
-    rows = [tuple(f"{table.cells[k][i].symbol} {table.cells[k][i].text}".strip() for i in keep) for k in shown]
+    rows = [
+        tuple(f"{table.cells[k][i].symbol} {table.cells[k][i].text}".strip() for i in keep)
+        for k in shown
+    ]
     marks = tuple("red" if checks.checks[k].passed is False else "" for k in shown)
-    print_table(f"{checks.label}: {verdict(checks).text}", tuple(table.columns[i] for i in keep), rows, marks)
+    print_table(
+        f"{checks.label}: {verdict(checks).text}",
+        tuple(table.columns[i] for i in keep),
+        rows,
+        marks,
+    )
 
 
 def shown(value: Any) -> str:
@@ -282,25 +368,38 @@ def shown(value: Any) -> str:
 
 
 def claim(**places: Path | None) -> None:
-    """Holds the files that a command will write until it ends: what cannot be written, or is being written by another run, is
-    refused before the work begins. Raises InvalidInput."""
+    """Holds the files that a command will write until it ends: what cannot be written, or is being
+    written by another run, is refused before the work begins. Raises InvalidInput.
+    """
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.atomic_write import check_file
     from ambrose.machine.claim import claimed
 
     known: dict[str, str] = {}
-    for what, path in ((what.replace("_", " "), path) for what, path in places.items() if path is not None):
+    for what, path in (
+        (what.replace("_", " "), path) for what, path in places.items() if path is not None
+    ):
         check_file(path, what)
         if (other := known.setdefault(os.path.realpath(path), what)) != what:
-            raise InvalidInput(f"{path} is to hold the {other} and the {what}; give one of them another name")
-        if (own := _SUFFIX.get(what, "")) != path.suffix.lower() and own and path.suffix.lower() in _KINDS:
-            raise InvalidInput(f"the {what} is to be {path}, but must be a file *{own}; that ending means another kind of file")
+            raise InvalidInput(
+                f"{path} is to hold the {other} and the {what}; give one of them another name"
+            )
+        if (
+            (own := _SUFFIX.get(what, "")) != path.suffix.lower()
+            and own
+            and path.suffix.lower() in _KINDS
+        ):
+            raise InvalidInput(
+                f"the {what} is to be {path}, but must be a file *{own}; that ending means "
+                "another kind of file"
+            )
         click.get_current_context().with_resource(claimed(path, what))
 
 
 def kept(write: Callable[[Path], Any], path: Path) -> Exception | None:
-    """Writes a result at the end of the work; where that fails, into the folder for temporary files instead. Returns what to
-    raise after the other results are printed; None: nothing failed."""
+    """Writes a result at the end of the work; where that fails, into the folder for temporary files
+    instead. Returns what to raise after the other results are printed; None: nothing failed.
+    """
     from ambrose.core.checks import InvalidInput
 
     try:

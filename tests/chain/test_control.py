@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
 from ambrose.chain import control
 from ambrose.chain.control import resume_or_design
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.judge.certificate import certify_on_full_plant
 from ambrose.judge.controller_file import write_controller
+from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.design import provenance
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.judge.result import Certificate, Status, Synthesis
 from coarse import coarse
 
 OWN_GAIN = DesignOptions(match_reference=False, rate=1e4)
@@ -33,7 +33,9 @@ def plant():
 def first(plant, tmp_path_factory):
     """The H-infinity controller of a first run, and the text of its file."""
     path = tmp_path_factory.mktemp("first") / "controller-hinf.json"
-    return resume_or_design(plant, "hinf", path, lambda text: None, OWN_GAIN), path.read_text(encoding="utf-8")
+    return resume_or_design(plant, "hinf", path, lambda text: None, OWN_GAIN), path.read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.fixture
@@ -79,7 +81,9 @@ CHANGES = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_what_another_design_made_is_not_taken_up(name, plant, kept, designs):
-    """Only the machine and the method counted: a controller for another rate or of an older package was taken up."""
+    """Only the machine and the method counted: a controller for another rate or of an older package
+    was taken up.
+    """
     content = json.loads(kept.read_text(encoding="utf-8"))
     CHANGES[name](content["provenance"])
     kept.write_text(json.dumps(content), encoding="utf-8")
@@ -88,14 +92,19 @@ def test_what_another_design_made_is_not_taken_up(name, plant, kept, designs):
 
 
 def test_a_file_that_says_other_than_its_controller_is_designed_anew(plant, kept, designs):
-    """The margins of a kept controller were written over with the recomputed ones, whatever they were."""
+    """The margins of a kept controller were written over with the recomputed ones, whatever they
+    were.
+    """
     content = json.loads(kept.read_text(encoding="utf-8"))
     content["D"][0][0] += 0.01 * np.abs(content["D"]).max() + 100.0
     kept.write_text(json.dumps(content), encoding="utf-8")
     lines = []
     resume_or_design(plant, "hinf", kept, lines.append, OWN_GAIN)
     assert designs == [("hinf", OWN_GAIN)]
-    assert "controller-hinf.json is not taken up: full_s" in lines[0] and "designing it anew" in lines[0]
+    assert (
+        "controller-hinf.json is not taken up: full_s" in lines[0]
+        and "designing it anew" in lines[0]
+    )
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"format": "ambrose-controller", "version": 1}'])
@@ -115,7 +124,12 @@ def test_a_file_that_was_changed_is_not_taken_up_and_kept_aside(plant, kept, des
     resume_or_design(plant, "hinf", kept, lines.append, OWN_GAIN)
     assert designs == [("hinf", OWN_GAIN)]
     assert "controller-hinf.json is not taken up: it was changed after it was written" in lines[0]
-    assert json.loads((kept.parent / "earlier-controller-hinf.json").read_text(encoding="utf-8"))["gamma"] == 0.1
+    assert (
+        json.loads((kept.parent / "earlier-controller-hinf.json").read_text(encoding="utf-8"))[
+            "gamma"
+        ]
+        == 0.1
+    )
 
 
 @pytest.mark.parametrize("name", ["another package version", "another delay"])
@@ -126,18 +140,26 @@ def test_why_a_file_is_not_taken_up_is_said(name, plant, kept, designs):
     lines = []
     resume_or_design(plant, "hinf", kept, lines.append, OWN_GAIN)
     words = {"another package version": "package version", "another delay": "delay_samples"}[name]
-    assert lines == [f"controller-hinf.json is not taken up: it was made for another {words}; designing it anew"]
+    assert lines == [
+        f"controller-hinf.json is not taken up: it was made for another {words}; designing it anew"
+    ]
 
 
 def test_the_first_run_goes_on_with_what_the_second_will_read(plant, first, tmp_path, monkeypatch):
-    """It went on with what it had designed, undated and perhaps in another order in memory: last digits were left to chance."""
+    """It went on with what it had designed, undated and perhaps in another order in memory: last
+    digits were left to chance.
+    """
     law = first[0].controller
     turned = replace(
-        first[0], controller=replace(law, A=np.asfortranarray(law.A)), provenance=provenance(plant, "hinf", OWN_GAIN)
+        first[0],
+        controller=replace(law, A=np.asfortranarray(law.A)),
+        provenance=provenance(plant, "hinf", OWN_GAIN),
     )
     monkeypatch.setattr(control, "design", lambda *arguments, **options: turned)
     path = tmp_path / "controller-hinf.json"
-    made, again = (resume_or_design(plant, "hinf", path, lambda text: None, OWN_GAIN) for _ in range(2))
+    made, again = (
+        resume_or_design(plant, "hinf", path, lambda text: None, OWN_GAIN) for _ in range(2)
+    )
     assert made.provenance == again.provenance and made.provenance.digest
     assert made.controller.A.flags.c_contiguous == again.controller.A.flags.c_contiguous
     assert made == again == turned
@@ -149,7 +171,14 @@ def test_a_schedule_is_certified_again_at_every_speed(tmp_path, designs):
     plant = assemble(machine, machine.operation.design)
     law = pid_synthesis(plant).controller
     schedule = ScheduledSystem([0.9 * plant.point.speed, 1.1 * plant.point.speed], [law, law])
-    bare = Synthesis(law, "lpv", 2.0, Status.VERIFIED, Certificate(True, -1.0, 2.0, 1e4, {}, "a family"), scheduled=schedule)
+    bare = Synthesis(
+        law,
+        "lpv",
+        2.0,
+        Status.VERIFIED,
+        Certificate(True, -1.0, 2.0, 1e4, {}, "a family"),
+        scheduled=schedule,
+    )
     options = DesignOptions(speeds=schedule.range)
     made = replace(certify_on_full_plant(plant, bare), provenance=provenance(plant, "lpv", options))
     path = write_controller(tmp_path / "controller-lpv.json", made)

@@ -1,4 +1,5 @@
-"""What a study leaves in its folder: when it fails, beside an earlier one, beside another run, without room at the end.
+"""What a study leaves in its folder: when it fails, beside an earlier one, beside another run,
+without room at the end.
 
 Designs and their evaluation have their own tests; here they are stubs.
 """
@@ -16,11 +17,11 @@ from ambrose.chain import study as workflow
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import static_gain
-from ambrose.rig.candidate import Candidate
-from ambrose.machine.atomic_write import write_text
+from ambrose.judge.checks import Checks
 from ambrose.judge.controller_file import write_controller
 from ambrose.judge.result import Synthesis
-from ambrose.judge.checks import Checks
+from ambrose.machine.atomic_write import write_text
+from ambrose.rig.candidate import Candidate
 
 LAW = Synthesis(static_gain([[1.0]], ["err_A"], ["u_A"]), "pid")
 
@@ -36,10 +37,11 @@ def stubs(monkeypatch):
     made = {
         "full_plants": lambda machine: (plant,),
         "reduce": lambda plant: plant,
-        "methods_for": lambda plant: ("pid",),
-        "schedulable": lambda plant: False,
+        "study_methods": lambda plant: ("pid",),
         "resume_or_design": designed,
-        "evaluate": lambda name, law, plants, progress: Candidate(name, law, (Checks("p", True, ()),)),
+        "evaluate": lambda name, law, plants, progress: Candidate(
+            name, law, (Checks("p", True, ()),)
+        ),
         "campbell_map": lambda *rest: (),
         "run_ups": lambda *rest: (),
         "write_report": lambda result, path: write_text(path, "report", "report"),

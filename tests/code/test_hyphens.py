@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.code.pipeline import ExportOptions
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
-from ambrose.code.pipeline import ExportOptions
 
 OPTIONS = ExportOptions(rate=20e3, error_limit=1e-4, current_limit=2.0, force=True)
 
@@ -15,7 +15,9 @@ def law(*bearings):
     """Proportional control of two axes each, with a lag."""
     axes = [f"{name}_{axis}" for name in bearings for axis in ("zeta", "eta")]
     one = np.eye(len(axes))
-    return StateSpace(-5e3 * one, one, 1e8 * one, 0 * one, [f"err_{a}" for a in axes], [f"u_{a}" for a in axes])
+    return StateSpace(
+        -5e3 * one, one, 1e8 * one, 0 * one, [f"err_{a}" for a in axes], [f"u_{a}" for a in axes]
+    )
 
 
 @pytest.mark.parametrize("to", ["c", "st"])

@@ -1,4 +1,6 @@
-"""From a controller file to code: the command, its refusals, its header, and the guide's example."""
+"""From a controller file to code: the command, its refusals, its header, and the guide's
+example.
+"""
 
 import json
 import re
@@ -14,10 +16,10 @@ from click.testing import CliRunner
 import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
-from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.code.pipeline import ExportOptions, bundled_machine, export, machine_limits
-from ambrose.model.assemble import assemble
+from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.judge.controller_file import read_controller, write_controller
+from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
 from coarse import coarse
 from example_blocks import small_controller
@@ -29,7 +31,10 @@ GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
 def controllers(tmp_path_factory):
     folder, machine = tmp_path_factory.mktemp("controllers"), load_machine("seal-rig")
     plant = assemble(machine)
-    return {m: write_controller(folder / f"{m}.json", design(plant, m), machine) for m in ("pid", "hinf")}
+    return {
+        m: write_controller(folder / f"{m}.json", design(plant, m), machine)
+        for m in ("pid", "hinf")
+    }
 
 
 @pytest.fixture(scope="module")
@@ -46,22 +51,31 @@ def call(*arguments):
 def written(controllers, tmp_path_factory):
     """The folder of a verified controller's code, and what the command said."""
     folder = tmp_path_factory.mktemp("written") / "code"
-    return folder, call(controllers["hinf"], "--to", "c", "-o", folder, "--name", "seal_rig", "--json")
+    return folder, call(
+        controllers["hinf"], "--to", "c", "-o", folder, "--name", "seal_rig", "--json"
+    )
 
 
 @pytest.mark.campaign
 def test_a_verified_controller_is_written(written):
     folder, done = written
-    assert done.exit_code == 1, done.stderr  # written and verified, but the loop as it runs misses limits
+    # written and verified, but the loop as it runs misses limits
+    assert done.exit_code == 1, done.stderr
     found = json.loads(done.stdout)
-    assert found["verified"] and any("zero pressure" in text and "17" in text for text in found["unmet_limits"])
+    assert found["verified"] and any(
+        "zero pressure" in text and "17" in text for text in found["unmet_limits"]
+    )
     assert sorted(Path(f).name for f in found["files"]) == sorted(p.name for p in folder.iterdir())
     header = (folder / "seal_rig.h").read_text()
     for text in (
-        "Controller hinf", "Machine    seal-rig, hash ", "Verified   zero pressure: stable, sensitivity peak 17",
-        "over all tolerances around nominal pressure: 0 unstable", "SEAL_RIG_ERR_B_ETA = 3 /* within +-0.0005 m */",
-        "SEAL_RIG_U_A_ZETA = 0, /* within +-4 A */", "set 1 sample after the errors were measured",
-    ):  # fmt: skip
+        "Controller hinf",
+        "Machine    seal-rig, hash ",
+        "Verified   zero pressure: stable, sensitivity peak 17",
+        "over all tolerances around nominal pressure: 0 unstable",
+        "SEAL_RIG_ERR_B_ETA = 3 /* within +-0.0005 m */",
+        "SEAL_RIG_U_A_ZETA = 0, /* within +-4 A */",
+        "set 1 sample after the errors were measured",
+    ):
         assert text in header
     assert "Forced" not in header
 
@@ -72,18 +86,35 @@ def test_the_guides_example_compiles(written, tmp_path):
     shutil.copytree(written[0], tmp_path / "code")
     example = re.search(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)
     (tmp_path / "code" / "example.c").write_text(example.group(1))
-    driver.build("gcc", ["-c", str(tmp_path / "code" / "example.c"), "-o", str(tmp_path / "example.o")])
+    driver.build(
+        "gcc", ["-c", str(tmp_path / "code" / "example.c"), "-o", str(tmp_path / "example.o")]
+    )
 
 
 @pytest.mark.campaign
 def test_an_unverified_controller_needs_force(controllers, tmp_path):
     done = call(controllers["pid"], "--to", "c", "-o", tmp_path / "code")
     assert done.exit_code == 2
-    assert "this controller is not deployed: the sampled loop is unstable at twice nominal pressure" in done.stderr
+    assert (
+        "this controller is not deployed: the sampled loop is unstable at twice nominal pressure"
+        in done.stderr
+    )
     assert not (tmp_path / "code").exists()
-    done = call(controllers["pid"], "--to", "c", "-o", tmp_path / "code", "--force", "--arithmetic", "fixed32")
+    done = call(
+        controllers["pid"],
+        "--to",
+        "c",
+        "-o",
+        tmp_path / "code",
+        "--force",
+        "--arithmetic",
+        "fixed32",
+    )
     assert done.exit_code == 1
-    assert "Forced     although the sampled loop is unstable" in (tmp_path / "code" / "controller.h").read_text()
+    assert (
+        "Forced     although the sampled loop is unstable"
+        in (tmp_path / "code" / "controller.h").read_text()
+    )
 
 
 @pytest.mark.parametrize(
@@ -94,7 +125,11 @@ def test_an_unverified_controller_needs_force(controllers, tmp_path):
         (["--delay-samples", -1], "(delay_samples) is -1"),
         (["--name", "a b"], "the name of the block is 'a b', but must be a C identifier"),
         (["--error-limit", 0, "--force"], "error_limit is 0.0, but must be positive"),
-        pytest.param(["--arithmetic", "fixed16", "--force"], "with words of 16 bits", marks=pytest.mark.campaign),
+        pytest.param(
+            ["--arithmetic", "fixed16", "--force"],
+            "with words of 16 bits",
+            marks=pytest.mark.campaign,
+        ),
         (["--machine", "absent.toml"], "absent.toml"),
     ],
 )
@@ -115,7 +150,17 @@ def test_bad_input(controllers, tmp_path, options, message):
 )
 def test_other_targets(small, tmp_path, target, files):
     """Written with what was verified, refused unless forced, all or nothing."""
-    limits = ["--error-limit", 1e-3, "--current-limit", 2.0, "--name", "rig", "-o", tmp_path / "out", "--sources-only"]
+    limits = [
+        "--error-limit",
+        1e-3,
+        "--current-limit",
+        2.0,
+        "--name",
+        "rig",
+        "-o",
+        tmp_path / "out",
+        "--sources-only",
+    ]
     done = call(small, "--to", target, *limits)
     assert done.exit_code == 2
     assert "this controller is not deployed: the controller carries no certificate" in done.stderr
@@ -130,7 +175,9 @@ def test_other_targets(small, tmp_path, target, files):
 def test_an_unstable_controller_is_refused_by_every_target(tmp_path, target):
     K = StateSpace([[5.0]], [[1.0]], [[1.0]], [[0.0]], ["err_A"], ["u_A"])
     file = write_controller(tmp_path / "k.json", K)
-    done = call(file, "--to", target, "-o", tmp_path / "out", "--error-limit", 1.0, "--current-limit", 1.0)
+    done = call(
+        file, "--to", target, "-o", tmp_path / "out", "--error-limit", 1.0, "--current-limit", 1.0
+    )
     assert done.exit_code == 2
     assert "the controller itself is unstable (a pole at +5 rad/s)" in done.stderr
     assert not (tmp_path / "out").exists()
@@ -139,11 +186,20 @@ def test_an_unstable_controller_is_refused_by_every_target(tmp_path, target):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--to", "st", "--name", "Function_Block"], "'Function_Block', but must be no word of structured text"),
+        (
+            ["--to", "st", "--name", "Function_Block"],
+            "'Function_Block', but must be no word of structured text",
+        ),
         (["--to", "st", "--name", "a__b"], "'a__b', but must be an identifier of IEC 61131-3"),
         (["--to", "mat", "--name", "end"], "'end', but must be no word of MATLAB"),
-        (["--to", "st", "--arithmetic", "fixed32"], "'fixed32', but must be double or float for the target 'st'"),
-        (["--to", "mat", "--arithmetic", "float"], "'float', but must be double for the target 'mat'"),
+        (
+            ["--to", "st", "--arithmetic", "fixed32"],
+            "'fixed32', but must be double or float for the target 'st'",
+        ),
+        (
+            ["--to", "mat", "--arithmetic", "float"],
+            "'float', but must be double for the target 'mat'",
+        ),
         (["--to", "fmu", "--name", "x y"], "'x y', but must be a C identifier"),
         (["--to", "fmu", "--name", "memory"], "'memory', but must be unlike the FMU's own files"),
     ],
@@ -162,7 +218,16 @@ def test_a_full_disk_leaves_nothing(small, tmp_path, monkeypatch, target):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    options = ["--error-limit", 1e-3, "--current-limit", 2.0, "--force", "--sources-only", "-o", tmp_path / "out"]
+    options = [
+        "--error-limit",
+        1e-3,
+        "--current-limit",
+        2.0,
+        "--force",
+        "--sources-only",
+        "-o",
+        tmp_path / "out",
+    ]
     done = call(small, "--to", target, *options)
     assert done.exit_code == 2
     assert "No space left on device; nothing was changed there" in done.stderr
@@ -170,7 +235,9 @@ def test_a_full_disk_leaves_nothing(small, tmp_path, monkeypatch, target):
 
 
 def test_a_target_that_does_not_exist(small, tmp_path):
-    with pytest.raises(InvalidInput, match="the target is 'plc', but must be c or mat or fmu or st"):
+    with pytest.raises(
+        InvalidInput, match="the target is 'plc', but must be c or mat or fmu or st"
+    ):
         export(read_controller(small), tmp_path / "out", to="plc")
 
 
@@ -186,7 +253,8 @@ def test_limits_must_be_known(tmp_path):
     file = read_controller(write_controller(tmp_path / "c.json", K))
     assert bundled_machine(file) is None
     with pytest.raises(
-        InvalidInput, match="the error limit is unknown, but must be given in m; name the machine file, --machine"
+        InvalidInput,
+        match="the error limit is unknown, but must be given in m; name the machine file, --machine",
     ):
         export(file, tmp_path / "code", to="c")
     options = ExportOptions(error_limit=1e-3, current_limit=2.0, force=True)
@@ -203,9 +271,15 @@ def test_limits_of_a_machine():
 
 @pytest.fixture(scope="module")
 def rig():
-    """The seal rig at its nominal point alone, without tolerances: verified in half a second; and a controller for it."""
+    """The seal rig at its nominal point alone, without tolerances: verified in half a second; and a
+    controller for it.
+    """
     machine = coarse("seal-rig")
-    machine = replace(machine, tolerances=(), operation=replace(machine.operation, points=machine.operation.points[:1]))
+    machine = replace(
+        machine,
+        tolerances=(),
+        operation=replace(machine.operation, points=machine.operation.points[:1]),
+    )
     return machine, design(assemble(machine), "hinf")
 
 
@@ -229,15 +303,25 @@ def test_any_system_is_verified_on_the_machine_and_written(rig, tmp_path):
 
 def test_a_delivery_shows_itself(rig, tmp_path):
     machine, synthesis = rig
-    delivery = export(synthesis, tmp_path / "code", to="st", machine=machine, options=ExportOptions(name="rig", rate=20000.0))
+    delivery = export(
+        synthesis,
+        tmp_path / "code",
+        to="st",
+        machine=machine,
+        options=ExportOptions(name="rig", rate=20000.0),
+    )
     assert len(repr(delivery)) < 200
     assert repr(delivery).startswith("Delivery(target=st, verified=True, states=")
     assert "rate_hz=2e+04, files=[rig.st, rig_test.st, rig_vectors.csv]" in repr(delivery)
     assert "<td>rate hz</td>" in delivery._repr_html_()
     paths = [str(tmp_path / "code" / name) for name in ("rig.st", "rig_test.st", "rig_vectors.csv")]
     assert json.loads(json.dumps(delivery.to_dict())) == {
-        "target": "st", "files": paths, "verified": True, "problems": [], "unmet_limits": list(delivery.unmet_limits),
-    }  # fmt: skip
+        "target": "st",
+        "files": paths,
+        "verified": True,
+        "problems": [],
+        "unmet_limits": list(delivery.unmet_limits),
+    }
     assert len(repr(delivery.deployment)) < 200
     assert delivery.deployment.to_dict()["checks"][0]["label"] == "nominal pressure"
 
@@ -245,7 +329,10 @@ def test_a_delivery_shows_itself(rig, tmp_path):
 @pytest.mark.parametrize(
     ("controller", "message"),
     [
-        ("controller.json", "the controller is a str, but must be a Synthesis or a system with A, B, C, D"),
+        (
+            "controller.json",
+            "the controller is a str, but must be a Synthesis or a system with A, B, C, D",
+        ),
         (
             control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]),
             r"size \(outputs, inputs\) is \(1, 1\), but must be \(4, 4\) for the axes A_",

@@ -1,4 +1,6 @@
-"""From a scheduled controller to code: verified at frozen speeds, refused, delivered, commanded, and running the rig."""
+"""From a scheduled controller to code: verified at frozen speeds, refused, delivered, commanded,
+and running the rig.
+"""
 
 import json
 import re
@@ -14,25 +16,25 @@ from click.testing import CliRunner
 import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
-from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.core.scheduled import ScheduledSystem
+from ambrose.code import sampled as scheduled_deploy
 from ambrose.code.block.run import run_scheduled
 from ambrose.code.block.scheduled import build_scheduled_block
 from ambrose.code.c.code import write_code
 from ambrose.code.c.compiled import CompiledSchedule, read_law
-from ambrose.code import sampled as scheduled_deploy
-from ambrose.code.sampled import deploy_scheduled, sensitivity_peak
 from ambrose.code.pipeline import ExportOptions, export, machine_limits
-from ambrose.model.assemble import assemble
+from ambrose.code.sampled import deploy_scheduled, sensitivity_peak
+from ambrose.core.checks import InvalidInput, UnstableSystem
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.judge import nominal
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.controller_file import read_controller, write_controller
+from ambrose.judge.result import Certificate, Synthesis
 from ambrose.law.program import ControlProgram, ScheduledProgram
+from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.engine.controller import sample_time
 from ambrose.rig.scenario import load_scenario
-from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.synthesis.design import design
-from ambrose.judge.result import Certificate, Synthesis
-from ambrose.judge import nominal
-from ambrose.judge.checks import Check, Checks
 from schedule_driver import block_of, small_schedule
 
 pytestmark = pytest.mark.campaign  # minutes
@@ -73,7 +75,9 @@ def file(rig, tmp_path_factory):
     """A controller file with a schedule, as the synthesis writes it."""
     machine, K = rig
     certificate = Certificate(True, -1.0, 1.0, 1e4, plant="by hand")
-    result = Synthesis(K, "lpv", 1.0, "verified", certificate, scheduled=gains(K, [0.0, TOP], [1.0, 1.1]))
+    result = Synthesis(
+        K, "lpv", 1.0, "verified", certificate, scheduled=gains(K, [0.0, TOP], [1.0, 1.1])
+    )
     path = tmp_path_factory.mktemp("lpv") / "lpv.json"
     return write_controller(path, result, machine, datetime(2026, 1, 1, tzinfo=UTC))
 
@@ -90,7 +94,9 @@ def test_the_sampled_loop_is_verified_at_the_grid_and_between(rig, deployment):
     assert [c.label for c in deployment.points] == [p.label for p in machine.operation.points]
     plant = assemble(machine, replace(machine.operation.points[0], speed=TOP / 2))
     meant = nominal.check(plant, deployment.in_loop(TOP / 2))
-    assert deployment.checks[1]["sensitivity.output.max"].value == pytest.approx(meant["sensitivity.output.max"].value)
+    assert deployment.checks[1]["sensitivity.output.max"].value == pytest.approx(
+        meant["sensitivity.output.max"].value
+    )
     peak, where = sensitivity_peak(deployment.checks)
     assert peak == max(c["sensitivity.output.max"].value for c in deployment.checks)
     assert where in {c.label for c in deployment.checks}
@@ -105,7 +111,10 @@ def test_a_speed_at_which_the_loop_is_unstable_refuses(rig, monkeypatch):
     assert found.points == ()
     done = {c.label: c for c in (*found.checks, *found.outside)}
     monkeypatch.setattr(scheduled_deploy, "check_sampled", lambda plant, K: done[plant.point.label])
-    with pytest.raises(UnstableSystem, match=r"the sampled loop is unstable at 200 rad/s; design or verify it again"):
+    with pytest.raises(
+        UnstableSystem,
+        match=r"the sampled loop is unstable at 200 rad/s; design or verify it again",
+    ):
         deploy_scheduled(weak, DT, DT, machine=machine, between=0)
 
 
@@ -116,51 +125,91 @@ def test_tolerances_are_examined_at_the_ends_and_inside(rig, monkeypatch):
         assert [item.parameter for item in held]
         speeds.append(plant.point.speed)
         unstable = float(plant.point.speed == TOP)
-        check = Check("sampled.stability.box", "", unstable, "-", 0.0, "<=", unstable == 0, detail="5 corners")
+        check = Check(
+            "sampled.stability.box", "", unstable, "-", 0.0, "<=", unstable == 0, detail="5 corners"
+        )
         return Checks("", True, (check,))
 
     monkeypatch.setattr(scheduled_deploy, "check_over_box", box)
-    monkeypatch.setattr(scheduled_deploy, "check_sampled", lambda plant, K: Checks(plant.point.label, True, ()))
+    monkeypatch.setattr(
+        scheduled_deploy, "check_sampled", lambda plant, K: Checks(plant.point.label, True, ())
+    )
     schedule = gains(rig[1], [0.0, 100.0, TOP], [1.0, 1.0, 1.0])
-    with pytest.raises(UnstableSystem, match=r"unstable over the tolerances at 300 rad/s at 1 points \(5 corners\)"):
+    with pytest.raises(
+        UnstableSystem, match=r"unstable over the tolerances at 300 rad/s at 1 points \(5 corners\)"
+    ):
         deploy_scheduled(schedule, DT, DT, machine=load_machine("seal-rig"))
     assert speeds == [0.0, 100.0, TOP]
 
 
 @pytest.mark.parametrize(
     ("status", "message"),
-    [("unstable", "the controller's status is 'unstable', not 'verified'"), (None, "it carries no certificate|no certificate")],
+    [
+        ("unstable", "the controller's status is 'unstable', not 'verified'"),
+        (None, "it carries no certificate|no certificate"),
+    ],
 )
 def test_a_controller_that_was_not_verified_is_refused(rig, status, message):
     schedule = small_schedule()
-    result = schedule if status is None else Synthesis(
-        schedule.at(100.0), "lpv", 1.0, status, Certificate(False, 1.0, 1.0, 1.0), scheduled=schedule
-    )  # fmt: skip
+    result = (
+        schedule
+        if status is None
+        else Synthesis(
+            schedule.at(100.0),
+            "lpv",
+            1.0,
+            status,
+            Certificate(False, 1.0, 1.0, 1.0),
+            scheduled=schedule,
+        )
+    )
     with pytest.raises(UnstableSystem, match=message):
         deploy_scheduled(result, DT)
 
 
 def test_the_files_are_delivered_with_what_was_verified(rig, file, tmp_path):
     done = export(
-        read_controller(file), tmp_path / "code", to="c", machine=with_points(rig[0], 1),
+        read_controller(file),
+        tmp_path / "code",
+        to="c",
+        machine=with_points(rig[0], 1),
         options=ExportOptions(name="rig", speed_rate=500.0),
-    )  # fmt: skip
+    )
     assert done.deployment.verified
     names = ["rig.c", "rig.h", "rig_report.md", "rig_test.c", "rig_vectors.csv"]
-    assert sorted(p.name for p in done.paths) == sorted(p.name for p in (tmp_path / "code").iterdir()) == names
+    assert (
+        sorted(p.name for p in done.paths)
+        == sorted(p.name for p in (tmp_path / "code").iterdir())
+        == names
+    )
     header = (tmp_path / "code" / "rig.h").read_text()
     for text in (
-        "Controller lpv, written 2026-01-01", "stable at 3 of 3 frozen speeds from 0 to 300 rad/s, sensitivity peak",
-        "Verified   twice nominal pressure: stable", "Between    grid points within", "#define RIG_SPEED_RATE 500",
+        "Controller lpv, written 2026-01-01",
+        "stable at 3 of 3 frozen speeds from 0 to 300 rad/s, sensitivity peak",
+        "Verified   twice nominal pressure: stable",
+        "Between    grid points within",
+        "#define RIG_SPEED_RATE 500",
         "RIG_ERR_B_ETA = 3 /* within +-0.0005 m */",
-    ):  # fmt: skip
+    ):
         assert text in header
     assert "Forced" not in header
 
 
 def test_the_command_forces_and_says_so(file, tmp_path):
     """Without the machine, which has changed since, nothing can be examined."""
-    options = [file, "--to", "c", "-o", tmp_path / "code", "--error-limit", 5e-4, "--current-limit", 4.0, "--name", "rig"]
+    options = [
+        file,
+        "--to",
+        "c",
+        "-o",
+        tmp_path / "code",
+        "--error-limit",
+        5e-4,
+        "--current-limit",
+        4.0,
+        "--name",
+        "rig",
+    ]
     done = call(*options)
     assert done.exit_code == 2
     assert "its sampled loop was not examined: no machine was given" in done.stderr
@@ -169,23 +218,49 @@ def test_the_command_forces_and_says_so(file, tmp_path):
     assert done.exit_code == 1, done.stderr
     assert not json.loads(done.stdout)["verified"]
     header = (tmp_path / "code" / "rig.h").read_text()
-    for text in ("Verified   NOT", "Forced     although its sampled loop was not examined", "RIG_SPEED_LIMIT 400.0f"):
+    for text in (
+        "Verified   NOT",
+        "Forced     although its sampled loop was not examined",
+        "RIG_SPEED_LIMIT 400.0f",
+    ):
         assert text in header
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--to", "st", "--arithmetic", "fixed32"], "arithmetic of a scheduled controller is 'fixed32'"),
-        (["--to", "fmu", "--arithmetic", "fixed16"], "arithmetic of a scheduled controller is 'fixed16'"),
-        (["--to", "c", "--arithmetic", "fixed32"], "arithmetic of a scheduled controller is 'fixed32'"),
-        (["--to", "c", "--speed-limit", 200], "speed_limit is 200 rad/s, but must be at least 300 rad/s"),
+        (
+            ["--to", "st", "--arithmetic", "fixed32"],
+            "arithmetic of a scheduled controller is 'fixed32'",
+        ),
+        (
+            ["--to", "fmu", "--arithmetic", "fixed16"],
+            "arithmetic of a scheduled controller is 'fixed16'",
+        ),
+        (
+            ["--to", "c", "--arithmetic", "fixed32"],
+            "arithmetic of a scheduled controller is 'fixed32'",
+        ),
+        (
+            ["--to", "c", "--speed-limit", 200],
+            "speed_limit is 200 rad/s, but must be at least 300 rad/s",
+        ),
         (["--to", "c", "--speed-rate", 0], "speed_rate is 0.0, but must be positive"),
         (["--to", "c", "--rate-hz", 3000], "the sample rate is 3000 Hz"),
     ],
 )
 def test_what_a_schedule_cannot_be(file, tmp_path, options, message):
-    done = call(file, *options, "-o", tmp_path / "code", "--error-limit", 5e-4, "--current-limit", 4.0, "--force")
+    done = call(
+        file,
+        *options,
+        "-o",
+        tmp_path / "code",
+        "--error-limit",
+        5e-4,
+        "--current-limit",
+        4.0,
+        "--force",
+    )
     assert done.exit_code == 2
     assert message in done.stderr
     assert not (tmp_path / "code").exists()
@@ -203,7 +278,13 @@ def test_the_guides_example_compiles(tmp_path):
 def test_speeds_mean_nothing_to_a_fixed_controller(rig, tmp_path):
     path = write_controller(tmp_path / "k.json", rig[1])
     with pytest.raises(InvalidInput, match="this controller is not scheduled over speed"):
-        export(read_controller(path), tmp_path / "code", to="c", machine=rig[0], options=ExportOptions(speed_rate=1.0))
+        export(
+            read_controller(path),
+            tmp_path / "code",
+            to="c",
+            machine=rig[0],
+            options=ExportOptions(speed_rate=1.0),
+        )
 
 
 @compiler
@@ -227,7 +308,10 @@ def test_the_law_is_read_back_out_of_the_running_code(arithmetic, apart):
     for speed in (100.0, 175.0, 300.0, 599.0):
         found, meant = read_law(code, speed), block.at(speed)
         for letter in "ABCD":
-            assert np.abs(getattr(found, letter) - getattr(meant, letter)).max() <= apart * np.abs(getattr(meant, letter)).max()
+            assert (
+                np.abs(getattr(found, letter) - getattr(meant, letter)).max()
+                <= apart * np.abs(getattr(meant, letter)).max()
+            )
     with pytest.raises(InvalidInput, match="clamps what it is told"):
         read_law(code, 700.0)
 
@@ -288,7 +372,8 @@ def test_the_code_runs_the_rig_through_a_run_up(running):
     assert isinstance(code, ControlProgram)
     ran = virtual_rig.run(machine, code, scenario, point=point)
     law = virtual_rig.run(machine, Listening(block), scenario, point=point)
-    held = virtual_rig.run(machine, block.at, scenario, point=point)  # the same law, for 50 samples each
+    # the same law, for 50 samples each
+    held = virtual_rig.run(machine, block.at, scenario, point=point)
     assert ran.outcome == law.outcome == "completed"
     names = [f"y_{axis}" for axis in machine.axes]
     size = max(np.ptp(law.record[name]) for name in names)
@@ -323,4 +408,6 @@ def test_the_rig_tells_a_program_the_speed_of_every_sample(running):
     assert trace.outcome == "completed"
     assert program.told == pytest.approx(trace.record["speed"], rel=1e-12)
     with pytest.raises(InvalidInput, match="the sample time"):
-        virtual_rig.run(machine, program, replace(scenario, sample_time=2e-4), point=machine.operation.points[0])
+        virtual_rig.run(
+            machine, program, replace(scenario, sample_time=2e-4), point=machine.operation.points[0]
+        )

@@ -1,4 +1,6 @@
-"""Structured text of scheduled controllers, parsed by blark and run in Python, against the block."""
+"""Structured text of scheduled controllers, parsed by blark and run in Python, against the
+block.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +8,14 @@ import numpy as np
 import pytest
 
 import code_driver as driver
-from ambrose.core.checks import InvalidInput
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_scheduled
 from ambrose.code.block.vectors import make_scheduled_vectors
 from ambrose.code.sampled import deploy
 from ambrose.code.structured_text import generate_structured_text
+from ambrose.core.checks import InvalidInput
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace
 from schedule_driver import (
     CURRENT,
     DT,
@@ -33,7 +35,9 @@ pytestmark = pytest.mark.campaign  # run sample by sample in Python
 def play(block, e, told, valid=None):
     """Currents (k, p) and status (k,) of the function block."""
     fb = FunctionBlock(parsed(generate_structured_text(block)["lpv.st"]))
-    name, currents, status = block.along.name, [], []
+    name = block.along.name
+    currents = []
+    status = []
     for k, row in enumerate(e):
         inputs = dict(zip(block.inputs, row.tolist(), strict=True)) | {name: float(told[k])}
         if valid is not None:
@@ -47,7 +51,13 @@ def play(block, e, told, valid=None):
 
 @pytest.mark.parametrize(
     ("make", "rate"),
-    [(small_schedule, None), (small_schedule, 5e4), (two_states, 5e4), (gain_schedule, None), (pressure_schedule, 5e6)],
+    [
+        (small_schedule, None),
+        (small_schedule, 5e4),
+        (two_states, 5e4),
+        (gain_schedule, None),
+        (pressure_schedule, 5e6),
+    ],
 )
 def test_agrees_with_the_block_in_python(make, rate):
     block = block_of(make(), rate_limit=rate)
@@ -63,7 +73,9 @@ def test_agrees_with_the_block_in_python(make, rate):
 
 
 def test_the_vectors_without_a_value_are_those_of_an_implausible_one():
-    """What is no number has no literal: the test program takes twice the limit in its place, with the same answers."""
+    """What is no number has no literal: the test program takes twice the limit in its place, with
+    the same answers.
+    """
     block = block_of(small_schedule(), rate_limit=5e4)
     run = make_scheduled_vectors(block)
     assert np.isnan(run.told).sum() > 10
@@ -71,7 +83,11 @@ def test_the_vectors_without_a_value_are_those_of_an_implausible_one():
     found, status = play(block, run.errors, told, run.valid)
     assert np.abs(found - run.currents).max() <= 1e-12 * CURRENT and (status == run.status).all()
     text = generate_structured_text(block)["lpv_test.st"]
-    assert "nan" not in text.lower() and "speed := speeds[sample]" in text and "block.speed_held" in text
+    assert (
+        "nan" not in text.lower()
+        and "speed := speeds[sample]" in text
+        and "block.speed_held" in text
+    )
 
 
 @pytest.mark.parametrize("make", [small_schedule, two_states])
@@ -82,7 +98,9 @@ def test_tracking_goes_on_without_a_bump(make):
     errors = dict.fromkeys(block.inputs, 1e-6)
     given = {f"given_{name}": 0.3 for name in block.outputs}
     for speed in (100.0, 270.0, 431.0):  # at a grid point and between
-        assert all(fb(track=True, speed=speed, **errors, **given)[name] == 0.3 for name in block.outputs)
+        assert all(
+            fb(track=True, speed=speed, **errors, **given)[name] == 0.3 for name in block.outputs
+        )
         v = fb(track=False, speed=speed, **errors)
         assert all(v[name] == pytest.approx(0.3, abs=1e-9) for name in block.outputs)
 
@@ -95,5 +113,7 @@ def test_a_signal_may_not_be_called_like_the_parameter():
 
 
 def test_single_precision_is_written_too():
-    text = generate_structured_text(block_of(pressure_schedule(), rate_limit=5e6), "float")["lpv.st"]
+    text = generate_structured_text(block_of(pressure_schedule(), rate_limit=5e6), "float")[
+        "lpv.st"
+    ]
     assert "pressure : REAL := 10000.0; (* Pa *)" in text and "LREAL" not in text

@@ -1,4 +1,6 @@
-"""Structured text parsed by blark and run, compiled by MATIEC and by STruC++ where installed; against the block in Python."""
+"""Structured text parsed by blark and run, compiled by MATIEC and by STruC++ where installed;
+against the block in Python.
+"""
 
 import csv
 import re
@@ -9,9 +11,9 @@ import pytest
 import code_driver as driver
 import st_compiled
 from ambrose import StateSpace
-from ambrose.core.checks import InvalidInput
 from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block
 from ambrose.code.structured_text import generate_structured_text, literal
+from ambrose.core.checks import InvalidInput
 from example_blocks import CURRENT, gain_block, rig_block, small_block, small_controller
 from st_machine import FunctionBlock, parsed
 
@@ -26,13 +28,17 @@ def direct_block():
 
 @pytest.fixture(scope="module")
 def parsed_block():
-    return parsed(generate_structured_text(direct_block(), provenance=["from (* here *) *) $N"])["small.st"])
+    return parsed(
+        generate_structured_text(direct_block(), provenance=["from (* here *) *) $N"])["small.st"]
+    )
 
 
 def play(fb, block, e, valid):
     currents, status = np.empty((len(e), len(block.outputs))), np.empty(len(e), int)
     for k, (row, good) in enumerate(zip(e.tolist(), valid.tolist(), strict=True)):
-        inputs = dict(zip(block.inputs, row, strict=True)) | {f"valid_{n}": g for n, g in zip(block.inputs, good, strict=True)}
+        inputs = dict(zip(block.inputs, row, strict=True)) | {
+            f"valid_{n}": g for n, g in zip(block.inputs, good, strict=True)
+        }
         v = fb(**inputs)
         currents[k] = [v[name] for name in block.outputs]
         status[k] = v["held"] + 2 * v["fault"] + 4 * v["limited"]
@@ -79,7 +85,9 @@ def test_a_gain_without_states():
 @pytest.mark.parametrize("make", [rig_block, direct_block, gain_block])
 def test_compiled_by_matiec(make, tmp_path):
     block = make()
-    st_compiled.translated(generate_structured_text(block, provenance=["from (* here *) *)"]), block.name, tmp_path)
+    st_compiled.translated(
+        generate_structured_text(block, provenance=["from (* here *) *)"]), block.name, tmp_path
+    )
     e, valid = driver.adversarial(block, 100_000)
     expected = run_block(block, e, valid)
     found, status = st_compiled.replay(block, tmp_path, e, valid)
@@ -94,7 +102,9 @@ def test_compiled_by_strucpp(make, tmp_path):
     block = make()
     e, valid = driver.adversarial(block, 100_000)
     expected = run_block(block, e, valid)
-    found, status, selftest = st_compiled.replay_strucpp(generate_structured_text(block), block, tmp_path, e, valid)
+    found, status, selftest = st_compiled.replay_strucpp(
+        generate_structured_text(block), block, tmp_path, e, valid
+    )
     assert np.abs(found - expected.currents).max() <= 1e-12 * block.current_limit.max()
     assert (status == expected.status).all()
     assert selftest == (96, 0, True)
@@ -104,7 +114,12 @@ def test_compiled_by_strucpp(make, tmp_path):
 def test_single_precision_compiled_by_matiec(tmp_path):
     block = rig_block().single()
     st_compiled.translated(generate_structured_text(block, "float"), block.name, tmp_path)
-    e = np.random.default_rng(0).normal(0, 0.2 * block.error_limit, (20_000, 4)).astype(np.float32).astype(float)
+    e = (
+        np.random.default_rng(0)
+        .normal(0, 0.2 * block.error_limit, (20_000, 4))
+        .astype(np.float32)
+        .astype(float)
+    )
     expected = run_block(block, e)
     found, status = st_compiled.replay(block, tmp_path, e, np.ones(e.shape, bool), "float")
     assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
@@ -119,17 +134,28 @@ def test_tracking_compiled_by_matiec(tmp_path):
     given = [1.0, -0.5, 2.0, 0.25]
     e = np.tile([1e-6, -2e-6, 3e-6, 0.0], (4, 1))
     found, _ = st_compiled.replay(
-        block, tmp_path, e, np.ones(e.shape, bool), track=np.array([1, 1, 1, 0]), given=np.tile(given, (4, 1))
+        block,
+        tmp_path,
+        e,
+        np.ones(e.shape, bool),
+        track=np.array([1, 1, 1, 0]),
+        given=np.tile(given, (4, 1)),
     )
     assert np.abs(found - given).max() <= 1e-11
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_every_number_is_a_literal_of_the_standard(precision):
-    """Digits around a point, an exponent of whole digits, no suffix; and it gives the same number back."""
+    """Digits around a point, an exponent of whole digits, no suffix; and it gives the same number
+    back.
+    """
     for text in generate_structured_text(rig_block(), precision).values():
         code = re.sub(r"\(\*.*?\*\)", "", text, flags=re.DOTALL)
-        for row in csv.reader(code.splitlines()) if "FUNCTION" not in code and "PROGRAM" not in code else []:
+        for row in (
+            csv.reader(code.splitlines())
+            if "FUNCTION" not in code and "PROGRAM" not in code
+            else []
+        ):
             assert len(row) == 13
         if "END_" in code:
             numbers = re.findall(r"(?<![\w.])\d[\w.+-]*", code)
@@ -140,7 +166,10 @@ def test_every_number_is_a_literal_of_the_standard(precision):
         assert float(literal(value, "double")) == value
 
 
-@pytest.mark.parametrize("name", ["Step", "sin", "RETURN", "state", "a__b", "a_", "ton", "of", "Held", "x" * 25, "1a", "ä"])
+@pytest.mark.parametrize(
+    "name",
+    ["Step", "sin", "RETURN", "state", "a__b", "a_", "ton", "of", "Held", "x" * 25, "1a", "ä"],
+)
 def test_names_that_structured_text_reserves(name):
     K = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], ["err_A"], ["u_A"])
     with pytest.raises(InvalidInput, match=r"the name of the block is '.*', but must be"):

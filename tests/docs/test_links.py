@@ -1,4 +1,6 @@
-"""README.md and the other pages at the root link to files that are there; links between pages of docs/ are mkdocs' to check."""
+"""README.md and the other pages at the root link to files that are there; links between pages of
+docs/ are mkdocs' to check.
+"""
 
 import re
 from pathlib import Path
@@ -22,6 +24,6 @@ def test_every_page_is_in_the_navigation():
 
 
 def test_the_page_of_the_scenario_file_is_that_of_the_program():
-    assert (ROOT / "docs" / "scenario-file.md").read_text(encoding="utf-8") == scenario_file.page(), (
-        "run python -m docs_build.scenario_file"
-    )
+    assert (ROOT / "docs" / "scenario-file.md").read_text(
+        encoding="utf-8"
+    ) == scenario_file.page(), "run python -m docs_build.scenario_file"

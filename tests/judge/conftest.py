@@ -1,4 +1,6 @@
-"""Machines and plants for the verification tests: a rig with a flexible shaft, and single masses with closed forms."""
+"""Machines and plants for the verification tests: a rig with a flexible shaft, and single masses
+with closed forms.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ PID = PidSettings(gain=(18250.0,), integral_time=0.2, derivative_time=3.5e-3, de
 
 
 def make_rig() -> Machine:
-    """A 69 kg rotor on two magnetic bearings with a destabilising seal in the middle (the thesis' test rig, by hand)."""
+    """A 69 kg rotor on two magnetic bearings with a destabilising seal in the middle (the thesis'
+    test rig, by hand).
+    """
     lengths = (0.05, 0.054, 0.116, 0.15, 0.12, 0.15, 0.116, 0.054, 0.05)
     outer = (0.08, 0.0854, 0.0854, 0.0854, 0.14, 0.0854, 0.0854, 0.0854, 0.08)
     starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
@@ -43,7 +47,16 @@ def make_rig() -> Machine:
         ),
         tuple(
             MagneticBearing(
-                name, x, 4.0, np.pi / 4, k_i, k_s, gap=5e-4, touchdown_gap=2.5e-4, max_current=4.0, max_force=7500.0
+                name,
+                x,
+                4.0,
+                np.pi / 4,
+                k_i,
+                k_s,
+                gap=5e-4,
+                touchdown_gap=2.5e-4,
+                max_current=4.0,
+                max_force=7500.0,
             )
             for name, x, k_i, k_s in (
                 ("A", 0.162, (144.34, 139.44), (0.863e6, 0.871e6)),
@@ -57,7 +70,10 @@ def make_rig() -> Machine:
         controller=PID,
         operation=Operation(tuple(OperatingPoint(0.0, p, label=label) for label, p in points)),
         requirements=Requirements(
-            balance_grade=2.5e-3, balance_speed=2 * np.pi * 500, unbalance_orbit=8e-6, unbalance_to=2 * np.pi * 200
+            balance_grade=2.5e-3,
+            balance_speed=2 * np.pi * 500,
+            unbalance_orbit=8e-6,
+            unbalance_to=2 * np.pi * 200,
         ),
         assumed=(("seal.center.scales_with_pressure", "P5 section 4.1 varies k alone"),),
     )
@@ -79,10 +95,15 @@ def rig_controller(rig: Machine) -> StateSpace:
 
 
 def make_single_masses(mass=2.0, k_i=100.0, k_s=2e5, damping=0.0, requirements=None) -> Plant:
-    """Four equal, uncoupled masses m q'' + d q' - k_s q = k_i u + f on ideal amplifiers: every axis has a closed form."""
+    """Four equal, uncoupled masses m q'' + d q' - k_s q = k_i u + f on ideal amplifiers: every axis
+    has a closed form.
+    """
     machine = replace(
         make_rig(),
-        bearings=tuple(replace(b, force_per_current=(k_i, k_i), negative_stiffness=(k_s, k_s)) for b in make_rig().bearings),
+        bearings=tuple(
+            replace(b, force_per_current=(k_i, k_i), negative_stiffness=(k_s, k_s))
+            for b in make_rig().bearings
+        ),
         seals=(),
         couplings=(),
         amplifier=Amplifier("none"),
@@ -95,10 +116,13 @@ def make_single_masses(mass=2.0, k_i=100.0, k_s=2e5, damping=0.0, requirements=N
     D = np.zeros((16, 8))
     D[4:8, :4] = eye
     system = StateSpace(
-        A, B, C, D,
+        A,
+        B,
+        C,
+        D,
         [f"{kind}_{a}" for kind in "uf" for a in AXES],
         [f"{kind}_{a}" for kind in ("y", "i", "q", "qdot") for a in AXES],
-    )  # fmt: skip
+    )
     return Plant(machine, OperatingPoint(label="single masses"), system, system, AXES)
 
 
@@ -106,7 +130,10 @@ def make_pd(gain: float, derivative: float, time_constant: float) -> StateSpace:
     """gain + derivative s/(time_constant s + 1) on every axis."""
     eye = np.eye(4)
     return StateSpace(
-        -eye / time_constant, eye / time_constant, -derivative / time_constant * eye, (gain + derivative / time_constant) * eye
+        -eye / time_constant,
+        eye / time_constant,
+        -derivative / time_constant * eye,
+        (gain + derivative / time_constant) * eye,
     )
 
 

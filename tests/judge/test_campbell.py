@@ -1,4 +1,6 @@
-"""Campbell map and critical speeds of a gyroscopic disc in closed form; crossing modes are told apart."""
+"""Campbell map and critical speeds of a gyroscopic disc in closed form; crossing modes are told
+apart.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +13,16 @@ from scipy.interpolate import CubicSpline
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
-from ambrose.model.assemble import assemble
 from ambrose.judge.campbell import campbell, campbell_curves, direction
+from ambrose.model.assemble import assemble
 
 PORTS = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 
 
 def discs(single_masses, ratio=(0.6, 0.1), stiffness=(1e4, 1.44e4), damping=2.0):
-    """Two planar oscillators z'' + (d - j Omega ratio) z' + k z = 0, z = x + j y, one seen at A, the other at B."""
+    """Two planar oscillators z'' + (d - j Omega ratio) z' + k z = 0, z = x + j y, one seen at A,
+    the other at B.
+    """
     template = single_masses()
 
     def plant_at(speed):
@@ -27,9 +31,13 @@ def discs(single_masses, ratio=(0.6, 0.1), stiffness=(1e4, 1.44e4), damping=2.0)
         for m, (r, k) in enumerate(zip(ratio, stiffness, strict=True)):
             G = r * np.array([[0.0, 1.0], [-1.0, 0.0]])  # skew, forward modes rise with speed
             s = slice(4 * m, 4 * m + 4)
-            A[s, s] = np.block([[np.zeros((2, 2)), np.eye(2)], [-k * np.eye(2), -damping * np.eye(2) - speed * G]])
+            A[s, s] = np.block(
+                [[np.zeros((2, 2)), np.eye(2)], [-k * np.eye(2), -damping * np.eye(2) - speed * G]]
+            )
             C[2 * m : 2 * m + 2, 4 * m : 4 * m + 2] = np.eye(2)
-        system = StateSpace(A, np.zeros((8, 1)), C, np.zeros((4, 1)), outputs=[f"q_{p}" for p in PORTS])
+        system = StateSpace(
+            A, np.zeros((8, 1)), C, np.zeros((4, 1)), outputs=[f"q_{p}" for p in PORTS]
+        )
         return replace(template, system=system, ports=PORTS)
 
     return plant_at
@@ -51,17 +59,25 @@ def test_closed_form_through_crossings(single_masses):
             for branch, sign in ((0, 1), (1, -1)):
                 poles = np.array([exact(speed, ratio, k)[branch] for speed in speeds])
                 if sign * whirl[-1] > 0:
-                    errors.append(np.abs(frequency / poles.imag - 1).max() + np.abs(damping + poles.real / np.abs(poles)).max())
-        assert min(errors) < 1e-9  # one branch throughout, although forward 1 crosses both modes of disc 2
+                    errors.append(
+                        np.abs(frequency / poles.imag - 1).max()
+                        + np.abs(damping + poles.real / np.abs(poles)).max()
+                    )
+        # one branch throughout, although forward 1 crosses both modes of disc 2
+        assert min(errors) < 1e-9
         assert np.abs(whirl[5:]).min() > 0.99
 
 
 def critical_speeds(found):
-    """Speeds [rad/s] at which a mode's frequency equals the speed, with its whirl direction there, by cubic splines."""
+    """Speeds [rad/s] at which a mode's frequency equals the speed, with its whirl direction there,
+    by cubic splines.
+    """
     crossings = []
     for frequency, whirl in zip(found.frequency, found.whirl, strict=True):
         for root in CubicSpline(found.speeds, frequency - found.speeds).roots(extrapolate=False):
-            crossings += [(root, direction(float(np.interp(root, found.speeds, whirl))))] * bool(root > 0)
+            crossings += [(root, direction(float(np.interp(root, found.speeds, whirl))))] * bool(
+                root > 0
+            )
     return sorted(crossings)
 
 
@@ -87,12 +103,17 @@ def test_curves_carry_directions_and_the_speed_line(single_masses):
 
 
 def test_closed_loop_of_the_rig(rig, rig_controller):
-    """Real plants in the loop: the map starts at the closed loop's own poles and gyroscopic splitting grows with speed."""
+    """Real plants in the loop: the map starts at the closed loop's own poles and gyroscopic
+    splitting grows with speed.
+    """
     point = rig.operation.points[1]
     speeds = 2 * np.pi * np.array([0.0, 150.0, 300.0])
     found = campbell(lambda w: assemble(rig, replace(point, speed=w)), speeds, 12, rig_controller)
     hertz = found.frequency / (2 * np.pi)
-    for pair in (np.flatnonzero(np.abs(hertz[:, 0] - 550) < 20), np.flatnonzero(np.abs(hertz[:, 0] - 1343) < 20)):
+    for pair in (
+        np.flatnonzero(np.abs(hertz[:, 0] - 550) < 20),
+        np.flatnonzero(np.abs(hertz[:, 0] - 1343) < 20),
+    ):
         assert len(pair) == 2
         for k in pair:
             assert np.sign(np.diff(hertz[k])) == pytest.approx(np.sign(found.whirl[k, -1]))

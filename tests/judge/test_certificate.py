@@ -1,4 +1,6 @@
-"""The certificate: peaks and margins against direct computation and against moving the loop to its limit."""
+"""The certificate: peaks and margins against direct computation and against moving the loop to its
+limit.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ from ambrose.core.statespace import (
     static_gain,
     transfer_function,
 )
-from ambrose.machine.description import PidSettings
 from ambrose.judge.certificate import certify, continuous_equivalent, disk_margins, fastest_pole
+from ambrose.machine.description import PidSettings
 from ambrose.synthesis.pid import axes_controller
 from eigenvalue_margins import loop_margins, opened
 
@@ -29,11 +31,15 @@ PD = PidSettings(gain=(1.0,), derivative_time=3.5e-3)
 
 
 def levitated(stiffness: float, coupling: float = 0.0) -> StateSpace:
-    """Two unit masses on negative stiffness [rad2/s2], with cross-coupling that pulls them around; u -> y."""
+    """Two unit masses on negative stiffness [rad2/s2], with cross-coupling that pulls them around;
+    u -> y.
+    """
     K = np.array([[-stiffness, coupling], [-coupling, -stiffness]])
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [-K, np.zeros((2, 2))]])
     B = np.vstack([np.zeros((2, 2)), np.eye(2)])
-    return StateSpace(A, B, np.eye(2, 4), np.zeros((2, 2)), [f"u_{a}" for a in AXES], [f"y_{a}" for a in AXES])
+    return StateSpace(
+        A, B, np.eye(2, 4), np.zeros((2, 2)), [f"u_{a}" for a in AXES], [f"y_{a}" for a in AXES]
+    )
 
 
 def pd_controller(gain: float) -> StateSpace:
@@ -41,7 +47,10 @@ def pd_controller(gain: float) -> StateSpace:
 
 
 def with_lag(item: StateSpace, corner: float = 1500.0) -> StateSpace:
-    lags = [rename(transfer_function([corner], [1, corner]), [name], [f"i_{name}"]) for name in item.inputs]
+    lags = [
+        rename(transfer_function([corner], [1, corner]), [name], [f"i_{name}"])
+        for name in item.inputs
+    ]
     return series(append(*lags), item)
 
 
@@ -51,12 +60,20 @@ class TestCertify:
         certificate = certify(plant, controller)
         loop = control.series(controller.to_control(), plant.to_control())
         closed = control.feedback(control.ss([], [], [], np.eye(2)), loop)
-        np.testing.assert_allclose(certificate.spectral_abscissa, closed.poles().real.max(), rtol=1e-9)
+        np.testing.assert_allclose(
+            certificate.spectral_abscissa, closed.poles().real.max(), rtol=1e-9
+        )
         omega = np.linspace(1, 2000, 20001)
         G = frequency_response(loop, omega).values
         S = np.linalg.inv(np.eye(2) + G)
-        np.testing.assert_allclose(certificate.closed_loop_norm, np.linalg.norm(S, 2, (1, 2)).max(), rtol=1e-5)
-        np.testing.assert_allclose(certificate.margins["complementary_peak"], np.linalg.norm(G @ S, 2, (1, 2)).max(), rtol=1e-5)
+        np.testing.assert_allclose(
+            certificate.closed_loop_norm, np.linalg.norm(S, 2, (1, 2)).max(), rtol=1e-5
+        )
+        np.testing.assert_allclose(
+            certificate.margins["complementary_peak"],
+            np.linalg.norm(G @ S, 2, (1, 2)).max(),
+            rtol=1e-5,
+        )
         assert certificate.margins["sensitivity_peak"] == certificate.closed_loop_norm
         np.testing.assert_allclose(certificate.fastest_pole, 1 / (0.1 * 3.5e-3), rtol=1e-12)
 
@@ -71,7 +88,9 @@ class TestCertify:
         ends = [margins["disk_gain_reduction"], margins["disk_gain_margin"]]
         for first in ends:
             for second in ends:
-                assert certify(plant, series(controller, static_gain(np.diag([first, second])))).stable
+                assert certify(
+                    plant, series(controller, static_gain(np.diag([first, second])))
+                ).stable
 
     def test_disk_margins_of_known_peaks(self):
         known = disk_margins(2.0, 1.0)
@@ -92,8 +111,10 @@ class TestCertify:
         item = levitated(1e4)
         hidden = StateSpace(
             np.block([[item.A, np.zeros((4, 1))], [np.zeros((1, 4)), np.array([[2.0]])]]),
-            np.vstack([item.B, np.zeros((1, 2))]), np.hstack([item.C, np.zeros((2, 1))]), item.D,
-        )  # fmt: skip
+            np.vstack([item.B, np.zeros((1, 2))]),
+            np.hstack([item.C, np.zeros((2, 1))]),
+            item.D,
+        )
         certificate = certify(hidden, pd_controller(5e4))
         assert not certificate.stable
         np.testing.assert_allclose(certificate.spectral_abscissa, 2.0)
@@ -101,16 +122,23 @@ class TestCertify:
     @pytest.mark.parametrize("delay", [0, 1, 2])
     def test_sampled_controller_closes_the_sampled_loop(self, delay):
         dt = 2e-4
-        plant, sampled = with_lag(levitated(1e4, 3e3)), c2d(pd_controller(5e4), dt, "tustin", delay * dt)
+        plant, sampled = (
+            with_lag(levitated(1e4, 3e3)),
+            c2d(pd_controller(5e4), dt, "tustin", delay * dt),
+        )
         certificate = certify(plant, sampled)
         loop = series(sampled, c2d(plant, dt))
         closed = loop.A - loop.B @ loop.C
         np.testing.assert_allclose(
-            certificate.spectral_abscissa, np.log(np.abs(np.linalg.eigvals(closed)).max()) / dt, rtol=1e-6
+            certificate.spectral_abscissa,
+            np.log(np.abs(np.linalg.eigvals(closed)).max()) / dt,
+            rtol=1e-6,
         )
         omega = np.linspace(1, 3000, 30001)
         S = np.linalg.inv(np.eye(2) + frequency_response(loop, omega).values)
-        np.testing.assert_allclose(certificate.closed_loop_norm, np.linalg.norm(S, 2, (1, 2)).max(), rtol=1e-5)
+        np.testing.assert_allclose(
+            certificate.closed_loop_norm, np.linalg.norm(S, 2, (1, 2)).max(), rtol=1e-5
+        )
 
     def test_bilinear_equivalent_keeps_the_values_on_the_circle(self):
         sampled = c2d(with_lag(levitated(1e4, 3e3)), 1e-3)

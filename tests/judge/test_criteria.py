@@ -5,15 +5,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ambrose.machine import criteria
-from ambrose.machine.description import Requirements
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.criteria import judge, zone_lines
 from ambrose.judge.criteria import zone as zone_of
+from ambrose.machine import criteria
+from ambrose.machine.description import Requirements
 
 
 @pytest.mark.parametrize(
-    ("value", "zone"), [(1.0, "A"), (2.999, "A"), (3.0, "B"), (3.999, "B"), (4.0, "C"), (4.999, "C"), (5.0, "D"), (40.0, "D")]
+    ("value", "zone"),
+    [
+        (1.0, "A"),
+        (2.999, "A"),
+        (3.0, "B"),
+        (3.999, "B"),
+        (4.0, "C"),
+        (4.999, "C"),
+        (5.0, "D"),
+        (40.0, "D"),
+    ],
 )
 def test_iso_14839_3_zones(value, zone):
     assert zone_of(criteria.SENSITIVITY, value) == zone
@@ -40,7 +50,9 @@ def test_the_standard_judges_an_axis_but_only_comments_on_singular_values():
 
 def test_a_value_on_the_zone_border_fails_the_standard_and_meets_an_equal_requirement():
     free, own = Requirements(), Requirements(sensitivity_peak=3.0)
-    assert judge("s", "S", 3.0, "-", criteria.demand("sensitivity of an axis", free)).passed is False
+    assert (
+        judge("s", "S", 3.0, "-", criteria.demand("sensitivity of an axis", free)).passed is False
+    )
     assert judge("s", "S", 3.0, "-", criteria.demand("sensitivity of an axis", own)).passed is True
 
 
@@ -60,7 +72,11 @@ def test_a_value_on_the_zone_border_fails_the_standard_and_meets_an_equal_requir
 )
 def test_requirements_override(quantity, field, relation):
     wanted = criteria.demand(quantity, Requirements(**{field: 0.37}))
-    assert (wanted.limit, wanted.relation, wanted.source) == (0.37, relation, f"requirement {field}")
+    assert (wanted.limit, wanted.relation, wanted.source) == (
+        0.37,
+        relation,
+        f"requirement {field}",
+    )
     good, bad = (0.36, 0.38) if relation == "<=" else (0.38, 0.36)
     assert judge("c", "C", good, "-", wanted).passed is True
     assert judge("c", "C", bad, "-", wanted).passed is False
@@ -93,7 +109,10 @@ def test_an_infinite_value_is_judged():
 
 
 def test_checks_look_up_and_summary():
-    fine, bad = Check("a", "A", 1.0, "-", 2.0, passed=True), Check("b", "B", 3.0, "-", 2.0, passed=False)
+    fine, bad = (
+        Check("a", "A", 1.0, "-", 2.0, passed=True),
+        Check("b", "B", 3.0, "-", 2.0, passed=False),
+    )
     note = Check("c", "C", 3.0, "-")
     assert Checks("x", True, (fine, note)).passed
     assert not Checks("x", True, (fine, bad)).passed

@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from ambrose.machine.description import Requirements
-from ambrose.model.separation import allowed_amplification, needed_damping
 from ambrose.judge.checks import Curve
 from ambrose.judge.critical_speeds import critical_speeds, separation_check
+from ambrose.machine.description import Requirements
+from ambrose.model.separation import allowed_amplification, needed_damping
 
 
 def response(speeds, *modes):
     """Orbits under unbalance of masses with (natural speed, damping ratio) each."""
-    return np.array([w2 / np.hypot(n**2 - w2, 2 * z * n * speeds) for n, z in modes for w2 in [speeds**2]])
+    return np.array(
+        [w2 / np.hypot(n**2 - w2, 2 * z * n * speeds) for n, z in modes for w2 in [speeds**2]]
+    )
 
 
 def curve(speeds, rows, labels):
@@ -60,9 +62,14 @@ def test_a_curve_that_ends_at_its_peak_has_none_and_one_flank_is_taken_twice():
 RUNNING = (900.0, 1000.0)
 
 
-@pytest.mark.parametrize(("factor", "below", "above"), [(2.5, 0.0, 10.0), (5.0, 12.142857, 22.142857), (10.0, 15.0, 25.0)])
+@pytest.mark.parametrize(
+    ("factor", "below", "above"),
+    [(2.5, 0.0, 10.0), (5.0, 12.142857, 22.142857), (10.0, 15.0, 25.0)],
+)
 def test_the_allowed_factor_is_the_standards_formula_turned_round(factor, below, above):
-    """17 (1 - 1/(AF - 1.5)) per cent of the lowest speed below, 10 more of the highest above; worked out by hand."""
+    """17 (1 - 1/(AF - 1.5)) per cent of the lowest speed below, 10 more of the highest above;
+    worked out by hand.
+    """
     places = np.array([900 * (1 - below / 100), 1000 * (1 + above / 100)])
     assert allowed_amplification(places, RUNNING) == pytest.approx([factor, factor], rel=1e-5)
     damping, slope = needed_damping(places, RUNNING)
@@ -79,14 +86,23 @@ def test_inside_nothing_sharp_is_allowed_and_far_away_anything():
 
 
 PLACES = [
-    (950, 0.21, True), (950, 0.1, False), (840, 0.05, False), (760, 0.05, True),
-    (1150, 0.15, True), (1150, 0.05, False), (1280, 0.01, True),
-]  # fmt: skip
+    (950, 0.21, True),
+    (950, 0.1, False),
+    (840, 0.05, False),
+    (760, 0.05, True),
+    (1150, 0.15, True),
+    (1150, 0.05, False),
+    (1280, 0.01, True),
+]
 
 
 @pytest.mark.parametrize(("at", "damping", "passed"), PLACES)
 def test_a_critical_speed_is_judged_by_its_place(at, damping, passed):
     speeds = np.linspace(10, 2000, 20000)
-    found = separation_check(speeds, response(speeds, (float(at), damping)), Requirements(), RUNNING)
+    found = separation_check(
+        speeds, response(speeds, (float(at), damping)), Requirements(), RUNNING
+    )
     assert found.passed is passed
-    assert {950: "allowed 2.5", 760: "allowed", 1280: "far enough"}.get(at, "") in found.detail or damping == 0.21
+    assert {950: "allowed 2.5", 760: "allowed", 1280: "far enough"}.get(
+        at, ""
+    ) in found.detail or damping == 0.21

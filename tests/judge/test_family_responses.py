@@ -10,8 +10,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select
-from ambrose.model.assemble import assemble
+from ambrose.judge.family.responses import loop_over_box, pulse_family, unbalance_over_box
 from ambrose.law.loop import closed_loop
+from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 from ambrose.model.unbalance import residual_unbalance
 from ambrose.model.uncertainty import perturbed
@@ -19,7 +20,6 @@ from ambrose.rig import linear
 from ambrose.rig.disturbances import Pulse
 from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
-from ambrose.judge.family.responses import loop_over_box, pulse_family, unbalance_over_box
 
 MACHINE = load_machine("turboexpander")
 PLANT = reduce(assemble(MACHINE, MACHINE.operation.points[4]), 1)
@@ -45,13 +45,21 @@ def test_every_member_is_the_loop_closed_around_the_perturbed_plant():
 
 
 def test_unstable_members_are_told_apart():
-    """A derivative part too weak for the box: the family holds both kinds, as the eigenvalues say."""
-    weak = pid_controller(replace(MACHINE.controller, derivative_time=0.35e-3, integral_time=None), MACHINE)
-    delta = np.array(np.meshgrid(*[[-1.0, 1.0]] * 2)).reshape(2, -1).T @ np.kron(np.eye(2), np.ones((1, 4)))
+    """A derivative part too weak for the box: the family holds both kinds, as the eigenvalues
+    say.
+    """
+    weak = pid_controller(
+        replace(MACHINE.controller, derivative_time=0.35e-3, integral_time=None), MACHINE
+    )
+    delta = np.array(np.meshgrid(*[[-1.0, 1.0]] * 2)).reshape(2, -1).T @ np.kron(
+        np.eye(2), np.ones((1, 4))
+    )
     family = pulse_family(PLANT, weak, "A_zeta", 1.0, 2e-3, OUTPUTS, 4 * delta, duration=0.01)
     truth = []
     for row in 4 * delta:
-        wide = replace(MACHINE, tolerances=tuple(replace(t, relative=1.6) for t in MACHINE.tolerances))
+        wide = replace(
+            MACHINE, tolerances=tuple(replace(t, relative=1.6) for t in MACHINE.tolerances)
+        )
         plant = perturbed(replace(PLANT, machine=wide), dict(zip(NAMES, row / 4, strict=True)))
         truth.append(poles(closed_loop(plant, weak)).real.max() < 0)
     assert family.stable.tolist() == truth
@@ -92,7 +100,9 @@ def test_plants_of_every_speed():
         return reduce(assemble(MACHINE, replace(PLANT.point, speed=speed)), 1)
 
     found = unbalance_over_box(at, PID, speeds, bound=False)
-    assert found.found[1] == pytest.approx(unbalance_over_box(PLANT, PID, speeds[1:], bound=False).found[0], rel=1e-9)
+    assert found.found[1] == pytest.approx(
+        unbalance_over_box(PLANT, PID, speeds[1:], bound=False).found[0], rel=1e-9
+    )
     assert np.isnan(found.bound).all()
 
 

@@ -1,4 +1,6 @@
-"""The loop's matrices against closed forms, the closed loop in state space, and the definition of aliasing."""
+"""The loop's matrices against closed forms, the closed loop in state space, and the definition of
+aliasing.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +13,30 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, hold
 from ambrose.core.statespace import select
+from ambrose.judge.loop_response import (
+    LoopResponse,
+    add_poles,
+    frequency_grid,
+    loop_at,
+    loop_evaluator,
+)
 from ambrose.law.loop import closed_loop
-from ambrose.judge.loop_response import LoopResponse, add_poles, frequency_grid, loop_at, loop_evaluator
 from physical_numbers import physical
 
-# The shaft's element frequencies reach 1e7 rad/s, its rigid stiffness is 1e5 rad2/s2: in first-order form eps 1e7/(1e5/1e7) is
+# The shaft's element frequencies reach 1e7 rad/s, its rigid stiffness is 1e5 rad2/s2: in
+# first-order form eps 1e7/(1e5/1e7) is
 # 1e-7 of relative error, for a Schur form and for a direct solution alike.
 ROUNDING = 1e-6
 OMEGA = 2 * np.pi * np.geomspace(0.5, 5e3, 40)
 
 
 def test_single_mass_closed_forms(single_masses, pd_controller):
-    mass, k_i, k_s, gain, derivative, tau = 2.0, 100.0, 2e5, 5000.0, 8.0, 1e-4
+    mass = 2.0
+    k_i = 100.0
+    k_s = 2e5
+    gain = 5000.0
+    derivative = 8.0
+    tau = 1e-4
     plant = single_masses(mass, k_i, k_s)
     response = loop_evaluator(plant, pd_controller(gain, derivative, tau))(OMEGA)
     s = 1j * OMEGA
@@ -40,7 +54,9 @@ def test_single_mass_closed_forms(single_masses, pd_controller):
     }
     for name, value in expected.items():
         found = getattr(response, name)()
-        np.testing.assert_allclose(found, value[:, None, None] * eye, rtol=1e-10, atol=1e-10 * np.abs(value).max())
+        np.testing.assert_allclose(
+            found, value[:, None, None] * eye, rtol=1e-10, atol=1e-10 * np.abs(value).max()
+        )
 
 
 @pytest.mark.parametrize("label", ["nominal", "zero"])
@@ -64,7 +80,13 @@ def test_the_rig_against_the_closed_loop_in_state_space(rig_plants, rig_controll
         "input_sensitivity": np.eye(4) + between("e", "u"),
     }
     for name, value in pairs.items():
-        np.testing.assert_allclose(getattr(response, name)(), value, rtol=0, atol=ROUNDING * np.abs(value).max(), err_msg=name)
+        np.testing.assert_allclose(
+            getattr(response, name)(),
+            value,
+            rtol=0,
+            atol=ROUNDING * np.abs(value).max(),
+            err_msg=name,
+        )
 
 
 def test_one_frequency_at_a_time_is_the_same(rig_plants, rig_controller):
@@ -114,8 +136,12 @@ def test_invariants_of_any_loop(parts):
     if condition > 1e6:
         return
     zero = np.zeros((1, 4, 4))
-    r = LoopResponse(np.ones(1), ("a", "b", "c", "d"), G[None], K[None], zero, zero, zero, zero, zero)
-    So, Si, T = r.output_sensitivity()[0], r.input_sensitivity()[0], r.complementary()[0]
+    r = LoopResponse(
+        np.ones(1), ("a", "b", "c", "d"), G[None], K[None], zero, zero, zero, zero, zero
+    )
+    So = r.output_sensitivity()[0]
+    Si = r.input_sensitivity()[0]
+    T = r.complementary()[0]
     tolerance = {"atol": 1e-12 * condition * max(1.0, np.linalg.norm(G), np.linalg.norm(K)) ** 3}
     np.testing.assert_allclose(So + T, np.eye(4), **tolerance)
     np.testing.assert_allclose(So @ G, G @ Si, **tolerance)

@@ -1,4 +1,6 @@
-"""Margins against closed forms, against an eigenvalue method, and by crossing them: the loop must turn unstable there."""
+"""Margins against closed forms, against an eigenvalue method, and by crossing them: the loop must
+turn unstable there.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +22,21 @@ from ambrose.core.statespace import (
     series,
     static_gain,
 )
-from ambrose.machine.description import Requirements
-from ambrose.law.loop import closed_loop, match_controller
-from ambrose.model.reduce import reduce
 from ambrose.judge import nominal
 from ambrose.judge.loop_response import frequency_grid, loop_evaluator
 from ambrose.judge.margins import loop_margins, margin_checks, opened_loops
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.machine.description import Requirements
+from ambrose.model.reduce import reduce
 from eigenvalue_margins import loop_margins as eigenvalue_margins
 from physical_numbers import physical
 
-MASS, K_I, K_S, GAIN, DERIVATIVE, TAU = 2.0, 100.0, 2e5, 5000.0, 8.0, 2e-4
+MASS = 2.0
+K_I = 100.0
+K_S = 2e5
+GAIN = 5000.0
+DERIVATIVE = 8.0
+TAU = 2e-4
 
 
 def measured(plant, controller):
@@ -45,7 +52,9 @@ def scalar_loop(w):
 
 
 def test_single_mass_with_pd_in_closed_form(single_masses, pd_controller):
-    """Down: the static loop k_i K_p / k_s; up: none, the PD's phase lead stays; phase and delay at |L| = 1."""
+    """Down: the static loop k_i K_p / k_s; up: none, the PD's phase lead stays; phase and delay at
+    |L| = 1.
+    """
     found, _, _ = measured(single_masses(MASS, K_I, K_S), pd_controller(GAIN, DERIVATIVE, TAU))
     crossover = brentq(lambda w: abs(scalar_loop(w)) - 1, 10, 1e5, xtol=1e-10)
     phase = np.angle(-scalar_loop(crossover))
@@ -61,7 +70,9 @@ def test_single_mass_with_pd_in_closed_form(single_masses, pd_controller):
 
 
 def opened(plant, controller, axis):
-    """The scalar loop at one axis, cut at the measurement, with the other axes closed, as a state space."""
+    """The scalar loop at one axis, cut at the measurement, with the other axes closed, as a state
+    space.
+    """
     controller = match_controller(controller, plant)
     part = select(plant.system, plant.named("u"), plant.named("y"))
     sums = {f"err_{a}": [f"-y_{a}"] for a in plant.axes}
@@ -71,7 +82,8 @@ def opened(plant, controller, axis):
 
 @pytest.mark.parametrize("label", ["nominal", "zero"])
 def test_the_rig_against_the_eigenvalue_method(rig_plants, rig_controller, label):
-    plant = reduce(rig_plants[label], 1)  # the oracle solves eigenvalue problems of twice the order, many times
+    # the oracle solves eigenvalue problems of twice the order, many times
+    plant = reduce(rig_plants[label], 1)
     found, _, _ = measured(plant, rig_controller)
     for axis, m in zip(plant.axes, found["output"], strict=True):
         oracle = eigenvalue_margins(opened(plant, rig_controller, axis))
@@ -87,8 +99,15 @@ def test_crossing_a_margin_makes_the_rig_unstable(rig_plants, rig_controller, wh
     m = measured(plant, rig_controller)[0][where][k]
 
     def stable(element: StateSpace) -> bool:
-        ones = append(*[rename(element if i == k else static_gain([[1.0]]), [f"a{i}"], [f"b{i}"]) for i in range(4)])
-        changed = series(ones, rig_controller) if where == "output" else series(rig_controller, ones)
+        ones = append(
+            *[
+                rename(element if i == k else static_gain([[1.0]]), [f"a{i}"], [f"b{i}"])
+                for i in range(4)
+            ]
+        )
+        changed = (
+            series(ones, rig_controller) if where == "output" else series(rig_controller, ones)
+        )
         return is_stable(closed_loop(plant, changed))
 
     for factor in (m.gain_up, m.gain_down):
@@ -100,7 +119,9 @@ def test_crossing_a_margin_makes_the_rig_unstable(rig_plants, rig_controller, wh
 
 
 def test_phase_margin_by_an_all_pass(single_masses, pd_controller):
-    """(a - s)/(a + s) takes the phase margin exactly at the crossover when a is chosen so: poles on the imaginary axis."""
+    """(a - s)/(a + s) takes the phase margin exactly at the crossover when a is chosen so: poles on
+    the imaginary axis.
+    """
     plant, controller = single_masses(MASS, K_I, K_S), pd_controller(GAIN, DERIVATIVE, TAU)
     m = measured(plant, controller)[0]["output"][1]
     a = m.phase_at / np.tan(m.phase / 2)
@@ -114,7 +135,9 @@ def test_phase_margin_by_an_all_pass(single_masses, pd_controller):
 def disk(rig_plants, rig_controller):
     plant = rig_plants["zero"]
     _, response, evaluator = measured(plant, rig_controller)
-    checks, curves = margin_checks(response, evaluator, Requirements(gain_margin=2.2, phase_margin=0.5))
+    checks, curves = margin_checks(
+        response, evaluator, Requirements(gain_margin=2.2, phase_margin=0.5)
+    )
     return plant, {check.name: check for check in checks}, curves, response
 
 
@@ -132,16 +155,30 @@ def test_the_disk_margin_of_one_loop_is_its_closed_form(single_masses, pd_contro
     _, response, evaluator = measured(plant, controller)
     w = np.geomspace(3.0, 1e5, 400_000)
     alpha = 1 / np.abs(1 / (1 + scalar_loop(w)) - 0.5).max()
-    check = {c.name: c for c in margin_checks(response, evaluator, Requirements())[0]}["margin.disk.output"]
+    check = {c.name: c for c in margin_checks(response, evaluator, Requirements())[0]}[
+        "margin.disk.output"
+    ]
     assert check.value == pytest.approx((1 + alpha / 2) / (1 - alpha / 2), rel=1e-6)
 
 
 def test_information_says_whether_large_is_good(rig_plants, rig_controller):
     plant = rig_plants["zero"]
-    names = {check.name for check in nominal.check(plant, rig_controller).checks if check.relation == ">="}
-    delays = {f"margin.delay.{where}.{axis}" for where in ("output", "input") for axis in plant.axes}
-    assert delays | {"margin.disk.output", "poles.damping.least", "poles.log_decrement.least"} <= names
-    assert not {name for name in names if name.startswith(("sensitivity", "unbalance", "stability", "impulse"))}
+    names = {
+        check.name
+        for check in nominal.check(plant, rig_controller).checks
+        if check.relation == ">="
+    }
+    delays = {
+        f"margin.delay.{where}.{axis}" for where in ("output", "input") for axis in plant.axes
+    }
+    assert (
+        delays | {"margin.disk.output", "poles.damping.least", "poles.log_decrement.least"} <= names
+    )
+    assert not {
+        name
+        for name in names
+        if name.startswith(("sensitivity", "unbalance", "stability", "impulse"))
+    }
 
 
 def test_checks_are_judged_and_name_their_frequency(disk):

@@ -1,4 +1,6 @@
-"""The whole verification: verdicts on stable, unstable and sampled loops, completeness of the tables, refusals."""
+"""The whole verification: verdicts on stable, unstable and sampled loops, completeness of the
+tables, refusals.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,11 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select, static_gain
+from ambrose.judge import nominal
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
 from ambrose.model.assemble import assemble
-from ambrose.law.loop import closed_loop
 from ambrose.model.reduce import reduce
-from ambrose.judge import nominal
 
 TABLES = ("rotor_modes", "campbell", "sensitivity", "margins", "unbalance", "transient")
 
@@ -30,7 +32,9 @@ def verdicts(rig_plants, rig_controller):
 
 @pytest.mark.literature
 def test_pid_on_the_rig_as_the_thesis_says(verdicts):
-    """Lauridsen P5: stable at zero and nominal pressure, about 40 Hz resonance at nominal, unstable at +100 %."""
+    """Lauridsen P5: stable at zero and nominal pressure, about 40 Hz resonance at nominal, unstable
+    at +100 %.
+    """
     assert verdicts["zero"].stable and verdicts["nominal"].stable and not verdicts["twice"].stable
     resonance = float(re.search(r"at ([\d.]+) Hz", verdicts["nominal"]["compliance.max"].detail)[1])
     assert resonance == pytest.approx(40, abs=3)
@@ -39,7 +43,9 @@ def test_pid_on_the_rig_as_the_thesis_says(verdicts):
 
 def test_an_unstable_loop_is_a_verdict(verdicts, rig_plants, rig_controller):
     found = verdicts["twice"]
-    rightmost = max(poles(closed_loop(rig_plants["twice"], rig_controller)), key=lambda p: (p.real, p.imag))
+    rightmost = max(
+        poles(closed_loop(rig_plants["twice"], rig_controller)), key=lambda p: (p.real, p.imag)
+    )
     assert (found.stable, found.passed, found.label) == (False, False, "twice")
     assert [check.name for check in found.checks] == ["stability.abscissa"]
     assert [curve.name for curve in found.curves] == ["poles"]
@@ -53,17 +59,29 @@ def test_without_control_every_unstable_pole_is_named(rig_plants):
     found = nominal.check(plant, static_gain(np.zeros((4, 4))))
     own = poles(plant.system)
     assert not found.stable
-    assert found["stability.abscissa"].detail.count("pole at") == (own[own.imag >= 0].real >= 0).sum() == 2
+    assert (
+        found["stability.abscissa"].detail.count("pole at")
+        == (own[own.imag >= 0].real >= 0).sum()
+        == 2
+    )
 
 
 def test_reported_peaks_are_the_true_maxima(verdicts, rig_plants, rig_controller):
-    """A brute-force grid of 4,000 points about each reported peak finds nothing above it, and comes within 1e-5 of it."""
+    """A brute-force grid of 4,000 points about each reported peak finds nothing above it, and comes
+    within 1e-5 of it.
+    """
     closed = closed_loop(rig_plants["nominal"], rig_controller)
     axes = rig_plants["nominal"].axes
-    for name, inputs, outputs in (("sensitivity.output", "d", "y"), ("control", "r", "u"), ("compliance", "f", "q")):
+    for name, inputs, outputs in (
+        ("sensitivity.output", "d", "y"),
+        ("control", "r", "u"),
+        ("compliance", "f", "q"),
+    ):
         check = verdicts["nominal"][f"{name}.max"]
         at = 2 * np.pi * float(re.search(r"at ([\d.e+]+) Hz", check.detail)[1])
-        omega = np.concatenate([np.linspace(0.97, 1.03, 3001) * at, np.geomspace(3.2, 1.25e4, 1000)])
+        omega = np.concatenate(
+            [np.linspace(0.97, 1.03, 3001) * at, np.geomspace(3.2, 1.25e4, 1000)]
+        )
         part = select(closed, [f"{inputs}_{a}" for a in axes], [f"{outputs}_{a}" for a in axes])
         largest = frequency_response(part, omega).max_singular_value().max()
         assert check.value == pytest.approx(largest, rel=1e-5)
@@ -71,12 +89,22 @@ def test_reported_peaks_are_the_true_maxima(verdicts, rig_plants, rig_controller
 
 
 def test_peaks_equal_the_exact_norms(rig_plants, rig_controller):
-    """H-infinity norms of the closed loop in state space, by a Hamiltonian method without a grid, on 3 bending modes."""
+    """H-infinity norms of the closed loop in state space, by a Hamiltonian method without a grid,
+    on 3 bending modes.
+    """
     plant = reduce(rig_plants["nominal"], 3)
     found, closed = nominal.check(plant, rig_controller), closed_loop(plant, rig_controller)
-    for name, inputs, outputs in (("sensitivity.output", "d", "y"), ("complementary", "r", "y"), ("compliance", "f", "q")):
-        part = select(closed, [f"{inputs}_{a}" for a in plant.axes], [f"{outputs}_{a}" for a in plant.axes])
-        assert found[f"{name}.max"].value == pytest.approx(hinf_norm(part, 1e-9).value, rel=1e-8), name
+    for name, inputs, outputs in (
+        ("sensitivity.output", "d", "y"),
+        ("complementary", "r", "y"),
+        ("compliance", "f", "q"),
+    ):
+        part = select(
+            closed, [f"{inputs}_{a}" for a in plant.axes], [f"{outputs}_{a}" for a in plant.axes]
+        )
+        assert found[f"{name}.max"].value == pytest.approx(hinf_norm(part, 1e-9).value, rel=1e-8), (
+            name
+        )
 
 
 def test_an_unstable_speed_inside_the_range_is_found(rig, rig_controller):
@@ -95,7 +123,9 @@ def test_an_unstable_speed_inside_the_range_is_found(rig, rig_controller):
 
 
 def test_the_grid_does_not_change_the_verdict(verdicts, rig_plants, rig_controller):
-    other = nominal.check(rig_plants["nominal"], rig_controller, omega=np.geomspace(np.pi, 2 * np.pi * 1e4, 150))
+    other = nominal.check(
+        rig_plants["nominal"], rig_controller, omega=np.geomspace(np.pi, 2 * np.pi * 1e4, 150)
+    )
     for check in verdicts["nominal"].checks:
         if not check.name.startswith("impulse"):
             assert other[check.name].value == pytest.approx(check.value, rel=2e-5), check.name
@@ -123,7 +153,9 @@ def test_every_check_stands_in_a_table_and_every_table_row_exists(rig, rig_contr
     operation = Operation((OperatingPoint(speed=300.0),), (0.0, 600.0))
     machine = replace(rig, operation=operation, requirements=wanted, amplifier=coil)
     plant = assemble(machine)
-    found = nominal.check(plant, rig_controller, plant_at=lambda speed: assemble(machine, OperatingPoint(speed=speed)))
+    found = nominal.check(
+        plant, rig_controller, plant_at=lambda speed: assemble(machine, OperatingPoint(speed=speed))
+    )
     assert {pattern(check.name) for check in found.checks} == documented()
     names = [check.name for check in found.checks]
     assert len(set(names)) == len(names)
@@ -145,13 +177,17 @@ def test_curves_are_well_formed(verdicts):
 def test_values_are_plain_numbers_and_verdicts_plain_booleans(verdicts):
     for check in verdicts["nominal"].checks:
         assert type(check.value) is float and not np.isnan(check.value), check.name
-        assert check.passed in {True, False, None} and not isinstance(check.passed, np.bool_), check.name
+        assert check.passed in {True, False, None} and not isinstance(check.passed, np.bool_), (
+            check.name
+        )
         assert (check.limit is None) == (check.passed is None), check.name
         assert check.unit and check.title
 
 
 def test_requirements_override_the_machines(rig_plants, rig_controller):
-    strict = Requirements(sensitivity_peak=2.0, gain_margin=3.0, settling_time=0.01, balance_speed=3000.0)
+    strict = Requirements(
+        sensitivity_peak=2.0, gain_margin=3.0, settling_time=0.01, balance_speed=3000.0
+    )
     found = nominal.check(rig_plants["zero"], rig_controller, strict)
     failed = {check.name for check in found.checks if check.passed is False}
     assert {"sensitivity.output.max", "margin.gain.output.A_zeta", "impulse.settling"} <= failed
@@ -160,10 +196,17 @@ def test_requirements_override_the_machines(rig_plants, rig_controller):
     assert dict(found.curve("sensitivity.output").limits)["required"] == 2.0
 
 
-def test_a_fast_sampled_controller_comes_close_to_the_continuous_one(verdicts, rig_plants, rig_controller):
+def test_a_fast_sampled_controller_comes_close_to_the_continuous_one(
+    verdicts, rig_plants, rig_controller
+):
     found = nominal.check(rig_plants["zero"], c2d(rig_controller, 2e-5, "tustin"))
     assert found.stable and "Sampled controller" in found.notes[0]
-    for name in ("sensitivity.output.max", "compliance.max", "margin.phase.output.A_zeta", "unbalance.orbit"):
+    for name in (
+        "sensitivity.output.max",
+        "compliance.max",
+        "margin.phase.output.A_zeta",
+        "unbalance.orbit",
+    ):
         assert found[name].value == pytest.approx(verdicts["zero"][name].value, rel=2e-2), name
 
 
@@ -178,7 +221,9 @@ def test_a_sampled_grid_ends_at_nyquist(rig_plants, rig_controller):
 
 
 def test_spillover_is_seen_on_the_full_plant_only(rig, rig_controller):
-    """Without the seal's damping the amplifier's lag makes the derivative action drive a lightly damped bending mode."""
+    """Without the seal's damping the amplifier's lag makes the derivative action drive a lightly
+    damped bending mode.
+    """
     plant = assemble(replace(rig, seals=(), modal_damping=1e-3), rig.operation.points[1])
     rigid = nominal.check(reduce(plant, 0), rig_controller)
     assert rigid.stable and "0 bending modes" in rigid.notes[0]
@@ -197,7 +242,11 @@ def test_without_a_balancing_speed_a_note_says_what_is_missing(single_masses, pd
 @pytest.mark.campaign
 def test_progress_rises_to_one(rig_plants, rig_controller):
     told = []
-    nominal.check(rig_plants["zero"], rig_controller, progress=lambda stage, fraction: told.append((stage, fraction)))
+    nominal.check(
+        rig_plants["zero"],
+        rig_controller,
+        progress=lambda stage, fraction: told.append((stage, fraction)),
+    )
     fractions = [fraction for _, fraction in told]
     assert fractions == sorted(fractions) and fractions[-1] == 1.0
     assert all(stage for stage, _ in told)

@@ -12,12 +12,16 @@ W0 = 2 * np.pi * 137.0
 
 
 def resonance(zeta):
-    """An evaluator whose G is the unit-gain oscillator of W0 and zeta on every axis, all else zero."""
+    """An evaluator whose G is the unit-gain oscillator of W0 and zeta on every axis, all else
+    zero.
+    """
 
     def at(omega):
         zero = np.zeros((len(omega), 2, 2))
         g = 1 / (1 - (omega / W0) ** 2 + 2j * zeta * omega / W0)
-        return LoopResponse(omega, ("a", "b"), g[:, None, None] * np.eye(2), zero, zero, zero, zero, zero, zero)
+        return LoopResponse(
+            omega, ("a", "b"), g[:, None, None] * np.eye(2), zero, zero, zero, zero, zero, zero
+        )
 
     return at
 
@@ -37,7 +41,9 @@ def test_a_lightly_damped_peak_is_exact_on_the_packed_grid(zeta):
 
 
 def test_a_resolved_peak_is_exact_on_a_coarse_grid_too():
-    """zeta = 0.02 on a grid of 25 points a decade, whose largest value misses the peak by more than a quarter."""
+    """zeta = 0.02 on a grid of 25 points a decade, whose largest value misses the peak by more than
+    a quarter.
+    """
     at = resonance(0.02)
     response = at(np.geomspace(10, 1e4, 75))
     exact = 1 / (2 * 0.02 * np.sqrt(1 - 0.02**2))
@@ -51,7 +57,9 @@ def test_the_range_ends_are_evaluated_and_named_as_edges():
     low = peaks_of([modulus], response, at, within=(33.0, 5000.0))[0][0]
     assert low.at_edge and low.frequency == 33.0
     assert low.value == pytest.approx(1 / np.sqrt(1 + (33.0 / W0) ** 4), rel=1e-12)
-    rising = peaks_of([lambda r: modulus(r) * r.omega**3], response, at, within=(33.0, 5000.0))[0][0]
+    rising = peaks_of([lambda r: modulus(r) * r.omega**3], response, at, within=(33.0, 5000.0))[0][
+        0
+    ]
     assert rising.at_edge and rising.frequency == 5000.0
 
 
@@ -69,7 +77,9 @@ def test_quantities_are_refined_together_as_apart():
 
 def test_the_higher_of_two_peaks_wins_though_the_grid_shows_it_lower():
     """Two modes; the grid hits the lower one's top and misses the higher one's."""
-    first, second, zeta = 500.0, 2000.0, 0.01
+    first = 500.0
+    second = 2000.0
+    zeta = 0.01
 
     def at(omega):
         zero = np.zeros((len(omega), 1, 1))

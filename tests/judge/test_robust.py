@@ -1,4 +1,6 @@
-"""Robust verification against perturbed plants verified one by one, eigenvalues, and the main loop theorem."""
+"""Robust verification against perturbed plants verified one by one, eigenvalues, and the main loop
+theorem.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +17,16 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select, spectral_abscissa, static_gain
 from ambrose.core.worst_case import bounds
-from ambrose.machine.description import Requirements, Tolerance
+from ambrose.judge import robust
+from ambrose.judge.checks import Checks
+from ambrose.law.design_problem import design_plant
 from ambrose.law.loop import closed_loop
+from ambrose.law.weights import Weights, control_weight, performance_weight
+from ambrose.machine.description import Requirements, Tolerance
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.law.design_problem import design_plant
-from ambrose.law.weights import Weights, control_weight, performance_weight
-from ambrose.judge import robust
-from ambrose.judge.checks import Checks
 
 K = "seal.center.k"
 SEAL = (Tolerance(K, relative=1.0),)
@@ -39,7 +41,9 @@ def rigid(rig_plants) -> Plant:
 
 @pytest.fixture(scope="module")
 def robust_controller(rigid) -> StateSpace:
-    """An H-infinity controller of the nominal plant: it holds the whole range of the seal's stiffness."""
+    """An H-infinity controller of the nominal plant: it holds the whole range of the seal's
+    stiffness.
+    """
     return hinf_synthesis(design_plant(rigid, WEIGHTS, uncertain=False)).controller
 
 
@@ -57,13 +61,24 @@ def sensitivity_peak(plant: Plant, controller: StateSpace) -> float:
 def test_sensitivities_equal_those_of_perturbed_plants(rigid, robust_controller, over_the_range):
     for delta in robust.FAMILY:
         found = over_the_range[f"robust.sensitivity.at{delta:+g}"].value
-        assert found == pytest.approx(sensitivity_peak(perturbed(rigid, {K: delta}, SEAL), robust_controller), rel=1e-6)
+        assert found == pytest.approx(
+            sensitivity_peak(perturbed(rigid, {K: delta}, SEAL), robust_controller), rel=1e-6
+        )
 
 
-def test_worst_case_is_attained_bounded_and_nowhere_exceeded(rigid, robust_controller, over_the_range):
-    worst, bound = over_the_range["robust.sensitivity.worst"], over_the_range["robust.sensitivity.bound"]
-    peaks = [sensitivity_peak(perturbed(rigid, {K: d}, SEAL), robust_controller) for d in np.linspace(-1, 1, 21)]
-    assert worst.value == pytest.approx(max(peaks), rel=1e-6)  # at a corner here, which the scan contains
+def test_worst_case_is_attained_bounded_and_nowhere_exceeded(
+    rigid, robust_controller, over_the_range
+):
+    worst, bound = (
+        over_the_range["robust.sensitivity.worst"],
+        over_the_range["robust.sensitivity.bound"],
+    )
+    peaks = [
+        sensitivity_peak(perturbed(rigid, {K: d}, SEAL), robust_controller)
+        for d in np.linspace(-1, 1, 21)
+    ]
+    # at a corner here, which the scan contains
+    assert worst.value == pytest.approx(max(peaks), rel=1e-6)
     assert worst.value <= bound.value <= 1.01 * worst.value
     assert f"{K} +1" in worst.detail or f"{K} -1" in worst.detail
 
@@ -74,7 +89,9 @@ def test_margin_is_where_eigenvalues_cross(rigid, robust_controller, over_the_ra
 
     margin = over_the_range["robust.stability.margin"]
     assert margin.passed
-    crossing = [d for d in (margin.value, -margin.value) if abscissa(0.9999 * d) < 0 < abscissa(1.0001 * d)]
+    crossing = [
+        d for d in (margin.value, -margin.value) if abscissa(0.9999 * d) < 0 < abscissa(1.0001 * d)
+    ]
     assert crossing
     scan = np.linspace(-0.999, 0.999, 41) * margin.value
     assert max(abscissa(d) for d in scan) < 0
@@ -87,7 +104,9 @@ def test_margin_is_where_eigenvalues_cross(rigid, robust_controller, over_the_ra
 def test_requirement_judges_the_worst_case(rigid, robust_controller, over_the_range):
     assert over_the_range["robust.sensitivity.worst"].limit is None
     limit = 0.99 * over_the_range["robust.sensitivity.worst"].value
-    found = robust.check(rigid, robust_controller, SEAL, requirements=Requirements(sensitivity_peak=limit))
+    found = robust.check(
+        rigid, robust_controller, SEAL, requirements=Requirements(sensitivity_peak=limit)
+    )
     assert found["robust.sensitivity.worst"].passed is False and not found.passed
     assert over_the_range.passed
 
@@ -99,13 +118,18 @@ def test_families_hold_the_transfer_functions(rigid, robust_controller, over_the
     omega = curve.x[pick]
     for row, delta in zip(curve.y, robust.FAMILY, strict=True):
         moved = perturbed(rigid, {K: delta}, SEAL)
-        G, C = response(moved.system, moved.named("u"), moved.named("y"), omega), response(robust_controller, None, None, omega)
+        G, C = (
+            response(moved.system, moved.named("u"), moved.named("y"), omega),
+            response(robust_controller, None, None, omega),
+        )
         S = np.linalg.inv(np.eye(4) + G @ C)
         np.testing.assert_allclose(row[pick], np.linalg.norm(S, 2, axis=(1, 2)), rtol=1e-6)
         S_i = np.linalg.inv(np.eye(4) + C @ G)
         inner = over_the_range.curve("robust.sensitivity.input")
         np.testing.assert_allclose(
-            inner.y[curve.labels.index(f"{K} {delta:+g}")][pick], np.linalg.norm(S_i, 2, axis=(1, 2)), rtol=1e-6
+            inner.y[curve.labels.index(f"{K} {delta:+g}")][pick],
+            np.linalg.norm(S_i, 2, axis=(1, 2)),
+            rtol=1e-6,
         )
 
 
@@ -142,9 +166,13 @@ def test_titles_say_how_each_number_was_come_by(over_the_range):
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("failure", [NumericalFailure("it overflows"), np.linalg.LinAlgError("singular pencil")])
+@pytest.mark.parametrize(
+    "failure", [NumericalFailure("it overflows"), np.linalg.LinAlgError("singular pencil")]
+)
 def test_a_proof_that_fails_takes_no_result_with_it(rigid, robust_controller, monkeypatch, failure):
-    """What the searches found stays; the proof says why there is none, and the bound falls back on a grid and says so."""
+    """What the searches found stays; the proof says why there is none, and the bound falls back on
+    a grid and says so.
+    """
 
     def fail(*arguments, **options):
         raise failure
@@ -158,7 +186,10 @@ def test_a_proof_that_fails_takes_no_result_with_it(rigid, robust_controller, mo
     assert found["robust.stability.margin"].value > 1
     monkeypatch.setattr(bounds, "least_level", fail)
     found = robust.check(rigid, robust_controller, SEAL)
-    assert np.isinf(found["robust.sensitivity.bound"].value) and "not available" in found["robust.sensitivity.bound"].title
+    assert (
+        np.isinf(found["robust.sensitivity.bound"].value)
+        and "not available" in found["robust.sensitivity.bound"].title
+    )
 
 
 @pytest.mark.campaign
@@ -172,19 +203,28 @@ def test_two_parameters(rigid, robust_controller):
     ]
     assert worst >= max(peaks) * (1 - 1e-6)
     assert worst <= bound <= 1.1 * worst
-    assert found.curve("robust.sensitivity").labels == ("nominal", "largest of the stable corners", "worst case")
+    assert found.curve("robust.sensitivity").labels == (
+        "nominal",
+        "largest of the stable corners",
+        "worst case",
+    )
     assert not any(check.name.startswith("robust.sensitivity.at") for check in found.checks)
 
 
 @pytest.mark.campaign
 def test_mu_below_one_means_performance_everywhere(rigid, robust_controller):
-    """Main loop theorem: with weights relaxed until mu < 1, the weighted norm of every perturbed loop is below 1."""
+    """Main loop theorem: with weights relaxed until mu < 1, the weighted norm of every perturbed
+    loop is below 1.
+    """
     half = (Tolerance(K, relative=0.5),)
     relaxed = replace(WEIGHTS, current_disturbance=0.2, output_disturbance=0.2)
     mu = robust.check(rigid, robust_controller, half, relaxed)["robust.performance"].value
     assert mu < 1
     problem = design_plant(rigid, relaxed, half)
-    norms = [hinf_norm(closed_by(problem, robust_controller, d)).value for d in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    norms = [
+        hinf_norm(closed_by(problem, robust_controller, d)).value
+        for d in (-1.0, -0.5, 0.0, 0.5, 1.0)
+    ]
     assert max(norms) < 1
     assert max(norms) > 0.3 * mu  # and the bound is not empty
     nominal = hinf_norm(closed_by(problem, robust_controller, 0.0)).value
@@ -193,7 +233,10 @@ def test_mu_below_one_means_performance_everywhere(rigid, robust_controller):
 
 def closed_by(problem: GeneralizedPlant, controller: StateSpace, delta: float) -> StateSpace:
     w, z = problem.w[problem.n_w_blocks :], problem.z[problem.n_z_blocks :]
-    return lft(GeneralizedPlant(close_uncertainty(problem, {K: delta}), w, problem.u, z, problem.y), controller)
+    return lft(
+        GeneralizedPlant(close_uncertainty(problem, {K: delta}), w, problem.u, z, problem.y),
+        controller,
+    )
 
 
 @pytest.mark.campaign
@@ -215,7 +258,13 @@ def test_unstable_nominal_loop_is_a_verdict(rigid):
 def test_own_grid_and_progress(rigid, robust_controller):
     told: list[float] = []
     omega = np.geomspace(10, 1e4, 30)
-    found = robust.check(rigid, robust_controller, SEAL, omega=omega, progress=lambda stage, fraction: told.append(fraction))
+    found = robust.check(
+        rigid,
+        robust_controller,
+        SEAL,
+        omega=omega,
+        progress=lambda stage, fraction: told.append(fraction),
+    )
     np.testing.assert_array_equal(found.curve("robust.sensitivity").x, omega)
     assert told == sorted(told) and told[-1] == 1.0
 

@@ -1,4 +1,6 @@
-"""Damping, log decrement and whirl direction against closed forms; the stability verdict names what is unstable."""
+"""Damping, log decrement and whirl direction against closed forms; the stability verdict names what
+is unstable.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +9,6 @@ import pytest
 
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.description import Requirements
-from ambrose.law.loop import closed_loop
 from ambrose.judge.rotor_modes import (
     Modes,
     damping_ratio,
@@ -20,6 +20,8 @@ from ambrose.judge.rotor_modes import (
     pole_curve,
     whirl_measure,
 )
+from ambrose.law.loop import closed_loop
+from ambrose.machine.description import Requirements
 
 
 def test_log_decrement_is_the_log_of_successive_maxima():
@@ -28,7 +30,9 @@ def test_log_decrement_is_the_log_of_successive_maxima():
     assert log_decrement(pole)[0] == pytest.approx(np.log(np.exp(7.0 * period)))
     zeta = damping_ratio(pole)[0]
     assert log_decrement(pole)[0] == pytest.approx(2 * np.pi * zeta / np.sqrt(1 - zeta**2))
-    np.testing.assert_array_equal(log_decrement(np.array([-3.0 + 0j, 3.0 + 0j, 0j])), [np.inf, -np.inf, 0.0])
+    np.testing.assert_array_equal(
+        log_decrement(np.array([-3.0 + 0j, 3.0 + 0j, 0j])), [np.inf, -np.inf, 0.0]
+    )
     assert damping_ratio(np.array([0j]))[0] == 0.0
 
 
@@ -45,18 +49,24 @@ def rotating_oscillator(stiffness, damping, cross):
     """x'' + d x' + w2 x + k y = 0, y'' + d y' + w2 y - k x = 0: k > 0 drives the forward whirl."""
     K = np.array([[stiffness, cross], [-cross, stiffness]])
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [-K, -damping * np.eye(2)]])
-    return StateSpace(A, np.zeros((4, 1)), np.eye(2, 4), np.zeros((2, 1)), outputs=["q_A_zeta", "q_A_eta"])
+    return StateSpace(
+        A, np.zeros((4, 1)), np.eye(2, 4), np.zeros((2, 1)), outputs=["q_A_zeta", "q_A_eta"]
+    )
 
 
 def test_cross_coupling_splits_forward_and_backward_as_in_closed_form():
-    """z = x + j y: s^2 + d s + w2 - j k = 0 for z ~ exp(s t); forward has the larger real part for k > 0."""
+    """z = x + j y: s^2 + d s + w2 - j k = 0 for z ~ exp(s t); forward has the larger real part for
+    k > 0.
+    """
     found = modes(rotating_oscillator(1e4, 2.0, 300.0), ("A_zeta", "A_eta"))
     root = np.roots([1.0, 2.0, 1e4 - 300j])
     forward = root[np.argmax(root.imag)]
     backward = root[np.argmin(root.imag)].conj()
     for k, word in enumerate(direction(x) for x in found.whirl):
         assert word in {"forward", "backward"}
-        assert found.poles[k] == pytest.approx(forward if word == "forward" else backward, rel=1e-10)
+        assert found.poles[k] == pytest.approx(
+            forward if word == "forward" else backward, rel=1e-10
+        )
     assert forward.real > 0 > backward.real
     checks = pole_checks(found, Requirements(), 0.0)
     stability = checks[0]
@@ -75,11 +85,15 @@ def test_sampled_poles_map_back(single_masses, pd_controller):
 
 def made(*poles, whirl=None):
     p = np.array(poles)
-    return Modes(p, np.zeros(len(p)) if whirl is None else np.array(whirl, float), np.zeros((0, len(p))), ())
+    return Modes(
+        p, np.zeros(len(p)) if whirl is None else np.array(whirl, float), np.zeros((0, len(p))), ()
+    )
 
 
 def by_name(found, requirements=None, speed=0.0):
-    return {check.name: check for check in pole_checks(found, requirements or Requirements(), speed)}
+    return {
+        check.name: check for check in pole_checks(found, requirements or Requirements(), speed)
+    }
 
 
 def test_the_standard_judges_the_first_forward_mode_and_all_up_to_the_top_speed():
@@ -102,7 +116,11 @@ def test_nothing_is_left_out_of_the_least_damped():
     assert checks["poles.damping.least"].value == pytest.approx(1e-7)
     assert checks["poles.damping.least"].limit is None
     detail = checks["poles.damping.least"].detail
-    assert checks["poles.log_decrement.least"].detail == "at 1.592e+05 Hz planar" == detail.split(";")[0]
+    assert (
+        checks["poles.log_decrement.least"].detail
+        == "at 1.592e+05 Hz planar"
+        == detail.split(";")[0]
+    )
     assert [f"{w / (2 * np.pi):.4g} Hz" in detail for w in (900, 3000, 200, 100)] == [True] * 4
 
 

@@ -1,4 +1,6 @@
-"""The pulse response against an independent stepping, settling time against a closed form, limits."""
+"""The pulse response against an independent stepping, settling time against a closed form,
+limits.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,10 @@ import scipy.linalg as sla
 
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import static_gain
+from ambrose.judge.transient import PulseResponse, pulse_checks, pulse_response
+from ambrose.law.loop import closed_loop
 from ambrose.machine.criteria import CURRENT_PULSE, Pulse
 from ambrose.machine.description import Requirements
-from ambrose.law.loop import closed_loop
-from ambrose.judge.transient import PulseResponse, pulse_checks, pulse_response
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,9 @@ def test_settling_of_a_first_order_decay_in_closed_form():
     zeros = np.zeros((1, 1, len(time)))
     found = PulseResponse(time, decay[None, None], zeros, zeros, pulse)
     assert found.settling()[0] == pytest.approx(np.log(20) / 12.0, abs=1.5e-4)
-    slow = PulseResponse(time[:300], decay[None, None, :300], zeros[..., :300], zeros[..., :300], pulse)
+    slow = PulseResponse(
+        time[:300], decay[None, None, :300], zeros[..., :300], zeros[..., :300], pulse
+    )
     assert slow.settling()[0] == np.inf
     silent = PulseResponse(time, zeros, zeros, zeros, pulse)
     assert silent.settling()[0] == 0.0
@@ -94,12 +98,16 @@ def test_a_loop_that_does_not_settle_in_four_seconds_says_so(single_masses, pd_c
     plant = single_masses(2.0, 100.0, 2e5, damping=0.8)
     found = pulse_response(closed_loop(plant, static_gain(5000.0 * np.eye(4))), plant)
     assert found.time[-1] == pytest.approx(4.0, abs=0.02)
-    check = {c.name: c for c in pulse_checks(found, plant, Requirements(settling_time=1.0))[0]}["impulse.settling"]
+    check = {c.name: c for c in pulse_checks(found, plant, Requirements(settling_time=1.0))[0]}[
+        "impulse.settling"
+    ]
     assert check.value == np.inf and check.passed is False and "not settled" in check.detail
 
 
 def test_a_sampled_loop_keeps_its_own_time(single_masses, pd_controller):
-    """The plant is exact under the hold; a fast sampled controller comes close to the continuous one."""
+    """The plant is exact under the hold; a fast sampled controller comes close to the continuous
+    one.
+    """
     plant = single_masses(2.0, 100.0, 2e5)
     controller = pd_controller(5000.0, 8.0, 1e-3)
     smooth = pulse_response(closed_loop(plant, controller), plant)

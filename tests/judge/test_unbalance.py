@@ -1,4 +1,6 @@
-"""Unbalance: the grade's force, orbits of rotating forces in closed form, limits, re-assembly at every speed."""
+"""Unbalance: the grade's force, orbits of rotating forces in closed form, limits, re-assembly at
+every speed.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,6 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.description import OperatingPoint, Operation, Requirements
-from ambrose.model.assemble import assemble
-from ambrose.model.unbalance import residual_unbalance, unbalance
 from ambrose.judge.loop_response import frequency_grid, loop_evaluator
 from ambrose.judge.unbalance import (
     assembled_check,
@@ -22,14 +21,24 @@ from ambrose.judge.unbalance import (
     unbalance_curve,
     worst_orbit,
 )
+from ambrose.machine.description import OperatingPoint, Operation, Requirements
+from ambrose.model.assemble import assemble
+from ambrose.model.unbalance import residual_unbalance, unbalance
 
 BALANCED_AT = 2 * np.pi * 500
-MASS, K_I, K_S, GAIN, DERIVATIVE, TAU = 2.0, 100.0, 2e5, 5000.0, 8.0, 2e-4
+MASS = 2.0
+K_I = 100.0
+K_S = 2e5
+GAIN = 5000.0
+DERIVATIVE = 8.0
+TAU = 2e-4
 
 
 @pytest.mark.literature
 def test_g2_5_at_500_hz_pulls_with_541_newton(rig):
-    """Lauridsen, paper P5: 541 N for the test rig; its mass of 69 kg is rounded (541 N needs 68.9 kg)."""
+    """Lauridsen, paper P5: 541 N for the test rig; its mass of 69 kg is rounded (541 N needs 68.9
+    kg).
+    """
     assert unbalance(69.0, 2.5e-3, BALANCED_AT).force(BALANCED_AT) == pytest.approx(541.0, rel=2e-3)
     residual = residual_unbalance(rig)
     assert residual.force(BALANCED_AT) == pytest.approx(541.0, rel=2e-3)
@@ -37,7 +46,9 @@ def test_g2_5_at_500_hz_pulls_with_541_newton(rig):
 
 
 def test_residual_unbalance_of_the_standard():
-    """ISO 21940-11: permissible eccentricity grade / speed; G6.3 at 3000 rpm leaves 20 g mm per kg."""
+    """ISO 21940-11: permissible eccentricity grade / speed; G6.3 at 3000 rpm leaves 20 g mm per
+    kg.
+    """
     residual = unbalance(10.0, 6.3e-3, 2 * np.pi * 50)
     assert residual.moment / 10.0 == pytest.approx(20.05e-6, rel=1e-3)
 
@@ -55,7 +66,11 @@ def test_defaults_and_refusals(rig):
     silent = replace(rig, requirements=Requirements())
     assert residual_unbalance(silent) is None
     fast = replace(silent, operation=Operation((OperatingPoint(),), (0.0, 1000.0)))
-    assert (top_speed(fast), residual_unbalance(fast).speed, residual_unbalance(fast).grade) == (1000.0, 1000.0, 2.5e-3)
+    assert (top_speed(fast), residual_unbalance(fast).speed, residual_unbalance(fast).grade) == (
+        1000.0,
+        1000.0,
+        2.5e-3,
+    )
     with pytest.raises(InvalidInput, match="balance_grade"):
         residual_unbalance(rig, replace(rig.requirements, balance_grade=-1.0))
 
@@ -90,7 +105,9 @@ def test_uncoupled_axes_in_closed_form(single_masses, pd_controller):
 
 def test_checks_peak_limit_and_range(single_masses, pd_controller):
     wanted = Requirements(unbalance_orbit=1e-6, unbalance_to=300.0)
-    plant, evaluator, response = response_of_masses(single_masses, pd_controller, requirements=wanted)
+    plant, evaluator, response = response_of_masses(
+        single_masses, pd_controller, requirements=wanted
+    )
     residual = unbalance(10.0, 2.5e-3, 1000.0)
     checks = {c.name: c for c in unbalance_checks(plant, response, evaluator, wanted, residual)[0]}
     w = np.linspace(10, 300, 200_001)
@@ -113,17 +130,27 @@ def test_checks_peak_limit_and_range(single_masses, pd_controller):
 def test_the_axis_nearest_to_its_limit_is_reported(single_masses, pd_controller):
     plant, evaluator, response = response_of_masses(single_masses, pd_controller)
     a, b = plant.machine.bearings
-    weak = replace(plant, machine=replace(plant.machine, bearings=(a, replace(b, max_current=1e-9))))
+    weak = replace(
+        plant, machine=replace(plant.machine, bearings=(a, replace(b, max_current=1e-9)))
+    )
     residual = unbalance(10.0, 2.5e-3, 1000.0)
-    check = {c.name: c for c in unbalance_checks(weak, response, evaluator, Requirements(), residual)[0]}["unbalance.current"]
-    assert check.passed is False and check.source == "bearing B, max_current" and "B_" in check.detail
+    check = {
+        c.name: c for c in unbalance_checks(weak, response, evaluator, Requirements(), residual)[0]
+    }["unbalance.current"]
+    assert (
+        check.passed is False and check.source == "bearing B, max_current" and "B_" in check.detail
+    )
     own = Requirements(max_current=100.0)
-    check = {c.name: c for c in unbalance_checks(weak, response, evaluator, own, residual)[0]}["unbalance.current"]
+    check = {c.name: c for c in unbalance_checks(weak, response, evaluator, own, residual)[0]}[
+        "unbalance.current"
+    ]
     assert check.passed is True and check.limit == 100.0
 
 
 def test_bearing_angles_enter_the_phase(single_masses, pd_controller):
-    """Two coupled bearings, B turned against A: in phase means in phase in space, so turning changes nothing."""
+    """Two coupled bearings, B turned against A: in phase means in phase in space, so turning
+    changes nothing.
+    """
     plant, _, response = response_of_masses(single_masses, pd_controller)
     residual = unbalance(10.0, 2.5e-3, 1000.0)
     T = np.eye(4)
@@ -136,13 +163,24 @@ def test_bearing_angles_enter_the_phase(single_masses, pd_controller):
     zero = np.zeros_like(response.G)
 
     def orbits(compliance, machine):
-        r = replace(response, G=zero, K=zero, G_yf=zero, G_qu=zero, G_qf=np.broadcast_to(compliance, zero.shape))
+        r = replace(
+            response,
+            G=zero,
+            K=zero,
+            G_yf=zero,
+            G_qu=zero,
+            G_qf=np.broadcast_to(compliance, zero.shape),
+        )
         return distributed_orbits(r, residual, machine, antiphase=False)
 
-    np.testing.assert_allclose(orbits(T @ mixed @ T.T, turned), orbits(mixed, plant.machine), rtol=1e-12)
+    np.testing.assert_allclose(
+        orbits(T @ mixed @ T.T, turned), orbits(mixed, plant.machine), rtol=1e-12
+    )
 
 
-def test_reassembly_at_every_speed_agrees_where_nothing_depends_on_speed(rig_plants, rig_controller, rig):
+def test_reassembly_at_every_speed_agrees_where_nothing_depends_on_speed(
+    rig_plants, rig_controller, rig
+):
     plant = rig_plants["zero"]
     speeds = 2 * np.pi * np.array([20.0, 110.0, 200.0])
     curve = unbalance_curve(lambda speed: plant, speeds, rig_controller)
@@ -150,13 +188,20 @@ def test_reassembly_at_every_speed_agrees_where_nothing_depends_on_speed(rig_pla
     response = loop_evaluator(plant, rig_controller)(speeds)
     given = np.isin(curve.x, speeds)
     np.testing.assert_allclose(curve.y[0, given], worst_orbit(response, residual), rtol=1e-5)
-    np.testing.assert_allclose(curve.y[1:3, given], distributed_orbits(response, residual, rig, antiphase=False), rtol=1e-5)
-    dense = np.linspace(speeds[0], speeds[-1], 4001)  # between the three given speeds the peak is found
+    np.testing.assert_allclose(
+        curve.y[1:3, given], distributed_orbits(response, residual, rig, antiphase=False), rtol=1e-5
+    )
+    # between the three given speeds the peak is found
+    dense = np.linspace(speeds[0], speeds[-1], 4001)
     assert curve.y[0].max() == pytest.approx(
         worst_orbit(loop_evaluator(plant, rig_controller)(dense), residual).max(), rel=1e-6
     )
     assert len(curve.x) == 4
-    assert curve.labels[0] == "worst case" and curve.kind == "speed" and curve.limits == (("required", 8e-6),)
+    assert (
+        curve.labels[0] == "worst case"
+        and curve.kind == "speed"
+        and curve.limits == (("required", 8e-6),)
+    )
     check = assembled_check(curve, replace(rig.requirements, unbalance_to=speeds[1]))
     assert check.value == curve.y[0, curve.x <= speeds[1]].max() and check.passed is True
 

@@ -19,6 +19,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
 from ambrose.core.statespace import StateSpace, is_stable, select
+from ambrose.law.design_problem import design_plant, with_performance_block
+from ambrose.law.weights import Weights, control_weight, machine_weights, performance_weight
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
@@ -26,12 +28,12 @@ from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.pid import axes_controller, pid_controller
-from ambrose.law.design_problem import design_plant, with_performance_block
-from ambrose.law.weights import Weights, control_weight, machine_weights, performance_weight
 
 OMEGA = np.array([0.01, 1.0, 30.0, 250.0, 900.0, 1e4])
 AXES = tuple(published_p5_data()["axes"])
-UNEVEN = Weights(performance_weight(2.5, 7.0, 0.01), control_weight(0.2, 3e3, 2), 15e-6, 0.7, 0.3, 1.9)
+UNEVEN = Weights(
+    performance_weight(2.5, 7.0, 0.01), control_weight(0.2, 3e3, 2), 15e-6, 0.7, 0.3, 1.9
+)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,9 @@ def names(*letters: str, axes=AXES) -> list[str]:
 
 
 def by_hand(G: np.ndarray, K: np.ndarray, weights: Weights) -> np.ndarray:
-    """(w, 8, 8) from (w1, w2) to (z1, z2): err = -S_o (G D_u w1 + D_e w2), u = K err, z1 = W_p err/D_e, z2 = W_u u/D_u."""
+    """(w, 8, 8) from (w1, w2) to (z1, z2): err = -S_o (G D_u w1 + D_e w2), u = K err, z1 = W_p
+    err/D_e, z2 = W_u u/D_u.
+    """
     eye = np.eye(4)
     W_p = values(weights.performance)[:, :1, :1]
     W_u = values(weights.control)[:, :1, :1]
@@ -66,7 +70,9 @@ def by_hand(G: np.ndarray, K: np.ndarray, weights: Weights) -> np.ndarray:
     from_current = -S @ G * weights.current_scale * weights.current_disturbance
     from_offset = -S * weights.error_scale * weights.output_disturbance
     err = np.concatenate([from_current, from_offset], axis=2)
-    return np.concatenate([W_p * err / weights.error_scale, W_u * (K @ err) / weights.current_scale], axis=1)
+    return np.concatenate(
+        [W_p * err / weights.error_scale, W_u * (K @ err) / weights.current_scale], axis=1
+    )
 
 
 @pytest.mark.parametrize("weights", [None, UNEVEN], ids=["machine's", "uneven"])
@@ -87,7 +93,9 @@ def test_published_plant_equals_the_formulas():
     s = 1j * OMEGA[:, None, None]
     wn, d = data["actuator"]["natural_frequency"], data["actuator"]["damping"]
     A, B, C = (np.array(data[key]) for key in "ABC")
-    force = C @ np.linalg.solve(s * np.eye(8) - A, np.broadcast_to(B, (len(OMEGA), 8, 4)).astype(complex))
+    force = C @ np.linalg.solve(
+        s * np.eye(8) - A, np.broadcast_to(B, (len(OMEGA), 8, 4)).astype(complex)
+    )
     G = force * np.array(data["force_per_current"]) * wn**2 / (s**2 + d * s + wn**2)
     found = values(lft(published_p5_problem(), controller), names("w1", "w2"), names("z1", "z2"))
     expected = by_hand(G, values(controller), weights)
@@ -96,9 +104,13 @@ def test_published_plant_equals_the_formulas():
 
 @pytest.mark.parametrize("delta", [-1.0, -0.37, 1.0])
 def test_blocks_carry_the_perturbed_plant(plant, controller, delta):
-    """Closing the block gives the formulas around the plant perturbed by itself: w_delta and z_delta sit in the right place."""
+    """Closing the block gives the formulas around the plant perturbed by itself: w_delta and
+    z_delta sit in the right place.
+    """
     closed = close_uncertainty(design_plant(plant, UNEVEN), {"seal.center.pressure": delta})
-    problem = GeneralizedPlant(closed, names("w1", "w2"), names("u"), names("z1", "z2"), names("err"))
+    problem = GeneralizedPlant(
+        closed, names("w1", "w2"), names("u"), names("z1", "z2"), names("err")
+    )
     moved = perturbed(plant, {"seal.center.pressure": delta})
     expected = by_hand(values(moved.system, names("u"), names("y")), values(controller), UNEVEN)
     found = values(lft(problem, controller))
@@ -135,7 +147,9 @@ def test_turboexpander_problem_has_eight_independent_parameters():
 
 
 def test_controller_signals_are_physical(plant, controller):
-    """u and err are amperes and metres: the PID closes the loop as it is and holds the plant without uncertainty or weights."""
+    """u and err are amperes and metres: the PID closes the loop as it is and holds the plant
+    without uncertainty or weights.
+    """
     problem = design_plant(plant, UNEVEN)
     assert tuple(controller.inputs) == problem.y
     assert tuple(controller.outputs) == problem.u

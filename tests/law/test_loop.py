@@ -12,8 +12,8 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, poles, rename, select, static_gain
-from ambrose.model.assemble import assemble
 from ambrose.law.loop import closed_loop, covers, match_controller
+from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 
 RNG = np.random.default_rng(4)
@@ -28,7 +28,9 @@ def plant():
 @pytest.fixture(scope="module")
 def controller():
     A = RNG.standard_normal((5, 5)) * 100 - 500 * np.eye(5)
-    return StateSpace(A, RNG.standard_normal((5, 4)) * 1e3, RNG.standard_normal((4, 5)) * 1e3, 2e4 * np.eye(4))
+    return StateSpace(
+        A, RNG.standard_normal((5, 4)) * 1e3, RNG.standard_normal((4, 5)) * 1e3, 2e4 * np.eye(4)
+    )
 
 
 def between(system, inputs, outputs):
@@ -53,7 +55,10 @@ def test_every_transfer_function_of_the_diagram(plant, controller):
     equal(names["d"], names["u"], -K @ S_o)
     equal(names["e"], names["u"], S_i - eye)  # v = u + e, e -> v is S_i
     f, q = plant.bearing_named("f"), plant.bearing_named("q")
-    G_qf, G_qu, G_yf = (between(plant.system, *pair) for pair in ((f, q), (plant.named("u"), q), (f, plant.named("y"))))
+    G_qf, G_qu, G_yf = (
+        between(plant.system, *pair)
+        for pair in ((f, q), (plant.named("u"), q), (f, plant.named("y")))
+    )
     equal(f, q, G_qf - G_qu @ K @ S_o @ G_yf)
 
 
@@ -79,7 +84,9 @@ def test_wrong_size_names_the_axes(plant):
         closed_loop(plant, static_gain(np.eye(3)))
 
 
-ERRORS, CURRENTS = ([f"{kind}_{axis}" for axis in ("A_zeta", "A_eta", "B_zeta", "B_eta")] for kind in ("err", "u"))
+ERRORS, CURRENTS = (
+    [f"{kind}_{axis}" for axis in ("A_zeta", "A_eta", "B_zeta", "B_eta")] for kind in ("err", "u")
+)
 
 
 class TestMatching:
@@ -108,13 +115,22 @@ class TestMatching:
         np.testing.assert_array_equal(match_controller(theirs, plant).B, named.B)
 
     def test_another_size_is_refused(self, plant, named):
-        with pytest.raises(InvalidInput, match=r"controller's size .* is \(4, 2\), but must be \(4, 4\) for the axes A_zeta"):
+        with pytest.raises(
+            InvalidInput,
+            match=r"controller's size .* is \(4, 2\), but must be \(4, 4\) for the axes A_zeta",
+        ):
             match_controller(select(named, ERRORS[:2]), plant)
 
     @pytest.mark.parametrize("axis", ["C_zeta", "A_eta"])
     def test_other_axes_are_refused(self, plant, named, axis):
-        changed = rename(named, [f"err_{axis}" if name == ERRORS[0] else f"{name[:4]}x{name[3:]}" for name in ERRORS])
-        with pytest.raises(InvalidInput, match=r"err_A_zeta, err_A_eta, .*for another machine: design one for '.*seal.*'"):
+        changed = rename(
+            named,
+            [f"err_{axis}" if name == ERRORS[0] else f"{name[:4]}x{name[3:]}" for name in ERRORS],
+        )
+        with pytest.raises(
+            InvalidInput,
+            match=r"err_A_zeta, err_A_eta, .*for another machine: design one for '.*seal.*'",
+        ):
             match_controller(changed, plant)
 
     def test_a_schedule_is_the_law_at_the_plants_speed(self, plant, named):
@@ -130,18 +146,26 @@ class TestMatching:
         scheduled = ScheduledSystem([0.0, 4e5], [named, double], "pressure", "Pa")
         for speed in (0.0, 900.0):
             here = replace(plant, point=replace(plant.point, speed=speed, seal_pressure=1e5))
-            np.testing.assert_allclose(match_controller(scheduled, here).D, 1.25 * named.D, rtol=1e-12)
+            np.testing.assert_allclose(
+                match_controller(scheduled, here).D, 1.25 * named.D, rtol=1e-12
+            )
             assert covers(scheduled, here)
         beyond = replace(plant, point=replace(plant.point, seal_pressure=5e5))
         assert not covers(scheduled, beyond)
-        with pytest.raises(InvalidInput, match="pressure is 500000 Pa, but must be between 0 and 400000 Pa"):
+        with pytest.raises(
+            InvalidInput, match="pressure is 500000 Pa, but must be between 0 and 400000 Pa"
+        ):
             match_controller(scheduled, beyond)
 
-    @pytest.mark.parametrize(("parameter", "unit"), [("k", "N/m"), ("pressure", "bar"), ("speed", "Pa")])
+    @pytest.mark.parametrize(
+        ("parameter", "unit"), [("k", "N/m"), ("pressure", "bar"), ("speed", "Pa")]
+    )
     def test_schedules_over_anything_else_are_refused(self, plant, named, parameter, unit):
         with pytest.raises(InvalidInput, match=r"must be speed \[rad/s\] or pressure \[Pa\]"):
             match_controller(ScheduledSystem([0.0, 1.0], [named, named], parameter, unit), plant)
 
     def test_other_things_are_refused(self, plant):
-        with pytest.raises(InvalidInput, match="the system is 'pid', but must be something with matrices"):
+        with pytest.raises(
+            InvalidInput, match="the system is 'pid', but must be something with matrices"
+        ):
             match_controller("pid", plant)

@@ -1,4 +1,6 @@
-"""Supervision of a schedule: what is believed, who is in charge, and that a change does not push."""
+"""Supervision of a schedule: what is believed, who is in charge, and that a change does not
+push.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,19 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.rig.trial import simulate_scenario
-from ambrose.law.supervision import Fault, Limits, State, Supervisor, supervised, supervision_limits, tracking_gain
+from ambrose.law.supervision import (
+    Fault,
+    Limits,
+    State,
+    Supervisor,
+    supervised,
+    supervision_limits,
+    tracking_gain,
+)
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
 from ambrose.rig.scenario import Scenario
+from ambrose.rig.trial import simulate_scenario
 from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
 
@@ -25,10 +35,20 @@ ZERO = next(point for point in RIG.operation.points if point.seal_pressure == 0)
 PID = pid_controller(RIG.reference, RIG)
 TOP, DT = 4.08e5, 1e-4
 SCHEDULE = ScheduledSystem(
-    [0.0, TOP], [PID, StateSpace(PID.A, PID.B, 1.5 * PID.C, 1.5 * PID.D, PID.inputs, PID.outputs)], "pressure", "Pa"
+    [0.0, TOP],
+    [PID, StateSpace(PID.A, PID.B, 1.5 * PID.C, 1.5 * PID.D, PID.inputs, PID.outputs)],
+    "pressure",
+    "Pa",
 )
-LIMITS = Limits(0.0, TOP, 0.05 * TOP, rate=80e5, noise=0.01 * TOP, band=0.1 * TOP, dwell=0.01, fade=0.002)
-SURGE = Scenario("surge", 0.08, pulses=(Pulse("f_center_x", 20.0, 0.005, 0.003),), pressures=(PressureChange(0.01, 1e5, 0.05),))
+LIMITS = Limits(
+    0.0, TOP, 0.05 * TOP, rate=80e5, noise=0.01 * TOP, band=0.1 * TOP, dwell=0.01, fade=0.002
+)
+SURGE = Scenario(
+    "surge",
+    0.08,
+    pulses=(Pulse("f_center_x", 20.0, 0.005, 0.003),),
+    pressures=(PressureChange(0.01, 1e5, 0.05),),
+)
 
 
 def followed(readings, limits=LIMITS, estimate=(math.nan, math.inf)):
@@ -38,11 +58,21 @@ def followed(readings, limits=LIMITS, estimate=(math.nan, math.inf)):
 
 @pytest.mark.parametrize(
     ("bad", "fault"),
-    [(math.nan, Fault.LOST), (-math.inf, Fault.LOST), (5e5, Fault.RANGE), (-1e5, Fault.RANGE), (3e5, Fault.JUMP)],
+    [
+        (math.nan, Fault.LOST),
+        (-math.inf, Fault.LOST),
+        (5e5, Fault.RANGE),
+        (-1e5, Fault.RANGE),
+        (3e5, Fault.JUMP),
+    ],
 )
 def test_every_bad_reading_puts_the_fixed_controller_in_charge_at_once(bad, fault):
     supervisor, seen = followed([1e5, 1e5, bad])
-    assert seen[1][0] is State.SCHEDULED and seen[2] == (State.FALLING_BACK, fault) and supervisor.value == 1e5
+    assert (
+        seen[1][0] is State.SCHEDULED
+        and seen[2] == (State.FALLING_BACK, fault)
+        and supervisor.value == 1e5
+    )
 
 
 def test_a_lost_reading_comes_back_after_the_dwell_time_and_a_fault_in_it_begins_it_anew():
@@ -50,7 +80,8 @@ def test_a_lost_reading_comes_back_after_the_dwell_time_and_a_fault_in_it_begins
     states = [state for state, _ in seen]
     assert states[5] is State.FALLING_BACK and states[5 + 20] is State.FIXED  # fade: 20 samples
     again = states.index(State.RETURNING)
-    assert again == 69 + 100 - 1 and states[again + 20] is State.SCHEDULED  # dwell: 100 good samples
+    # dwell: 100 good samples
+    assert again == 69 + 100 - 1 and states[again + 20] is State.SCHEDULED
 
 
 def test_what_a_pressure_may_do_while_its_reading_is_lost_is_no_jump():
@@ -70,8 +101,12 @@ def test_an_offset_that_stays_is_not_forgiven_without_an_estimate_that_agrees():
 def test_an_estimate_trims_within_the_band_only_and_beyond_it_the_fixed_one_takes_over():
     supervisor, seen = followed([1e5] * 3, estimate=(1e5 + 0.12 * TOP, 0.05 * TOP))
     assert seen[-1][0] is State.SCHEDULED and supervisor.value == pytest.approx(1e5 + 0.1 * TOP)
-    assert followed([1e5] * 3, estimate=(1e5 + 0.2 * TOP, 0.05 * TOP))[1][0] == (State.FALLING_BACK, Fault.DIVERGED)
-    supervisor, seen = followed([1e5] * 3, estimate=(1e5 + 0.2 * TOP, 0.5 * TOP))  # says little: neither trims nor accuses
+    assert followed([1e5] * 3, estimate=(1e5 + 0.2 * TOP, 0.05 * TOP))[1][0] == (
+        State.FALLING_BACK,
+        Fault.DIVERGED,
+    )
+    # says little: neither trims nor accuses
+    supervisor, seen = followed([1e5] * 3, estimate=(1e5 + 0.2 * TOP, 0.5 * TOP))
     assert seen[-1][0] is State.SCHEDULED and supervisor.value == 1e5
 
 
@@ -96,24 +131,41 @@ def test_who_waits_follows_the_currents_that_act():
 
 def test_with_a_good_reading_the_program_is_the_schedule_and_a_lost_one_does_not_lose_the_rotor():
     weightless = replace(RIG, gravity_direction=None)
-    program = supervised(SCHEDULE, PID, weightless, DT, supervision_limits(SCHEDULE, weightless, 80e5))
-    told = simulate_scenario(weightless, SCHEDULE, SURGE, point=ZERO, rate=1 / DT, fallback=PID, pressure_rate=80e5)
+    program = supervised(
+        SCHEDULE, PID, weightless, DT, supervision_limits(SCHEDULE, weightless, 80e5)
+    )
+    told = simulate_scenario(
+        weightless, SCHEDULE, SURGE, point=ZERO, rate=1 / DT, fallback=PID, pressure_rate=80e5
+    )
     alone = virtual_rig.run(weightless, SCHEDULE, replace(SURGE, sample_time=DT), point=ZERO)
     for axis in RIG.axes:  # the schedule alone is read every ten samples
         peak = np.abs(alone.record[f"y_{axis}"]).max()
-        np.testing.assert_allclose(told.record[f"y_{axis}"], alone.record[f"y_{axis}"], atol=0.01 * peak + 1e-12)
+        np.testing.assert_allclose(
+            told.record[f"y_{axis}"], alone.record[f"y_{axis}"], atol=0.01 * peak + 1e-12
+        )
     assert told.outcome == "completed" and "schedule throughout" in told.text
     lost = replace(SURGE, pressure_sensors=(PressureSensor(0.03, fault="lost"),), sample_time=DT)
     trace = virtual_rig.run(weightless, program, lost, point=ZERO)
-    assert trace.outcome == "completed" and [item[1] for item in program.changes] == [State.FALLING_BACK, State.FIXED]
-    assert program.changes[0][0] == 300 and program.words() == "fixed from 0.03 s (the reading is lost)"
+    assert trace.outcome == "completed" and [item[1] for item in program.changes] == [
+        State.FALLING_BACK,
+        State.FIXED,
+    ]
+    assert (
+        program.changes[0][0] == 300
+        and program.words() == "fixed from 0.03 s (the reading is lost)"
+    )
 
 
 def test_currents_do_not_jump_at_the_change_with_the_rotors_weight_on_them():
     """A hard switch to a controller that did not follow has no current for the weight."""
     steps = {}
-    scenario = Scenario("lost", 0.06, pressure_sensors=(PressureSensor(0.03, fault="lost"),), sample_time=DT)
-    for name, limits, tracking in (("hard", replace(LIMITS, fade=0.0), False), ("bumpless", LIMITS, True)):
+    scenario = Scenario(
+        "lost", 0.06, pressure_sensors=(PressureSensor(0.03, fault="lost"),), sample_time=DT
+    )
+    for name, limits, tracking in (
+        ("hard", replace(LIMITS, fade=0.0), False),
+        ("bumpless", LIMITS, True),
+    ):
         program = supervised(SCHEDULE, PID, RIG, DT, limits, tracking=tracking)
         trace = virtual_rig.run(RIG, program, scenario, point=ZERO)
         u = np.array([trace.record[f"u_{axis}"] for axis in RIG.axes])
@@ -122,7 +174,9 @@ def test_currents_do_not_jump_at_the_change_with_the_rotors_weight_on_them():
 
 
 def test_a_reading_that_is_lost_from_the_start_moves_no_levitated_rotor_far():
-    scenario = Scenario("lost", 0.05, pressure_sensors=(PressureSensor(0.0, fault="lost"),), sample_time=DT)
+    scenario = Scenario(
+        "lost", 0.05, pressure_sensors=(PressureSensor(0.0, fault="lost"),), sample_time=DT
+    )
     program = supervised(SCHEDULE, PID, RIG, DT)
     trace = virtual_rig.run(RIG, program, scenario, point=ZERO)
     assert program.changes[0][:2] == (0, State.FALLING_BACK)

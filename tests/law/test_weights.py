@@ -1,4 +1,6 @@
-"""Weights: values at zero, crossover and infinity in closed form, time responses of what they allow, refusals."""
+"""Weights: values at zero, crossover and infinity in closed form, time responses of what they
+allow, refusals.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,6 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, is_stable, static_gain
-from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.law.weights import (
     Weights,
     control_weight,
@@ -21,6 +22,7 @@ from ambrose.law.weights import (
     performance_weight,
     scale_control,
 )
+from ambrose.machine.file.toml import dumps_machine, loads_machine
 
 
 def gain(system: StateSpace, omega: float) -> float:
@@ -30,7 +32,9 @@ def gain(system: StateSpace, omega: float) -> float:
     return float(np.abs(frequency_response(system, [omega]).values[0, 0, 0]))
 
 
-@pytest.mark.parametrize(("peak", "bandwidth", "error"), [(3.0, 1.5, 1e-3), (2.0, 84.0, 0.01), (1.1, 1e4, 1e-6)])
+@pytest.mark.parametrize(
+    ("peak", "bandwidth", "error"), [(3.0, 1.5, 1e-3), (2.0, 84.0, 0.01), (1.1, 1e4, 1e-6)]
+)
 def test_performance_weight_at_its_three_points(peak, bandwidth, error):
     weight = performance_weight(peak, bandwidth, error)
     assert weight.n_states == 1
@@ -51,7 +55,12 @@ def test_constant_control_weight():
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.floats(1e-3, 0.95), st.floats(10.0, 1e5), st.integers(1, 4), st.one_of(st.none(), st.floats(1.05, 1e3)))
+@given(
+    st.floats(1e-3, 0.95),
+    st.floats(10.0, 1e5),
+    st.integers(1, 4),
+    st.one_of(st.none(), st.floats(1.05, 1e3)),
+)
 def test_high_pass_passes_one_at_its_crossover(level, crossover, order, limit):
     weight = control_weight(level, crossover, order, limit)
     assert weight.n_states == order
@@ -73,7 +82,9 @@ def test_high_pass_rises_with_its_order():
 
 
 def test_integral_time_of_the_weight():
-    """Above A_w w_B the weight is a PI controller (1 + 1/(T_i s))/M: its phase is -45 degrees at 1/T_i."""
+    """Above A_w w_B the weight is a PI controller (1 + 1/(T_i s))/M: its phase is -45 degrees at
+    1/T_i.
+    """
     weight = performance_weight(3.0, 1 / (3.0 * 0.2), 1e-9)
     value = frequency_response(weight, [1 / 0.2]).values[0, 0, 0]
     assert np.angle(value) == pytest.approx(-np.pi / 4, abs=1e-6)
@@ -91,7 +102,9 @@ def test_weights_of_the_bundled_machines():
 
 
 def test_bundled_bandwidths_follow_from_the_printed_times():
-    """P5: integral time close to 0.2 s. P3: the step response of 1/W_p, M exp(-M w_B t), is at 2 % well within 20 ms."""
+    """P5: integral time close to 0.2 s. P3: the step response of 1/W_p, M exp(-M w_B t), is at 2 %
+    well within 20 ms.
+    """
     rig, expander = load_machine("seal-rig").weights, load_machine("turboexpander").weights
     assert rig.bandwidth == pytest.approx(1 / (rig.peak * 0.2), rel=0.11)
     alone = np.log(expander.peak / 0.02) / (expander.peak * 0.02)
@@ -131,7 +144,9 @@ def test_bad_weights_in_a_machine_file(line, words):
 def test_scaling_the_control_weight_keeps_its_shape():
     weights = machine_weights(load_machine("turboexpander"))
     for omega in (0.0, 3e3, 1e5, np.inf):
-        assert gain(scale_control(weights, 2.5).control, omega) == pytest.approx(2.5 * gain(weights.control, omega))
+        assert gain(scale_control(weights, 2.5).control, omega) == pytest.approx(
+            2.5 * gain(weights.control, omega)
+        )
     assert scale_control(weights, 2.5).performance is weights.performance
 
 
@@ -141,17 +156,32 @@ def test_scaling_the_control_weight_keeps_its_shape():
         (lambda: performance_weight(1.0, 1.0), "peak is 1, but must be above 1"),
         (lambda: performance_weight(3.0, 0.0), "bandwidth is 0"),
         (lambda: performance_weight(3.0, 1.0, 0.0), "low_frequency_error is 0"),
-        (lambda: performance_weight(3.0, 1.0, 1.0), "low_frequency_error is 1, but must be below 1"),
+        (
+            lambda: performance_weight(3.0, 1.0, 1.0),
+            "low_frequency_error is 1, but must be below 1",
+        ),
         (lambda: performance_weight(np.nan, 1.0), "peak is nan, but must be finite"),
         (lambda: control_weight(0.0), "level is 0"),
         (lambda: control_weight(0.3, limit=4.0), "left out without a crossover"),
         (lambda: control_weight(1.5, 100.0), "below and above 1"),
         (lambda: control_weight(0.3, 100.0, limit=0.9), "below and above 1"),
         (lambda: control_weight(0.3, 100.0, order=0), "whole number from 1 to 8"),
-        (lambda: machine_weights(replace(load_machine("seal-rig"), weights=None)), r"add a \[weights\] table"),
-        (lambda: Weights(static_gain(np.eye(2)), control_weight(0.3), 1e-5, 1.0), "one input and one output"),
-        (lambda: Weights(StateSpace(0.0, 1.0, 1.0, 1.0), control_weight(0.3), 1e-5, 1.0), "low_frequency_error > 0"),
-        (lambda: Weights(performance_weight(3, 1), control_weight(0.3), 0.0, 1.0), "error_scale is 0"),
+        (
+            lambda: machine_weights(replace(load_machine("seal-rig"), weights=None)),
+            r"add a \[weights\] table",
+        ),
+        (
+            lambda: Weights(static_gain(np.eye(2)), control_weight(0.3), 1e-5, 1.0),
+            "one input and one output",
+        ),
+        (
+            lambda: Weights(StateSpace(0.0, 1.0, 1.0, 1.0), control_weight(0.3), 1e-5, 1.0),
+            "low_frequency_error > 0",
+        ),
+        (
+            lambda: Weights(performance_weight(3, 1), control_weight(0.3), 0.0, 1.0),
+            "error_scale is 0",
+        ),
     ],
 )
 def test_refusals_name_quantity_and_remedy(make, words):

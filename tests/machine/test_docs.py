@@ -1,4 +1,6 @@
-"""docs/machine-file.md names every table and key with its unit and default, and its example is a machine."""
+"""docs/machine-file.md names every table and key with its unit and default, and its example is a
+machine.
+"""
 
 import re
 from dataclasses import MISSING, fields
@@ -24,7 +26,9 @@ def headings(model: type[Table] = MachineFile, path: str = "") -> dict[str, type
             continue
         inner = f"{path}{name}"
         many = str(field.annotation).startswith("list")
-        header = f"[[{inner}]]" if many else f"[{inner}.NAME]" if name == "material" else f"[{inner}]"
+        header = (
+            f"[[{inner}]]" if many else f"[{inner}.NAME]" if name == "material" else f"[{inner}]"
+        )
         found[header] = below
         found |= headings(below, f"{inner}.")
     return found
@@ -41,12 +45,18 @@ def row(model: type[Table], name: str) -> str:
     if hasattr(kind, "dimension"):
         unit = DIMENSIONS[kind.dimension].unit
     else:
-        unit = {"Count": "whole number", "Version": "whole number", "Text": "text", "Choice": "choice", "Choices": "list"}.get(
-            type(kind).__name__, "as the parameter's" if name == "absolute" else "texts"
-        )
-    unit = {"PairOf": f"{unit}, pair", "ListOf": f"{unit}, list", "NestedOf": f"{unit}, nested lists"}.get(
-        type(kind).__name__, unit
-    )
+        unit = {
+            "Count": "whole number",
+            "Version": "whole number",
+            "Text": "text",
+            "Choice": "choice",
+            "Choices": "list",
+        }.get(type(kind).__name__, "as the parameter's" if name == "absolute" else "texts")
+    unit = {
+        "PairOf": f"{unit}, pair",
+        "ListOf": f"{unit}, list",
+        "NestedOf": f"{unit}, nested lists",
+    }.get(type(kind).__name__, unit)
     if hasattr(kind, "options"):
         unit += ": " + ", ".join(f"`{option}`" for option in kind.options)
     return f"| `{field.alias or name}` | {unit} | {default(model, name)} | {field.description} |"
@@ -70,7 +80,9 @@ def default(model: type[Table], name: str) -> str:
 
 @pytest.mark.parametrize("heading", headings())
 def test_every_key_has_its_row(heading):
-    section = re.search(rf"^###? `{re.escape(heading)}`\n(.*?)(?=^##|\Z)", PAGE, re.DOTALL | re.MULTILINE)
+    section = re.search(
+        rf"^###? `{re.escape(heading)}`\n(.*?)(?=^##|\Z)", PAGE, re.DOTALL | re.MULTILINE
+    )
     assert section, f"docs/machine-file.md lacks a section for {heading}"
     missing = [line for line in rows(headings()[heading]) if line not in section[1]]
     assert not missing, "add or correct these rows:\n" + "\n".join(missing)

@@ -1,24 +1,36 @@
-"""The bound on what the cut modes do, against the free rotor in all modes of its mesh: above the error, and not far."""
+"""The bound on what the cut modes do, against the free rotor in all modes of its mesh: above the
+error, and not far.
+"""
 
 import numpy as np
 import pytest
 import scipy.linalg as sla
 
 import ambrose as amb
-from ambrose.model.effects.rotor import finite_element_rotor, plane_rows
 from ambrose.model.basis import in_plane, modes_of, port_positions
 from ambrose.model.cut_modes import compliance_error_bound
+from ambrose.model.effects.rotor import finite_element_rotor, plane_rows
 
 
 def compliance(Phi, frequency, rotor, machine, speed, omega):
     """(w, p, p) [m/N] in the coordinates Phi, of which those with frequencies are damped."""
-    rows, G = plane_rows(rotor, port_positions(machine))[0] @ Phi, Phi.T @ rotor.plane_gyroscopic @ Phi
+    rows, G = (
+        plane_rows(rotor, port_positions(machine))[0] @ Phi,
+        Phi.T @ rotor.plane_gyroscopic @ Phi,
+    )
     own = frequency**2, 2j * machine.modal_damping * frequency
-    return np.array([rows @ np.linalg.solve(np.diag(own[0] - w**2 + w * own[1]) + w * speed * G, rows.T) for w in omega])
+    return np.array(
+        [
+            rows @ np.linalg.solve(np.diag(own[0] - w**2 + w * own[1]) + w * speed * G, rows.T)
+            for w in omega
+        ]
+    )
 
 
 def every_mode(kept, frequency, rotor):
-    """The kept modes and those of their complement, so that both models round alike in what they share."""
+    """The kept modes and those of their complement, so that both models round alike in what they
+    share.
+    """
     M, K = rotor.plane_mass, rotor.plane_stiffness
     rest = sla.null_space(kept.T @ M)
     squares, mix = sla.eigh(rest.T @ K @ rest, rest.T @ M @ rest)
@@ -29,7 +41,10 @@ def every_mode(kept, frequency, rotor):
 @pytest.mark.parametrize("turns", [0.0, 1.0, 5.0])
 def test_bound_holds_and_is_not_far(name, turns):
     machine = amb.load_machine(name)
-    rotor, speed = finite_element_rotor(machine), turns * (machine.operation.speed_range[1] or 600.0)
+    rotor, speed = (
+        finite_element_rotor(machine),
+        turns * (machine.operation.speed_range[1] or 600.0),
+    )
     modes = modes_of(machine, rotor, None)
     Phi, frequency = in_plane(modes), modes.frequencies[0::2]
     kept = {"process-compressor": 66}.get(name, 26)

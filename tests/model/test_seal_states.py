@@ -1,4 +1,6 @@
-"""Seals whose frequency dependence is part of the plant: full, reduced, uncertain; the rig is in test_virtual_rig_accuracy."""
+"""Seals whose frequency dependence is part of the plant: full, reduced, uncertain; the rig is in
+test_virtual_rig_accuracy.
+"""
 
 from dataclasses import replace
 
@@ -10,25 +12,31 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, poles, select
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.parameters import operating_point
-from ambrose.model.effects.seal_rational import linearised, rational
 from ambrose.model.assemble import assemble
+from ambrose.model.effects.seal_rational import linearised, rational
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import free_mode_reduction, modal_reduction, reduce
 from ambrose.model.uncertainty import perturbed, uncertain
 
 MACHINE = load_machine("turboexpander")
-STATES = replace(MACHINE, seals=(replace(MACHINE.seals[0], frequency_dependence="states", poles=5),))
+STATES = replace(
+    MACHINE, seals=(replace(MACHINE.seals[0], frequency_dependence="states", poles=5),)
+)
 POINT = operating_point(MACHINE, "140 Hz (P3)")
 EMPTY = StateSpace([], [], [], [[0.0]])
 OMEGA = 2 * np.pi * np.array([5.0, 60.0, 140.0, 320.0, 700.0])
 
 
 def gain(plant, omega):
-    return frequency_response(select(plant.system, plant.named("u"), plant.named("y")), omega).values
+    return frequency_response(
+        select(plant.system, plant.named("u"), plant.named("y")), omega
+    ).values
 
 
 def small(machine, point=POINT):
-    """Ten bending modes per plane on the free rotor's modes: no reduction that depends on the seal."""
+    """Ten bending modes per plane on the free rotor's modes: no reduction that depends on the
+    seal.
+    """
     return free_mode_reduction(Plant(machine, point, EMPTY, EMPTY, ()), 10)
 
 
@@ -47,7 +55,9 @@ def test_sizes():
     assert reduce(full).rotor.n_states == 8 + 10
     assert free_mode_reduction(full).rotor.n_states == 8 + 10
     without = replace(POINT, seal_pressure=0.0)
-    assert poles(assemble(STATES, without).rotor) == pytest.approx(poles(assemble(MACHINE, without).rotor))
+    assert poles(assemble(STATES, without).rotor) == pytest.approx(
+        poles(assemble(MACHINE, without).rotor)
+    )
 
 
 @pytest.mark.parametrize("bending_modes", [0, 1])
@@ -55,11 +65,15 @@ def test_reduced_plant_follows_the_full_one(bending_modes):
     reduction = modal_reduction(small(STATES), bending_modes)
     truth = gain(small(STATES), OMEGA[:4])
     assert np.abs(gain(reduction.plant, OMEGA[:4]) - truth).max() < 5e-3 * np.abs(truth).max()
-    assert reduction.T_L @ reduction.T_R == pytest.approx(np.eye(reduction.plant.rotor.n_states), abs=1e-8)
+    assert reduction.T_L @ reduction.T_R == pytest.approx(
+        np.eye(reduction.plant.rotor.n_states), abs=1e-8
+    )
 
 
 def test_tolerances_move_the_static_stiffness_and_what_comes_with_motion():
-    """K_xx adds 40 % of H_d(0) at the seal, C_xx 40 % of H_d(s) - H_d(0), both 40 % of H_d; k_xy, c_xy the same of H_c."""
+    """K_xx adds 40 % of H_d(0) at the seal, C_xx 40 % of H_d(s) - H_d(0), both 40 % of H_d; k_xy,
+    c_xy the same of H_c.
+    """
     full = small(STATES)
     ports = ["f_piston_x", "f_piston_y"], ["q_piston_x", "q_piston_y"]
 
@@ -67,7 +81,12 @@ def test_tolerances_move_the_static_stiffness_and_what_comes_with_motion():
         return np.linalg.inv(frequency_response(select(plant.system, *ports), OMEGA).values)
 
     def change(**delta):
-        return stiffness(perturbed(full, {f"seal.piston.{name}": value for name, value in delta.items()})) - before
+        return (
+            stiffness(
+                perturbed(full, {f"seal.piston.{name}": value for name, value in delta.items()})
+            )
+            - before
+        )
 
     before, model = stiffness(full), rational(STATES.seals[0], POINT.seal_pressure)
     at = [linearised(model, w) for w in OMEGA]

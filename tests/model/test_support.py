@@ -1,4 +1,6 @@
-"""Supports under bearings and modes of the casing: plant, reduction, uncertainty, rig, and a model assembled by hand."""
+"""Supports under bearings and modes of the casing: plant, reduction, uncertainty, rig, and a model
+assembled by hand.
+"""
 
 from dataclasses import replace
 
@@ -9,13 +11,13 @@ import scipy.linalg as sla
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import CasingMode, OperatingPoint, Support, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.file.update import update_machine_file
+from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
-from ambrose.model.assemble import assemble
-from ambrose.law.loop import closed_loop
 from ambrose.model.reduce import free_mode_reduction, modal_reduction, reduce
 from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.pid import pid_controller
@@ -36,25 +38,38 @@ def poles(A):
 
 
 def by_hand(machine, speed, sensors_move=True):
-    """The rigid rotor on its magnets' negative stiffness and two pedestals: x, y, tilt about y and -x; then the pedestals.
+    """The rigid rotor on its magnets' negative stiffness and two pedestals: x, y, tilt about y and
+    -x; then the pedestals.
 
-    Newton's and Euler's equations written out: forces at the bearings pull at rotor and pedestal; A, C of the displacements of
-    the rotor from its pedestals at the bearings in x and y.
+    Newton's and Euler's equations written out: forces at the bearings pull at rotor and pedestal;
+    A, C of the displacements of the rotor from its pedestals at the bearings in x and y.
     """
     body = mass_properties(finite_element_rotor(machine))
     arms = [b.position - body.centre for b in machine.bearings]
-    rotor = np.array([[1, 0, z, 0] for z in arms] + [[0, 1, 0, z] for z in arms], float)[[0, 2, 1, 3]]  # A_x A_y B_x B_y
-    turn, k_mag, k_ped, c_ped, m_ped = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), []
+    # A_x A_y B_x B_y
+    rotor = np.array([[1, 0, z, 0] for z in arms] + [[0, 1, 0, z] for z in arms], float)[
+        [0, 2, 1, 3]
+    ]
+    turn = np.zeros((4, 4))
+    k_mag = np.zeros((4, 4))
+    k_ped = np.zeros((4, 4))
+    c_ped = np.zeros((4, 4))
+    m_ped = []
     for i, (b, s) in enumerate(zip(machine.bearings, machine.supports, strict=True)):
         own = slice(2 * i, 2 * i + 2)
         R = np.array([[np.cos(b.angle), np.sin(b.angle)], [-np.sin(b.angle), np.cos(b.angle)]])
         turn[own, own] = R
         k_mag[own, own] = R.T @ np.diag(magnet.linearised(b, None).negative_stiffness) @ R
         P = np.array([[np.cos(s.angle), np.sin(s.angle)], [-np.sin(s.angle), np.cos(s.angle)]])
-        k_ped[own, own], c_ped[own, own] = P.T @ np.diag(s.stiffness) @ P, P.T @ np.diag(s.damping) @ P
+        k_ped[own, own], c_ped[own, own] = (
+            P.T @ np.diag(s.stiffness) @ P,
+            P.T @ np.diag(s.damping) @ P,
+        )
         m_ped.append(P.T @ np.diag(s.mass) @ P)
     N = np.hstack([rotor, -np.eye(4)])
-    M = sla.block_diag(np.diag([body.mass, body.mass, body.diametral_inertia, body.diametral_inertia]), *m_ped)
+    M = sla.block_diag(
+        np.diag([body.mass, body.mass, body.diametral_inertia, body.diametral_inertia]), *m_ped
+    )
     G = np.zeros((8, 8))
     G[2, 3], G[3, 2] = body.polar_inertia, -body.polar_inertia
     K = sla.block_diag(np.zeros((4, 4)), k_ped) - N.T @ k_mag @ N
@@ -75,14 +90,17 @@ def test_a_rigid_rotor_on_two_pedestals_is_the_model_assembled_by_hand(speed):
     found, expected = poles(plant.rotor.A), poles(A)
     assert len(found) == 16
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
-    # displacement from the pedestal by a force between rotor and pedestal, and by one on the rotor alone
+    # displacement from the pedestal by a force between rotor and pedestal, and by one on the rotor
+    # alone
     names = ["A_zeta", "A_eta", "B_zeta", "B_eta"]
     rotor = plant.rotor
     H = frequency_response(rotor, OMEGA).values
     at = [rotor.outputs.index(f"q_{n}") for n in names]
     for kind, rows in (("f", C), ("o", np.hstack([C[:, :4], np.zeros((4, 4))]))):
         B = np.vstack([np.zeros((8, 4)), np.linalg.solve(M, rows.T)])
-        wide = np.array([np.hstack([C, 0 * C]) @ np.linalg.solve(1j * w * np.eye(16) - A, B) for w in OMEGA])
+        wide = np.array(
+            [np.hstack([C, 0 * C]) @ np.linalg.solve(1j * w * np.eye(16) - A, B) for w in OMEGA]
+        )
         mine = H[:, at][:, :, [rotor.inputs.index(f"{kind}_{n}") for n in names]]
         np.testing.assert_allclose(mine, wide, rtol=0, atol=1e-9 * np.abs(wide).max())
 
@@ -91,8 +109,12 @@ def test_forces_between_rotor_and_stator_are_reciprocal_and_pedestals_only_take_
     machine = replace(STOOD, seals=tuple(replace(s, k=0.0) for s in STOOD.seals), tolerances=())
     rotor = assemble(bare(machine), STILL).rotor
     H = frequency_response(rotor, OMEGA).values
-    between = H[:, [rotor.outputs.index(f"q_{n}") for n in ("A_zeta", "A_eta", "B_zeta", "B_eta")]][:, :, :4]
-    np.testing.assert_allclose(between, between.transpose(0, 2, 1), rtol=0, atol=1e-9 * np.abs(between).max())
+    between = H[:, [rotor.outputs.index(f"q_{n}") for n in ("A_zeta", "A_eta", "B_zeta", "B_eta")]][
+        :, :, :4
+    ]
+    np.testing.assert_allclose(
+        between, between.transpose(0, 2, 1), rtol=0, atol=1e-9 * np.abs(between).max()
+    )
     power = (1j * OMEGA[:, None, None] * between).real  # of velocity over force
     passive = 0.5 * (power + power.transpose(0, 2, 1))
     assert np.linalg.eigvalsh(passive).min() > -1e-9 * np.abs(passive).max()
@@ -127,16 +149,22 @@ def test_the_reduction_keeps_the_supports(modes):
     whole = np.linalg.eigvals(full.rotor.A)
     gap = [np.abs(whole - value).min() for value in A]
     assert max(gap) < 1e-3 * np.abs(A).max()
-    np.testing.assert_allclose(reduction.T_L @ reduction.T_R, np.eye(small.rotor.n_states), atol=1e-9)
+    np.testing.assert_allclose(
+        reduction.T_L @ reduction.T_R, np.eye(small.rotor.n_states), atol=1e-9
+    )
 
 
 def test_negative_stiffness_acts_on_the_motion_between_rotor_and_support():
-    """A tolerance moves the plant as other coefficients do; with the stator's motion left out it would not."""
+    """A tolerance moves the plant as other coefficients do; with the stator's motion left out it
+    would not.
+    """
     name, path = "A", "bearing.A.negative_stiffness"
     tolerance = Tolerance(path, relative=0.1)
     moved = perturbed(assemble(STOOD), {path: 1.0}, (tolerance,))
     bearings = tuple(
-        replace(b, negative_stiffness=tuple(k * (1 + tolerance.relative) for k in b.negative_stiffness))
+        replace(
+            b, negative_stiffness=tuple(k * (1 + tolerance.relative) for k in b.negative_stiffness)
+        )
         if b.name == name
         else b
         for b in STOOD.bearings
@@ -157,7 +185,9 @@ def test_sensors_on_the_ground_see_the_rotor_and_not_the_gap():
 
 
 def test_a_support_is_two_modes_of_a_casing():
-    """The same mechanism: given as receptance modes, the pedestals are the same plant; so is a seal on them."""
+    """The same mechanism: given as receptance modes, the pedestals are the same plant; so is a seal
+    on them.
+    """
     modes = []
     held = tuple(replace(s, seals=("center",) if s.bearing == "A" else ()) for s in PEDESTALS)
     for s in held:
@@ -166,8 +196,15 @@ def test_a_support_is_two_modes_of_a_casing():
             w = np.sqrt(s.stiffness[way] / s.mass[way])
             c, d = np.cos(s.angle + way * np.pi / 2), np.sin(s.angle + way * np.pi / 2)
             ratio = s.damping[way] / (2 * s.mass[way] * w)
-            modes.append(CasingMode(float(w), s.mass[way], at, (float(c),) * len(at), (float(d),) * len(at), ratio))
-    one, two = (assemble(item).system for item in (replace(RIG, supports=held), replace(RIG, casing_modes=tuple(modes))))
+            modes.append(
+                CasingMode(
+                    float(w), s.mass[way], at, (float(c),) * len(at), (float(d),) * len(at), ratio
+                )
+            )
+    one, two = (
+        assemble(item).system
+        for item in (replace(RIG, supports=held), replace(RIG, casing_modes=tuple(modes)))
+    )
     H, G = (frequency_response(item, OMEGA).values for item in (two, one))
     np.testing.assert_allclose(H, G, rtol=0, atol=1e-9 * np.abs(G).max())
 
@@ -179,24 +216,53 @@ def test_files_say_it_and_refusals_say_why():
     first = PEDESTALS[0]
     for supports, modes, message in (
         ((replace(first, bearing="C"),), (), r'\[\[support\]\] C: bearing "C" is unknown; '),
-        ((first, first), (), r'"A" stands on an earlier \[\[support\]\] already; merge the two, or add a \[\[casing_mode\]\]'),
+        (
+            (first, first),
+            (),
+            r'"A" stands on an earlier \[\[support\]\] already; merge the two, or add a '
+            r"\[\[casing_mode\]\]",
+        ),
         (
             (replace(first, mass=(0.0, 1.0)),),
             (),
             r"mass \(x\) is 0 kg, but must be positive; leave the support out for a rigid",
         ),
-        ((replace(first, stiffness=(1e7, -1.0)),), (), r"stiffness \(y\) is -1 N/m, but must be positive"),
-        ((replace(first, damping=(-1.0, 0.0)),), (), r"damping \(x\) is -1 .* zero or positive; a support takes energy"),
-        ((replace(first, sensor="wall"),), (), 'sensor is "?.?wall.*one of support, ground; choose one of them'),
+        (
+            (replace(first, stiffness=(1e7, -1.0)),),
+            (),
+            r"stiffness \(y\) is -1 N/m, but must be positive",
+        ),
+        (
+            (replace(first, damping=(-1.0, 0.0)),),
+            (),
+            r"damping \(x\) is -1 .* zero or positive; a support takes energy",
+        ),
+        (
+            (replace(first, sensor="wall"),),
+            (),
+            'sensor is "?.?wall.*one of support, ground; choose one of them',
+        ),
         ((replace(first, seals=("lid",)),), (), r'seals "lid" is unknown; '),
-        ((), (CasingMode(500.0, 300.0, ("A", "B"), (1.0,)),), "x is a list of 1, but must be a list of 2, one per name in at"),
-        ((), (CasingMode(500.0, 300.0, ("A", "A"), (1.0, 1.0)),), 'at names "A" twice; name it once'),
+        (
+            (),
+            (CasingMode(500.0, 300.0, ("A", "B"), (1.0,)),),
+            "x is a list of 1, but must be a list of 2, one per name in at",
+        ),
+        (
+            (),
+            (CasingMode(500.0, 300.0, ("A", "A"), (1.0, 1.0)),),
+            'at names "A" twice; name it once',
+        ),
         (
             (),
             (CasingMode(500.0, 300.0, ("A",)),),
             "x and y are zero or missing, so that it moves nothing; give the deflections",
         ),
-        ((), (CasingMode(0.0, 300.0, ("A",), (1.0,)),), "frequency is 0 rad/s, but must be positive"),
+        (
+            (),
+            (CasingMode(0.0, 300.0, ("A",), (1.0,)),),
+            "frequency is 0 rad/s, but must be positive",
+        ),
     ):
         with pytest.raises(InvalidInput, match=message) as caught:
             replace(RIG, supports=supports, casing_modes=modes)

@@ -35,16 +35,32 @@ def scaled(pair, index, factor):
 
 def with_bearing(m, name, field, index, factor):
     change = {b.name: b for b in m.bearings}
-    change[name] = replace(change[name], **{field: scaled(getattr(change[name], field), index, factor)})
+    change[name] = replace(
+        change[name], **{field: scaled(getattr(change[name], field), index, factor)}
+    )
     return replace(m, bearings=tuple(change.values()))
 
 
 def with_seal(m, letters, factor):
-    return replace(m, seals=(replace(m.seals[0], **{letter: getattr(m.seals[0], letter) * factor for letter in letters}),))
+    return replace(
+        m,
+        seals=(
+            replace(
+                m.seals[0], **{letter: getattr(m.seals[0], letter) * factor for letter in letters}
+            ),
+        ),
+    )
 
 
 def with_coupling(m, field, index, factor):
-    return replace(m, couplings=(replace(m.couplings[0], **{field: scaled(getattr(m.couplings[0], field), index, factor)}),))
+    return replace(
+        m,
+        couplings=(
+            replace(
+                m.couplings[0], **{field: scaled(getattr(m.couplings[0], field), index, factor)}
+            ),
+        ),
+    )
 
 
 CASES = {
@@ -53,17 +69,34 @@ CASES = {
     "seal.center.C": (2, lambda m, f: with_seal(m, "C", f)),
     "seal.center.c": (2, lambda m, f: with_seal(m, "c", f)),
     "seal.center.pressure": (2, lambda m, f: with_seal(m, "KkCc", f)),
-    "bearing.A.negative_stiffness": (2, lambda m, f: with_bearing(m, "A", "negative_stiffness", (0, 1), f)),
-    "bearing.B.negative_stiffness.eta": (1, lambda m, f: with_bearing(m, "B", "negative_stiffness", (1,), f)),
-    "bearing.A.force_per_current": (2, lambda m, f: with_bearing(m, "A", "force_per_current", (0, 1), f)),
-    "bearing.B.force_per_current.zeta": (1, lambda m, f: with_bearing(m, "B", "force_per_current", (0,), f)),
+    "bearing.A.negative_stiffness": (
+        2,
+        lambda m, f: with_bearing(m, "A", "negative_stiffness", (0, 1), f),
+    ),
+    "bearing.B.negative_stiffness.eta": (
+        1,
+        lambda m, f: with_bearing(m, "B", "negative_stiffness", (1,), f),
+    ),
+    "bearing.A.force_per_current": (
+        2,
+        lambda m, f: with_bearing(m, "A", "force_per_current", (0, 1), f),
+    ),
+    "bearing.B.force_per_current.zeta": (
+        1,
+        lambda m, f: with_bearing(m, "B", "force_per_current", (0,), f),
+    ),
     "coupling.coupling.stiffness": (2, lambda m, f: with_coupling(m, "stiffness", (0, 1), f)),
     "coupling.coupling.damping.zeta": (1, lambda m, f: with_coupling(m, "damping", (0,), f)),
     "amplifier.natural_frequency": (
         8,
-        lambda m, f: replace(m, amplifier=replace(m.amplifier, natural_frequency=m.amplifier.natural_frequency * f)),
+        lambda m, f: replace(
+            m, amplifier=replace(m.amplifier, natural_frequency=m.amplifier.natural_frequency * f)
+        ),
     ),
-    "amplifier.damping": (4, lambda m, f: replace(m, amplifier=replace(m.amplifier, damping=m.amplifier.damping * f))),
+    "amplifier.damping": (
+        4,
+        lambda m, f: replace(m, amplifier=replace(m.amplifier, damping=m.amplifier.damping * f)),
+    ),
 }
 
 
@@ -91,21 +124,31 @@ def test_amplifier_bandwidth(machine, amplifier, parameter):
     m = replace(machine, amplifier=amplifier)
     path = f"amplifier.{parameter}"
     ours = perturbed(assemble(m), {path: -0.5}, [Tolerance(path, relative=0.4)])
-    truth = assemble(replace(m, amplifier=replace(amplifier, **{parameter: getattr(amplifier, parameter) * 0.8})))
-    assert response(ours) == pytest.approx(response(truth), rel=1e-6, abs=1e-9 * np.abs(response(truth)).max())
+    truth = assemble(
+        replace(m, amplifier=replace(amplifier, **{parameter: getattr(amplifier, parameter) * 0.8}))
+    )
+    assert response(ours) == pytest.approx(
+        response(truth), rel=1e-6, abs=1e-9 * np.abs(response(truth)).max()
+    )
 
 
 def stiffer(machine, factor):
     """All bending frequencies times ``factor``, their damping coefficients 2 zeta omega kept."""
     shaft = tuple(
-        replace(s, material=replace(s.material, youngs_modulus=s.material.youngs_modulus * factor**2)) for s in machine.shaft
+        replace(
+            s, material=replace(s.material, youngs_modulus=s.material.youngs_modulus * factor**2)
+        )
+        for s in machine.shaft
     )
     return replace(machine, shaft=shaft, modal_damping=machine.modal_damping / factor)
 
 
 @pytest.mark.parametrize(
     ("quantity", "change"),
-    [("frequency", stiffer), ("damping", lambda m, f: replace(m, modal_damping=m.modal_damping * f))],
+    [
+        ("frequency", stiffer),
+        ("damping", lambda m, f: replace(m, modal_damping=m.modal_damping * f)),
+    ],
 )
 @pytest.mark.parametrize("delta", [-1.0, 0.7])
 def test_a_bending_mode_moves_as_a_changed_shaft(machine, quantity, change, delta):
@@ -118,12 +161,19 @@ def test_a_bending_mode_moves_as_a_changed_shaft(machine, quantity, change, delt
     ours = response(perturbed(free_mode_reduction(full, 1), {path: delta}))
     truth = response(free_mode_reduction(assemble(change(machine, 1 + 0.3 * delta)), 1))
     assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
-    whole, reduced = response(perturbed(full, {path: delta})), response(perturbed(reduce(full, 3), {path: delta}))
-    assert np.abs(reduced[:, :4, :4] - whole[:, :4, :4]).max() < 1e-3 * np.abs(whole[:, :4, :4]).max()
+    whole, reduced = (
+        response(perturbed(full, {path: delta})),
+        response(perturbed(reduce(full, 3), {path: delta})),
+    )
+    assert (
+        np.abs(reduced[:, :4, :4] - whole[:, :4, :4]).max() < 1e-3 * np.abs(whole[:, :4, :4]).max()
+    )
 
 
 def test_a_bending_mode_without_port_is_refused(machine):
-    with pytest.raises(InvalidInput, match=r"no port in this plant; name it in a \[\[tolerance\]\]"):
+    with pytest.raises(
+        InvalidInput, match=r"no port in this plant; name it in a \[\[tolerance\]\]"
+    ):
         uncertain(assemble(machine), [Tolerance("rotor.bending_1.damping", relative=0.3)])
 
 
@@ -139,9 +189,13 @@ def test_absolute_width_serves_a_zero_nominal(machine):
     m = with_seal(machine, "K", 0.0)
     with pytest.raises(InvalidInput, match=r"seal\.center\.K.*absolute"):
         uncertain(assemble(m), [Tolerance("seal.center.K", relative=0.1)])
-    ours = perturbed(assemble(m), {"seal.center.K": -1.0}, [Tolerance("seal.center.K", absolute=2e5)])
+    ours = perturbed(
+        assemble(m), {"seal.center.K": -1.0}, [Tolerance("seal.center.K", absolute=2e5)]
+    )
     truth = assemble(replace(m, seals=(replace(m.seals[0], K=-2e5),)))
-    assert response(ours) == pytest.approx(response(truth), rel=1e-6, abs=1e-9 * np.abs(response(truth)).max())
+    assert response(ours) == pytest.approx(
+        response(truth), rel=1e-6, abs=1e-9 * np.abs(response(truth)).max()
+    )
 
 
 def at_pressure(m, pressure):
@@ -156,26 +210,37 @@ def tabulated(m, pressures, **values):
 
 
 def test_the_pressure_moves_what_follows_it_as_one_block(machine):
-    """Closed at a pressure, the block gives the plant that is assembled there: of constants, of a line, without pressure."""
+    """Closed at a pressure, the block gives the plant that is assembled there: of constants, of a
+    line, without pressure.
+    """
     line = tabulated(machine, (0.0, 5e5), K=(1e5, 2e5), k=(0.0, 8e6), C=(-50.0, 6e3))
     for m, nominal in ((machine, 2.04e5), (line, 2.04e5), (machine, 0.0)):
         plant = assemble(m, replace(m.operation.nominal, seal_pressure=nominal))
         tolerance = Tolerance("seal.center.pressure", absolute=2.04e5)
         assert uncertain(plant, [tolerance]).blocks == (RealBlock("seal.center.pressure", 2),)
-        ours, truth = response(perturbed(plant, {tolerance.parameter: 1.0}, [tolerance])), at_pressure(m, nominal + 2.04e5)
+        ours, truth = (
+            response(perturbed(plant, {tolerance.parameter: 1.0}, [tolerance])),
+            at_pressure(m, nominal + 2.04e5),
+        )
         assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
 
 
 def test_the_pressure_moves_the_states_of_a_seal(machine):
     omega = tuple(np.geomspace(10.0, 2000.0, 12))
     rise = np.array(omega) / (np.array(omega) + 300.0)
-    table = SealTable((("frequency", omega),), (("K", tuple(4e5 * rise)), ("k", tuple(3e6 + 1e6 * rise))))
-    seal = replace(machine.seals[0], K=0.0, k=0.0, table=table, frequency_dependence="states", poles=2)
+    table = SealTable(
+        (("frequency", omega),), (("K", tuple(4e5 * rise)), ("k", tuple(3e6 + 1e6 * rise)))
+    )
+    seal = replace(
+        machine.seals[0], K=0.0, k=0.0, table=table, frequency_dependence="states", poles=2
+    )
     m = replace(machine, seals=(seal,))
     ours = response(perturbed(assemble(m), {"seal.center.pressure": -0.5}))
     truth = at_pressure(m, 1.02e5)
     assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
-    with pytest.raises(InvalidInput, match=r"pressure of seal center with states is 0.*under pressure"):
+    with pytest.raises(
+        InvalidInput, match=r"pressure of seal center with states is 0.*under pressure"
+    ):
         uncertain(assemble(m, m.operation.points[1]))
     with pytest.raises(InvalidInput, match=r"states are not proportional.*name all"):
         reason = (("seal.center.scales_with_pressure", "a test"),)
@@ -184,7 +249,10 @@ def test_the_pressure_moves_the_states_of_a_seal(machine):
 
 def test_a_coefficient_and_the_pressure_add_up(machine):
     """A coefficient's own tolerance says how well it is known at a pressure."""
-    plant, both = assemble(machine), [Tolerance("seal.center.pressure", relative=1.0), Tolerance("seal.center.k", relative=0.1)]
+    plant, both = (
+        assemble(machine),
+        [Tolerance("seal.center.pressure", relative=1.0), Tolerance("seal.center.k", relative=0.1)],
+    )
     ours = response(perturbed(plant, {"seal.center.pressure": 0.5, "seal.center.k": -1.0}, both))
     truth = response(assemble(with_seal(with_seal(machine, "KCc", 1.5), "k", 1.4)))
     assert ours == pytest.approx(truth, rel=1e-6, abs=1e-9 * np.abs(truth).max())
@@ -193,23 +261,36 @@ def test_a_coefficient_and_the_pressure_add_up(machine):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda m: replace(m.seals[0], scales_with_pressure=()), "no coefficient of the seal follows the pressure; name"),
-        (lambda m: replace(m.seals[0], M=0.1, scales_with_pressure=("K", "k", "C", "c", "M")), "added mass.*keep M constant"),
+        (
+            lambda m: replace(m.seals[0], scales_with_pressure=()),
+            "no coefficient of the seal follows the pressure; name",
+        ),
+        (
+            lambda m: replace(m.seals[0], M=0.1, scales_with_pressure=("K", "k", "C", "c", "M")),
+            "added mass.*keep M constant",
+        ),
         (
             lambda m: tabulated(m, (0.0, 2e5, 4e5), K=(0.0, 1.0, 3.0), k=(0.0, 2.0, 4.0)).seals[0],
             "not on a straight line over the pressure.*: K; leave",
         ),
-        (lambda m: coarse("turboexpander").seals[0], "flow of .* is not proportional to the pressure; leave"),
+        (
+            lambda m: coarse("turboexpander").seals[0],
+            "flow of .* is not proportional to the pressure; leave",
+        ),
     ],
 )
 def test_a_pressure_that_is_no_straight_line_is_refused(machine, change, reason):
     seal = replace(change(machine), name="center", position=0.43)
-    with pytest.raises(InvalidInput, match=f'"seal.center.pressure" cannot be uncertain: .*{reason}'):
+    with pytest.raises(
+        InvalidInput, match=f'"seal.center.pressure" cannot be uncertain: .*{reason}'
+    ):
         replace(machine, seals=(seal,))
 
 
 def test_a_relative_tolerance_of_no_pressure_is_refused(machine):
-    with pytest.raises(InvalidInput, match=r"seal\.center\.pressure is 0, but must be non-zero.*absolute"):
+    with pytest.raises(
+        InvalidInput, match=r"seal\.center\.pressure is 0, but must be non-zero.*absolute"
+    ):
         uncertain(assemble(machine, machine.operation.points[1]))
 
 
@@ -240,8 +321,13 @@ def test_no_tolerance_at_all(machine):
         uncertain(assemble(replace(machine, tolerances=())))
 
 
-# A perturbed plant stays perturbed. Before, its reduction and its uncertainty were silently those of the nominal plant.
-DELTA = {"seal.center.k": 0.8, "bearing.A.negative_stiffness": -1.0, "amplifier.natural_frequency": 0.5}
+# A perturbed plant stays perturbed. Before, its reduction and its uncertainty were silently those
+# of the nominal plant.
+DELTA = {
+    "seal.center.k": 0.8,
+    "bearing.A.negative_stiffness": -1.0,
+    "amplifier.natural_frequency": 0.5,
+}
 TOLERANCES = tuple(Tolerance(path, relative=0.3) for path in DELTA)
 
 
@@ -266,7 +352,9 @@ def truth(machine):
 def test_reduction_of_a_perturbed_plant_is_perturbed(plant, moved, truth, fewer):
     small = fewer(moved)
     assert small.offsets == moved.offsets
-    assert response(small) == pytest.approx(response(perturbed(fewer(plant), DELTA, TOLERANCES)), rel=1e-9)
+    assert response(small) == pytest.approx(
+        response(perturbed(fewer(plant), DELTA, TOLERANCES)), rel=1e-9
+    )
     slow = slice(0, 3)
     ours, nominal, wanted = (response(fewer(p))[slow, :4, :4] for p in (moved, plant, truth))
     error, shift = (np.abs(x - wanted).max() for x in (ours, nominal))
@@ -280,7 +368,9 @@ def test_uncertainty_is_centred_on_the_perturbed_plant(plant, moved):
     box = uncertain(moved, band)
     assert box.blocks == (RealBlock("seal.center.k", 2),)
     closed = close_uncertainty(box, {"seal.center.k": 1.0})
-    ours = frequency_response(select(closed, plant.system.inputs, plant.system.outputs), OMEGA).values
+    ours = frequency_response(
+        select(closed, plant.system.inputs, plant.system.outputs), OMEGA
+    ).values
     wider = DELTA | {"seal.center.k": 0.8 + 1 / 3}
     truth = response(perturbed(plant, wider, TOLERANCES))
     assert ours == pytest.approx(truth, rel=1e-8, abs=1e-12 * np.abs(truth).max())

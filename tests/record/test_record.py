@@ -18,19 +18,32 @@ from ambrose.record.files import read_record, write_record
 from ambrose.record.record import RESERVED, Record, si_values, signal_dimension
 
 ROOT = Path(__file__).parents[2]
-POINT = OperatingPoint(speed=3298.6722862692827, seal_pressure=2.04e5, bias_current=6.0, label="nominal, 2.04 bar")
+POINT = OperatingPoint(
+    speed=3298.6722862692827, seal_pressure=2.04e5, bias_current=6.0, label="nominal, 2.04 bar"
+)
 
 
 @pytest.fixture
 def record():
     values = np.random.default_rng(3).standard_normal((3, 40)) * [[1e-5], [0.1], [100.0]]
     notes = (("operator", "J. Doe: zweite Schicht, 20 °C"), ("empty", ""))
-    return Record("seal-rig", 9999.7, ("y_A_zeta", "e_B_eta", "f_center_x"), ("m", "A", "N"), values, POINT, 0.25, notes)
+    return Record(
+        "seal-rig",
+        9999.7,
+        ("y_A_zeta", "e_B_eta", "f_center_x"),
+        ("m", "A", "N"),
+        values,
+        POINT,
+        0.25,
+        notes,
+    )
 
 
 @pytest.fixture
 def csv(record, tmp_path):
-    """The lines of a good CSV file, and a function that writes them changed and reads the result."""
+    """The lines of a good CSV file, and a function that writes them changed and reads the
+    result.
+    """
     path = write_record(record, tmp_path / "good.csv")
 
     def read(change):
@@ -61,7 +74,9 @@ def set_line(start, new):
 
 @pytest.fixture(autouse=True)
 def read_here(monkeypatch):
-    """No trial in a process apart, which reads the same way in half a second; tests/machine/test_limits.py looks at it."""
+    """No trial in a process apart, which reads the same way in half a second;
+    tests/machine/test_limits.py looks at it.
+    """
     monkeypatch.setattr(apart, "try_record", lambda path: None)
 
 
@@ -77,10 +92,17 @@ def test_round_trip_is_bit_exact(record, tmp_path, suffix):
 
 def test_hdf5_layout_is_the_published_one(record, tmp_path):
     with h5py.File(write_record(record, tmp_path / "r.h5")) as file:
-        assert (file.attrs["format"], file.attrs["version"], file.attrs["machine"]) == (b"ambrose-record", 1, b"seal-rig")
+        assert (file.attrs["format"], file.attrs["version"], file.attrs["machine"]) == (
+            b"ambrose-record",
+            1,
+            b"seal-rig",
+        )
         assert file.attrs["sample_rate_hz"] == 9999.7
         assert file.attrs["speed_rad_s"] == POINT.speed and file.attrs["seal_pressure_pa"] == 2.04e5
-        assert file["signals/y_A_zeta"].dtype == np.float64 and file["signals/y_A_zeta"].attrs["unit"] == b"m"
+        assert (
+            file["signals/y_A_zeta"].dtype == np.float64
+            and file["signals/y_A_zeta"].attrs["unit"] == b"m"
+        )
 
 
 def test_csv_header_is_the_published_one(record, tmp_path):
@@ -92,9 +114,13 @@ def test_csv_header_is_the_published_one(record, tmp_path):
 def test_access_by_name_and_time(record):
     assert np.array_equal(record["e_B_eta"], record.values[1])
     assert record.select(["f_center_x", "y_A_zeta"]).units == ("N", "m")
-    assert record.time[0] == 0.25 and record.time[1] - record.time[0] == pytest.approx(1 / 9999.7, rel=1e-9)
+    assert record.time[0] == 0.25 and record.time[1] - record.time[0] == pytest.approx(
+        1 / 9999.7, rel=1e-9
+    )
     part = record.between(record.time[10], record.time[20])
-    assert part.start_time == record.time[10] and np.array_equal(part.values, record.values[:, 10:20])
+    assert part.start_time == record.time[10] and np.array_equal(
+        part.values, record.values[:, 10:20]
+    )
     with pytest.raises(ValueError, match="read-only"):
         record.values[0, 0] = 1.0
     with pytest.raises(InvalidInput, match=r"y_A_eta.*it has y_A_zeta, e_B_eta"):
@@ -120,12 +146,18 @@ def test_units_are_converted_on_reading(csv, record):
 def test_units_are_converted_on_reading_hdf5(record, tmp_path):
     path = write_record(record, tmp_path / "r.h5")
     with h5py.File(path, "a") as file:
-        file["signals/y_A_zeta"].attrs["unit"] = "thou"  # a thousandth of an inch, known to pint only
+        # a thousandth of an inch, known to pint only
+        file["signals/y_A_zeta"].attrs["unit"] = "thou"
     assert read_record(path)["y_A_zeta"] == pytest.approx(record["y_A_zeta"] * 25.4e-6, rel=1e-12)
 
 
 def test_unit_of_a_signal():
-    assert [signal_dimension(f"{prefix}_A_zeta").unit for prefix in ("y", "u", "f", "qdot")] == ["m", "A", "N", "m/s"]
+    assert [signal_dimension(f"{prefix}_A_zeta").unit for prefix in ("y", "u", "f", "qdot")] == [
+        "m",
+        "A",
+        "N",
+        "m/s",
+    ]
     assert si_values("p_inlet", "bar", np.array([2.0]))[0] == [2e5]
     assert si_values("speed_rotor", "rpm", np.array([30.0]))[0] == pytest.approx([np.pi])
     assert si_values("valve", "%", np.array([40.0]))[0] == pytest.approx([0.4])
@@ -140,7 +172,9 @@ def test_rate_without_statement_comes_from_the_times(csv):
 
 def test_csv_from_a_spreadsheet_is_read(csv, record, tmp_path):
     path = write_record(record, tmp_path / "s.csv")
-    text = "".join(line for line in path.read_text().splitlines(keepends=True) if "samples" not in line)
+    text = "".join(
+        line for line in path.read_text().splitlines(keepends=True) if "samples" not in line
+    )
     path.write_bytes(b"\xef\xbb\xbf" + text.rstrip("\n").replace("\n", "\r\n").encode())
     assert np.array_equal(read_record(path).values, record.values)
 
@@ -150,14 +184,23 @@ def test_csv_from_a_spreadsheet_is_read(csv, record, tmp_path):
     [
         ({"values": np.zeros((2, 40))}, "one row per signal"),
         ({"values": np.zeros((3, 0))}, "k > 0"),
-        ({"values": np.vstack([np.zeros((2, 4)), [[0, 0, np.nan, 0]]])}, r"f_center_x at sample 2 \(t = 0.2502 s\) is nan"),
-        ({"values": np.vstack([np.full((1, 4), np.inf), np.zeros((2, 4))])}, "y_A_zeta at sample 0"),
+        (
+            {"values": np.vstack([np.zeros((2, 4)), [[0, 0, np.nan, 0]]])},
+            r"f_center_x at sample 2 \(t = 0.2502 s\) is nan",
+        ),
+        (
+            {"values": np.vstack([np.full((1, 4), np.inf), np.zeros((2, 4))])},
+            "y_A_zeta at sample 0",
+        ),
         ({"sample_rate_hz": 0.0}, "sample_rate_hz"),
         ({"sample_rate_hz": float("nan")}, "sample_rate_hz"),
         ({"start_time": float("inf")}, "start_time"),
         ({"signals": ("y_A_zeta", "y_A_zeta", "f_center_x"), "units": ("m", "m", "N")}, "unique"),
         ({"signals": ("y A", "e_B_eta", "f_center_x")}, "letters, digits"),
-        ({"signals": ("time", "e_B_eta", "f_center_x"), "units": ("s", "A", "N")}, "other than time"),
+        (
+            {"signals": ("time", "e_B_eta", "f_center_x"), "units": ("s", "A", "N")},
+            "other than time",
+        ),
         ({"units": ("m", "A")}, "one per signal"),
         ({"units": ("m", "A", "kN")}, "the SI unit 'N'"),
         ({"units": ("N", "A", "N")}, "a unit of length such as m"),
@@ -183,10 +226,22 @@ def test_record_refuses(record, changes, message):
         (set_line("# speed_rad_s", ""), "speed_rad_s is missing"),
         (set_line("# speed_rad_s", "# speed_rad_s: fast\n"), "speed is 'fast'"),
         (set_line("# sample_rate_hz", "# sample_rate_hz: 5000\n"), "time column, 9999.7 Hz"),
-        (set_line("time", "time [s],y_A_zeta,e_B_eta [A],f_center_x [N]\n"), "y_A_zeta.*add the unit"),
-        (set_line("time", "time [s],y_A_zeta [],e_B_eta [A],f_center_x [N]\n"), "y_A_zeta has no unit"),
-        (set_line("time", "time [s],y_A_zeta [furlongs],e_B_eta [N],f_center_x [N]\n"), "the unit of e_B_eta is 'N'"),
-        (set_line("time", "time [m],y_A_zeta [m],e_B_eta [A],f_center_x [N]\n"), "the unit of time is 'm'"),
+        (
+            set_line("time", "time [s],y_A_zeta,e_B_eta [A],f_center_x [N]\n"),
+            "y_A_zeta.*add the unit",
+        ),
+        (
+            set_line("time", "time [s],y_A_zeta [],e_B_eta [A],f_center_x [N]\n"),
+            "y_A_zeta has no unit",
+        ),
+        (
+            set_line("time", "time [s],y_A_zeta [furlongs],e_B_eta [N],f_center_x [N]\n"),
+            "the unit of e_B_eta is 'N'",
+        ),
+        (
+            set_line("time", "time [m],y_A_zeta [m],e_B_eta [A],f_center_x [N]\n"),
+            "the unit of time is 'm'",
+        ),
         (set_line("time", "y_A_zeta [m],e_B_eta [A],f_center_x [N]\n"), "first column"),
         (set_line("time", "time [s],y_A_zeta [m],e_B_eta [A]\n"), "number of columns is 4"),
         (set_line("time", "time [s];y_A_zeta [m];e_B_eta [A];f_center_x [N]\n"), "separator"),
@@ -276,7 +331,10 @@ def link_outside(file):
         (lambda file: file.attrs.pop("sample_rate_hz"), "sample_rate_hz is missing"),
         (lambda file: file.attrs.pop("seal_pressure_pa"), "seal_pressure_pa is missing"),
         (lambda file: file["signals/e_B_eta"].attrs.pop("unit"), "e_B_eta has no unit"),
-        (lambda file: file["signals/e_B_eta"].attrs.__setitem__("unit", "N"), "the unit of e_B_eta"),
+        (
+            lambda file: file["signals/e_B_eta"].attrs.__setitem__("unit", "N"),
+            "the unit of e_B_eta",
+        ),
         (lambda file: file.pop("signals"), "/signals is missing"),
         (replace_signal(data=np.zeros(39)), "the same for all signals"),
         (replace_signal(data=np.full(40, np.nan)), "y_A_zeta at sample 0"),
@@ -316,7 +374,9 @@ def test_a_failed_write_leaves_the_old_file(record, tmp_path, monkeypatch, suffi
         raise OSError("disk full")
 
     monkeypatch.setattr("os.replace", fail)
-    with pytest.raises(InvalidInput, match=r"record .*disk full; give a file in an existing, writable folder"):
+    with pytest.raises(
+        InvalidInput, match=r"record .*disk full; give a file in an existing, writable folder"
+    ):
         write_record(replace(record, machine="other"), path)
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == [path.name]
 
@@ -338,7 +398,14 @@ class TestSchema:
         jsonschema.validate(record.attributes, record_schema())
 
     @pytest.mark.parametrize(
-        "change", [{"format": "other"}, {"version": 2}, {"speed_rad_s": "fast"}, {"machine": None}, {"who": 3}]
+        "change",
+        [
+            {"format": "other"},
+            {"version": 2},
+            {"speed_rad_s": "fast"},
+            {"machine": None},
+            {"who": 3},
+        ],
     )
     def test_it_refuses_what_is_no_record(self, record, change):
         with pytest.raises(jsonschema.ValidationError):
@@ -349,10 +416,18 @@ class TestSchema:
 
 
 def test_a_record_shows_itself_in_a_line(record):
-    long = replace(record, signals=tuple(f"y_{i}" for i in range(60)), units=("m",) * 60, values=np.zeros((60, 4)))
+    long = replace(
+        record,
+        signals=tuple(f"y_{i}" for i in range(60)),
+        units=("m",) * 60,
+        values=np.zeros((60, 4)),
+    )
     assert len(repr(long)) < 200 and "machine=seal-rig" in repr(record)
     page = record._repr_html_()
-    assert all(f"<td>{name}</td><td>{unit}</td>" in page for name, unit in zip(record.signals, record.units, strict=True))
+    assert all(
+        f"<td>{name}</td><td>{unit}</td>" in page
+        for name, unit in zip(record.signals, record.units, strict=True)
+    )
     plain = json.loads(json.dumps(record.to_dict()))
     assert plain["signals"]["y_A_zeta"] == {"unit": "m", "values": record["y_A_zeta"].tolist()}
     assert plain["speed_rad_s"] == record.point.speed
@@ -363,10 +438,14 @@ def test_a_frame_has_a_column_for_each_signal_over_time(record):
     frame = record.to_frame()
     assert isinstance(frame, pandas.DataFrame) and frame.index.name == "time [s]"
     assert list(frame.columns) == ["y_A_zeta [m]", "e_B_eta [A]", "f_center_x [N]"]
-    assert np.array_equal(frame["e_B_eta [A]"], record["e_B_eta"]) and np.array_equal(frame.index, record.time)
+    assert np.array_equal(frame["e_B_eta [A]"], record["e_B_eta"]) and np.array_equal(
+        frame.index, record.time
+    )
 
 
 def test_a_frame_needs_pandas(record, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InvalidInput, match="needs pandas, which is not installed; pip install pandas"):
+    with pytest.raises(
+        InvalidInput, match="needs pandas, which is not installed; pip install pandas"
+    ):
         record.to_frame()

@@ -1,4 +1,6 @@
-"""Text tables and universal files of other programs through a column map: any separator, either decimal mark, or a refusal."""
+"""Text tables and universal files of other programs through a column map: any separator, either
+decimal mark, or a refusal.
+"""
 
 from contextlib import nullcontext
 
@@ -17,15 +19,26 @@ POINT = {"speed": 0, "seal_pressure": 0}
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
-    monkeypatch.setattr(foreign, "variables_of", lambda path, names: nullcontext(list(read_variables(path, names))))
+    monkeypatch.setattr(
+        foreign, "variables_of", lambda path, names: nullcontext(list(read_variables(path, names)))
+    )
 
 
 def columns(displacement, current, time=None, **more):
-    signals = [{"name": "y_A_zeta", "source": displacement}, {"name": "i_A_zeta", "source": current}]
+    signals = [
+        {"name": "y_A_zeta", "source": displacement},
+        {"name": "i_A_zeta", "source": current},
+    ]
     signals[0] |= {key: value for key, value in more.items() if key == "unit"}
     signals[1] |= {"unit": "A"} if "unit" in more else {}
     rate = {"sample_rate_hz": more["rate"]} if "rate" in more else {}
-    return {"machine": "m", "point": POINT, "signal": signals, **rate, **({"time": {"source": time}} if time else {})}
+    return {
+        "machine": "m",
+        "point": POINT,
+        "signal": signals,
+        **rate,
+        **({"time": {"source": time}} if time else {}),
+    }
 
 
 VENDOR = """Messung 17; Pruefstand
@@ -63,7 +76,9 @@ def test_tables_of_vendors_are_read(tmp_path, kind, encoding):
     path.write_bytes(text.encode(encoding))
     record = read_foreign(path, wanted)
     assert record.sample_rate_hz == pytest.approx(1e4) and record.units == ("m", "A")
-    np.testing.assert_allclose(record.values, [[1.5e-6, 2.5e-6, -1.5e-6, 0], [0.25, -0.25, 0.5, 0.1]], rtol=1e-12)
+    np.testing.assert_allclose(
+        record.values, [[1.5e-6, 2.5e-6, -1.5e-6, 0], [0.25, -0.25, 0.5, 0.1]], rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -71,7 +86,10 @@ def test_tables_of_vendors_are_read(tmp_path, kind, encoding):
     [
         ("t;x;i\n0;1;2\n1;2\n", "equally many columns"),
         ("t;x;i\n" + "0;1;2\n" * 50 + "0;1\n" + "0;1;2\n" * 50, "no table of 3 numbers"),
-        ("t;x;i\n" + "0;1;2\n" * 50 + "0;1;2;3\n" + "0;1;2\n" * 50, "no table of 3 numbers|not 3 numbers"),
+        (
+            "t;x;i\n" + "0;1;2\n" * 50 + "0;1;2;3\n" + "0;1;2\n" * 50,
+            "no table of 3 numbers|not 3 numbers",
+        ),
         ("t;x;i\nnothing here\n", "are no numbers"),
         ("", "the file is empty"),
         ("t;x;x\n0;1;2\n1;2;3\n", "'x' stands there 2 times"),
@@ -89,7 +107,8 @@ def test_tables_that_are_none_are_refused(tmp_path, text, words):
     assert "\n" not in str(error.value) and "; " in str(error.value)
 
 
-# Written by pyuff 2.5.8: time signals in double and in single precision, the second of another node and direction.
+# Written by pyuff 2.5.8: time signals in double and in single precision, the second of another node
+# and direction.
 UNIVERSAL = """    -1
     58
 y_A_zeta
@@ -129,16 +148,23 @@ def binary(text):
     """The same with the numbers as bytes, as dataset 58b."""
     first, second = text.encode().split(b"    -1\n    -1\n")
     parts = []
-    for part, numbers, kind in ((first, [1.5, -2.25, 3e-3, 0, 7], "<f8"), (second, NUMBERS[1], "<f4")):
+    for part, numbers, kind in (
+        (first, [1.5, -2.25, 3e-3, 0, 7], "<f8"),
+        (second, NUMBERS[1], "<f4"),
+    ):
         lines = part.split(b"\n")
         start = 2 if lines[0].strip() == b"-1" else 1
         raw = np.array(numbers, kind).tobytes()
         head = b"    58b     1     2          11%12d     0     0           0           0" % len(raw)
-        parts.append(b"\n".join([b"    -1", head, *lines[start : start + 11]]) + b"\n" + raw + b"    -1\n")
+        parts.append(
+            b"\n".join([b"    -1", head, *lines[start : start + 11]]) + b"\n" + raw + b"    -1\n"
+        )
     return b"".join(parts)
 
 
-@pytest.mark.parametrize("made", [lambda text: text.encode(), lambda text: text.replace("\n", "\r\n").encode(), binary])
+@pytest.mark.parametrize(
+    "made", [lambda text: text.encode(), lambda text: text.replace("\n", "\r\n").encode(), binary]
+)
 @pytest.mark.parametrize("names", [("y_A_zeta", "current"), ("1:+X", "2:-Z"), ("set 1", "set 2")])
 def test_universal_files_are_read(tmp_path, made, names):
     path = tmp_path / "run.uff"
@@ -172,7 +198,10 @@ def test_universal_files_that_are_none_are_refused(tmp_path, old, new, words):
     assert old in UNIVERSAL
     path.write_text(UNIVERSAL.replace(old, new), encoding="utf-8")
     with pytest.raises(InvalidInput, match=words) as error:
-        read_foreign(path, columns("current", "current") if "called" in words else columns("y_A_zeta", "current"))
+        read_foreign(
+            path,
+            columns("current", "current") if "called" in words else columns("y_A_zeta", "current"),
+        )
     assert "\n" not in str(error.value) and "; " in str(error.value)
 
 
@@ -189,5 +218,7 @@ def test_a_file_of_unknown_kind_leads_to_the_page(tmp_path):
     (tmp_path / "run.xyz").write_text("1 2", encoding="utf-8")
     (tmp_path / "run.csv").write_text(VENDOR, encoding="utf-8")
     for name in ("run.xyz", "run.csv"):
-        result = CliRunner().invoke(main, ["convert", str(tmp_path / name), "-o", str(tmp_path / "a.h5")])
+        result = CliRunner().invoke(
+            main, ["convert", str(tmp_path / name), "-o", str(tmp_path / "a.h5")]
+        )
         assert result.exit_code == 2 and "docs/records.md" in result.output, result.output

@@ -1,4 +1,6 @@
-"""Streams: what was appended comes back, however the run ends; memory does not grow with the record."""
+"""Streams: what was appended comes back, however the run ends; memory does not grow with the
+record.
+"""
 
 import io
 import resource
@@ -41,7 +43,9 @@ with RecordWriter(sys.argv[1], "rig", 10e3, signals, ("m",) * 8, chunk=int(sys.a
 
 
 def writer(path, **options):
-    return RecordWriter(path, "seal-rig", 9999.7, SIGNALS, UNITS, POINT, 0.25, (("operator", "J. Doe"),), **options)
+    return RecordWriter(
+        path, "seal-rig", 9999.7, SIGNALS, UNITS, POINT, 0.25, (("operator", "J. Doe"),), **options
+    )
 
 
 def samples(count, start=0):
@@ -58,14 +62,18 @@ def test_blocks_of_any_size_give_the_record_written_at_once(tmp_path, sizes, suf
             start += size
             assert stream.samples == start
         assert not path.exists()
-    plain = Record("seal-rig", 9999.7, SIGNALS, UNITS, samples(start), POINT, 0.25, (("operator", "J. Doe"),))
+    plain = Record(
+        "seal-rig", 9999.7, SIGNALS, UNITS, samples(start), POINT, 0.25, (("operator", "J. Doe"),)
+    )
     again = read_record(path)
     assert np.array_equal(again.values, plain.values)
     for name in ("machine", "sample_rate_hz", "signals", "units", "point", "start_time", "notes"):
         assert getattr(again, name) == getattr(plain, name), name
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     with h5py.File(path) as file, h5py.File(write_record(plain, tmp_path / "plain.h5")) as other:
-        assert dict(file.attrs) == dict(other.attrs) and list(file["signals"]) == list(other["signals"])
+        assert dict(file.attrs) == dict(other.attrs) and list(file["signals"]) == list(
+            other["signals"]
+        )
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
@@ -78,7 +86,11 @@ def test_an_interrupted_run_keeps_every_sample_under_the_partial_name(tmp_path, 
     assert [p.name for p in tmp_path.iterdir()] == ["run.h5.partial"]
     record = read_record(partial_path(path))
     assert np.array_equal(record.values, samples(21))
-    assert dict(record.notes) == {"complete": "false", "operator": "J. Doe", "outcome": "stopped by hand"}
+    assert dict(record.notes) == {
+        "complete": "false",
+        "operator": "J. Doe",
+        "outcome": "stopped by hand",
+    }
     kept = read_record(write_record(record, tmp_path / "kept.csv"))  # the mark survives conversion
     assert np.array_equal(kept.values, record.values) and kept.notes == record.notes
 
@@ -127,7 +139,9 @@ def test_a_chunk_cut_short_by_the_kill_is_left_out(tmp_path, damage):
     assert np.array_equal(read_record(stream.partial).values, samples(16))
 
 
-def test_what_is_appended_after_a_failed_attempt_is_behind_the_last_whole_block(tmp_path, monkeypatch):
+def test_what_is_appended_after_a_failed_attempt_is_behind_the_last_whole_block(
+    tmp_path, monkeypatch
+):
     """Half a block was left in the way: what came behind it could not be read."""
     with writer(tmp_path / "run.h5", chunk=8) as stream:
         stream.append(samples(8))
@@ -165,7 +179,10 @@ def test_a_second_writer_is_refused(tmp_path):
     """It replaced the growing file of the first, whose samples were lost."""
     with writer(tmp_path / "run.h5") as first:
         first.append(samples(5))
-        with pytest.raises(InvalidInput, match="another run is writing"), writer(tmp_path / "run.h5"):
+        with (
+            pytest.raises(InvalidInput, match="another run is writing"),
+            writer(tmp_path / "run.h5"),
+        ):
             pass
         first.append(samples(5, 5))
     assert np.array_equal(read_record(tmp_path / "run.h5").values, samples(10))
@@ -188,7 +205,9 @@ def test_a_truncated_copy_of_a_killed_run_is_refused_or_right(tmp_path, kept):
 
 
 @pytest.mark.campaign
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the peak memory from Linux's /proc")
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="reads the peak memory from Linux's /proc"
+)
 def test_memory_stays_flat(tmp_path):
     peaks = []
     for count in (2_000, 400_000):  # 0.1 and 26 MB
@@ -207,7 +226,9 @@ def test_a_finished_record_replaces_the_old_one_and_an_interrupted_one_does_not(
     with pytest.raises(RuntimeError), writer(path) as stream:
         stream.append(samples(3))
         raise RuntimeError
-    assert read_record(path).values.shape[1] == 9 and read_record(stream.partial).values.shape[1] == 3
+    assert (
+        read_record(path).values.shape[1] == 9 and read_record(stream.partial).values.shape[1] == 3
+    )
 
 
 @pytest.mark.parametrize(
@@ -216,7 +237,10 @@ def test_a_finished_record_replaces_the_old_one_and_an_interrupted_one_does_not(
         (np.zeros((2, 4)), "one row per signal"),
         (np.zeros((3, 0)), "n > 0"),
         (np.zeros(3), "one row per signal"),
-        (np.array([[0.0, 0], [0, np.nan], [0, 0]]), r"i_A_zeta at sample 11 is nan.*run\.h5\.partial"),
+        (
+            np.array([[0.0, 0], [0, np.nan], [0, 0]]),
+            r"i_A_zeta at sample 11 is nan.*run\.h5\.partial",
+        ),
     ],
 )
 def test_a_wrong_block_is_refused_and_the_rest_kept(tmp_path, block, message):
@@ -258,4 +282,6 @@ def test_a_full_disk_is_named(tmp_path):
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
     record = read_record(tmp_path / "run.h5.partial")
     count = record.values.shape[1]
-    assert count > 200 and np.array_equal(record.values, np.arange(count) + 1e6 * np.arange(8)[:, None])
+    assert count > 200 and np.array_equal(
+        record.values, np.arange(count) + 1e6 * np.arange(8)[:, None]
+    )

@@ -1,4 +1,6 @@
-"""A controller scheduled over pressure on the virtual rig: what the sensor tells, and what becomes of it."""
+"""A controller scheduled over pressure on the virtual rig: what the sensor tells, and what becomes
+of it.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +13,29 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, spectral_abscissa
-from ambrose.rig.trial import simulate_linear
-from ambrose.machine.file.toml import load_machine
-from ambrose.model.assemble import assemble
 from ambrose.law.loop import closed_loop
 from ambrose.law.timing import Timing
+from ambrose.machine.file.toml import load_machine
+from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, sensed
 from ambrose.rig.engine.inputs import plan, stretch
 from ambrose.rig.engine.state import build
 from ambrose.rig.run_up import spin_up
 from ambrose.rig.scenario import Scenario, read_scenario
+from ambrose.rig.trial import simulate_linear
 from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
 
 RIG = coarse("seal-rig")
 ZERO = next(point for point in RIG.operation.points if point.seal_pressure == 0)
 PID = pid_controller(RIG.reference, RIG)
-SURGE = Scenario("surge", 0.08, pulses=(Pulse("f_center_x", 20.0, 0.005, 0.003),), pressures=(PressureChange(0.01, 1e5, 0.05),))
+SURGE = Scenario(
+    "surge",
+    0.08,
+    pulses=(Pulse("f_center_x", 20.0, 0.005, 0.003),),
+    pressures=(PressureChange(0.01, 1e5, 0.05),),
+)
 DT = 1e-4
 
 
@@ -45,10 +52,17 @@ def told(scenario: Scenario) -> np.ndarray:
 
 
 def test_a_sensors_lag_is_that_of_its_equation():
-    """T l' = p - l by the trapezoidal rule in steps of T/2000, which knows nothing of exponentials."""
+    """T l' = p - l by the trapezoidal rule in steps of T/2000, which knows nothing of
+    exponentials.
+    """
     time = np.linspace(0.0, 0.3, 30001)
     knots, values = [0.0, 0.05, 0.15, 0.15, 0.2], [1e5, 1e5, 4e5, 4e5, 0.0]
-    found = sensed(time, [PressureSensor(lag=0.02), PressureSensor(0.12, gain=1.1, offset=5e3, lag=0.05)], knots, values)
+    found = sensed(
+        time,
+        [PressureSensor(lag=0.02), PressureSensor(0.12, gain=1.1, offset=5e3, lag=0.05)],
+        knots,
+        values,
+    )
     p, expected = np.interp(time, knots, values), np.empty(len(time))
     expected[0] = p[0]
     for k in range(1, len(time)):
@@ -56,7 +70,8 @@ def test_a_sensors_lag_is_that_of_its_equation():
         (gain, offset, T), h = ((1.1, 5e3, 0.05) if late else (1.0, 0.0, 0.02)), 1e-5
         drive = gain * (p[k] + p[k - 1]) / 2 + offset
         expected[k] = ((1 - h / 2 / T) * expected[k - 1] + h / T * drive) / (1 + h / 2 / T)
-    np.testing.assert_allclose(found, expected, atol=30.0)  # 20 Pa from the steps at the knots; of 4e5
+    # 20 Pa from the steps at the knots; of 4e5
+    np.testing.assert_allclose(found, expected, atol=30.0)
 
 
 def test_a_sensor_tells_gain_and_offset_then_sticks():
@@ -67,7 +82,9 @@ def test_a_sensor_tells_gain_and_offset_then_sticks():
 
 
 def test_the_rig_reads_the_law_at_the_measured_pressure():
-    """A program that is told the pressure of every sample, against the law for ten samples each, and the law at rest."""
+    """A program that is told the pressure of every sample, against the law for ten samples each,
+    and the law at rest.
+    """
     program = Telling()
     ran = virtual_rig.run(RIG, program, SURGE, point=ZERO).record
     held = virtual_rig.run(RIG, SCHEDULE, SURGE, point=ZERO).record
@@ -81,21 +98,29 @@ def test_the_rig_reads_the_law_at_the_measured_pressure():
 def test_members_that_are_equal_are_the_fixed_controller():
     same = ScheduledSystem([0.0, 4.08e5], [PID, PID], "pressure", "Pa")
     ran, fixed = (virtual_rig.run(RIG, law, SURGE, point=ZERO).record for law in (same, PID))
-    np.testing.assert_allclose(ran.values, fixed.values, rtol=0, atol=1e-12 * np.abs(fixed.values).max())
+    np.testing.assert_allclose(
+        ran.values, fixed.values, rtol=0, atol=1e-12 * np.abs(fixed.values).max()
+    )
 
 
 def test_without_a_sensor_in_the_scenario_a_pressure_beyond_the_schedule_is_refused():
     beyond = replace(SURGE, pressures=(PressureChange(0.01, 5e5, 0.05),))
-    with pytest.raises(InvalidInput, match="the pressure is 500000 Pa, but must be between 0 and 408000 Pa"):
+    with pytest.raises(
+        InvalidInput, match="the pressure is 500000 Pa, but must be between 0 and 408000 Pa"
+    ):
         virtual_rig.run(RIG, SCHEDULE, beyond, point=ZERO)
 
 
 @pytest.mark.parametrize(
-    ("sensor", "as_if"), [(PressureSensor(offset=9e5), 4.08e5), (PressureSensor(offset=-9e5), 0.0)], ids=["above", "below"]
+    ("sensor", "as_if"),
+    [(PressureSensor(offset=9e5), 4.08e5), (PressureSensor(offset=-9e5), 0.0)],
+    ids=["above", "below"],
 )
 def test_a_sensor_that_errs_beyond_the_schedule_is_clamped(sensor, as_if):
     weightless = replace(RIG, gravity_direction=None)  # or its first current would be another
-    ran = virtual_rig.run(weightless, SCHEDULE, replace(SURGE, pressure_sensors=(sensor,)), point=ZERO).record
+    ran = virtual_rig.run(
+        weightless, SCHEDULE, replace(SURGE, pressure_sensors=(sensor,)), point=ZERO
+    ).record
     fixed = virtual_rig.run(weightless, SCHEDULE.at(as_if), SURGE, point=ZERO).record
     size = max(np.ptp(fixed[name]) for name in Y)
     assert max(np.abs(ran[name] - fixed[name]).max() for name in Y) < 1e-9 * size
@@ -112,7 +137,8 @@ def test_what_is_lost_is_told_as_no_number_and_held_for_a_law():
     assert np.ptp(held["p_measured"][at:]) == 0 and held["p_measured"][-1] == pytest.approx(4e4)
     assert ran["p_seal"][-1] == pytest.approx(1e5)
     size = max(np.ptp(ran[name]) for name in Y)
-    assert max(np.abs(ran[name] - held[name]).max() for name in Y) < 0.02 * size  # the program holds the last as well
+    # the program holds the last as well
+    assert max(np.abs(ran[name] - held[name]).max() for name in Y) < 0.02 * size
 
 
 def test_noise_is_as_large_as_stated_and_the_same_for_every_stretch():
@@ -121,14 +147,18 @@ def test_noise_is_as_large_as_stated_and_the_same_for_every_stretch():
     np.testing.assert_array_equal(first, again)
     error = first - virtual_rig.run(RIG, PID, noisy, point=ZERO).record["p_seal"]
     assert np.std(error) == pytest.approx(5e3, rel=0.1)
-    whole = virtual_rig.run(RIG, PID, noisy, point=ZERO).record["p_measured"]  # a fixed law runs in one stretch
+    # a fixed law runs in one stretch
+    whole = virtual_rig.run(RIG, PID, noisy, point=ZERO).record["p_measured"]
     np.testing.assert_array_equal(first, whole)
 
 
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"fault": "broken"}, 'fault of the pressure sensor is \'broken\', but must be "stuck", "lost" or left out'),
+        (
+            {"fault": "broken"},
+            'fault of the pressure sensor is \'broken\', but must be "stuck", "lost" or left out',
+        ),
         ({"lag": "-1 ms"}, "lag of the pressure sensor"),
         ({"offset": "nan bar"}, "offset"),
         ({"noise": -1.0}, "noise of the pressure sensor"),
@@ -147,8 +177,18 @@ def test_sensors_out_of_order_are_refused():
 
 
 def test_a_file_may_speak_in_bar_and_of_the_machine():
-    table = {"time": "20 ms", "offset": "10 % of top pressure", "noise": "5 mbar", "lag": "2 ms", "gain": 1.02}
-    (sensor,) = read_scenario({"name": "x", "duration": 1.0, "pressure_sensor": [table]}).on(RIG).pressure_sensors
+    table = {
+        "time": "20 ms",
+        "offset": "10 % of top pressure",
+        "noise": "5 mbar",
+        "lag": "2 ms",
+        "gain": 1.02,
+    }
+    (sensor,) = (
+        read_scenario({"name": "x", "duration": 1.0, "pressure_sensor": [table]})
+        .on(RIG)
+        .pressure_sensors
+    )
     assert sensor == PressureSensor(0.02, 1.02, 4.08e4, 0.002, 500.0)
 
 
@@ -166,7 +206,9 @@ def test_the_linear_loop_follows_the_pressure_as_the_rig_does():
     sampled = ScheduledSystem(SCHEDULE.grid, members, "pressure", "Pa")
     linear = spin_up(assemble(weightless, ZERO), sampled, strong, bending_modes=3)
     rig = virtual_rig.run(weightless, SCHEDULE, strong, point=ZERO).record
-    still = simulate_linear(assemble(weightless, ZERO), PID, replace(strong, pressures=()), Timing(DT, 1)).record
+    still = simulate_linear(
+        assemble(weightless, ZERO), PID, replace(strong, pressures=()), Timing(DT, 1)
+    ).record
     size = max(np.ptp(rig[name]) for name in Y)
     assert linear.outcome == "completed" and linear.speed_error < 2e-3
     assert max(np.abs(linear.record[name] - rig[name]).max() for name in Y) < 0.01 * size
@@ -175,20 +217,28 @@ def test_the_linear_loop_follows_the_pressure_as_the_rig_does():
 
 
 def test_a_fixed_controller_meets_a_changing_pressure_in_the_linear_loop_too():
-    """The pole that is told is the rightmost of all pressures met: at twice the nominal one the PID does not hold."""
+    """The pole that is told is the rightmost of all pressures met: at twice the nominal one the PID
+    does not hold.
+    """
     up = replace(SURGE, pressures=(PressureChange(0.01, 4.08e5, 0.05),))
     trace = simulate_linear(assemble(RIG, ZERO), PID, up)
     assert trace.pole.real > 0 and "at 408000 Pa" in trace.text
-    assert spectral_abscissa(closed_loop(assemble(RIG, replace(ZERO, seal_pressure=4.08e5)), PID)) == pytest.approx(
-        trace.pole.real, rel=1e-2
-    )
+    assert spectral_abscissa(
+        closed_loop(assemble(RIG, replace(ZERO, seal_pressure=4.08e5)), PID)
+    ) == pytest.approx(trace.pole.real, rel=1e-2)
 
 
 @pytest.mark.parametrize(
     ("scenario", "message"),
     [
-        (replace(SURGE, speed=10.0, to_speed=60.0), "changes of pressure, which a linear model does not know"),
-        (replace(SURGE, pressure_sensors=(PressureSensor(lag=0.1),)), "a pressure sensor, which a linear model does not know"),
+        (
+            replace(SURGE, speed=10.0, to_speed=60.0),
+            "changes of pressure, which a linear model does not know",
+        ),
+        (
+            replace(SURGE, pressure_sensors=(PressureSensor(lag=0.1),)),
+            "a pressure sensor, which a linear model does not know",
+        ),
     ],
 )
 def test_what_the_linear_loop_cannot_follow(scenario, message):
@@ -197,19 +247,32 @@ def test_what_the_linear_loop_cannot_follow(scenario, message):
 
 
 def test_the_seals_are_read_alike_whatever_the_stretch():
-    """A gas seal by bulk flow while the pressure bends within a stretch; and no more solutions of it for shorter ones."""
+    """A gas seal by bulk flow while the pressure bends within a stretch; and no more solutions of
+    it for shorter ones.
+    """
     machine = load_machine("turboexpander")
-    scenario = Scenario("x", 0.02, pressures=(PressureChange(0.0, 1e6, 0.004), PressureChange(0.0123, 2e6, 0.005)))
+    scenario = Scenario(
+        "x", 0.02, pressures=(PressureChange(0.0, 1e6, 0.004), PressureChange(0.0123, 2e6, 0.005))
+    )
     task = plan(build(machine, machine.operation.nominal, 1), scenario, DT, 0)
     whole = stretch(task, 0, 200).seal
-    parts = np.concatenate([np.broadcast_to(stretch(task, k, 10).seal, (11, *whole.shape[1:]))[:10] for k in range(0, 200, 10)])
+    parts = np.concatenate(
+        [
+            np.broadcast_to(stretch(task, k, 10).seal, (11, *whole.shape[1:]))[:10]
+            for k in range(0, 200, 10)
+        ]
+    )
     np.testing.assert_allclose(parts, whole[:200], rtol=1e-12)
 
 
 class Telling:
-    """A program in Python: the schedule sampled member by member, linear between, at what it was told last."""
+    """A program in Python: the schedule sampled member by member, linear between, at what it was
+    told last.
+    """
 
-    sample_time, delay, parameter = DT, 1, "pressure"
+    sample_time = DT
+    delay = 1
+    parameter = "pressure"
 
     def __init__(self) -> None:
         members = [c2d(system, DT, "tustin") for system in SCHEDULE.systems]
@@ -244,5 +307,9 @@ def test_the_machine_of_many_bearings_runs_such_a_schedule():
     double = ScheduledSystem([0.0, 2e6], [law, law], "pressure", "Pa")
     still = next(point for point in train.operation.points if point.label == "rest")
     scenario = Scenario("x", 0.004, pressures=(PressureChange(0.001, 1e6, 0.002),))
-    ran, fixed = (virtual_rig.run(train, item, scenario, point=still).record for item in (double, law))
-    np.testing.assert_allclose(ran.values, fixed.values, rtol=0, atol=1e-12 * np.abs(fixed.values).max())
+    ran, fixed = (
+        virtual_rig.run(train, item, scenario, point=still).record for item in (double, law)
+    )
+    np.testing.assert_allclose(
+        ran.values, fixed.values, rtol=0, atol=1e-12 * np.abs(fixed.values).max()
+    )

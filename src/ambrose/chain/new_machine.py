@@ -1,7 +1,9 @@
-"""A whole machine from a rotor: magnets, sensors, amplifiers, a PID that holds it, points, requirements and weights.
+"""A whole machine from a rotor: magnets, sensors, amplifiers, a PID that holds it, points,
+requirements and weights.
 
-What is not known is chosen by the rules of this file and written down as assumed, for a new machine and for an imported rotor
-alike. The rules are those of thumb of Schweitzer & Maslen 2009, chapters 2, 4 and 9.
+What is not known is chosen by the rules of this file and written down as assumed, for a new machine
+and for an imported rotor alike. The rules are those of thumb of Schweitzer & Maslen 2009, chapters
+2, 4 and 9.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.chain.check import shares
 from ambrose.core.checks import InvalidInput, check_positive, invalid, named_failure
+from ambrose.judge.unavoidable import unavoidable_sensitivity
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import (
     Amplifier,
@@ -33,13 +37,17 @@ from ambrose.machine.file.toml import loads_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.rotor_model import RotorModel
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.model.effects.magnet import VACUUM_PERMEABILITY
-from ambrose.model.effects.rotor import STANDARD_GRAVITY, finite_element_rotor, free_modes, mass_properties, plane_rows
 from ambrose.model.assemble import assemble
+from ambrose.model.effects.magnet import VACUUM_PERMEABILITY
+from ambrose.model.effects.rotor import (
+    STANDARD_GRAVITY,
+    finite_element_rotor,
+    free_modes,
+    mass_properties,
+    plane_rows,
+)
 from ambrose.model.static_load import magnet_coefficients
-from ambrose.judge.unavoidable import unavoidable_sensitivity
 from ambrose.synthesis.first_pid import holding_pid, in_hertz, rounded
-from ambrose.chain.check import shares
 
 BIAS_FLUX = 0.6  # [T] half of what the iron carries
 NOT_HELD = "NO SUCH PID HOLDS THE MACHINE"
@@ -49,9 +57,11 @@ _GRADE = 2.5e-3  # [m/s] balance grade G2.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """What is known beside the rotor, SI; None: chosen. load [N]: of a bearing, the force that it must reach; gap [m] of the
-    magnets; force_per_current [N/A], negative_stiffness [N/m] and bias_current [A] of every bearing; rate [Hz] of the
-    controller. vertical: the rotor stands, and its weight loads no radial bearing."""
+    """What is known beside the rotor, SI; None: chosen. load [N]: of a bearing, the force that it
+    must reach; gap [m] of the magnets; force_per_current [N/A], negative_stiffness [N/m] and
+    bias_current [A] of every bearing; rate [Hz] of the controller. vertical: the rotor stands, and
+    its weight loads no radial bearing.
+    """
 
     load: float | None = None
     gap: float | None = None
@@ -100,34 +110,44 @@ def new_machine(
     rate: float | None = None,
     **known: Any,
 ) -> Machine:
-    """A machine of a plain steel shaft with discs on magnetic bearings, all the rest chosen so that it levitates.
+    """A machine of a plain steel shaft with discs on magnetic bearings, all the rest chosen so that
+    it levitates.
 
-    Numbers in SI, or texts with a unit ("600 mm", "12000 rpm"). length and diameter of the shaft, speed: the highest; discs:
-    (position, mass, diameter) each; bearings: their positions (none: two, near the ends). known: load [N] that a bearing must
-    reach, gap [m], bias_current [A], force_per_current [N/A], negative_stiffness [N/m]; rate [Hz] of the controller. What was
-    chosen is marked in ``machine.assumed`` with its reason; ``save_machine`` writes the file with comments and units. Raises
-    InvalidInput.
+    Numbers in SI, or texts with a unit ("600 mm", "12000 rpm"). length and diameter of the shaft,
+    speed: the highest; discs: (position, mass, diameter) each; bearings: their positions (none:
+    two, near the ends). known: load [N] that a bearing must reach, gap [m], bias_current [A],
+    force_per_current [N/A], negative_stiffness [N/m]; rate [Hz] of the controller. What was chosen
+    is marked in ``machine.assumed`` with its reason; ``save_machine`` writes the file with comments
+    and units. Raises InvalidInput.
     """
     unknown = [key for key in known if key not in _DIMENSIONS]
     if unknown:
         raise InvalidInput(
-            f"new_machine has no option {unknown[0]!r}; it takes {', '.join(_DIMENSIONS)}, discs, vertical, rate"
+            f"new_machine has no option {unknown[0]!r}; it takes {', '.join(_DIMENSIONS)}, discs, "
+            "vertical, rate"
         )
     long, thick = quantity_of("length", length), quantity_of("diameter", diameter)
     wheels = tuple(_disc(number, long, entry) for number, entry in enumerate(discs, 1))
     rotor = RotorModel(
-        name, (ShaftSection(0.0, long, thick, elements=_elements(long, thick), label="shaft"),), wheels,
-        tuple(quantity_of("bearings", place) for place in bearings), quantity_of("speed", speed),
-    )  # fmt: skip
+        name,
+        (ShaftSection(0.0, long, thick, elements=_elements(long, thick), label="shaft"),),
+        wheels,
+        tuple(quantity_of("bearings", place) for place in bearings),
+        quantity_of("speed", speed),
+    )
     found = {key: quantity_of(key, value) for key, value in known.items() if value is not None}
     return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, **found))
 
 
 @named_failure("the new machine")
 def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
-    """The rotor on magnetic bearings: what neither says is chosen, and marked in ``assumed``. Raises InvalidInput."""
+    """The rotor on magnetic bearings: what neither says is chosen, and marked in ``assumed``.
+    Raises InvalidInput.
+    """
     known = known or Known()
-    bare = MachineDescription(rotor.name, rotor.shaft, (), (), discs=rotor.discs, beam_theory=rotor.beam_theory)
+    bare = MachineDescription(
+        rotor.name, rotor.shaft, (), (), discs=rotor.discs, beam_theory=rotor.beam_theory
+    )
     reasons = dict(rotor.assumed)
     speed = rotor.speed or 0.0
     model = finite_element_rotor(bare)
@@ -135,13 +155,26 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     places = rotor.bearings or _places(bare, reasons)
     for place in places:
         if not 0 <= place <= bare.length:
-            raise invalid("bearings", f"{place:g} m", f"on the shaft, from 0 to {bare.length:g} m", "count from the left end")
+            raise invalid(
+                "bearings",
+                f"{place:g} m",
+                f"on the shaft, from 0 to {bare.length:g} m",
+                "count from the left end",
+            )
     if len(places) > 1 and np.diff(np.sort(places)).min() < 1e-3 * bare.length:
-        raise invalid("bearings", f"{len(places)} with two at one place", "apart from each other", "name every place once")
+        raise invalid(
+            "bearings",
+            f"{len(places)} with two at one place",
+            "apart from each other",
+            "name every place once",
+        )
     slim = bare.length / max(section.outer_diameter for section in bare.shaft)
     if slim > _SLENDER:
         raise invalid(
-            "the rotor", f"{slim:.3g} diameters long", f"at most {_SLENDER}", "check the units of length and diameter"
+            "the rotor",
+            f"{slim:.3g} diameters long",
+            f"at most {_SLENDER}",
+            "check the units of length and diameter",
         )
     if known.rate is not None:
         check_positive(known.rate, "rate", "10000 Hz is usual")
@@ -152,21 +185,29 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     fast = max(speed, pole) / (2 * math.pi)
     sampling = known.rate or (10e3 if fast <= 400 else 5e3 * math.ceil(fast * 25 / 5e3))
     reasons |= {
-        "amplifier.bandwidth": "1.5 kHz is usual; at least three times the top speed, and ten times the unstable pole",
+        "amplifier.bandwidth": "1.5 kHz is usual; at least three times the top speed, and ten "
+        "times the unstable pole",
         "modal_damping": "0.5 %, usual for a steel shaft with shrunk-on parts",
     }
     if known.rate is None:
-        reasons["controller.sample_time"] = "10 kHz is usual; 25 times the top speed or the unstable pole where that is more"
+        reasons["controller.sample_time"] = (
+            "10 kHz is usual; 25 times the top speed or the unstable pole where that is more"
+        )
     corner = in_hertz(max(2 * math.pi * 1500, 3 * speed, 10 * pole), 2)
     points = (OperatingPoint(label="standstill"),)
     machine = Machine(
         name=rotor.name,
         shaft=rotor.shaft,
         discs=rotor.discs,
-        bearings=tuple(replace(bearing, name=name, position=place) for name, place in zip(names, places, strict=True)),
+        bearings=tuple(
+            replace(bearing, name=name, position=place)
+            for name, place in zip(names, places, strict=True)
+        ),
         sensors=_sensors(bare, names, places, reasons),
         amplifier=Amplifier("first", corner),
-        operation=Operation((OperatingPoint(speed, label="top speed"), *points) if speed else points, (0.0, speed)),
+        operation=Operation(
+            (OperatingPoint(speed, label="top speed"), *points) if speed else points, (0.0, speed)
+        ),
         beam_theory=rotor.beam_theory,
         source=rotor.source,
         gravity_direction=None if known.vertical else -math.pi / 2,
@@ -175,8 +216,13 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     settings, peak = holding_pid(machine)
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     reasons["controller"] = (
-        f"K_p = {settings.gain[0] / float((k_s / k_i).max()):.2g} k_s/k_i, T_d by the rigid rotor's pace; "
-        + (f"holds all points, largest sensitivity {peak:.2g}" if peak < math.inf else f"{NOT_HELD}, design another")
+        f"K_p = {settings.gain[0] / float((k_s / k_i).max()):.2g} k_s/k_i, T_d by the rigid "
+        "rotor's pace; "
+        + (
+            f"holds all points, largest sensitivity {peak:.2g}"
+            if peak < math.inf
+            else f"{NOT_HELD}, design another"
+        )
     )
     machine = replace(machine, controller=settings)
     machine = _with_aims(machine, reasons)
@@ -195,15 +241,24 @@ def _elements(length: float, diameter: float) -> int:
 def _disc(number: int, length: float, entry: Sequence[Any]) -> Disc:
     what = f"disc {number}"
     if isinstance(entry, str) or not isinstance(entry, Sequence) or len(entry) != 3:
-        raise invalid(what, repr(entry), "position, mass and diameter", 'such as ("300 mm", "8 kg", "250 mm")')
+        raise invalid(
+            what, repr(entry), "position, mass and diameter", 'such as ("300 mm", "8 kg", "250 mm")'
+        )
     try:
-        at, heavy, thick = (read_quantity(value, DIMENSIONS[kind]) for value, kind in zip(entry, _DISC, strict=True))
+        at, heavy, thick = (
+            read_quantity(value, DIMENSIONS[kind]) for value, kind in zip(entry, _DISC, strict=True)
+        )
     except ValueError as error:
         raise InvalidInput(f"{what} {error}") from None
     check_positive(heavy, f"the mass of {what}", "give it in kg")
     check_positive(thick, f"the diameter of {what}", "give it in m")
     if not 0 <= at <= length:
-        raise invalid(f"the position of {what}", f"{at:g} m", f"on the shaft, from 0 to {length:g} m", "correct it")
+        raise invalid(
+            f"the position of {what}",
+            f"{at:g} m",
+            f"on the shaft, from 0 to {length:g} m",
+            "correct it",
+        )
     polar = rounded(heavy * thick**2 / 8, 4)
     return Disc(f"disc{number}", at, heavy, polar, polar / 2)
 
@@ -213,17 +268,23 @@ def _places(bare: MachineDescription, reasons: dict[str, str]) -> tuple[float, f
     long = bare.length
     low = max((d.position for d in bare.discs if d.position < 0.25 * long), default=0.0)
     high = min((d.position for d in bare.discs if d.position > 0.75 * long), default=long)
-    reasons["bearing.position"] = "an eighth of the free length from the ends, or from the discs that overhang there"
+    reasons["bearing.position"] = (
+        "an eighth of the free length from the ends, or from the discs that overhang there"
+    )
     inset = rounded((high - low) / 8, 3)
     return rounded(low + inset, 4), rounded(high - inset, 4)
 
 
-def _magnet(known: Known, bare: MachineDescription, share: float, unbalance: float, reasons: dict[str, str]) -> MagneticBearing:
+def _magnet(
+    known: Known, bare: MachineDescription, share: float, unbalance: float, reasons: dict[str, str]
+) -> MagneticBearing:
     """A bearing without name and place, of the force that the heaviest loaded one needs."""
     force = known.load or rounded(max(_LOADS * share, 2 * share + 3 * unbalance), 2)
     if known.load is None:
         rule = f"{_LOADS:g} times the larger share of the rotor's weight, {share:.3g} N"
-        reasons["bearing.max_force"] = f"{rule}; or twice that and three times the unbalance force of G2.5 at top speed"
+        reasons["bearing.max_force"] = (
+            f"{rule}; or twice that and three times the unbalance force of G2.5 at top speed"
+        )
     thick = max(section.outer_diameter for section in bare.shaft)
     gap = known.gap or min(max(round((0.3e-3 + 2e-3 * thick) / 5e-5) * 5e-5, 2.5e-4), 1e-3)
     gap = rounded(gap, 6)
@@ -239,11 +300,19 @@ def _magnet(known: Known, bare: MachineDescription, share: float, unbalance: flo
             bias = 2.5 * (force / 500) ** (1 / 3)
             reasons["bearing.bias_current"] = "a usual current for a magnet of this force"
         bias = rounded(bias, 2)
-    reasons["bearing.max_current"] = "the bias current: beyond, one of the two opposite coils is off"
+    reasons["bearing.max_current"] = (
+        "the bias current: beyond, one of the two opposite coils is off"
+    )
     made = MagneticBearing(
-        "A", 0.0, bias, angle=0.0 if known.vertical else math.pi / 4, gap=gap, touchdown_gap=rounded(gap / 2, 6),
-        max_current=bias, max_force=force,
-    )  # fmt: skip
+        "A",
+        0.0,
+        bias,
+        angle=0.0 if known.vertical else math.pi / 4,
+        gap=gap,
+        touchdown_gap=rounded(gap / 2, 6),
+        max_current=bias,
+        max_force=force,
+    )
     if known.force_per_current is not None or known.negative_stiffness is not None:
         k_i = known.force_per_current or rounded((known.negative_stiffness or 0.0) * gap / bias, 3)
         k_s = known.negative_stiffness or rounded(k_i * bias / gap, 3)
@@ -255,9 +324,16 @@ def _magnet(known: Known, bare: MachineDescription, share: float, unbalance: flo
     geometry = MagnetGeometry(1.0, 1.0, gap)
     turns = max(float(round(2 * BIAS_FLUX * gap / (VACUUM_PERMEABILITY * bias))), 1.0)
     flux = VACUUM_PERMEABILITY * turns * bias / (2 * gap)
-    area = rounded(force * VACUUM_PERMEABILITY / (4 * flux**2 * math.cos(geometry.pole_half_angle)) * 1e6, 3) * 1e-6
+    area = (
+        rounded(
+            force * VACUUM_PERMEABILITY / (4 * flux**2 * math.cos(geometry.pole_half_angle)) * 1e6,
+            3,
+        )
+        * 1e-6
+    )
     reasons["bearing.geometry"] = (
-        f"eight poles whose bias flux is {flux:.2g} T, half of what iron carries, and whose area gives max_force with all the "
+        f"eight poles whose bias flux is {flux:.2g} T, half of what iron carries, and whose area "
+        "gives max_force with all the "
         "current in one of two opposite coils"
     )
     return replace(made, geometry=replace(geometry, turns=turns, pole_area=float(f"{area:.9g}")))
@@ -274,8 +350,12 @@ def _stiffness(bearing: MagneticBearing) -> float:
 def _sensors(
     bare: MachineDescription, names: Sequence[str], places: Sequence[float], reasons: dict[str, str]
 ) -> tuple[Sensor, ...]:
-    """Beside each bearing, on the side where the two lowest bending modes move both the same way, else at its middle."""
-    reasons["sensor.position"] = "beside the bearing, on the side where the lowest two bending modes move both the same way"
+    """Beside each bearing, on the side where the two lowest bending modes move both the same way,
+    else at its middle.
+    """
+    reasons["sensor.position"] = (
+        "beside the bearing, on the side where the lowest two bending modes move both the same way"
+    )
     rotor = finite_element_rotor(bare)
     shapes = free_modes(rotor, 2).shapes
     plane = np.empty((2 * rotor.n_nodes, 2))
@@ -283,7 +363,9 @@ def _sensors(
     long, found = bare.length, []
     for name, place in zip(names, places, strict=True):
         outward = -1.0 if place < long / 2 else 1.0
-        sides = [place + side * outward * share * long for share in (0.04, 0.02) for side in (1.0, -1.0)] + [place]
+        sides = [
+            place + side * outward * share * long for share in (0.04, 0.02) for side in (1.0, -1.0)
+        ] + [place]
         clear = [at for at in sides if 0.01 * long <= at <= 0.99 * long] or [place]
         w = plane_rows(rotor, [place, *clear])[0] @ plane
         same = [bool((w[0] * row > 0).all()) for row in w[1:]]
@@ -292,25 +374,47 @@ def _sensors(
 
 
 def _with_aims(machine: Machine, reasons: dict[str, str]) -> Machine:
-    """Requirements after the standards' zone A, and weights in the proportions of the seal rig (P5)."""
+    """Requirements after the standards' zone A, and weights in the proportions of the seal rig
+    (P5).
+    """
     top, bearing = machine.operation.speed_range[1], machine.bearings[0]
     settings = machine.controller
-    assert settings is not None and bearing.touchdown_gap is not None and bearing.max_current is not None
+    assert (
+        settings is not None
+        and bearing.touchdown_gap is not None
+        and bearing.max_current is not None
+    )
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     least = unavoidable_sensitivity(assemble(machine, machine.operation.design))[0]
     orbit = rounded(0.3 * bearing.touchdown_gap, 2)
     peak = max(3.0, rounded(1.5 * least, 2))
-    turning: dict[str, Any] = {} if not top else {
-        "balance_grade": _GRADE, "balance_speed": top, "unbalance_orbit": orbit, "unbalance_to": top,
-    }  # fmt: skip
-    reasons["requirements.sensitivity_peak"] = "zone A of ISO 14839-3" + (", beyond its reach here" if peak > 3 else "")
+    turning: dict[str, Any] = (
+        {}
+        if not top
+        else {
+            "balance_grade": _GRADE,
+            "balance_speed": top,
+            "unbalance_orbit": orbit,
+            "unbalance_to": top,
+        }
+    )
+    reasons["requirements.sensitivity_peak"] = "zone A of ISO 14839-3" + (
+        ", beyond its reach here" if peak > 3 else ""
+    )
     if turning:
-        reasons["requirements.unbalance_orbit"] = "zone A of ISO 14839-2, 0.3 times the touchdown gap, for G2.5 at top speed"
+        reasons["requirements.unbalance_orbit"] = (
+            "zone A of ISO 14839-2, 0.3 times the touchdown gap, for G2.5 at top speed"
+        )
     error = rounded(0.1 * bearing.touchdown_gap, 2)
-    reasons["weights"] = "a tenth of the touchdown gap, a current in the proportion of P5's test rig, the PID's integral time"
+    reasons["weights"] = (
+        "a tenth of the touchdown gap, a current in the proportion of P5's test rig, the PID's "
+        "integral time"
+    )
     return replace(
         machine,
-        requirements=Requirements(sensitivity_peak=peak, max_current=bearing.max_current, **turning),
+        requirements=Requirements(
+            sensitivity_peak=peak, max_current=bearing.max_current, **turning
+        ),
         weights=DesignWeights(
             error,
             rounded(7.5 * float((k_s / k_i).mean()) * error, 2),

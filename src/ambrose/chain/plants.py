@@ -4,29 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-from ambrose.core.checks import InvalidInput, named_failure
+from ambrose.chain.check import insight
+from ambrose.core.checks import named_failure
 from ambrose.core.statespace import poles
 from ambrose.machine.machine import Machine
-from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
 from ambrose.model.assemble import assemble
-from ambrose.model.plant import Plant
+from ambrose.model.effects.rotor import (
+    finite_element_rotor,
+    free_bending_frequencies,
+    mass_properties,
+)
 from ambrose.model.reduce import reduce_from
-from ambrose.chain.check import insight
-from ambrose.annexes.scheduled.lpv.machine import schedule_grid
-
-
-def schedulable(plant: Plant) -> bool:
-    """Whether the operating points around the plant's give a range of speeds to schedule over."""
-    try:
-        schedule_grid(plant.machine, plant.point)
-    except InvalidInput:
-        return False
-    return plant.machine.weights is not None
 
 
 @named_failure("the model of the machine")
 def facts(machine: Machine) -> dict[str, Any]:
-    """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies, open-loop poles, sizes."""
+    """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies,
+    open-loop poles, sizes.
+    """
     rotor = finite_element_rotor(machine)
     properties = mass_properties(rotor)
     plant = assemble(machine)
@@ -48,5 +43,9 @@ def facts(machine: Machine) -> dict[str, Any]:
         "operating_points": [point.label for point in machine.operation.envelope],
         "tolerances": [tolerance.parameter for tolerance in machine.tolerances],
         "assumed": len(machine.assumed),
-        **insight(plant if machine.operation.design is plant.point else assemble(machine, machine.operation.design)),
+        **insight(
+            plant
+            if machine.operation.design is plant.point
+            else assemble(machine, machine.operation.design)
+        ),
     }

@@ -8,64 +8,158 @@ from typing import Any
 
 import click
 
-from ambrose.terminal import AS_JSON, MACHINE, claim, kept, load, print_table, progress_shown, say, say_json
+from ambrose.terminal import (
+    AS_JSON,
+    MACHINE,
+    claim,
+    kept,
+    load,
+    print_table,
+    progress_shown,
+    say,
+    say_json,
+)
 
-METHODS = ("closed-loop", "youla", "static")  # identification/pipeline.py, which is not imported for --help
+# identification/pipeline.py, which is not imported for --help
+METHODS = ("closed-loop", "youla", "static")
 
 
 @click.command()
 @MACHINE
 @click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--method", type=click.Choice(METHODS), default="closed-loop", show_default=True, help="How to identify.")
-@click.option("--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json).")
 @click.option(
-    "--unknown", multiple=True, metavar="PATH",
-    help='What to identify, "*" for every name or axis: bearing.*.negative_stiffness.* (repeatable). '
-    "Default: what the machine file marks as uncertain, K_i and K_s of every axis, and the amplifier's lag; "
+    "--method",
+    type=click.Choice(METHODS),
+    default="closed-loop",
+    show_default=True,
+    help="How to identify.",
+)
+@click.option(
+    "--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json)."
+)
+@click.option(
+    "--unknown",
+    multiple=True,
+    metavar="PATH",
+    help='What to identify, "*" for every name or axis: bearing.*.negative_stiffness.* '
+    "(repeatable). "
+    "Default: what the machine file marks as uncertain, K_i and K_s of every axis, and the "
+    "amplifier's lag; "
     "delay, and bending (bending_2, ...) for frequency and damping of a bending mode, add to these.",
-)  # fmt: skip
-@click.option("--start", multiple=True, metavar="PATH=VALUE", help="SI value to begin at; default: the machine's (repeatable).")
-@click.option("--signals", multiple=True, metavar="NAME", help="Signals to fit, y_, u_ or i_<axis>; default: every y_<axis>.")
+)
 @click.option(
-    "--delay-samples", "computing_delay", type=float, default=1,
+    "--start",
+    multiple=True,
+    metavar="PATH=VALUE",
+    help="SI value to begin at; default: the machine's (repeatable).",
+)
+@click.option(
+    "--signals",
+    multiple=True,
+    metavar="NAME",
+    help="Signals to fit, y_, u_ or i_<axis>; default: every y_<axis>.",
+)
+@click.option(
+    "--delay-samples",
+    "computing_delay",
+    type=float,
+    default=1,
     help="From measured errors to acting currents; default: the controller file's, or 1.",
-)  # fmt: skip
-@click.option("--bending-modes", type=int, default=3, show_default=True, help="Bending modes per plane in the model.")
-@click.option("--harmonics", type=int, default=3, show_default=True, help="Multiples of the speed that unbalance may hold.")
-@click.option("--tone", "tones", type=float, multiple=True, metavar="HZ", help="Another tone, as of the mains (repeatable).")
+)
 @click.option(
-    "--seal-fit", "seal_form", type=click.Choice(("line", "table")), help="The seal pressure by pressure, and how kept."
+    "--bending-modes",
+    type=int,
+    default=3,
+    show_default=True,
+    help="Bending modes per plane in the model.",
+)
+@click.option(
+    "--harmonics",
+    type=int,
+    default=3,
+    show_default=True,
+    help="Multiples of the speed that unbalance may hold.",
+)
+@click.option(
+    "--tone",
+    "tones",
+    type=float,
+    multiple=True,
+    metavar="HZ",
+    help="Another tone, as of the mains (repeatable).",
+)
+@click.option(
+    "--seal-fit",
+    "seal_form",
+    type=click.Choice(("line", "table")),
+    help="The seal pressure by pressure, and how kept.",
 )
 @click.option("--seal", metavar="NAME", help="Which seal, where there are several.")
-@click.option("--average", type=float, default=0.5, show_default=True, help="Static: seconds averaged at the end of a level.")
+@click.option(
+    "--average",
+    type=float,
+    default=0.5,
+    show_default=True,
+    help="Static: seconds averaged at the end of a level.",
+)
 @click.option("--repeats", is_flag=True, help="The records are repeats: identify each alone, too.")
-@click.option("--compare", type=click.Path(path_type=Path), help="A machine file found by another method: the differences.")
-@click.option("--report", type=click.Path(path_type=Path), help="A page: parameters, measured over model, residual tests.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("identified.toml"), show_default=True)
+@click.option(
+    "--compare",
+    type=click.Path(path_type=Path),
+    help="A machine file found by another method: the differences.",
+)
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path),
+    help="A page: parameters, measured over model, residual tests.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("identified.toml"),
+    show_default=True,
+)
 @AS_JSON
 @click.pass_context
 def identify(
-    context: click.Context, /, machine: str, records: tuple[Path, ...], method: str, controller: Path | None,
-    start: tuple[str, ...], compare: Path | None, report: Path | None, output: Path, as_json: bool, **asked: Any,
-) -> None:  # fmt: skip
-    """Identify parameters from records of the running machine; write the machine with them and their uncertainty.
+    context: click.Context,
+    /,
+    machine: str,
+    records: tuple[Path, ...],
+    method: str,
+    controller: Path | None,
+    start: tuple[str, ...],
+    compare: Path | None,
+    report: Path | None,
+    output: Path,
+    as_json: bool,
+    **asked: Any,
+) -> None:
+    """Identify parameters from records of the running machine; write the machine with them and
+    their uncertainty.
 
-    RECORDS are *.h5 or *.csv files with the excitations e_<axis> and the displacements y_<axis>; with u_<axis> the controller
-    is checked too. --method youla needs every u_<axis>; --method static takes loads f_<port> and currents, and finds K_i.
-    Exit status 1: done, but a warning says that the result is doubtful; 2: refused.
+    RECORDS are *.h5 or *.csv files with the excitations e_<axis> and the displacements y_<axis>;
+    with u_<axis> the controller is checked too. --method youla needs every u_<axis>; --method
+    static takes loads f_<port> and currents, and finds K_i. Exit status 1: done, but a warning says
+    that the result is doubtful; 2: refused.
     """
     from click.core import ParameterSource
 
     from ambrose.identification.pipeline import Provenance, check_arguments
     from ambrose.identification.pipeline import identify as run
     from ambrose.identification.validation.agreement import compare as agreement
+    from ambrose.judge.controller_file import read_controller
     from ambrose.machine.atomic_write import write_text
     from ambrose.machine.file.update import machine_text
-    from ambrose.judge.controller_file import read_controller
 
     flags = {item.name: item.opts[-1] for item in context.command.params if item.name}
     arguments = {"controller", "start", *asked}
-    given = {name for name in arguments if context.get_parameter_source(name) is not ParameterSource.DEFAULT}
+    given = {
+        name
+        for name in arguments
+        if context.get_parameter_source(name) is not ParameterSource.DEFAULT
+    }
     check_arguments(method, given, flags)
     description = load(machine)
     other = load(str(compare)) if compare is not None else None
@@ -76,7 +170,15 @@ def identify(
     names = Provenance(tuple(path.name for path in records), controller.name if controller else "")
     with progress_shown(as_json) as progress:
         law = read_controller(controller) if controller else None
-        done = run(description, records, law, method=method, provenance=names, progress=progress, **settings)
+        done = run(
+            description,
+            records,
+            law,
+            method=method,
+            provenance=names,
+            progress=progress,
+            **settings,
+        )
         compared = None if other is None else agreement(done.result, other)
         text = done.comment + machine_text(done.machine)
         failure = kept(lambda path: write_text(path, text, "machine file"), output)
@@ -95,7 +197,10 @@ def identify(
         say_json({**done.to_dict(), "compared": rows, **files})
     else:
         _print(done, compared)
-        say(f"Machine with these values and their uncertainty: {output}" + (f". Report: {report}" if report else ""))
+        say(
+            f"Machine with these values and their uncertainty: {output}"
+            + (f". Report: {report}" if report else "")
+        )
     if failure is not None:
         raise failure
     sys.exit(0 if done.passed else 1)
@@ -114,7 +219,10 @@ def _starts(texts: tuple[str, ...]) -> dict[str, float]:
             equals = ""
         if not equals:
             raise invalid(
-                "--start", repr(text), "PATH=VALUE with a number in SI units", "write bearing.A.force_per_current.zeta=140"
+                "--start",
+                repr(text),
+                "PATH=VALUE with a number in SI units",
+                "write bearing.A.force_per_current.zeta=140",
             )
     return values
 
@@ -148,7 +256,9 @@ def _print(done: Any, compared: Any) -> None:
 
 
 def _table(table: Any, only_failed: bool = False) -> None:
-    rows = [row for row in table.cells if not only_failed or any(cell.mark == "fail" for cell in row)]
+    rows = [
+        row for row in table.cells if not only_failed or any(cell.mark == "fail" for cell in row)
+    ]
     texts = [tuple(f"{cell.symbol} {cell.text}".strip() for cell in row) for row in rows]
     marks = ["red" if any(cell.mark == "fail" for cell in row) else "" for row in rows]
     print_table(table.title, table.columns, texts, marks)

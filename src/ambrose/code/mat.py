@@ -1,7 +1,9 @@
-"""A controller for MATLAB, Simulink and Octave: one struct in a MAT-file (version 5), and a script that reads and checks it.
+"""A controller for MATLAB, Simulink and Octave: one struct in a MAT-file (version 5), and a script
+that reads and checks it.
 
-The struct holds the sampled controller as it runs, the continuous one it was made from, the block (scaled states, limits,
-anti-windup), test vectors and what the loop was verified on. ``K = ss(c.A, c.B, c.C, c.D, c.dt)`` is the controller in m and A.
+The struct holds the sampled controller as it runs, the continuous one it was made from, the block
+(scaled states, limits, anti-windup), test vectors and what the loop was verified on. ``K = ss(c.A,
+c.B, c.C, c.D, c.dt)`` is the controller in m and A.
 """
 
 from __future__ import annotations
@@ -14,16 +16,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from ambrose.core.checks import invalid
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.names import as_comment
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.code.c.code import block_facts
-from ambrose.code.sampled import Deployment, ScheduledDeployment
 from ambrose.code.rendering import render
+from ambrose.code.sampled import Deployment, ScheduledDeployment
+from ambrose.core.checks import invalid
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace
 from ambrose.judge.result import Status, Synthesis
 from ambrose.version import __version__
 
@@ -45,28 +47,42 @@ def generate_mat(
 ) -> dict[str, str | bytes]:
     """<name>.mat, <name>_load.m (not of a schedule) and <name>_vectors.csv.
 
-    synthesis: where the controller comes from. provenance: the lines that other targets put into their headers. Raises
-    InvalidInput.
+    synthesis: where the controller comes from. provenance: the lines that other targets put into
+    their headers. Raises InvalidInput.
     """
     if block.name.lower() in _RESERVED:
-        raise invalid("the name of the block", repr(block.name), "no word of MATLAB or Octave", "give another --name")
+        raise invalid(
+            "the name of the block",
+            repr(block.name),
+            "no word of MATLAB or Octave",
+            "give another --name",
+        )
     if isinstance(block, ScheduledBlock) or isinstance(deployment, ScheduledDeployment):
         given = cast(ScheduledBlock, block), cast(ScheduledDeployment, deployment)
         over = make_scheduled_vectors(given[0])
         struct = scheduled_content(*given, synthesis, provenance, over)
-        return {f"{block.name}.mat": _bytes({block.name: struct}), f"{block.name}_vectors.csv": as_csv(block, over)}
+        return {
+            f"{block.name}.mat": _bytes({block.name: struct}),
+            f"{block.name}_vectors.csv": as_csv(block, over),
+        }
     run = make_vectors(block)
     continuous, comments = deployment.source.dt is None, [as_comment(line) for line in provenance]
     facts = {**block_facts(block), "provenance": comments, "continuous": continuous}
     return {
-        f"{block.name}.mat": _bytes({block.name: content(block, deployment, synthesis, provenance, run)}),
+        f"{block.name}.mat": _bytes(
+            {block.name: content(block, deployment, synthesis, provenance, run)}
+        ),
         f"{block.name}_load.m": render("load.m.j2", facts),
         f"{block.name}_vectors.csv": as_csv(block, run),
     }
 
 
 def content(
-    block: ControlBlock, deployment: Deployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
+    block: ControlBlock,
+    deployment: Deployment,
+    synthesis: Synthesis,
+    provenance: Sequence[str],
+    run: Vectors,
 ) -> dict[str, Any]:
     """The struct's fields."""
     K, source = deployment.controller, deployment.source
@@ -74,7 +90,11 @@ def content(
         **_head(K, block),
         **_matrices(K),
         "increment": deployment.increment,
-        "continuous": {**_matrices(source), "inputs": _cells(source.inputs), "outputs": _cells(source.outputs)}
+        "continuous": {
+            **_matrices(source),
+            "inputs": _cells(source.inputs),
+            "outputs": _cells(source.outputs),
+        }
         if source.dt is None
         else np.zeros((0, 0)),
         "limits": {"error": _column(block.error_limit), "current": _column(block.current_limit)},
@@ -84,24 +104,43 @@ def content(
 
 
 def scheduled_content(
-    block: ScheduledBlock, deployment: ScheduledDeployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
+    block: ScheduledBlock,
+    deployment: ScheduledDeployment,
+    synthesis: Synthesis,
+    provenance: Sequence[str],
+    run: Vectors,
 ) -> dict[str, Any]:
-    """The struct's fields of a schedule: A (n, n, k) and so on over the k values of ``scheduling.grid``, linear in between."""
-    K, source, along = deployment.sampled, deployment.source, block.along
+    """The struct's fields of a schedule: A (n, n, k) and so on over the k values of
+    ``scheduling.grid``, linear in between.
+    """
+    K = deployment.sampled
+    source = deployment.source
+    along = block.along
     limits = {"error": _column(block.error_limit), "current": _column(block.current_limit)}
-    parts = {name: _pages(getattr(block, name)) for name in ("increment", "B", "C", "D", "unwind", "steady", "pick")}
+    parts = {
+        name: _pages(getattr(block, name))
+        for name in ("increment", "B", "C", "D", "unwind", "steady", "pick")
+    }
     return {
         **_head(K.systems[0], block),
         **_over(K),
-        "scheduling": {"parameter": along.name, "unit": along.unit, "grid": _column(K.grid), "interpolation": "linear"},
+        "scheduling": {
+            "parameter": along.name,
+            "unit": along.unit,
+            "grid": _column(K.grid),
+            "interpolation": "linear",
+        },
         "increment": _pages(deployment.increments),
         "continuous": _over(source) if source.dt is None else np.zeros((0, 0)),
         "limits": {**limits, along.name: block.told_limit, f"{along.name}_rate": block.rate_limit},
         "block": {
-            **parts, "passes": float(block.passes), "hold_samples": float(block.hold_samples), "windup_time": block.windup_time,
+            **parts,
+            "passes": float(block.passes),
+            "hold_samples": float(block.hold_samples),
+            "windup_time": block.windup_time,
         },
         **_tail(deployment, synthesis, provenance, run),
-    }  # fmt: skip
+    }
 
 
 def _pages(x: np.ndarray) -> np.ndarray:
@@ -110,7 +149,10 @@ def _pages(x: np.ndarray) -> np.ndarray:
 
 
 def _over(schedule: ScheduledSystem) -> dict[str, np.ndarray]:
-    return {letter: _pages(np.array([getattr(system, letter) for system in schedule.systems])) for letter in "ABCD"}
+    return {
+        letter: _pages(np.array([getattr(system, letter) for system in schedule.systems]))
+        for letter in "ABCD"
+    }
 
 
 def _head(K: StateSpace, block: ControlBlock | ScheduledBlock) -> dict[str, Any]:
@@ -123,18 +165,25 @@ def _head(K: StateSpace, block: ControlBlock | ScheduledBlock) -> dict[str, Any]
         "outputs": _cells(K.outputs),
         "input_unit": "m",
         "output_unit": "A",
-        "sign": "input = reference - displacement; a positive current pulls towards positive displacement",
+        "sign": "input = reference - displacement; a positive current pulls towards positive "
+        "displacement",
     }
 
 
 def _tail(
-    deployment: Deployment | ScheduledDeployment, synthesis: Synthesis, provenance: Sequence[str], run: Vectors
+    deployment: Deployment | ScheduledDeployment,
+    synthesis: Synthesis,
+    provenance: Sequence[str],
+    run: Vectors,
 ) -> dict[str, Any]:
     origin = synthesis.provenance
     told = {} if run.told is None else {run.parameters[0]: _column(run.told)}
     return {
         "vectors": {
-            "errors": run.errors, "valid": run.valid.astype(float), **told, "currents": run.currents,
+            "errors": run.errors,
+            "valid": run.valid.astype(float),
+            **told,
+            "currents": run.currents,
             "status": _column(run.status),
         },
         "method": synthesis.method,
@@ -144,10 +193,14 @@ def _tail(
         "verified": deployment.verified,
         "verification": _verification(deployment),
         "provenance": {
-            "package": "ambrose", "package_version": __version__, "machine": origin.machine or "",
-            "machine_hash": origin.machine_hash or "", "date": origin.date, "lines": _cells(provenance),
+            "package": "ambrose",
+            "package_version": __version__,
+            "machine": origin.machine or "",
+            "machine_hash": origin.machine_hash or "",
+            "date": origin.date,
+            "lines": _cells(provenance),
         },
-    }  # fmt: skip
+    }
 
 
 def _matrices(system: StateSpace) -> dict[str, np.ndarray]:
@@ -155,12 +208,21 @@ def _matrices(system: StateSpace) -> dict[str, np.ndarray]:
 
 
 def _block(block: ControlBlock) -> dict[str, Any]:
-    """What the generated code computes with, in scaled states; the formulas are those of block/fixed.py."""
+    """What the generated code computes with, in scaled states; the formulas are those of
+    block/fixed.py.
+    """
     return {
-        "increment": block.increment, "B": block.B, "C": block.C, "D": block.D, "unwind": block.unwind,
-        "from_error": block.from_error, "from_output": block.from_output, "winding": float(block.winding),
-        "hold_samples": float(block.hold_samples), "windup_time": block.windup_time,
-    }  # fmt: skip
+        "increment": block.increment,
+        "B": block.B,
+        "C": block.C,
+        "D": block.D,
+        "unwind": block.unwind,
+        "from_error": block.from_error,
+        "from_output": block.from_output,
+        "winding": float(block.winding),
+        "hold_samples": float(block.hold_samples),
+        "windup_time": block.windup_time,
+    }
 
 
 def _certificate(synthesis: Synthesis) -> Any:
@@ -168,15 +230,20 @@ def _certificate(synthesis: Synthesis) -> Any:
     if synthesis.status is Status.UNCERTIFIED:
         return np.zeros((0, 0))
     return {
-        "stable": certificate.stable, "spectral_abscissa": float(certificate.spectral_abscissa),
-        "closed_loop_norm": float(certificate.closed_loop_norm), "fastest_pole": float(certificate.fastest_pole),
+        "stable": certificate.stable,
+        "spectral_abscissa": float(certificate.spectral_abscissa),
+        "closed_loop_norm": float(certificate.closed_loop_norm),
+        "fastest_pole": float(certificate.fastest_pole),
         "plant": certificate.plant,
-        "margins": {_field(name): float(value) for name, value in certificate.margins.items()} or np.zeros((0, 0)),
-    }  # fmt: skip
+        "margins": {_field(name): float(value) for name, value in certificate.margins.items()}
+        or np.zeros((0, 0)),
+    }
 
 
 def _verification(deployment: Deployment | ScheduledDeployment) -> Any:
-    """One struct per operating point, and over the tolerances: stable, and every quantity with its value and limit."""
+    """One struct per operating point, and over the tolerances: stable, and every quantity with its
+    value and limit.
+    """
     own = deployment.points if isinstance(deployment, ScheduledDeployment) else ()
     checks = [*deployment.checks, *own, *deployment.box]
     if not checks:
@@ -186,9 +253,13 @@ def _verification(deployment: Deployment | ScheduledDeployment) -> Any:
     for i, point in enumerate(checks):
         limits = [math.nan if check.limit is None else check.limit for check in point.checks]
         points[i, 0] = (
-            point.label, point.stable, _cells([check.title for check in point.checks]),
-            _column([check.value for check in point.checks]), _cells([check.unit for check in point.checks]), _column(limits),
-        )  # fmt: skip
+            point.label,
+            point.stable,
+            _cells([check.title for check in point.checks]),
+            _column([check.value for check in point.checks]),
+            _cells([check.unit for check in point.checks]),
+            _column(limits),
+        )
     return points
 
 
@@ -212,5 +283,12 @@ def _bytes(variables: Mapping[str, Any]) -> bytes:
     from scipy.io import savemat
 
     stream = io.BytesIO()
-    savemat(stream, dict(variables), format="5", do_compression=False, long_field_names=True, oned_as="column")
+    savemat(
+        stream,
+        dict(variables),
+        format="5",
+        do_compression=False,
+        long_field_names=True,
+        oned_as="column",
+    )
     return stream.getvalue()

@@ -7,7 +7,9 @@ from typing import Any
 
 
 def render(template: str, values: Mapping[str, Any], autoescape: bool = False) -> str:
-    """The text of a template. autoescape: for XML and HTML; elsewhere names are checked and comments made safe."""
+    """The text of a template. autoescape: for XML and HTML; elsewhere names are checked and
+    comments made safe.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(

@@ -1,7 +1,9 @@
-"""A control block as IEC 61131-3 structured text: a function block, a program that tests it, its vectors.
+"""A control block as IEC 61131-3 structured text: a function block, a program that tests it, its
+vectors.
 
-The language is the common part of the standard's second and third editions: arrays, FOR, IF; no pointers, no methods, no
-library. Signs, order of the sums and limits are those of the generated C, so results agree to the last digits.
+The language is the common part of the standard's second and third editions: arrays, FOR, IF; no
+pointers, no methods, no library. Signs, order of the sums and limits are those of the generated C,
+so results agree to the last digits.
 """
 
 from __future__ import annotations
@@ -13,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import invalid
 from ambrose.code.block.cost import increment_of, scheduled_cost, step_cost
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.names import as_comment
@@ -24,6 +25,7 @@ from ambrose.code.block.word_length import MANTISSA, floating_error
 from ambrose.code.c.code import Precision, block_facts, scheduled_tolerance
 from ambrose.code.c.literals import diagonals, digits, lines_of
 from ambrose.code.rendering import render
+from ambrose.core.checks import invalid
 
 _TYPES = {"double": "LREAL", "float": "REAL"}
 _WORDS = """
@@ -64,11 +66,15 @@ class Table:
 
 
 def generate_structured_text(
-    block: ControlBlock | ScheduledBlock, precision: Precision = "double", provenance: Sequence[str] = ()
+    block: ControlBlock | ScheduledBlock,
+    precision: Precision = "double",
+    provenance: Sequence[str] = (),
 ) -> dict[str, str]:
-    """<name>.st (the function block), <name>_test.st (a program that replays the vectors), <name>_vectors.csv.
+    """<name>.st (the function block), <name>_test.st (a program that replays the vectors),
+    <name>_vectors.csv.
 
-    precision: "double" (LREAL) or "float" (REAL). Raises InvalidInput for names that structured text reserves.
+    precision: "double" (LREAL) or "float" (REAL). Raises InvalidInput for names that structured
+    text reserves.
     """
     if precision not in _TYPES:
         remedy = "structured text is written in floating point; take the C code for fixed point"
@@ -77,7 +83,11 @@ def generate_structured_text(
         block = block.single()
     _check_names(block)
     single = precision == "float"
-    run = make_scheduled_vectors(block, single) if isinstance(block, ScheduledBlock) else make_vectors(block, single=single)
+    run = (
+        make_scheduled_vectors(block, single)
+        if isinstance(block, ScheduledBlock)
+        else make_vectors(block, single=single)
+    )
     facts = _facts(block, precision, provenance)
     return {
         f"{block.name}.st": render("block.st.j2", {**facts, "tables": _tables(block, precision)}),
@@ -87,24 +97,42 @@ def generate_structured_text(
 
 
 def _check_names(block: ControlBlock | ScheduledBlock) -> None:
-    """Names that structured text allows: case does not count, no two underscores in a row, no keyword, none of ours."""
+    """Names that structured text allows: case does not count, no two underscores in a row, no
+    keyword, none of ours.
+    """
     own = frozenset(_OWN.split()) | {d["name"] for d in _diagonals(block)}
     if isinstance(block, ScheduledBlock):
         own |= frozenset(_OWN_SCHEDULED.split()) | {block.along.name, f"{block.along.name}_held"}
     checked = [("the name of the block", block.name, "give another --name")]
-    checked += [("a signal's name", s, "give the controller's signals other names") for s in (*block.inputs, *block.outputs)]
+    checked += [
+        ("a signal's name", s, "give the controller's signals other names")
+        for s in (*block.inputs, *block.outputs)
+    ]
     for what, name, remedy in checked:
         if not _IDENTIFIER.fullmatch(name):
-            wanted = "an identifier of IEC 61131-3 (letters, digits, single underscores between them)"
+            wanted = (
+                "an identifier of IEC 61131-3 (letters, digits, single underscores between them)"
+            )
             raise invalid(what, repr(name), wanted, remedy)
         if name.lower() in KEYWORDS | own:
-            raise invalid(what, repr(name), "no word of structured text or of the function block", remedy)
+            raise invalid(
+                what, repr(name), "no word of structured text or of the function block", remedy
+            )
     every = [block.name, *block.inputs, *block.outputs, f"{block.name}_test", f"{block.name}_check"]
-    every += [f"{part}_{name}" for part, names in (("valid", block.inputs), ("given", block.outputs)) for name in names]
+    every += [
+        f"{part}_{name}"
+        for part, names in (("valid", block.inputs), ("given", block.outputs))
+        for name in names
+    ]
     lower = [name.lower() for name in every]
     for name in every:
         if lower.count(name.lower()) > 1:
-            raise invalid("a signal's name", repr(name), "unique, capitals or not", "give the controller's signals other names")
+            raise invalid(
+                "a signal's name",
+                repr(name),
+                "unique, capitals or not",
+                "give the controller's signals other names",
+            )
 
 
 def _diagonals(block: ControlBlock | ScheduledBlock) -> list[dict[str, Any]]:
@@ -112,22 +140,37 @@ def _diagonals(block: ControlBlock | ScheduledBlock) -> list[dict[str, Any]]:
     return diagonals(increment, increment)
 
 
-def _facts(block: ControlBlock | ScheduledBlock, precision: Precision, provenance: Sequence[str]) -> dict[str, Any]:
+def _facts(
+    block: ControlBlock | ScheduledBlock, precision: Precision, provenance: Sequence[str]
+) -> dict[str, Any]:
     facts = {
-        **block_facts(block), "type": _TYPES[precision], "diagonals": _diagonals(block),
+        **block_facts(block),
+        "type": _TYPES[precision],
+        "diagonals": _diagonals(block),
         "provenance": [_comment(line) for line in provenance] or ["provenance: not given"],
-        "floor": literal(FLOOR["float"], "float"), "scheduled": isinstance(block, ScheduledBlock),
-    }  # fmt: skip
+        "floor": literal(FLOOR["float"], "float"),
+        "scheduled": isinstance(block, ScheduledBlock),
+    }
     if not isinstance(block, ScheduledBlock):
         return {**facts, "winding": block.winding, "cost": step_cost(block, precision)}
     (low, high), along = block.range, block.along
     step = literal(block.told_step, precision) if np.isfinite(block.told_step) else ""
     return {
-        **facts, "winding": block.n_states, "cost": scheduled_cost(block, precision), "direct": True,
-        "parameter": along.name, "unit": along.unit, "ng": len(block.grid), "passes": block.passes, "told_step": step,
-        "low": literal(low, precision), "high": literal(high, precision), "told_limit": literal(block.told_limit, precision),
-        "nr": block.changes.ranks[0], "nq": block.changes.ranks[1],
-    }  # fmt: skip
+        **facts,
+        "winding": block.n_states,
+        "cost": scheduled_cost(block, precision),
+        "direct": True,
+        "parameter": along.name,
+        "unit": along.unit,
+        "ng": len(block.grid),
+        "passes": block.passes,
+        "told_step": step,
+        "low": literal(low, precision),
+        "high": literal(high, precision),
+        "told_limit": literal(block.told_limit, precision),
+        "nr": block.changes.ranks[0],
+        "nq": block.changes.ranks[1],
+    }
 
 
 def _scheduled_tables(block: ScheduledBlock) -> dict[str, np.ndarray]:
@@ -152,9 +195,16 @@ def _scheduled_tables(block: ScheduledBlock) -> dict[str, np.ndarray]:
 def _tables(block: ControlBlock | ScheduledBlock, precision: Precision) -> list[Table]:
     arrays = {"error_limit": block.error_limit, "current_limit": block.current_limit}
     arrays |= {d["name"]: d["entries"] for d in _diagonals(block)}
-    arrays |= _scheduled_tables(block) if isinstance(block, ScheduledBlock) else _fixed_tables(block)
+    arrays |= (
+        _scheduled_tables(block) if isinstance(block, ScheduledBlock) else _fixed_tables(block)
+    )
     return [
-        Table(name, ", ".join(f"0..{count - 1}" for count in x.shape), _TYPES[precision], values(x, precision))
+        Table(
+            name,
+            ", ".join(f"0..{count - 1}" for count in x.shape),
+            _TYPES[precision],
+            values(x, precision),
+        )
         for name, x in arrays.items()
     ]
 
@@ -172,20 +222,30 @@ def _fixed_tables(block: ControlBlock) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _test(block: ControlBlock | ScheduledBlock, run: Vectors, precision: Precision) -> dict[str, Any]:
+def _test(
+    block: ControlBlock | ScheduledBlock, run: Vectors, precision: Precision
+) -> dict[str, Any]:
     told = {}
     if isinstance(block, ScheduledBlock):
         tolerance = scheduled_tolerance(block, run, precision)
-        none = 2.0 * block.told_limit  # what is no number has no literal, and is treated as what is implausible
+        # what is no number has no literal, and is treated as what is implausible
+        none = 2.0 * block.told_limit
         told = {"told": values(np.nan_to_num(np.asarray(run.told), nan=none), precision)}
     else:
-        tolerance = 1e-12 * block.raw_limit if precision == "double" else floating_error(block, MANTISSA["float"])
+        tolerance = (
+            1e-12 * block.raw_limit
+            if precision == "double"
+            else floating_error(block, MANTISSA["float"])
+        )
     return {
         **told,
-        "samples": len(run.errors), "errors": values(run.errors, precision), "currents": values(run.currents, precision),
-        "tolerance": values(tolerance, precision), "status": _lines([str(int(v)) for v in run.status]),
+        "samples": len(run.errors),
+        "errors": values(run.errors, precision),
+        "currents": values(run.currents, precision),
+        "tolerance": values(tolerance, precision),
+        "status": _lines([str(int(v)) for v in run.status]),
         "valid": _lines(["TRUE" if v else "FALSE" for v in run.valid.ravel()]),
-    }  # fmt: skip
+    }
 
 
 def values(x: np.ndarray, precision: Precision) -> str:

@@ -1,4 +1,6 @@
-"""The time limit of a synthesis, in computing time, so that a busy machine does not change its result."""
+"""The time limit of a synthesis, in computing time, so that a busy machine does not change its
+result.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,11 @@ _PATIENCE = 5.0  # times the limit: the guard by the clock on the wall
 
 @dataclass(frozen=True, slots=True)
 class TimeLimit:
-    """``seconds`` of computing by the thread that made this object, and five times as many on the wall as an outer guard.
+    """``seconds`` of computing by the thread that made this object, and five times as many on the
+    wall as an outer guard.
 
-    The thread's own time: other programs, other threads of the process and the threads of a linear algebra library do not
-    count. Raises InvalidInput unless the limit is positive.
+    The thread's own time: other programs, other threads of the process and the threads of a linear
+    algebra library do not count. Raises InvalidInput unless the limit is positive.
     """
 
     seconds: float
@@ -32,12 +35,20 @@ class TimeLimit:
 
     @property
     def left(self) -> float:
-        """Seconds that remain, of computing or on the wall, whichever ends first; not positive when the limit is reached."""
-        return min(self.seconds - (time.thread_time() - self._computed), _PATIENCE * self.seconds - self.elapsed)
+        """Seconds that remain, of computing or on the wall, whichever ends first; not positive when
+        the limit is reached.
+        """
+        return min(
+            self.seconds - (time.thread_time() - self._computed),
+            _PATIENCE * self.seconds - self.elapsed,
+        )
 
     @property
     def reached(self) -> str:
         """What to say when nothing is left."""
         if time.thread_time() - self._computed < self.seconds:
-            return f"{_PATIENCE:g} times the time limit of {self.seconds:g} s passed, on a busy machine; raise time_limit"
+            return (
+                f"{_PATIENCE:g} times the time limit of {self.seconds:g} s passed, on a busy "
+                "machine; raise time_limit"
+            )
         return f"the time limit of {self.seconds:g} s was reached; raise time_limit"

@@ -1,4 +1,6 @@
-"""The certificate: what is recomputed for a finished controller on the plant it was made for, before it is returned."""
+"""The certificate: what is recomputed for a finished controller on the plant it was made for,
+before it is returned.
+"""
 
 from __future__ import annotations
 
@@ -25,31 +27,35 @@ from ambrose.core.statespace import (
     spectral_abscissa,
     static_gain,
 )
-from ambrose.model.assemble import assemble
+from ambrose.judge.result import Certificate, Status, Synthesis
 from ambrose.law.loop import covers, law_at, match_controller
-from ambrose.model.plant import Plant
 from ambrose.law.scheduling import scheduling_of
 from ambrose.law.timing import Timing
-from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
 
 _SAME = 1e-5  # relative; margins recomputed elsewhere differ by rounding
 
 
 @named_failure("the certificate")
 def certify(plant: Plant | StateSpace, controller: Any, margins: bool = True) -> Certificate:
-    """Stability, output sensitivity and margins of the loop of core/lft.py, recomputed from plant and controller.
+    """Stability, output sensitivity and margins of the loop of core/lft.py, recomputed from plant
+    and controller.
 
-    plant: a Plant, or a StateSpace from currents u [A] to displacements y [m] (its signals matched to the controller's by
-    place). A sampled controller closes the loop around the plant sampled with a zero-order hold; everything then holds at
-    the samples. ``closed_loop_norm`` is the H-infinity norm of S_o. The margins:
+    plant: a Plant, or a StateSpace from currents u [A] to displacements y [m] (its signals matched
+    to the controller's by place). A sampled controller closes the loop around the plant sampled
+    with a zero-order hold; everything then holds at the samples. ``closed_loop_norm`` is the
+    H-infinity norm of S_o. The margins:
 
     - ``sensitivity_peak``, ``complementary_peak`` [-]: H-infinity norms of S_o and T_o;
-    - ``disk_gain_margin``, ``disk_gain_reduction`` [-], ``disk_phase_margin_rad``: what every axis at once may change, each
-      by its own factor, the better of the bounds M_S/(M_S-1), M_S/(M_S+1), 2 asin(1/2M_S) and 1+1/M_T, 1-1/M_T,
-      2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981). Margins of single axes: verification/margins.py.
-      Without ``margins`` they are left out, and the norm of T_o, which takes as long as that of S_o, is not computed.
+    - ``disk_gain_margin``, ``disk_gain_reduction`` [-], ``disk_phase_margin_rad``: what every axis
+      at once may change, each by its own factor, the better of the bounds M_S/(M_S-1), M_S/(M_S+1),
+      2 asin(1/2M_S) and 1+1/M_T, 1-1/M_T, 2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981).
+      Margins of single axes: verification/margins.py. Without ``margins`` they are left out, and
+      the norm of T_o, which takes as long as that of S_o, is not computed.
 
-    An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises InvalidInput when sizes do not fit.
+    An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises
+    InvalidInput when sizes do not fit.
     """
     loop, controller = _open_loop(plant, controller)
     identity = np.eye(len(loop.outputs))
@@ -67,8 +73,11 @@ def certify(plant: Plant | StateSpace, controller: Any, margins: bool = True) ->
     return Certificate(True, abscissa, peak, fastest, found, label)
 
 
-def certify_envelope(plants: Sequence[Plant], result: Synthesis, timing: Timing | None) -> Synthesis:
-    """The synthesis whose certificate tells the spectral abscissa at every one of the full ``plants``, as the loop runs.
+def certify_envelope(
+    plants: Sequence[Plant], result: Synthesis, timing: Timing | None
+) -> Synthesis:
+    """The synthesis whose certificate tells the spectral abscissa at every one of the full
+    ``plants``, as the loop runs.
 
     Plants that a schedule is not meant for are left out.
     """
@@ -76,18 +85,21 @@ def certify_envelope(plants: Sequence[Plant], result: Synthesis, timing: Timing 
     for plant in plants:
         if covers(result.law, plant):
             law = law_at(result.law, plant.point)
-            envelope[plant.point.label] = _abscissa(_open_loop(plant, law if timing is None else timing.in_loop(law))[0])
+            envelope[plant.point.label] = _abscissa(
+                _open_loop(plant, law if timing is None else timing.in_loop(law))[0]
+            )
     certificate = replace(result.certificate, envelope=envelope)
     return replace(result, certificate=certificate)
 
 
 @named_failure("the certificate")
 def generalized_certificate(plant: GeneralizedPlant, controller: Any) -> Certificate:
-    """Stability and norm of z = F_l(P, K) w, recomputed from a generalized plant and its controller u = K y.
+    """Stability and norm of z = F_l(P, K) w, recomputed from a generalized plant and its controller
+    u = K y.
 
-    controller: its signals matched to y and u by place. ``closed_loop_norm`` is the H-infinity norm from all w to all z; an
-    unstable or marginal loop is a verdict: stable False, closed_loop_norm inf. Raises InvalidInput when sizes do not fit,
-    NumericalFailure for an algebraic loop.
+    controller: its signals matched to y and u by place. ``closed_loop_norm`` is the H-infinity norm
+    from all w to all z; an unstable or marginal loop is a verdict: stable False, closed_loop_norm
+    inf. Raises InvalidInput when sizes do not fit, NumericalFailure for an algebraic loop.
     """
     controller = as_statespace(controller)
     loop = lft(plant, controller)
@@ -100,48 +112,69 @@ def generalized_certificate(plant: GeneralizedPlant, controller: Any) -> Certifi
     return Certificate(norm < np.inf, abscissa, norm, fastest_pole(controller), {}, label)
 
 
-def full_plant_margins(plant: Plant, law: StateSpace | ScheduledSystem) -> tuple[bool, dict[str, float], str]:
-    """Whether a law holds a full plant, a schedule at every point of its grid; the margins that say so; on what.
+def full_plant_margins(
+    plant: Plant, law: StateSpace | ScheduledSystem
+) -> tuple[bool, dict[str, float], str]:
+    """Whether a law holds a full plant, a schedule at every point of its grid; the margins that say
+    so; on what.
 
-    "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the grid, and "worst_speed" [rad/s] and
-    "worst_pressure" [Pa], of what it is scheduled over, where that is.
+    "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the grid, and
+    "worst_speed" [rad/s] and "worst_pressure" [Pa], of what it is scheduled over, where that is.
     """
     along = scheduling_of(law)
     if along is None or not isinstance(law, ScheduledSystem):
         found = certify(plant, law, margins=False)
-        margins = {"full_spectral_abscissa": found.spectral_abscissa, "full_sensitivity_peak": found.closed_loop_norm}
+        margins = {
+            "full_spectral_abscissa": found.spectral_abscissa,
+            "full_sensitivity_peak": found.closed_loop_norm,
+        }
         return found.stable, margins, found.plant
     machine, values = plant.machine, law.values
-    results = [certify(assemble(machine, along.moved(plant.point, value)), law.at(value), False) for value in values]
+    results = [
+        certify(assemble(machine, along.moved(plant.point, value)), law.at(value), False)
+        for value in values
+    ]
     worst = int(np.argmax([item.closed_loop_norm for item in results]))
     margins = {
         "full_spectral_abscissa": max(item.spectral_abscissa for item in results),
         "full_sensitivity_peak": results[worst].closed_loop_norm,
-        **{f"worst_{one.name}": float(at) for one, at in zip(along.each, np.atleast_1d(values[worst]), strict=True)},
+        **{
+            f"worst_{one.name}": float(at)
+            for one, at in zip(along.each, np.atleast_1d(values[worst]), strict=True)
+        },
     }
     label = f"{machine.name}, full plant at {len(values)} of these {along.plural}"
     return all(item.stable for item in results), margins, label
 
 
-def certify_on_full_plant(plant: Plant, result: Synthesis, margins: Mapping[str, float] | None = None) -> Synthesis:
-    """The synthesis with ``margins`` and those of ``full_plant_margins`` added; "unstable" where it does not hold ``plant``."""
+def certify_on_full_plant(
+    plant: Plant, result: Synthesis, margins: Mapping[str, float] | None = None
+) -> Synthesis:
+    """The synthesis with ``margins`` and those of ``full_plant_margins`` added; "unstable" where it
+    does not hold ``plant``.
+    """
     before = result.certificate
     holds, full, label = full_plant_margins(plant, result.law)
     stable = before.stable and holds
     margins = {**before.margins, **(margins or {}), **full}
     certificate = replace(before, stable=stable, margins=margins, plant=f"{before.plant}; {label}")
-    return replace(result, certificate=certificate, status=result.status if stable else Status.UNSTABLE)
+    return replace(
+        result, certificate=certificate, status=result.status if stable else Status.UNSTABLE
+    )
 
 
 def contradiction(plant: Plant, result: Synthesis, sampled: Mapping[str, float]) -> str:
-    """Which margin, recomputed on the full plant, is not what the certificate says; "" where all are.
+    """Which margin, recomputed on the full plant, is not what the certificate says; "" where all
+    are.
 
     sampled: those of the loop as it runs, recomputed as well (``as_it_runs.sampled_margins``).
     """
     said = result.certificate
     margins = {
-        "full_spectral_abscissa": said.spectral_abscissa, "full_sensitivity_peak": said.closed_loop_norm, **said.margins
-    }  # fmt: skip
+        "full_spectral_abscissa": said.spectral_abscissa,
+        "full_sensitivity_peak": said.closed_loop_norm,
+        **said.margins,
+    }
     for name, value in {**full_plant_margins(plant, result.law)[1], **sampled}.items():
         said_of_it = margins.get(name, np.nan)
         if not (value == said_of_it or abs(value - said_of_it) <= _SAME * abs(value)):
@@ -173,14 +206,23 @@ def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace,
                 f"{system.D.shape[::-1]} and square",
                 "select() the plant's currents and displacements",
             )
-        errors, currents = ([f"{to}_{name.removeprefix(own)}" for name in names] for to, own, names in (
-            ("err", "y_", system.outputs), ("u", "u_", system.inputs),
-        ))  # fmt: skip
+        errors, currents = (
+            [f"{to}_{name.removeprefix(own)}" for name in names]
+            for to, own, names in (
+                ("err", "y_", system.outputs),
+                ("u", "u_", system.inputs),
+            )
+        )
         controller = match_signals(controller, errors, currents)
     if controller.dt is not None and system.dt is None:
         system = c2d(system, controller.dt)
     if controller.dt != system.dt and controller.n_states:
-        raise invalid("the controller's sample time", controller.dt, f"the plant's {system.dt}", "resample one of them")
+        raise invalid(
+            "the controller's sample time",
+            controller.dt,
+            f"the plant's {system.dt}",
+            "resample one of them",
+        )
     return system, controller
 
 
@@ -192,7 +234,9 @@ def _label(plant: Plant | StateSpace) -> str:
 
 
 def disk_margins(sensitivity_peak: float, complementary_peak: float) -> dict[str, float]:
-    """Gain and phase changes that all axes tolerate at once, from the peaks M_S, M_T >= 0 [-] of S_o and T_o."""
+    """Gain and phase changes that all axes tolerate at once, from the peaks M_S, M_T >= 0 [-] of
+    S_o and T_o.
+    """
     s, t = sensitivity_peak, complementary_peak
     increase = [s / (s - 1) if s > 1 else np.inf, 1 + 1 / t if t > 0 else np.inf]
     reduction = [s / (s + 1), 1 - 1 / t if t > 1 else 0.0]
@@ -205,7 +249,9 @@ def disk_margins(sensitivity_peak: float, complementary_peak: float) -> dict[str
 
 
 def fastest_pole(controller: Any) -> float:
-    """Largest modulus among the controller's poles [rad/s]; of a sampled one |ln z|/dt, pure delays (z = 0) left out."""
+    """Largest modulus among the controller's poles [rad/s]; of a sampled one |ln z|/dt, pure delays
+    (z = 0) left out.
+    """
     controller = as_statespace(controller)
     values = poles(controller)
     if controller.dt is not None:
@@ -214,19 +260,22 @@ def fastest_pole(controller: Any) -> float:
 
 
 def continuous_equivalent(system: StateSpace) -> StateSpace:
-    """A sampled system carried to continuous time by z = (1 + s)/(1 - s); a continuous one unchanged.
+    """A sampled system carried to continuous time by z = (1 + s)/(1 - s); a continuous one
+    unchanged.
 
-    Stability, norms, real gains and phases at which a loop closes on -1 are kept; frequencies are not. Raises InvalidInput
-    for a pole at z = -1.
+    Stability, norms, real gains and phases at which a loop closes on -1 are kept; frequencies are
+    not. Raises InvalidInput for a pole at z = -1.
     """
     if system.dt is None:
         return system
     n = system.n_states
     E = system.A + np.eye(n)
     if n and np.linalg.cond(E) > 1 / np.finfo(float).eps:
-        raise InvalidInput("the sampled loop has a pole at z = -1 (an alternating signal); change the sample time")
+        raise InvalidInput(
+            "the sampled loop has a pole at z = -1 (an alternating signal); change the sample time"
+        )
     A, B = np.linalg.solve(E, system.A - np.eye(n)), np.linalg.solve(E, system.B)
     C = np.linalg.solve(E.T, system.C.T).T
     return StateSpace(
         A, np.sqrt(2) * B, np.sqrt(2) * C, system.D - C @ system.B, system.inputs, system.outputs
-    )  # fmt: skip
+    )

@@ -18,9 +18,10 @@ _COLUMNS = ("value", "unit", "relation", "limit", "passed", "zone", "detail")
 class Check(Presented):
     """One criterion, evaluated.
 
-    name: a stable identifier ("sensitivity.output.max"); title: for people; value in ``unit`` (SI); limit: None for
-    information only; relation "<", "<=" or ">="; passed: None for information only; zone: "A".."D" where a standard has zones;
-    source: standard, edition and clause; detail: where or why, in words.
+    name: a stable identifier ("sensitivity.output.max"); title: for people; value in ``unit`` (SI);
+    limit: None for information only; relation "<", "<=" or ">="; passed: None for information only;
+    zone: "A".."D" where a standard has zones; source: standard, edition and clause; detail: where
+    or why, in words.
     """
 
     name: str
@@ -36,16 +37,28 @@ class Check(Presented):
 
     def facts(self) -> Mapping[str, Any]:
         """Value against limit, the verdict and where it was found."""
-        limit = {} if self.limit is None else {"limit": f"{self.relation} {self.limit:.4g}", "passed": self.passed}
+        limit = (
+            {}
+            if self.limit is None
+            else {"limit": f"{self.relation} {self.limit:.4g}", "passed": self.passed}
+        )
         zone = {} if self.zone is None else {"zone": self.zone}
         where = {} if not self.detail else {"detail": self.detail}
-        return {"name": self.name, "value": with_unit(self.value, self.unit), **limit, **zone, **where}
+        return {
+            "name": self.name,
+            "value": with_unit(self.value, self.unit),
+            **limit,
+            **zone,
+            **where,
+        }
 
     @property
     def ratio(self) -> float | None:
-        """The value over its limit, or the limit over the value where large is good: 1 at the limit, more beyond it.
+        """The value over its limit, or the limit over the value where large is good: 1 at the
+        limit, more beyond it.
 
-        None without a limit; a limit of zero (a count, the real part of a pole) has no ratio: 0 where it is met, else infinite.
+        None without a limit; a limit of zero (a count, the real part of a pole) has no ratio: 0
+        where it is met, else infinite.
         """
         if self.limit is None:
             return None
@@ -58,9 +71,11 @@ class Check(Presented):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Curve(Presented):
-    """One picture's worth of data: x (n,), y (k, n) with k labels; SI units; ``limits`` are labelled horizontal lines.
+    """One picture's worth of data: x (n,), y (k, n) with k labels; SI units; ``limits`` are
+    labelled horizontal lines.
 
-    kind: "frequency" (x in rad/s), "speed" (x in rad/s), "time" (x in s) or "poles" (x and y are real and imaginary parts).
+    kind: "frequency" (x in rad/s), "speed" (x in rad/s), "time" (x in s) or "poles" (x and y are
+    real and imaginary parts).
     """
 
     name: str
@@ -76,20 +91,34 @@ class Curve(Presented):
     def facts(self) -> Mapping[str, Any]:
         """What is drawn over which range."""
         span = f"{self.x.min():.4g} to {self.x.max():.4g} {self.x_unit}" if self.x.size else "empty"
-        return {"name": self.name, "title": self.title, self.kind: span, "lines": self.labels, "unit": self.y_unit}
+        return {
+            "name": self.name,
+            "title": self.title,
+            self.kind: span,
+            "lines": self.labels,
+            "unit": self.y_unit,
+        }
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame: the values of x in SI units as its index, one column per line."""
         x = f"{self.kind} [{self.x_unit}]"
-        return data_frame({x: self.x, **{f"{n} [{self.y_unit}]": y for n, y in zip(self.labels, self.y, strict=True)}}, x)
+        return data_frame(
+            {
+                x: self.x,
+                **{f"{n} [{self.y_unit}]": y for n, y in zip(self.labels, self.y, strict=True)},
+            },
+            x,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Checks(Presented):
-    """The verdict on one closed loop at one operating point; ``stable`` False means that nothing else was evaluated.
+    """The verdict on one closed loop at one operating point; ``stable`` False means that nothing
+    else was evaluated.
 
-    notes: what was left out or approximated, and why, one sentence each. found: where in the tolerance box the searches found
-    their worst, by parameter, as ``model.uncertainty.perturbed`` takes it.
+    notes: what was left out or approximated, and why, one sentence each. found: where in the
+    tolerance box the searches found their worst, by parameter, as ``model.uncertainty.perturbed``
+    takes it.
     """
 
     label: str
@@ -124,10 +153,14 @@ class Checks(Presented):
         }
 
     def _repr_html_(self) -> str:
-        return checks_table(self.checks, f"{self.label}: {'passed' if self.passed else 'not passed'}")
+        return checks_table(
+            self.checks, f"{self.label}: {'passed' if self.passed else 'not passed'}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
-        """The verdict without its curves as JSON-ready data; numbers that are not finite become strings ("inf")."""
+        """The verdict without its curves as JSON-ready data; numbers that are not finite become
+        strings ("inf").
+        """
         return {
             "label": self.label,
             "stable": self.stable,
@@ -145,8 +178,13 @@ class Checks(Presented):
 
 
 def check_columns(checks: Sequence[Check]) -> dict[str, list[Any]]:
-    """The checks as columns of a table: name, value, unit, relation, limit, passed, zone, detail."""
-    return {"check": [c.name for c in checks], **{name: [getattr(c, name) for c in checks] for name in _COLUMNS}}
+    """The checks as columns of a table: name, value, unit, relation, limit, passed, zone,
+    detail.
+    """
+    return {
+        "check": [c.name for c in checks],
+        **{name: [getattr(c, name) for c in checks] for name in _COLUMNS},
+    }
 
 
 def checks_table(checks: Sequence[Check], caption: str) -> str:

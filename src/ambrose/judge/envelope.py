@@ -8,7 +8,12 @@ from ambrose.model.uncertainty import with_offsets_of
 
 
 def envelope_of(plant: Plant) -> list[Plant]:
-    """The full plants at all operating points of the machine, and the given one if it is at another."""
+    """The full plants at all operating points of the machine, and the given one if it is at
+    another.
+    """
     points = plant.machine.operation.envelope
-    plants = [plant if point == plant.point else with_offsets_of(assemble(plant.machine, point), plant) for point in points]
+    plants = [
+        plant if point == plant.point else with_offsets_of(assemble(plant.machine, point), plant)
+        for point in points
+    ]
     return plants if any(item is plant for item in plants) else [*plants, plant]

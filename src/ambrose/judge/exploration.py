@@ -1,4 +1,5 @@
-"""One controller over its whole range: poles over speed and pressure, a pulse and unbalance for every member of the tolerances.
+"""One controller over its whole range: poles over speed and pressure, a pulse and unbalance for
+every member of the tolerances.
 
 found = explore(machine, controller)
 found.maps, found.pulses, found.unbalance
@@ -15,37 +16,47 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, UnstableSystem, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.checks import Curve
+from ambrose.judge.family.poles import PoleMap, pole_map
+from ambrose.judge.family.responses import (
+    BoxUnbalance,
+    PulseFamily,
+    pulse_family,
+    unbalance_over_box,
+)
 from ambrose.judge.plants import campbell_map, chosen_point
+from ambrose.judge.robust import stability
 from ambrose.judge.verdict import running_law
+from ambrose.law.loop import closed_loop, law_at, match_controller
+from ambrose.law.scheduling import SPEED, follows
+from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.law.loop import closed_loop, law_at, match_controller
 from ambrose.model.plant import Plant, top_speed
 from ambrose.model.reduce import default_bending_modes, reduce
-from ambrose.law.scheduling import SPEED, follows
-from ambrose.law.timing import Timing, timing_of
 from ambrose.model.unbalance import residual_unbalance
 from ambrose.model.uncertainty import tolerances_around
-from ambrose.judge.checks import Curve
-from ambrose.judge.family.poles import PoleMap, pole_map
-from ambrose.judge.family.responses import BoxUnbalance, PulseFamily, pulse_family, unbalance_over_box
-from ambrose.judge.robust import stability
 
 PARTS = ("poles", "campbell", "pulses", "unbalance")
 OVER = {"speed": "rad/s", "pressure": "Pa"}
 _VALUES, _SPEEDS = 21, 24  # of a map, and of the unbalance over the tolerances
 _BEYOND = {"speed": 1.2, "pressure": 2.0}  # times the largest of the machine, to which a map goes
 _HIGHEST = 1e3 * TWO_PI  # [rad/s] of the poles kept, or three times the top speed
-_FORCE, _WIDTH, _LASTS = 100.0, 2e-3, 0.2  # pulse [N], [s] (P3, Fig. 9), and how long it is followed [s]
+# pulse [N], [s] (P3, Fig. 9), and how long it is followed [s]
+_FORCE = 100.0
+_WIDTH = 2e-3
+_LASTS = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Exploration(Presented):
-    """maps: poles over speed and pressure; campbell: curves over speed; pulses: responses to 100 N for 2 ms at ``port``, its
-    nominal member first; unbalance: orbits over speed, nominal, worst found over the tolerances and an upper bound. notes: how
-    each was computed; timing: of the loop, in words."""
+    """maps: poles over speed and pressure; campbell: curves over speed; pulses: responses to 100 N
+    for 2 ms at ``port``, its nominal member first; unbalance: orbits over speed, nominal, worst
+    found over the tolerances and an upper bound. notes: how each was computed; timing: of the loop,
+    in words.
+    """
 
     machine: Machine
     point: OperatingPoint
@@ -60,7 +71,10 @@ class Exploration(Presented):
     @property
     def stable(self) -> bool:
         """Whether every member and every value within the machine's own range is stable."""
-        within = [bool(item.stable[item.values <= _largest(self.machine, item.over) * (1 + 1e-9)].all()) for item in self.maps]
+        within = [
+            bool(item.stable[item.values <= _largest(self.machine, item.over) * (1 + 1e-9)].all())
+            for item in self.maps
+        ]
         return all(within) and (self.pulses is None or bool(self.pulses.stable.all()))
 
     def facts(self) -> dict[str, Any]:
@@ -69,7 +83,9 @@ class Exploration(Presented):
         for item in self.maps:
             found[f"ends over {item.over}"] = [value for value, _ in item.ends]
         if self.pulses is not None:
-            found["stable members"] = f"{int(self.pulses.stable.sum())} of {len(self.pulses.stable)}"
+            found["stable members"] = (
+                f"{int(self.pulses.stable.sum())} of {len(self.pulses.stable)}"
+            )
         if self.unbalance is not None:
             found["largest orbit found"] = float(self.unbalance.found.max())
         return found
@@ -77,34 +93,48 @@ class Exploration(Presented):
     def to_dict(self) -> dict[str, Any]:
         """Everything, SI, ready for JSON; of the pulse family envelope and settling."""
         found: dict[str, Any] = {
-            "machine": self.machine.name, "point": self.point.label, "timing": self.timing, "stable": self.stable,
+            "machine": self.machine.name,
+            "point": self.point.label,
+            "timing": self.timing,
+            "stable": self.stable,
             "notes": list(self.notes),
             "maps": [
                 {
-                    "over": m.over, "unit": m.unit, "values": m.values.tolist(), "abscissa": m.abscissa.tolist(),
-                    "least_damping": m.damping.tolist(), "ends": [{"at": at, "stable_above": above} for at, above in m.ends],
+                    "over": m.over,
+                    "unit": m.unit,
+                    "values": m.values.tolist(),
+                    "abscissa": m.abscissa.tolist(),
+                    "least_damping": m.damping.tolist(),
+                    "ends": [{"at": at, "stable_above": above} for at, above in m.ends],
                     "poles": [[p.real.tolist(), p.imag.tolist()] for p in m.poles],
                 }
                 for m in self.maps
             ],
             "campbell": [curve.to_dict() for curve in self.campbell],
-        }  # fmt: skip
+        }
         if self.pulses is not None:
             family, kept = self.pulses, self.pulses.responses[self.pulses.stable]
             found["pulses"] = {
-                "port": self.port, "outputs": list(family.outputs), "time": family.time.tolist(),
-                "nominal": family.responses[0].tolist(), "members": len(family.stable), "stable": int(family.stable.sum()),
+                "port": self.port,
+                "outputs": list(family.outputs),
+                "time": family.time.tolist(),
+                "nominal": family.responses[0].tolist(),
+                "members": len(family.stable),
+                "stable": int(family.stable.sum()),
                 "low": kept.min(axis=0).tolist() if len(kept) else None,
                 "high": kept.max(axis=0).tolist() if len(kept) else None,
                 "settling": [float(t) if np.isfinite(t) else None for t in family.settling()],
-            }  # fmt: skip
+            }
         if self.unbalance is not None:
             u = self.unbalance
             bound = None if np.isnan(u.bound).any() else u.bound.tolist()
             found["unbalance"] = {
-                "speeds": u.speeds.tolist(), "nominal": u.nominal.tolist(), "found": u.found.tolist(), "bound": bound,
+                "speeds": u.speeds.tolist(),
+                "nominal": u.nominal.tolist(),
+                "found": u.found.tolist(),
+                "bound": bound,
                 "worst_member": u.delta.tolist(),
-            }  # fmt: skip
+            }
         return found
 
 
@@ -120,31 +150,47 @@ def explore(
     delay_samples: int | None = None,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Exploration:
-    """A controller over the range of a machine, around an operating point (None: the one designs are made for).
+    """A controller over the range of a machine, around an operating point (None: the one designs
+    are made for).
 
-    parts: some of PARTS. reach: of a map, {"pressure": (0.0, 4e5)} [Pa], "speed" [rad/s] (None: zero to twice the largest
-    pressure, to 1.2 times the top speed). bound: an upper bound beside the worst unbalance found, which takes longer. rate
-    [Hz], delay_samples: of the sampled loop. Raises InvalidInput.
+    parts: some of PARTS. reach: of a map, {"pressure": (0.0, 4e5)} [Pa], "speed" [rad/s] (None:
+    zero to twice the largest pressure, to 1.2 times the top speed). bound: an upper bound beside
+    the worst unbalance found, which takes longer. rate [Hz], delay_samples: of the sampled loop.
+    Raises InvalidInput.
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown or not parts:
-        raise invalid("the parts", ", ".join(unknown) or "none", f"some of {', '.join(PARTS)}", "correct them")
+        raise invalid(
+            "the parts", ", ".join(unknown) or "none", f"some of {', '.join(PARTS)}", "correct them"
+        )
     for name, span in (reach or {}).items():
         if name not in OVER or not 0 <= span[0] < span[1]:
             remedy = "give speed or pressure from a lower to a higher value"
-            raise invalid(f"the range of {name}", f"{span[0]:g} to {span[1]:g}", "ascending, of speed or pressure", remedy)
-    law, timing = getattr(controller, "law", controller), timing_of(machine, controller, rate, delay_samples)
+            raise invalid(
+                f"the range of {name}",
+                f"{span[0]:g} to {span[1]:g}",
+                "ascending, of speed or pressure",
+                remedy,
+            )
+    law, timing = (
+        getattr(controller, "law", controller),
+        timing_of(machine, controller, rate, delay_samples),
+    )
     at = chosen_point(machine, point) or machine.operation.design
     plant = assemble(machine, at)
     notes: list[str] = []
     done = Exploration(machine, at, "continuous" if timing is None else str(timing))
     if "poles" in parts:
-        done = replace(done, maps=tuple(_maps(machine, law, timing, at, reach or {}, notes, progress)))
+        done = replace(
+            done, maps=tuple(_maps(machine, law, timing, at, reach or {}, notes, progress))
+        )
     if "campbell" in parts:
         done = replace(done, campbell=campbell_map(plant, _along_speed(law, timing, at), progress))
     held = tolerances_around(plant)
     if {"pulses", "unbalance"} & set(parts) and not held:
-        notes.append("no tolerances at this operating point: a family over them is the nominal loop alone")
+        notes.append(
+            "no tolerances at this operating point: a family over them is the nominal loop alone"
+        )
     elif {"pulses", "unbalance"} & set(parts):
         done = _over_tolerances(done, plant, law, timing, parts, bound, notes, progress)
     return replace(done, notes=tuple(notes))
@@ -167,9 +213,14 @@ def _largest(machine: Machine, over: str) -> float:
 
 
 def _maps(
-    machine: Machine, law: Any, timing: Timing | None, at: OperatingPoint, reach: dict[str, tuple[float, float]],
-    notes: list[str], progress: Callable[[str], None],
-) -> list[PoleMap]:  # fmt: skip
+    machine: Machine,
+    law: Any,
+    timing: Timing | None,
+    at: OperatingPoint,
+    reach: dict[str, tuple[float, float]],
+    notes: list[str],
+    progress: Callable[[str], None],
+) -> list[PoleMap]:
     found = []
     for over, unit in OVER.items():
         top = _largest(machine, over)
@@ -196,7 +247,10 @@ def _maps(
             notes.append(f"no map over {over}: {last}")
             continue
         if last:
-            notes.append(f"the map over {over} leaves out what the machine or the controller does not cover: {last}")
+            notes.append(
+                f"the map over {over} leaves out what the machine or the controller does not "
+                f"cover: {last}"
+            )
         found.append(pole_map(loop_at, over, unit, usable, max(_HIGHEST, 3 * top_speed(machine))))
     if not found and not notes:
         notes.append("no map of poles: the machine neither turns nor has a seal under pressure")
@@ -204,12 +258,21 @@ def _maps(
 
 
 def _over_tolerances(
-    done: Exploration, plant: Plant, law: Any, timing: Timing | None, parts: Sequence[str], bound: bool, notes: list[str],
+    done: Exploration,
+    plant: Plant,
+    law: Any,
+    timing: Timing | None,
+    parts: Sequence[str],
+    bound: bool,
+    notes: list[str],
     progress: Callable[[str], None],
-) -> Exploration:  # fmt: skip
+) -> Exploration:
     fixed = match_controller(law, plant)
     if fixed.dt is not None:
-        notes.append("the families need the continuous law that a sampled controller was made from; this one is sampled")
+        notes.append(
+            "the families need the continuous law that a sampled controller was made from; this "
+            "one is sampled"
+        )
         return done
     model = fixed if timing is None else timing.late(fixed)
     modes = default_bending_modes(plant)
@@ -222,16 +285,24 @@ def _over_tolerances(
             progress("a pulse for every member of the tolerances")
             port = plant.bearing_named("f")[0][2:]
             outputs = [*plant.bearing_named("q"), *plant.named("i")]
-            family = pulse_family(reduced, model, port, _FORCE, _WIDTH, outputs, duration=_LASTS, tolerances=held)
+            family = pulse_family(
+                reduced, model, port, _FORCE, _WIDTH, outputs, duration=_LASTS, tolerances=held
+            )
             done = replace(done, pulses=family, port=port)
         residual, top = residual_unbalance(plant.machine), _highest_speed(plant.machine)
         if "unbalance" in parts and not stability(reduced, model, held).passed:
-            notes.append("no unbalance: some loops within the tolerances are unstable, so that no orbit is the largest")
+            notes.append(
+                "no unbalance: some loops within the tolerances are unstable, so that no orbit is "
+                "the largest"
+            )
         elif "unbalance" in parts and residual is not None and top:
             progress("unbalance over speed and tolerances")
             speeds = np.linspace(top / _SPEEDS, top, _SPEEDS)
             worst = unbalance_over_box(reduced, model, speeds, residual, held, bound)
-            notes.append("unbalance: rotor and seals as at the operating point's speed; worst case found by search")
+            notes.append(
+                "unbalance: rotor and seals as at the operating point's speed; worst case found "
+                "by search"
+            )
             done = replace(done, unbalance=worst)
         elif "unbalance" in parts:
             notes.append("no unbalance: neither balance_speed nor a speed range says what it is")
@@ -241,4 +312,9 @@ def _over_tolerances(
 
 
 def _highest_speed(machine: Machine) -> float:
-    return float(machine.requirements.unbalance_to or top_speed(machine) or machine.requirements.balance_speed or 0.0)
+    return float(
+        machine.requirements.unbalance_to
+        or top_speed(machine)
+        or machine.requirements.balance_speed
+        or 0.0
+    )

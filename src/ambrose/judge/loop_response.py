@@ -1,4 +1,5 @@
-"""The loop at many frequencies: plant and controller are evaluated once, everything else is small-matrix algebra.
+"""The loop at many frequencies: plant and controller are evaluated once, everything else is
+small-matrix algebra.
 
 Signs and letters are those of the loop diagram in core/lft.py.
 """
@@ -24,9 +25,11 @@ Matrices = np.ndarray  # (w, p, m) complex: one matrix per frequency
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopResponse:
-    """Open-loop matrices (w, a, a) at omega (w,) [rad/s]; a control axes; forces f and displacements q at the bearings.
+    """Open-loop matrices (w, a, a) at omega (w,) [rad/s]; a control axes; forces f and
+    displacements q at the bearings.
 
-    G: u -> y [m/A], K: err -> u [A/m], G_yf: f -> y [m/N], G_qu: u -> q, G_qf: f -> q, G_iu: u -> i, G_if: f -> i.
+    G: u -> y [m/A], K: err -> u [A/m], G_yf: f -> y [m/N], G_qu: u -> q, G_qf: f -> q, G_iu: u ->
+    i, G_if: f -> i.
     """
 
     omega: np.ndarray
@@ -70,11 +73,13 @@ Evaluator = Callable[[np.ndarray], LoopResponse]
 
 
 def loop_evaluator(plant: Plant, controller: Law) -> Evaluator:
-    """A function omega (w,) [rad/s] -> LoopResponse; the Schur forms of plant and controller are kept for all its calls.
+    """A function omega (w,) [rad/s] -> LoopResponse; the Schur forms of plant and controller are
+    kept for all its calls.
 
-    A sampled controller acts through the base band of its zero-order hold, K(exp(j w T)) (1 - exp(-j w T)) / (j w T): exact but
-    for aliasing (Franklin, Powell & Workman 1998, sec. 5.2). Raises InvalidInput above its Nyquist frequency, at a pole of
-    plant or controller, and when the controller's size does not match.
+    A sampled controller acts through the base band of its zero-order hold, K(exp(j w T)) (1 -
+    exp(-j w T)) / (j w T): exact but for aliasing (Franklin, Powell & Workman 1998, sec. 5.2).
+    Raises InvalidInput above its Nyquist frequency, at a pole of plant or controller, and when the
+    controller's size does not match.
     """
     part, controller = _parts(plant, controller)
     plant_form, controller_form = _form(part), _form(controller)
@@ -97,7 +102,9 @@ def _held(K: Callable[[np.ndarray], Matrices], omega: np.ndarray, dt: float | No
 
 @named_failure("the response of the loop")
 def loop_at(plant: Plant, controller: Law, omega: float) -> LoopResponse:
-    """The loop at one frequency [rad/s], by one direct solution: cheaper than an evaluator that is used once."""
+    """The loop at one frequency [rad/s], by one direct solution: cheaper than an evaluator that is
+    used once.
+    """
     part, controller = _parts(plant, controller)
     at = np.array([omega])
     K = _held(lambda s: _direct(controller, s[0])[None], at, controller.dt)
@@ -117,8 +124,12 @@ def _parts(plant: Plant, controller: Law) -> tuple[StateSpace, StateSpace]:
 def _parted(axes: tuple[str, ...], omega: np.ndarray, P: Matrices, K: Matrices) -> LoopResponse:
     n = len(axes)
     u, f = slice(0, n), slice(n, None)
-    y, q, i = slice(0, n), slice(n, 2 * n), slice(2 * n, None)
-    return LoopResponse(omega, axes, P[:, y, u], K, P[:, y, f], P[:, q, u], P[:, q, f], P[:, i, u], P[:, i, f])
+    y = slice(0, n)
+    q = slice(n, 2 * n)
+    i = slice(2 * n, None)
+    return LoopResponse(
+        omega, axes, P[:, y, u], K, P[:, y, f], P[:, q, u], P[:, q, f], P[:, i, u], P[:, i, f]
+    )
 
 
 def _direct(system: StateSpace, s: complex) -> np.ndarray:
@@ -136,17 +147,20 @@ def frequency_grid(
     highest: float,
     per_decade: int = 150,
 ) -> np.ndarray:
-    """A logarithmic grid over ``[lowest, highest]`` [rad/s] with points packed around lightly damped poles (n,).
+    """A logarithmic grid over ``[lowest, highest]`` [rad/s] with points packed around lightly
+    damped poles (n,).
 
-    The packing reaches from a quarter to ten half-bandwidths on either side of each pole's resonance, so that a peak lies
-    within a few per cent of a grid point whatever its damping.
+    The packing reaches from a quarter to ten half-bandwidths on either side of each pole's
+    resonance, so that a peak lies within a few per cent of a grid point whatever its damping.
     """
     count = max(2, int(np.ceil(np.log10(highest / lowest) * per_decade)))
     return add_poles(np.geomspace(lowest, highest, count), poles)
 
 
 def add_poles(omega: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """omega (w,) with points packed around the lightly damped poles inside its range, sorted, without repeats."""
+    """omega (w,) with points packed around the lightly damped poles inside its range, sorted,
+    without repeats.
+    """
     modulus = np.abs(poles)
     with np.errstate(invalid="ignore", divide="ignore"):
         chosen = poles[(poles.imag > 0) & (np.abs(poles.real) < _LIGHTLY_DAMPED * modulus)]

@@ -1,4 +1,6 @@
-"""Peaks of frequency curves, refined between grid points: what is reported must not depend on the grid."""
+"""Peaks of frequency curves, refined between grid points: what is reported must not depend on the
+grid.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ _WORTH = 0.5  # of the largest grid value: a lower local maximum is not followed
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The largest value of a curve and where it lies [rad/s]; at_edge: on the end of the range, so it may rise beyond."""
+    """The largest value of a curve and where it lies [rad/s]; at_edge: on the end of the range, so
+    it may rise beyond.
+    """
 
     value: float
     frequency: float
@@ -39,10 +43,12 @@ def peaks_of(
     evaluator: Evaluator,
     within: tuple[float, float] | None = None,
 ) -> list[tuple[Peak, ...]]:
-    """The peak of every row of several quantities over the response's grid, refined around the best local maxima.
+    """The peak of every row of several quantities over the response's grid, refined around the best
+    local maxima.
 
-    within: frequency range [rad/s], default the whole grid; its ends are evaluated too. All brackets share each round's
-    evaluation of the loop and are narrowed 256 times; the error left is the non-parabolic part of the curve within them.
+    within: frequency range [rad/s], default the whole grid; its ends are evaluated too. All
+    brackets share each round's evaluation of the loop and are narrowed 256 times; the error left is
+    the non-parabolic part of the curve within them.
     """
     values = [rows(response) for rows in quantities]
     sizes = [len(v) for v in values]
@@ -51,7 +57,10 @@ def peaks_of(
     inside = (response.omega > low) & (response.omega < high)
     ends = evaluator(np.array([low, high]))
     left, right = np.hsplit(np.vstack([rows(ends) for rows in quantities]), 2)
-    omega, stacked = np.concatenate([[low], response.omega[inside], [high]]), np.hstack([left, stacked[:, inside], right])
+    omega, stacked = (
+        np.concatenate([[low], response.omega[inside], [high]]),
+        np.hstack([left, stacked[:, inside], right]),
+    )
     brackets = [b for row in range(len(stacked)) for b in _brackets(row, omega, stacked[row])]
     owner = np.repeat(np.arange(len(sizes)), sizes)
     first = np.concatenate([[0], np.cumsum(sizes)])
@@ -67,7 +76,12 @@ def peaks_of(
 
 def _brackets(row: int, omega: np.ndarray, values: np.ndarray) -> list[_Bracket]:
     middle = values[1:-1]
-    top = np.flatnonzero((middle >= values[:-2]) & (middle >= values[2:]) & (middle >= _WORTH * values.max())) + 1
+    top = (
+        np.flatnonzero(
+            (middle >= values[:-2]) & (middle >= values[2:]) & (middle >= _WORTH * values.max())
+        )
+        + 1
+    )
     top = top[np.argsort(values[top])[::-1][:_CANDIDATES]]
     return [_Bracket(row, omega[i - 1 : i + 2].copy(), values[i - 1 : i + 2].copy()) for i in top]
 
@@ -82,7 +96,8 @@ def _narrow(
     """Replace every bracket by the neighbours of the best of its own and the new points."""
     fraction = np.arange(1, _INSIDE + 1) / (_INSIDE + 1)
     points = np.array([b.omega[0] + (b.omega[2] - b.omega[0]) * fraction for b in brackets])
-    for bracket, line in zip(brackets, points, strict=True):  # the old middle stays: it replaces its nearest new point
+    # the old middle stays: it replaces its nearest new point
+    for bracket, line in zip(brackets, points, strict=True):
         line[np.argmin(np.abs(line - bracket.omega[1]))] = bracket.omega[1]
     response = evaluator(points.ravel())
     new = [rows(response) for rows in quantities]
@@ -96,7 +111,9 @@ def _narrow(
 
 
 def _vertex(bracket: _Bracket) -> tuple[float, float]:
-    """Vertex of the parabola through the three points; the best point itself where the parabola has none inside."""
+    """Vertex of the parabola through the three points; the best point itself where the parabola has
+    none inside.
+    """
     (a, b, c), (fa, fb, fc) = bracket.omega, bracket.value
     left, right = (b - a) * (fb - fc), (b - c) * (fb - fa)
     if left == right or fb < max(fa, fc):

@@ -1,8 +1,9 @@
 """A range of speeds and seal pressures, gridded as finely as the loop changes.
 
-The grid is a product of speeds and pressures. It begins with ends and middles; the interval over which the figure changes most
-is halved until no neighbours differ by more than a few per cent, or the number of points is used up. What is found is found on
-that grid: nothing is proved between its points.
+The grid is a product of speeds and pressures. It begins with ends and middles; the interval over
+which the figure changes most is halved until no neighbours differ by more than a few per cent, or
+the number of points is used up. What is found is found on that grid: nothing is proved between its
+points.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.judge.certificate import certify
+from ambrose.law.loop import match_controller
+from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, OperatingRange
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.law.loop import match_controller
 from ambrose.model.reduce import default_bending_modes, reduce
-from ambrose.law.timing import Timing
-from ambrose.judge.certificate import certify
 
 _CHANGE = 0.05  # relative, of the figure between neighbours
 _MOST = 32  # points of the grid
@@ -26,8 +27,10 @@ _MOST = 32  # points of the grid
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """speeds (s,) [rad/s], pressures (p,) [Pa], peak (s, p): sigma_max(S_o), inf where the loop is unstable; abscissa (s, p)
-    [rad/s]; change: the largest relative change of the peak between neighbours."""
+    """speeds (s,) [rad/s], pressures (p,) [Pa], peak (s, p): sigma_max(S_o), inf where the loop is
+    unstable; abscissa (s, p) [rad/s]; change: the largest relative change of the peak between
+    neighbours.
+    """
 
     speeds: np.ndarray
     pressures: np.ndarray
@@ -36,7 +39,9 @@ class Found:
 
     @property
     def change(self) -> float:
-        return max((float(_changes(self.peak, axis).max(initial=0.0)) for axis in (0, 1)), default=0.0)
+        return max(
+            (float(_changes(self.peak, axis).max(initial=0.0)) for axis in (0, 1)), default=0.0
+        )
 
     def worst(self, area: OperatingRange) -> OperatingPoint:
         """Where the peak is largest; where loops are unstable, the most unstable one."""
@@ -46,8 +51,8 @@ class Found:
 
 
 def search(machine: Machine, area: OperatingRange, law: Any, timing: Timing | None = None) -> Found:
-    """The peak of sigma_max(S_o) of the nominal loop, and its outermost pole, over a range, on plants with all bending modes
-    that matter (``default_bending_modes``).
+    """The peak of sigma_max(S_o) of the nominal loop, and its outermost pole, over a range, on
+    plants with all bending modes that matter (``default_bending_modes``).
 
     law: a continuous controller or a schedule; timing: the loop as it runs (None: continuous).
     """
@@ -58,11 +63,16 @@ def search(machine: Machine, area: OperatingRange, law: Any, timing: Timing | No
         if (speed, pressure) not in known:
             plant = reduce(assemble(machine, area.at(speed, pressure)), modes)
             controller = match_controller(law, plant)
-            found = certify(plant, controller if timing is None else timing.in_loop(controller), margins=False)
+            found = certify(
+                plant, controller if timing is None else timing.in_loop(controller), margins=False
+            )
             known[speed, pressure] = found.closed_loop_norm, found.spectral_abscissa
         return known[speed, pressure]
 
-    grids = [np.linspace(*pair, 3) if pair[1] > pair[0] else np.array(pair[:1]) for pair in (area.speed, area.seal_pressure)]
+    grids = [
+        np.linspace(*pair, 3) if pair[1] > pair[0] else np.array(pair[:1])
+        for pair in (area.speed, area.seal_pressure)
+    ]
     while True:
         values = np.array([[judged(float(v), float(p)) for p in grids[1]] for v in grids[0]])
         found = Found(grids[0], grids[1], values[..., 0], values[..., 1])
@@ -76,7 +86,9 @@ def search(machine: Machine, area: OperatingRange, law: Any, timing: Timing | No
 
 
 def _changes(peak: np.ndarray, axis: int) -> np.ndarray:
-    """Relative changes between neighbours along an axis; 0 between two unstable ones, inf between a stable and an unstable."""
+    """Relative changes between neighbours along an axis; 0 between two unstable ones, inf between a
+    stable and an unstable.
+    """
     low, high = (np.take(peak, range(i, peak.shape[axis] - 1 + i), axis) for i in (0, 1))
     both = np.isinf(low) & np.isinf(high)
     with np.errstate(invalid="ignore"):

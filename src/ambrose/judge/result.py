@@ -14,13 +14,15 @@ from ambrose.core.checks import invalid
 from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.controller import PidSettings
 from ambrose.law.weights import Weights
+from ambrose.machine.controller import PidSettings
 from ambrose.version import __version__
 
 
 class Status(StrEnum):
-    """What was shown of a controller's loop: it is stable; it is not (a verdict on a controller, no failure); nothing."""
+    """What was shown of a controller's loop: it is stable; it is not (a verdict on a controller, no
+    failure); nothing.
+    """
 
     VERIFIED = "verified"
     UNSTABLE = "unstable"
@@ -31,11 +33,13 @@ class Status(StrEnum):
 class Certificate(Presented):
     """Facts recomputed on the original plant after the synthesis; by default nothing is shown.
 
-    stable: the closed loop was shown to be; closed_loop_norm [-]: H-infinity norm that the method minimises (for PID: the
-    output sensitivity's); spectral_abscissa [rad/s] of the closed loop, negative when stable; fastest_pole [rad/s]: largest
-    modulus among the controller's poles; margins: named numbers such as {"sensitivity_peak": ..., "disk_gain_margin": ...};
-    plant: what it was verified on; envelope: {operating point: spectral abscissa [rad/s]} of the loop on the full plant, as it
-    runs, at every operating point of the machine that the controller is meant for (empty: not asked).
+    stable: the closed loop was shown to be; closed_loop_norm [-]: H-infinity norm that the method
+    minimises (for PID: the output sensitivity's); spectral_abscissa [rad/s] of the closed loop,
+    negative when stable; fastest_pole [rad/s]: largest modulus among the controller's poles;
+    margins: named numbers such as {"sensitivity_peak": ..., "disk_gain_margin": ...}; plant: what
+    it was verified on; envelope: {operating point: spectral abscissa [rad/s]} of the loop on the
+    full plant, as it runs, at every operating point of the machine that the controller is meant for
+    (empty: not asked).
     """
 
     stable: bool = False
@@ -47,14 +51,20 @@ class Certificate(Presented):
     envelope: Mapping[str, float] = field(default_factory=dict)
 
     def facts(self) -> Mapping[str, Any]:
-        return {item.name: getattr(self, item.name) for item in fields(self) if item.name not in {"margins", "envelope"}}
+        return {
+            item.name: getattr(self, item.name)
+            for item in fields(self)
+            if item.name not in {"margins", "envelope"}
+        }
 
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where a controller comes from: package version; name and hash of the machine (None: not given); date in UTC (ISO 8601, ""
-    until it is written); settings: what ``design`` was asked for, as plain data (None: it comes from elsewhere); digest: what
-    ``Synthesis.digest`` was when its file was written (None: it was not)."""
+    """Where a controller comes from: package version; name and hash of the machine (None: not
+    given); date in UTC (ISO 8601, "" until it is written); settings: what ``design`` was asked for,
+    as plain data (None: it comes from elsewhere); digest: what ``Synthesis.digest`` was when its
+    file was written (None: it was not).
+    """
 
     package_version: str = __version__
     machine: str | None = None
@@ -66,25 +76,35 @@ class Provenance:
     @property
     def key(self) -> dict[str, Any]:
         """All that decides which controller comes out, by name; equal keys, equal controllers."""
-        return {"package version": self.package_version, "machine": self.machine_hash, **(self.settings or {"design": None})}
+        return {
+            "package version": self.package_version,
+            "machine": self.machine_hash,
+            **(self.settings or {"design": None}),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data."""
-        return {"package": "ambrose", **{item.name: to_plain(getattr(self, item.name)) for item in fields(self)}}
+        return {
+            "package": "ambrose",
+            **{item.name: to_plain(getattr(self, item.name)) for item in fields(self)},
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Synthesis(Presented):
     """controller: StateSpace from sensor error ("err_A_zeta" [m]) to current ("u_A_zeta" [A]).
 
-    gamma: the norm the method reached (NaN where it has none); history: one mapping per iteration; notes: what the reader must
-    know of how it was reached (a regularisation, a wider back-off), a sentence each. scheduled: the controller over a range of
-    speeds or pressures, ``controller`` is that of the plant's own (method "lpv"; None for the others). stopped_early: why the
-    iteration ended before its end, with the best verified controller so far (None: it did not). weights: of the design problem
-    (None where there is none). filters: the [controller] that gives the same controller by method "pid" (None: none
-    does). By default, a controller from elsewhere that nothing was shown of.
+    gamma: the norm the method reached (NaN where it has none); history: one mapping per iteration;
+    notes: what the reader must know of how it was reached (a regularisation, a wider back-off), a
+    sentence each. scheduled: the controller over a range of speeds or pressures, ``controller`` is
+    that of the plant's own (method "lpv"; None for the others). stopped_early: why the iteration
+    ended before its end, with the best verified controller so far (None: it did not). weights: of
+    the design problem (None where there is none). filters: the [controller] that gives the same
+    controller by method "pid" (None: none does). By default, a controller from elsewhere that
+    nothing was shown of.
 
-    Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for an unknown status.
+    Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for
+    an unknown status.
     """
 
     controller: StateSpace
@@ -119,7 +139,9 @@ class Synthesis(Presented):
 
     @property
     def digest(self) -> str:
-        """SHA-256 (64 hexadecimal digits) of all that is said here but the date: matrices, certificate, history, origin."""
+        """SHA-256 (64 hexadecimal digits) of all that is said here but the date: matrices,
+        certificate, history, origin.
+        """
         content = self.to_dict()
         content["provenance"] |= {"date": "", "digest": None}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
@@ -132,7 +154,9 @@ class Synthesis(Presented):
     def missed(self) -> bool:
         """Whether a requirement that it was designed for is not met."""
         margins = self.certificate.margins
-        beyond = margins.get("corner_sensitivity", 0.0) > margins.get("corner_sensitivity_limit", math.inf)
+        beyond = margins.get("corner_sensitivity", 0.0) > margins.get(
+            "corner_sensitivity_limit", math.inf
+        )
         return beyond or (self.method == "tuned" and self.gamma > 1)
 
     @property
@@ -140,18 +164,30 @@ class Synthesis(Presented):
         """The status in words: at which operating points, and with an early end."""
         envelope = self.certificate.envelope
         lost = [label for label, abscissa in envelope.items() if not abscissa < 0]
-        only_stable = self.status is Status.VERIFIED and (self.missed or self.method == "pid")  # nothing else was claimed
+        # nothing else was claimed
+        only_stable = self.status is Status.VERIFIED and (self.missed or self.method == "pid")
         words = "certified as stable" if only_stable else str(self.status)
         if self.status is Status.VERIFIED and lost:
-            words += f" at {len(envelope) - len(lost)} of {len(envelope)} operating points, unstable at {', '.join(lost)}"
+            words += (
+                f" at {len(envelope) - len(lost)} of {len(envelope)} operating points, unstable at "
+                f"{', '.join(lost)}"
+            )
         elif self.status is Status.VERIFIED and len(envelope) > 1:
             words += f" at all {len(envelope)} operating points"
         if self.missed:
             words += ", but not every requirement is met"
-        return words if self.stopped_early is None else f"{words}, but stopped early: {self.stopped_early}"
+        return (
+            words
+            if self.stopped_early is None
+            else f"{words}, but stopped early: {self.stopped_early}"
+        )
 
     def facts(self) -> Mapping[str, Any]:
-        known: dict[str, Any] = {"method": self.method, "status": self.verdict, "states": self.controller.n_states}
+        known: dict[str, Any] = {
+            "method": self.method,
+            "status": self.verdict,
+            "states": self.controller.n_states,
+        }
         if not math.isnan(self.gamma):
             known["gamma"] = float(self.gamma)
         if self.scheduled is not None:
@@ -170,8 +206,12 @@ class Synthesis(Presented):
             "outputs": list(self.controller.outputs),
             "sample_time": self.controller.dt,
             **matrices(self.controller),
-            "scheduling": None if schedule is None else schedule.scheduling() | {"points": [*map(matrices, schedule.systems)]},
-            "certificate": None if self.status is Status.UNCERTIFIED else self.certificate.to_dict(),
+            "scheduling": None
+            if schedule is None
+            else schedule.scheduling() | {"points": [*map(matrices, schedule.systems)]},
+            "certificate": None
+            if self.status is Status.UNCERTIFIED
+            else self.certificate.to_dict(),
             "weights": None if self.weights is None else self.weights.to_dict(),
             "history": to_plain(self.history),
             "notes": list(self.notes),
@@ -180,9 +220,13 @@ class Synthesis(Presented):
         }
 
     def to_frame(self) -> Any:
-        """The history as a pandas DataFrame, a row for each iteration. Raises InvalidInput without pandas."""
+        """The history as a pandas DataFrame, a row for each iteration. Raises InvalidInput without
+        pandas.
+        """
         names = dict.fromkeys(name for row in self.history for name in row)
-        return data_frame({name: [row.get(name, math.nan) for row in self.history] for name in names})
+        return data_frame(
+            {name: [row.get(name, math.nan) for row in self.history] for name in names}
+        )
 
 
 def matrices(system: StateSpace) -> dict[str, Any]:

@@ -19,22 +19,25 @@ import scipy.linalg as sla
 
 from ambrose.core.checks import named_failure
 from ambrose.core.statespace import StateSpace, balance, index_of
-from ambrose.machine.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand
-from ambrose.machine.description import Requirements
 from ambrose.judge.checks import Check, Curve
 from ambrose.judge.criteria import information, judge
+from ambrose.machine.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand
+from ambrose.machine.description import Requirements
 
 PLANAR = 0.1  # below this modulus of the whirl measure a mode has no direction
 OSCILLATORY = 0.7071067811865476  # a damping ratio below this counts as a mode that can ring
-_REAL = 1e-7  # |Im|/|pole| up to which a pole is real: rounding splits a double real pole by about the root of 1e-16
+# |Im|/|pole| up to which a pole is real: rounding splits a double real pole by about the root of
+# 1e-16
+_REAL = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
     """Poles (n,) [rad/s] with Im >= 0, by ascending modulus, and how the rotor moves in each.
 
-    whirl (n,): +1 forward circle, -1 backward circle, 0 a line; shapes (ports, n): complex displacements at ``ports``.
-    A pole with Im = 0 stands for itself, every other for a conjugate pair.
+    whirl (n,): +1 forward circle, -1 backward circle, 0 a line; shapes (ports, n): complex
+    displacements at ``ports``. A pole with Im = 0 stands for itself, every other for a conjugate
+    pair.
     """
 
     poles: np.ndarray
@@ -68,7 +71,9 @@ def damping_ratio(poles: np.ndarray) -> np.ndarray:
 
 
 def log_decrement(poles: np.ndarray) -> np.ndarray:
-    """2 pi zeta/sqrt(1 - zeta^2) = 2 pi (-Re)/|Im|: the log of the ratio of two successive maxima; +-inf on the real axis."""
+    """2 pi zeta/sqrt(1 - zeta^2) = 2 pi (-Re)/|Im|: the log of the ratio of two successive maxima;
+    +-inf on the real axis.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         value = TWO_PI * -poles.real / np.abs(poles.imag)
     return np.where(np.isnan(value), 0.0, value)
@@ -81,10 +86,11 @@ def direction(whirl: float) -> str:
 
 @named_failure("the modes of the loop")
 def modes(system: StateSpace, ports: tuple[str, ...]) -> Modes:
-    """Eigenvalues of the system and the displacement shapes at its outputs q_<port>; sampled poles are mapped by ln(z)/dt.
+    """Eigenvalues of the system and the displacement shapes at its outputs q_<port>; sampled poles
+    are mapped by ln(z)/dt.
 
-    Whirl: with X, Y a port pair's complex amplitudes, (|X + jY|^2 - |X - jY|^2) / (sum of both), summed over the pairs; spin
-    is positive from the first direction to the second.
+    Whirl: with X, Y a port pair's complex amplitudes, (|X + jY|^2 - |X - jY|^2) / (sum of both),
+    summed over the pairs; spin is positive from the first direction to the second.
     """
     A, t = balance(system.A)
     values, vectors = sla.eig(A)
@@ -123,16 +129,21 @@ def pairs(ports: tuple[str, ...]) -> tuple[list[int], list[int]]:
 def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> list[Check]:
     """The checks of this file's table.
 
-    top_speed [rad/s]: modes up to it are held against the log decrement, whatever their direction; so is the first mode that
-    can ring and does not whirl backward. A detail lists the five least damped modes of the standard's range.
+    top_speed [rad/s]: modes up to it are held against the log decrement, whatever their direction;
+    so is the first mode that can ring and does not whirl backward. A detail lists the five least
+    damped modes of the standard's range.
     """
     listed_to = SENSITIVITY_RANGE.limits[0].value
     worst = int(np.argmax(found.poles.real))
     abscissa = float(found.poles[worst].real)
     stability = judge(
-        "stability.abscissa", "Stability: largest real part of the closed-loop poles", abscissa, "rad/s",
-        Demand(0.0, "<", "asymptotic stability"), _stability_detail(found, worst),
-    )  # fmt: skip
+        "stability.abscissa",
+        "Stability: largest real part of the closed-loop poles",
+        abscissa,
+        "rad/s",
+        Demand(0.0, "<", "asymptotic stability"),
+        _stability_detail(found, worst),
+    )
     ringing = np.flatnonzero((found.poles.imag > 0) & (found.damping < OSCILLATORY))
     if not ringing.size:
         return [stability]
@@ -143,9 +154,14 @@ def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> l
     if low.size:
         k = low[np.argmin(found.log_decrement[low])]
         title = "Log decrement of the modes up to the top speed"
-        where = f"{describe(found, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one included"
+        where = (
+            f"{describe(found, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one "
+            "included"
+        )
         wanted = demand("log decrement", requirements)
-        checks.append(judge("poles.log_decrement.lowest", title, found.log_decrement[k], "-", wanted, where))
+        checks.append(
+            judge("poles.log_decrement.lowest", title, found.log_decrement[k], "-", wanted, where)
+        )
     order = ringing[np.argsort(found.damping[ringing])]
     near = [k for k in order if found.frequency[k] <= listed_to][:5]
     least = order[0]
@@ -155,9 +171,21 @@ def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> l
     return [
         *checks,
         information(
-            "poles.log_decrement.least", "Least log decrement of all poles", found.log_decrement[least], "-", where, ">="
+            "poles.log_decrement.least",
+            "Least log decrement of all poles",
+            found.log_decrement[least],
+            "-",
+            where,
+            ">=",
         ),
-        information("poles.damping.least", "Least damping ratio of all poles", found.damping[least], "-", detail, ">="),
+        information(
+            "poles.damping.least",
+            "Least damping ratio of all poles",
+            found.damping[least],
+            "-",
+            detail,
+            ">=",
+        ),
     ]
 
 
@@ -185,4 +213,13 @@ def _stability_detail(found: Modes, worst: int) -> str:
 def pole_curve(found: Modes) -> Curve:
     """All closed-loop poles, both halves of the plane."""
     both = np.concatenate([found.poles, found.poles[found.poles.imag > 0].conj()])
-    return Curve("poles", "Closed-loop poles", "poles", both.real, both.imag[None, :], ("poles",), "rad/s", "rad/s")
+    return Curve(
+        "poles",
+        "Closed-loop poles",
+        "poles",
+        both.real,
+        both.imag[None, :],
+        ("poles",),
+        "rad/s",
+        "rad/s",
+    )

@@ -1,4 +1,5 @@
-"""Sensitivities, complementary and control sensitivity, compliance: per axis and as maximum singular value.
+"""Sensitivities, complementary and control sensitivity, compliance: per axis and as maximum
+singular value.
 
 | check                        | what                                                                | unit |
 |------------------------------|---------------------------------------------------------------------|------|
@@ -22,12 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.frequency import largest_gain
-from ambrose.machine.criteria import SENSITIVITY, TWO_PI, demand
-from ambrose.machine.description import Requirements
 from ambrose.judge.checks import Check, Curve
 from ambrose.judge.criteria import judge, zone_lines
 from ambrose.judge.loop_response import Evaluator, LoopResponse
 from ambrose.judge.peaks import Peak, peaks_of
+from ambrose.machine.criteria import SENSITIVITY, TWO_PI, demand
+from ambrose.machine.description import Requirements
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +51,34 @@ class _Quantity:
 
 _QUANTITIES = (
     _Quantity(
-        "sensitivity.output", "output sensitivity", "-", LoopResponse.output_sensitivity,
-        "sensitivity of an axis", "maximum singular value of a sensitivity",
+        "sensitivity.output",
+        "output sensitivity",
+        "-",
+        LoopResponse.output_sensitivity,
+        "sensitivity of an axis",
+        "maximum singular value of a sensitivity",
     ),
     _Quantity(
-        "sensitivity.input", "input sensitivity", "-", LoopResponse.input_sensitivity,
-        "input sensitivity of an axis", "maximum singular value of the input sensitivity",
+        "sensitivity.input",
+        "input sensitivity",
+        "-",
+        LoopResponse.input_sensitivity,
+        "input sensitivity of an axis",
+        "maximum singular value of the input sensitivity",
     ),
     _Quantity("complementary", "complementary sensitivity", "-", LoopResponse.complementary),
-    _Quantity("control", "control sensitivity K S", "A/m", LoopResponse.control_sensitivity, "information", "control gain"),
-    _Quantity("compliance", "compliance", "m/N", LoopResponse.compliance, "information", "compliance"),
-)  # fmt: skip
+    _Quantity(
+        "control",
+        "control sensitivity K S",
+        "A/m",
+        LoopResponse.control_sensitivity,
+        "information",
+        "control gain",
+    ),
+    _Quantity(
+        "compliance", "compliance", "m/N", LoopResponse.compliance, "information", "compliance"
+    ),
+)
 
 
 def sensitivity_checks(
@@ -84,7 +102,14 @@ def sensitivity_checks(
             detail = _where(peak) + _beyond(response.omega, curve, within[1], peak)
             wanted = demand(rule, requirements)
             checks.append(
-                judge(f"{quantity.name}.{label}", f"Peak {quantity.title}, {what}", peak.value, quantity.unit, wanted, detail)
+                judge(
+                    f"{quantity.name}.{label}",
+                    f"Peak {quantity.title}, {what}",
+                    peak.value,
+                    quantity.unit,
+                    wanted,
+                    detail,
+                )
             )
         curves.append(_curve(quantity, response, values, labels, requirements))
     if requirements.roll_off is not None:
@@ -92,16 +117,29 @@ def sensitivity_checks(
     return checks, curves
 
 
-def _roll_off(response: LoopResponse, evaluator: Evaluator, requirements: Requirements, corner: float) -> Check:
-    """Over the whole grid of the response: what lies beyond the range of ISO 14839-3 counts here."""
+def _roll_off(
+    response: LoopResponse, evaluator: Evaluator, requirements: Requirements, corner: float
+) -> Check:
+    """Over the whole grid of the response: what lies beyond the range of ISO 14839-3 counts
+    here.
+    """
 
     def rows(at: LoopResponse) -> np.ndarray:
         size = largest_gain(at.control_sensitivity())
         return np.asarray(size * np.hypot(1, at.omega / corner))[None, :]
 
     ((peak,),) = peaks_of([rows], response, evaluator)
-    title = f"Control sensitivity with a roll-off from {corner / TWO_PI:.4g} Hz, maximum singular value"
-    return judge("control.roll_off", title, peak.value, "A/m", demand("control gain", requirements), _where(peak))
+    title = (
+        f"Control sensitivity with a roll-off from {corner / TWO_PI:.4g} Hz, maximum singular value"
+    )
+    return judge(
+        "control.roll_off",
+        title,
+        peak.value,
+        "A/m",
+        demand("control gain", requirements),
+        _where(peak),
+    )
 
 
 def _where(peak: Peak) -> str:
@@ -114,7 +152,10 @@ def _beyond(omega: np.ndarray, curve: np.ndarray, highest: float, peak: Peak) ->
     if not outside.any() or curve[outside].max() <= peak.value:
         return ""
     i = np.flatnonzero(outside)[np.argmax(curve[outside])]
-    return f"; beyond the range of {highest / TWO_PI:.4g} Hz it reaches {curve[i]:.4g} at {omega[i] / TWO_PI:.4g} Hz"
+    return (
+        f"; beyond the range of {highest / TWO_PI:.4g} Hz it reaches {curve[i]:.4g} at "
+        f"{omega[i] / TWO_PI:.4g} Hz"
+    )
 
 
 def _curve(
@@ -131,4 +172,14 @@ def _curve(
         limits = (("required", wanted),)
     title = quantity.title[0].upper() + quantity.title[1:]
     labels = ("maximum singular value", *labels[1:])
-    return Curve(quantity.name, title, "frequency", response.omega, values, labels, "rad/s", quantity.unit, limits)
+    return Curve(
+        quantity.name,
+        title,
+        "frequency",
+        response.omega,
+        values,
+        labels,
+        "rad/s",
+        quantity.unit,
+        limits,
+    )

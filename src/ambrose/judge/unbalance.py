@@ -1,12 +1,14 @@
-"""Response to the residual unbalance of a balance grade: orbits, currents and bearing forces against speed.
+"""Response to the residual unbalance of a balance grade: orbits, currents and bearing forces
+against speed.
 
-A rotor of mass m balanced to grade G [m/s] at W_b keeps the unbalance U = m G / W_b [kg m]; at W it pulls with F = U W^2
-(ISO 21940-11). How U is spread is unknown, so that three cases are reported:
+A rotor of mass m balanced to grade G [m/s] at W_b keeps the unbalance U = m G / W_b [kg m]; at W it
+pulls with F = U W^2 (ISO 21940-11). How U is spread is unknown, so that three cases are reported:
 
-* worst: largest singular value of the compliance between the bearings, times F (Lauridsen, PhD thesis, papers P3, P5). It
-  bounds the root sum square of the orbits for circular forces with root sum square F.
-* in phase, in antiphase: rotating forces in the bearing planes, shared by the lever rule about the centre of mass; orbits
-  are semi-major axes.
+* worst: largest singular value of the compliance between the bearings, times F (Lauridsen, PhD
+  thesis, papers P3, P5). It bounds the root sum square of the orbits for circular forces with root
+  sum square F.
+* in phase, in antiphase: rotating forces in the bearing planes, shared by the lever rule about the
+  centre of mass; orbits are semi-major axes.
 
 | check                | what                                                                     | unit |
 |----------------------|--------------------------------------------------------------------------|------|
@@ -20,7 +22,8 @@ A rotor of mass m balanced to grade G [m/s] at W_b keeps the unbalance U = m G /
 | unbalance.separation | amplification factor over the allowed one near the running_speeds (API 617) | -    |
 | unbalance.assembled  | worst-case orbit with the rotor assembled anew at every speed              | m    |
 
-The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled" and "unbalance.current".
+The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled" and
+"unbalance.current".
 """
 
 from __future__ import annotations
@@ -31,25 +34,27 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.frequency import largest_gain
-from ambrose.machine.criteria import TWO_PI, demand, machine_limit
-from ambrose.machine.description import Requirements
-from ambrose.machine.machine import Machine
-from ambrose.law.loop import Law
-from ambrose.model.plant import Plant, top_speed
-from ambrose.model.separation import runs_within
-from ambrose.model.static_load import magnet_coefficients
-from ambrose.model.unbalance import Unbalance, residual_unbalance
 from ambrose.judge.checks import Check, Curve
 from ambrose.judge.criteria import judge
 from ambrose.judge.critical_speeds import separation_check
 from ambrose.judge.loop_response import Evaluator, LoopResponse, loop_at
 from ambrose.judge.peaks import Peak, peaks_of
+from ambrose.law.loop import Law
+from ambrose.machine.criteria import TWO_PI, demand, machine_limit
+from ambrose.machine.description import Requirements
+from ambrose.machine.machine import Machine
+from ambrose.model.plant import Plant, top_speed
+from ambrose.model.separation import runs_within
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.model.unbalance import Unbalance, residual_unbalance
 
 _NEAR = 1.4  # times the highest running speed: where critical speeds are looked for
 
 
 def orbit(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Semi-major axis of the ellipse with complex amplitudes x, y in two perpendicular directions."""
+    """Semi-major axis of the ellipse with complex amplitudes x, y in two perpendicular
+    directions.
+    """
     return 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))
 
 
@@ -58,30 +63,42 @@ def worst_orbit(response: LoopResponse, residual: Unbalance) -> np.ndarray:
     return largest_gain(response.compliance()) * residual.force(response.omega)
 
 
-def distributed_orbits(response: LoopResponse, residual: Unbalance, machine: Machine, *, antiphase: bool) -> np.ndarray:
-    """Orbits at the bearings (bearings, w) [m] for forward rotating forces in the bearing planes, in phase or alternating."""
+def distributed_orbits(
+    response: LoopResponse, residual: Unbalance, machine: Machine, *, antiphase: bool
+) -> np.ndarray:
+    """Orbits at the bearings (bearings, w) [m] for forward rotating forces in the bearing planes,
+    in phase or alternating.
+    """
     sign = np.array([(-1.0) ** k if antiphase else 1.0 for k in range(len(residual.share))])
     turned = np.exp(-1j * np.array([bearing.angle for bearing in machine.bearings]))
     amplitude = sign * np.array(residual.share) * turned
-    pattern = np.stack([amplitude, -1j * amplitude], axis=1).ravel()  # zeta, eta of each bearing: forward circles
+    # zeta, eta of each bearing: forward circles
+    pattern = np.stack([amplitude, -1j * amplitude], axis=1).ravel()
     q = (response.compliance() @ pattern) * residual.force(response.omega)[:, None]
     return orbit(q[:, 0::2], q[:, 1::2]).T
 
 
 def worst_currents(response: LoopResponse, residual: Unbalance) -> np.ndarray:
     """Largest control current of every axis (a, w) [A] over force vectors of Euclidean length F."""
-    return (np.linalg.norm(response.current_per_force(), axis=2) * residual.force(response.omega)[:, None]).T
+    return (
+        np.linalg.norm(response.current_per_force(), axis=2)
+        * residual.force(response.omega)[:, None]
+    ).T
 
 
 def worst_forces(response: LoopResponse, residual: Unbalance, plant: Plant) -> np.ndarray:
-    """Largest magnetic force k_i i + k_s q of every axis (a, w) [N] over force vectors of Euclidean length F."""
+    """Largest magnetic force k_i i + k_s q of every axis (a, w) [N] over force vectors of Euclidean
+    length F.
+    """
     k_i, k_s = magnet_coefficients(plant.machine, plant.point)
     per_force = k_i[:, None] * response.current_per_force() + k_s[:, None] * response.compliance()
     return (np.linalg.norm(per_force, axis=2) * residual.force(response.omega)[:, None]).T
 
 
 def worst_voltages(response: LoopResponse, residual: Unbalance, inductance: float) -> np.ndarray:
-    """Largest voltage w L i of every axis' coil (a, w) [V]: what the virtual rig limits; resistance and motion are left out."""
+    """Largest voltage w L i of every axis' coil (a, w) [V]: what the virtual rig limits; resistance
+    and motion are left out.
+    """
     return worst_currents(response, residual) * (inductance * response.omega)
 
 
@@ -92,7 +109,9 @@ def unbalance_checks(
     requirements: Requirements,
     residual: Unbalance,
 ) -> tuple[list[Check], list[Curve]]:
-    """The checks and curves of this file's table, with the rotor's matrices frozen at the plant's speed."""
+    """The checks and curves of this file's table, with the rotor's matrices frozen at the plant's
+    speed.
+    """
     machine = plant.machine
     highest = requirements.unbalance_to or top_speed(machine) or residual.speed
     highest = min(highest, float(response.omega[-1]))
@@ -112,16 +131,28 @@ def unbalance_checks(
     names = [bearing.name for bearing in machine.bearings]
     checks = [
         judge(
-            "unbalance.orbit", f"Worst-case unbalance orbit up to {highest / TWO_PI:.4g} Hz", worst.value, "m",
-            demand("unbalance orbit", requirements), f"{_at(worst)}; {note}",
+            "unbalance.orbit",
+            f"Worst-case unbalance orbit up to {highest / TWO_PI:.4g} Hz",
+            worst.value,
+            "m",
+            demand("unbalance orbit", requirements),
+            f"{_at(worst)}; {note}",
         ),
         _distribution("unbalance.in_phase", "in phase", in_phase, names),
         _distribution("unbalance.antiphase", "in antiphase", antiphase, names),
         *_clearance(machine, worst, requirements),
-        axis_limit_check(plant, "unbalance.current", "Worst-case unbalance current", currents, requirements),
-        axis_limit_check(plant, "unbalance.force", "Worst-case magnetic force under unbalance", forces, requirements),
+        axis_limit_check(
+            plant, "unbalance.current", "Worst-case unbalance current", currents, requirements
+        ),
+        axis_limit_check(
+            plant,
+            "unbalance.force",
+            "Worst-case magnetic force under unbalance",
+            forces,
+            requirements,
+        ),
         *_voltage(plant, response, evaluator, residual, within),
-    ]  # fmt: skip
+    ]
     running = requirements.running_speeds
     if running is not None and runs_within(plant.point.speed, running):
         near = response.omega <= _NEAR * running[1]
@@ -133,31 +164,77 @@ def unbalance_checks(
     return checks, [
         _orbit_curve(machine, omega, orbits, requirements),
         Curve(
-            "unbalance.current", "Worst-case unbalance current", "speed", omega, cases[3](response)[:, shown],
-            response.axes, "rad/s", "A",
+            "unbalance.current",
+            "Worst-case unbalance current",
+            "speed",
+            omega,
+            cases[3](response)[:, shown],
+            response.axes,
+            "rad/s",
+            "A",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _voltage(
-    plant: Plant, response: LoopResponse, evaluator: Evaluator, residual: Unbalance, within: tuple[float, float]
+    plant: Plant,
+    response: LoopResponse,
+    evaluator: Evaluator,
+    residual: Unbalance,
+    within: tuple[float, float],
 ) -> list[Check]:
     amplifier = plant.machine.amplifier
     most, inductance = amplifier.max_voltage, amplifier.inductance
     if most is None or inductance is None:
         return []
-    (peaks,) = peaks_of([lambda r: worst_voltages(r, residual, inductance)], response, evaluator, within)
+    (peaks,) = peaks_of(
+        [lambda r: worst_voltages(r, residual, inductance)], response, evaluator, within
+    )
     k = int(np.argmax([peak.value for peak in peaks]))
-    wanted, detail = machine_limit(most, "the amplifier's max_voltage"), f"axis {plant.axes[k]} {_at(peaks[k])}"
-    return [judge("unbalance.voltage", "Worst-case coil voltage under unbalance", peaks[k].value, "V", wanted, detail)]
+    wanted, detail = (
+        machine_limit(most, "the amplifier's max_voltage"),
+        f"axis {plant.axes[k]} {_at(peaks[k])}",
+    )
+    return [
+        judge(
+            "unbalance.voltage",
+            "Worst-case coil voltage under unbalance",
+            peaks[k].value,
+            "V",
+            wanted,
+            detail,
+        )
+    ]
 
 
-def _orbit_curve(machine: Machine, speeds: np.ndarray, orbits: np.ndarray, requirements: Requirements) -> Curve:
-    """Orbits (1 + 2 bearings, w) [m]: the worst case, then every bearing in phase, then in antiphase."""
+def _orbit_curve(
+    machine: Machine, speeds: np.ndarray, orbits: np.ndarray, requirements: Requirements
+) -> Curve:
+    """Orbits (1 + 2 bearings, w) [m]: the worst case, then every bearing in phase, then in
+    antiphase.
+    """
     names = [bearing.name for bearing in machine.bearings]
-    labels = ("worst case", *(f"{n}, in phase" for n in names), *(f"{n}, in antiphase" for n in names))
-    limits = () if requirements.unbalance_orbit is None else (("required", requirements.unbalance_orbit),)
-    return Curve("unbalance", "Unbalance response, zero to peak", "speed", speeds, orbits, labels, "rad/s", "m", limits)
+    labels = (
+        "worst case",
+        *(f"{n}, in phase" for n in names),
+        *(f"{n}, in antiphase" for n in names),
+    )
+    limits = (
+        ()
+        if requirements.unbalance_orbit is None
+        else (("required", requirements.unbalance_orbit),)
+    )
+    return Curve(
+        "unbalance",
+        "Unbalance response, zero to peak",
+        "speed",
+        speeds,
+        orbits,
+        labels,
+        "rad/s",
+        "m",
+        limits,
+    )
 
 
 def _at(peak: Peak) -> str:
@@ -178,25 +255,38 @@ def _clearance(machine: Machine, worst: Peak, requirements: Requirements) -> lis
     kind = "touchdown gap" if all(bearing.touchdown_gap for bearing in machine.bearings) else "gap"
     return [
         judge(
-            "unbalance.clearance", "Worst-case unbalance orbit over clearance", worst.value / min(known), "-",
-            demand("orbit over clearance", requirements), f"{kind} {min(known):.4g} m, {_at(worst)}",
+            "unbalance.clearance",
+            "Worst-case unbalance orbit over clearance",
+            worst.value / min(known),
+            "-",
+            demand("orbit over clearance", requirements),
+            f"{kind} {min(known):.4g} m, {_at(worst)}",
         )
-    ]  # fmt: skip
+    ]
 
 
-def axis_limit_check(plant: Plant, name: str, title: str, found: Sequence[Peak], requirements: Requirements) -> Check:
-    """One check for a current or force (by ``name``) known per axis: of the axis that comes nearest to its limit."""
+def axis_limit_check(
+    plant: Plant, name: str, title: str, found: Sequence[Peak], requirements: Requirements
+) -> Check:
+    """One check for a current or force (by ``name``) known per axis: of the axis that comes nearest
+    to its limit.
+    """
     current = name.endswith("current")
     bearings = [bearing for bearing in plant.machine.bearings for _ in range(2)]
     limits = [bearing.max_current if current else bearing.max_force for bearing in bearings]
     required = demand("current" if current else "information", requirements)
     known = [required.limit if required.limit is not None else limit for limit in limits]
-    ratio = [peak.value / limit if limit else peak.value * 1e-12 for peak, limit in zip(found, known, strict=True)]
+    ratio = [
+        peak.value / limit if limit else peak.value * 1e-12
+        for peak, limit in zip(found, known, strict=True)
+    ]
     k = int(np.argmax(ratio))
     source = f"bearing {bearings[k].name}, {'max_current' if current else 'max_force'}"
     wanted = required if required.limit is not None else machine_limit(limits[k], source)
     at = "" if np.isnan(found[k].frequency) else f" {_at(found[k])}"
-    return judge(name, title, found[k].value, "A" if current else "N", wanted, f"axis {plant.axes[k]}{at}")
+    return judge(
+        name, title, found[k].value, "A" if current else "N", wanted, f"axis {plant.axes[k]}{at}"
+    )
 
 
 def unbalance_curve(
@@ -205,26 +295,38 @@ def unbalance_curve(
     controller: Law,
     residual: Unbalance | None = None,
 ) -> Curve:
-    """Unbalance orbits with the rotor's matrices assembled anew at every speed (gyroscopic forces, speed-dependent seals).
+    """Unbalance orbits with the rotor's matrices assembled anew at every speed (gyroscopic forces,
+    speed-dependent seals).
 
-    plant_at: speed [rad/s] -> Plant, a stable loop with the controller; speeds (s,) [rad/s], ascending, positive. residual:
-    default that of the machine. The curve has the lines of the fixed-speed curve "unbalance"; at every large local maximum of
-    the worst case a refined point is added. Raises InvalidInput when no balancing speed is known.
+    plant_at: speed [rad/s] -> Plant, a stable loop with the controller; speeds (s,) [rad/s],
+    ascending, positive. residual: default that of the machine. The curve has the lines of the
+    fixed-speed curve "unbalance"; at every large local maximum of the worst case a refined point is
+    added. Raises InvalidInput when no balancing speed is known.
     """
     from scipy.optimize import minimize_scalar
 
     speeds = np.asarray(check_finite(speeds, "speeds"), float)
     if speeds.size == 0 or speeds.min() <= 0 or (np.diff(speeds) <= 0).any():
-        raise invalid("speeds", speeds, "positive, ascending, at least one", "leave standstill out: it has no unbalance force")
+        raise invalid(
+            "speeds",
+            speeds,
+            "positive, ascending, at least one",
+            "leave standstill out: it has no unbalance force",
+        )
     machine = plant_at(float(speeds[0])).machine
     residual = residual_unbalance(machine) if residual is None else residual
     if residual is None:
-        raise InvalidInput("no balancing speed is known; give requirements.balance_speed or a speed range")
+        raise InvalidInput(
+            "no balancing speed is known; give requirements.balance_speed or a speed range"
+        )
     columns: dict[float, np.ndarray] = {}
 
     def worst(speed: float) -> float:
         response = loop_at(plant_at(speed), controller, speed)
-        orbits = [distributed_orbits(response, residual, machine, antiphase=flag)[:, 0] for flag in (False, True)]
+        orbits = [
+            distributed_orbits(response, residual, machine, antiphase=flag)[:, 0]
+            for flag in (False, True)
+        ]
         columns[speed] = np.concatenate([worst_orbit(response, residual), *orbits])
         return float(columns[speed][0])
 
@@ -233,7 +335,10 @@ def unbalance_curve(
         if values[k] >= max(values[k - 1], values[k + 1], 0.5 * values.max()):
             bounds = (float(speeds[k - 1]), float(speeds[k + 1]))
             best = minimize_scalar(
-                lambda w: -worst(float(w)), bounds=bounds, method="bounded", options={"xatol": 1e-4 * speeds[k]}
+                lambda w: -worst(float(w)),
+                bounds=bounds,
+                method="bounded",
+                options={"xatol": 1e-4 * speeds[k]},
             )
             columns = {w: column for w, column in columns.items() if w in speeds or w == best.x}
     x = np.array(sorted(columns))
@@ -241,12 +346,18 @@ def unbalance_curve(
 
 
 def assembled_check(curve: Curve, requirements: Requirements) -> Check:
-    """The largest worst-case orbit of an ``unbalance_curve`` up to the required speed, held against the required orbit."""
+    """The largest worst-case orbit of an ``unbalance_curve`` up to the required speed, held against
+    the required orbit.
+    """
     limit = requirements.unbalance_to or np.inf
     inside = curve.x <= limit * (1 + 1e-9)
     values = np.where(inside, curve.y[0], 0.0)
     k = int(np.argmax(values))
     return judge(
-        "unbalance.assembled", "Worst-case unbalance orbit, rotor assembled at every speed", values[k], "m",
-        demand("unbalance orbit", requirements), f"at {curve.x[k] / TWO_PI:.4g} Hz",
-    )  # fmt: skip
+        "unbalance.assembled",
+        "Worst-case unbalance orbit, rotor assembled at every speed",
+        values[k],
+        "m",
+        demand("unbalance orbit", requirements),
+        f"at {curve.x[k] / TWO_PI:.4g} Hz",
+    )

@@ -1,4 +1,5 @@
-"""The verdict on one controller: on the full plants point by point, and over all tolerances around each.
+"""The verdict on one controller: on the full plants point by point, and over all tolerances around
+each.
 
 verification = verify_controller(machine, controller)                    what the front door and `ambrose verify` call
 """
@@ -10,28 +11,23 @@ from dataclasses import replace
 from typing import Any
 
 from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace, is_system
+from ambrose.core.checks import InvalidInput
+from ambrose.core.statespace import StateSpace
+from ambrose.judge import nominal, robust, sampled
+from ambrose.judge.between import check_range
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.motion import Motion, moving_proofs, refuse_motion
 from ambrose.judge.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
+from ambrose.judge.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
+from ambrose.law.loop import covers, match_controller
+from ambrose.law.scheduling import SPEED, follows
+from ambrose.law.timing import Timing, timing_of
+from ambrose.law.weights import machine_weights
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.law.loop import covers, match_controller
 from ambrose.model.plant import Plant
-from ambrose.law.scheduling import PRESSURE, SPEED, follows, scheduling_of
-from ambrose.law.timing import Timing, timing_of
 from ambrose.model.uncertainty import not_varied, tolerances_around
-from ambrose.law.weights import machine_weights
-from ambrose.judge import nominal
-from ambrose.judge import robust
-from ambrose.judge import sampled
-from ambrose.judge.between import check_range
-from ambrose.judge.checks import Check, Checks
-from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
-from ambrose.annexes.scheduled.moving.pressure import check_pressure, covered_spans
-from ambrose.annexes.scheduled.moving.speed import SpeedSpan, check_speed, speed_spans
-from ambrose.judge.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 
 
 @names_wrong_types
@@ -48,17 +44,20 @@ def verify_controller(
     speed_rate: float | None = None,
     progress: Progress = lambda stage: None,
 ) -> Verification:
-    """The checks of a controller on the full plant at every operating point, and over the tolerances around each.
+    """The checks of a controller on the full plant at every operating point, and over the
+    tolerances around each.
 
-    machine: or the plants to verify on, one or several. controller: a Synthesis, a schedule, or anything with A, B, C, D.
-    points: operating points or labels (None: all). tolerances: whether the tolerance boxes are examined. rate [Hz],
-    delay_samples: the loop as it runs, sampled by Tustin's map and late; None: as the controller or the machine file says
-    (``law.timing.timing_of``); where neither knows a rate the continuous loop is judged, and ``timing`` says so.
-    pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the machine file's; without one nothing is proved for a
-    pressure that changes); pressure_error [Pa]: how far off what a controller scheduled over it is told may be; speed_rate
-    [rad/s^2]: the fastest run-up, for a proof while the speed changes, over the tolerances as well (None: none). Operating
-    points that a schedule does not cover are listed as left out. Raises InvalidInput where the controller is not one for this
-    machine.
+    machine: or the plants to verify on, one or several. controller: a Synthesis, a schedule, or
+    anything with A, B, C, D. points: operating points or labels (None: all). tolerances: whether
+    the tolerance boxes are examined. rate [Hz], delay_samples: the loop as it runs, sampled by
+    Tustin's map and late; None: as the controller or the machine file says
+    (``law.timing.timing_of``); where neither knows a rate the continuous loop is judged, and
+    ``timing`` says so. pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the
+    machine file's; without one nothing is proved for a pressure that changes); pressure_error [Pa]:
+    how far off what a controller scheduled over it is told may be; speed_rate [rad/s^2]: the
+    fastest run-up, for a proof while the speed changes, over the tolerances as well (None: none).
+    Operating points that a schedule does not cover are listed as left out. Raises InvalidInput
+    where the controller is not one for this machine.
     """
     law = getattr(controller, "law", controller)
     if not isinstance(machine, Machine):
@@ -68,8 +67,13 @@ def verify_controller(
     else:
         plants = tuple(plant_at(machine, point) for point in points)
     if not plants:
-        raise InvalidInput("no operating point is given; name one at least, or leave points out for all of the machine")
-    spans = check_speed_spans(machine, law) if speed_rate is not None and isinstance(machine, Machine) else ()
+        raise InvalidInput(
+            "no operating point is given; name one at least, or leave points out for all of the "
+            "machine"
+        )
+    motion = Motion(pressure_rate, pressure_error, speed_rate)
+    if points is None and isinstance(machine, Machine):
+        refuse_motion(machine, law, motion)
     within, left_out = split_covered(law, plants)
     timing = timing_of(within[0].machine, controller, rate, delay_samples)
     checks = verify_points(within, law, progress, timing)
@@ -79,28 +83,47 @@ def verify_controller(
     if points is None and isinstance(machine, Machine):
         ranges, beyond = verify_ranges(machine, law, checks, progress, timing)
         left_out = (*left_out, *beyond)
-        moving = verify_moving(machine, law, checks, progress, timing, pressure_rate, pressure_error)
-        if speed_rate is not None and all(item.stable for item in checks):
-            runs = (check_speed(machine, span, law, timing, speed_rate, tolerances, progress) for span in spans)
-            moving = (*moving, *runs)
+        moving = tuple(
+            item
+            for proof in moving_proofs()
+            for item in proof.prove(
+                machine, law, checks, timing, motion, tolerances=tolerances, progress=progress
+            )
+        )
     still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
-    return Verification(checks, boxes, left_out, CONTINUOUS if timing is None else str(timing), still, ranges, moving)
+    return Verification(
+        checks,
+        boxes,
+        left_out,
+        CONTINUOUS if timing is None else str(timing),
+        still,
+        ranges,
+        moving,
+    )
 
 
 def running_law(law: Any, plant: Plant, timing: Timing | None) -> StateSpace:
-    """The law in the loop of a plant: at its speed, its signals matched and, with a timing, sampled and late."""
+    """The law in the loop of a plant: at its speed, its signals matched and, with a timing, sampled
+    and late.
+    """
     fixed = match_controller(law, plant)
     return fixed if timing is None else timing.in_loop(fixed)
 
 
 def verify_points(
-    plants: Sequence[Plant], controller: Any, progress: Progress = lambda stage: None, timing: Timing | None = None
+    plants: Sequence[Plant],
+    controller: Any,
+    progress: Progress = lambda stage: None,
+    timing: Timing | None = None,
 ) -> tuple[Checks, ...]:
-    """The checks on every full plant, of the loop as it runs. Raises InvalidInput where the controller is not one for it."""
+    """The checks on every full plant, of the loop as it runs. Raises InvalidInput where the
+    controller is not one for it.
+    """
     results = []
     for plant in plants:
         progress(f"verifying at {plant.point.label}")
-        fixed = not follows(controller, SPEED)  # a law that changes with it has its own verdict over speed
+        # a law that changes with it has its own verdict over speed
+        fixed = not follows(controller, SPEED)
         turning = fixed and plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
         along = plants_along_speed(plant) if turning else None
         results.append(nominal.check(plant, running_law(controller, plant, timing), plant_at=along))
@@ -108,10 +131,18 @@ def verify_points(
 
 
 def verify_ranges(
-    machine: Machine, law: Any, points: Sequence[Checks], progress: Progress, timing: Timing | None = None
+    machine: Machine,
+    law: Any,
+    points: Sequence[Checks],
+    progress: Progress,
+    timing: Timing | None = None,
 ) -> tuple[tuple[Checks, ...], tuple[str, ...]]:
-    """The checks over every range all of whose corners (of ``points``) are held; the ranges that a schedule does not cover."""
-    stable, found, beyond = {checks.label: checks.stable for checks in points}, [], []
+    """The checks over every range all of whose corners (of ``points``) are held; the ranges that a
+    schedule does not cover.
+    """
+    stable = {checks.label: checks.stable for checks in points}
+    found = []
+    beyond = []
     for area in machine.operation.ranges:
         if not all(covers(law, assemble(machine, corner)) for corner in area.corners):
             beyond.append(area.label)
@@ -119,53 +150,6 @@ def verify_ranges(
             progress(f"verifying between the points of {area.label}")
             found.append(check_range(machine, area, law, timing))
     return tuple(found), tuple(beyond)
-
-
-def verify_moving(
-    machine: Machine,
-    law: Any,
-    points: Sequence[Checks],
-    progress: Progress,
-    timing: Timing | None,
-    rate: float | None,
-    error: float = 0.0,
-) -> tuple[Checks, ...]:
-    """The checks while the seal pressure changes between the points, at up to ``rate`` [Pa/s] (None: the machine file's).
-
-    error [Pa]: how far what a controller scheduled over it is told may be off. Without a rate, with an unstable point, or for a
-    schedule over speed, or over speed and pressure, there are none. Raises InvalidInput for an error that no controller reads.
-    """
-    rate = machine.operation.pressure_rate if rate is None else rate
-    over_pressure = check_pressure_error(law, error)
-    if rate is None or not all(checks.stable for checks in points):
-        return ()
-    if isinstance(law, ScheduledSystem):
-        spans = scheduled_spans(machine, law) if over_pressure else ()
-        return tuple(check_on_model(machine, span, law, timing, rate, error, progress) for span in spans)
-    return tuple(check_pressure(machine, span, law, timing, rate, progress) for span in covered_spans(machine, law))
-
-
-def check_speed_spans(machine: Machine, law: Any) -> tuple[SpeedSpan, ...]:
-    """Where a fixed law or a schedule over speed is proved while the speed changes. Raises InvalidInput where it cannot be."""
-    if not is_system(law) and scheduling_of(law) is not SPEED:
-        raise InvalidInput(
-            "a controller scheduled over pressure is not proved while the speed changes; leave the speed's rate out"
-        )
-    spans = speed_spans(machine, law)
-    if not spans:
-        raise InvalidInput(
-            "no two operating points differ in speed alone; add one in the machine file, or leave the speed's rate out"
-        )
-    return spans
-
-
-def check_pressure_error(law: Any, error: float) -> bool:
-    """Whether a law is scheduled over pressure alone. Raises InvalidInput for an error [Pa] where it is not."""
-    over_pressure = isinstance(law, ScheduledSystem) and scheduling_of(law) is PRESSURE
-    if error and not over_pressure:
-        why = "alone is proved with it" if follows(law, PRESSURE) else "is told of it"
-        raise invalid("the error of the pressure", f"{error:g} Pa", "0", f"only a controller scheduled over pressure {why}")
-    return over_pressure
 
 
 def verify_tolerances(
@@ -178,14 +162,16 @@ def verify_tolerances(
     *,
     design: Any = None,
 ) -> tuple[Checks, ...]:
-    """The checks over the tolerances around every plant with a stable loop (``points``) and any tolerance.
+    """The checks over the tolerances around every plant with a stable loop (``points``) and any
+    tolerance.
 
-    tolerances: None: all; otherwise those, and of all together only the number of unstable corners and samples. Around the
-    first of them everything is examined: worst cases searched and bounded, stability proved. Around the others stability and
-    the worst sensitivity are searched. With a timing this is done on the continuous loop with its mean delay, and the sampled
-    loop is examined at the corners, at samples and at what the search found, which judges the sensitivity. design: the
-    continuous law that ``controller`` is
-    the sampled one of (None: itself); of a sampled law without it only the points are examined.
+    tolerances: None: all; otherwise those, and of all together only the number of unstable corners
+    and samples. Around the first of them everything is examined: worst cases searched and bounded,
+    stability proved. Around the others stability and the worst sensitivity are searched. With a
+    timing this is done on the continuous loop with its mean delay, and the sampled loop is examined
+    at the corners, at samples and at what the search found, which judges the sensitivity. design:
+    the continuous law that ``controller`` is the sampled one of (None: itself); of a sampled law
+    without it only the points are examined.
     """
     boxes: list[Checks] = []
     for plant, point in zip(plants, points, strict=True):
@@ -198,9 +184,13 @@ def verify_tolerances(
         checks: list[Checks] = []
         if source.dt is None:
             model = source if timing is None else timing.late(source)
-            checks.append(_continuous_box(plant, model, held, detailed=not boxes, late=timing is not None))
+            checks.append(
+                _continuous_box(plant, model, held, detailed=not boxes, late=timing is not None)
+            )
             if tolerances is not None and (every := tolerances_around(plant)):
-                checks[0] = replace(checks[0], checks=(*checks[0].checks, robust.stability(plant, model, every)))
+                checks[0] = replace(
+                    checks[0], checks=(*checks[0].checks, robust.stability(plant, model, every))
+                )
         if timing is not None:
             found = checks[0].found if checks else ()
             checks.append(sampled.check_over_box(plant, timing.in_loop(given), held, found))
@@ -208,8 +198,12 @@ def verify_tolerances(
     return tuple(boxes)
 
 
-def _continuous_box(plant: Plant, law: StateSpace, held: tuple[Tolerance, ...], *, detailed: bool, late: bool) -> Checks:
-    """The robust checks of a continuous law, which with ``late`` holds the loop's mean delay; ``detailed``: all of them."""
+def _continuous_box(
+    plant: Plant, law: StateSpace, held: tuple[Tolerance, ...], *, detailed: bool, late: bool
+) -> Checks:
+    """The robust checks of a continuous law, which with ``late`` holds the loop's mean delay;
+    ``detailed``: all of them.
+    """
     if not detailed:
         box = robust.examine(plant, law, held)
     else:
@@ -218,16 +212,29 @@ def _continuous_box(plant: Plant, law: StateSpace, held: tuple[Tolerance, ...], 
     if not late:
         return box
     checks = tuple(replace(c, detail=f"{c.detail}; {WITH_MEAN_DELAY}") for c in box.checks)
-    return replace(box, checks=tuple(_unjudged(c) if c.name == "robust.sensitivity.worst" else c for c in checks))
+    return replace(
+        box,
+        checks=tuple(_unjudged(c) if c.name == "robust.sensitivity.worst" else c for c in checks),
+    )
 
 
 def _unjudged(check: Check) -> Check:
-    """A check without its limit: Tustin's map moves a fast controller's resonances, so that the sampled loop is the judge."""
-    return replace(check, limit=None, passed=None, detail=f"{check.detail}, which is judged by the sampled one below")
+    """A check without its limit: Tustin's map moves a fast controller's resonances, so that the
+    sampled loop is the judge.
+    """
+    return replace(
+        check,
+        limit=None,
+        passed=None,
+        detail=f"{check.detail}, which is judged by the sampled one below",
+    )
 
 
 def _joined(label: str, parts: Sequence[Checks]) -> Checks:
     """Several examinations of one box as one."""
-    checks, curves, notes = (tuple(x for part in parts for x in getattr(part, name)) for name in ("checks", "curves", "notes"))
+    checks, curves, notes = (
+        tuple(x for part in parts for x in getattr(part, name))
+        for name in ("checks", "curves", "notes")
+    )
     found = tuple(point for part in parts for point in part.found)
     return Checks(label, all(part.stable for part in parts), checks, curves, notes, found)

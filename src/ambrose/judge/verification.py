@@ -1,4 +1,6 @@
-"""The verdict on one controller: its checks at every operating point and over the tolerances, and the worst of each."""
+"""The verdict on one controller: its checks at every operating point and over the tolerances, and
+the worst of each.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from ambrose.judge.checks import Check, Checks, check_columns, checks_table
 
 OVER_TOLERANCES = "over all tolerances"
 CONTINUOUS = "continuous: no sample rate is known"
-WITH_MEAN_DELAY = "of the continuous loop with the mean delay of the sampled one"  # in the details of what was found on it
+# in the details of what was found on it
+WITH_MEAN_DELAY = "of the continuous loop with the mean delay of the sampled one"
 
 
 def box_label(point: str) -> str:
@@ -23,14 +26,16 @@ def box_label(point: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Verification(Presented):
-    """points: the checks at each operating point. boxes: those over the tolerances around each, labelled by ``box_label``.
-    ranges: those over each of the machine's ranges of speed and pressure, labelled as it is. moving: those of a seal pressure
-    that changes, where its fastest rate is known.
+    """points: the checks at each operating point. boxes: those over the tolerances around each,
+    labelled by ``box_label``. ranges: those over each of the machine's ranges of speed and
+    pressure, labelled as it is. moving: those of a seal pressure that changes, where its fastest
+    rate is known.
 
-    A point without a box has no tolerance around it, or an unstable loop. left_out: the operating points that could not be
-    verified, such as those outside a controller's schedule; a verification that leaves a point out is not passed. timing: what
-    loop was judged, "continuous" or "sampled at 10000 Hz, ...". not_varied: tolerances of the machine file that do not hold
-    around a point, with the reason (the file's ``around``, or a nominal value of zero).
+    A point without a box has no tolerance around it, or an unstable loop. left_out: the operating
+    points that could not be verified, such as those outside a controller's schedule; a verification
+    that leaves a point out is not passed. timing: what loop was judged, "continuous" or "sampled at
+    10000 Hz, ...". not_varied: tolerances of the machine file that do not hold around a point, with
+    the reason (the file's ``around``, or a nominal value of zero).
     """
 
     points: tuple[Checks, ...]
@@ -46,12 +51,19 @@ class Verification(Presented):
 
     @property
     def labelled(self) -> tuple[tuple[str, Checks], ...]:
-        """Every point's label with its checks, then those over the tolerances, over the ranges and of what changes."""
-        return tuple((checks.label, checks) for checks in (*self.points, *self.boxes, *self.ranges, *self.moving))
+        """Every point's label with its checks, then those over the tolerances, over the ranges and
+        of what changes.
+        """
+        return tuple(
+            (checks.label, checks)
+            for checks in (*self.points, *self.boxes, *self.ranges, *self.moving)
+        )
 
     @property
     def tolerances(self) -> Checks | None:
-        """The checks over the tolerances around the first point that has any; None where none were made."""
+        """The checks over the tolerances around the first point that has any; None where none were
+        made.
+        """
         return self.boxes[0] if self.boxes else None
 
     @property
@@ -62,13 +74,19 @@ class Verification(Presented):
     @property
     def passed(self) -> bool:
         """Whether every loop is stable, every limit is met and no operating point was left out."""
-        return bool(self.points) and not self.left_out and all(checks.passed for _, checks in self.labelled)
+        return (
+            bool(self.points)
+            and not self.left_out
+            and all(checks.passed for _, checks in self.labelled)
+        )
 
     @property
     def worst(self) -> Mapping[str, Check]:
-        """The worst Check of each name; its detail begins with the label of the point where it occurs.
+        """The worst Check of each name; its detail begins with the label of the point where it
+        occurs.
 
-        The largest value where small is good (relations "<", "<="), the smallest where large is good (">="); NaN is worst.
+        The largest value where small is good (relations "<", "<="), the smallest where large is
+        good (">="); NaN is worst.
         """
         worst: dict[str, tuple[float, Check]] = {}
         for label, checks in self.labelled:
@@ -81,7 +99,9 @@ class Verification(Presented):
         return {name: check for name, (_, check) in worst.items()}
 
     def __getitem__(self, label: str) -> Checks:
-        """The checks at the operating point of that label; raises KeyError that lists the labels."""
+        """The checks at the operating point of that label; raises KeyError that lists the
+        labels.
+        """
         table = dict(self.labelled)
         if label not in table:
             raise KeyError(f"{label!r} was not verified; there are {', '.join(map(repr, table))}")
@@ -94,7 +114,9 @@ class Verification(Presented):
             "passed": self.passed,
             "stable": self.stable,
             **({} if peak is None else {"worst_sensitivity": peak.value}),
-            "failed": list(dict.fromkeys(check.name for _, checks in self.labelled for check in checks.failed)),
+            "failed": list(
+                dict.fromkeys(check.name for _, checks in self.labelled for check in checks.failed)
+            ),
             **({"left_out": self.left_out} if self.left_out else {}),
             "points": [label for label, _ in self.labelled],
             "loop": self.timing,
@@ -103,7 +125,9 @@ class Verification(Presented):
     def _repr_html_(self) -> str:
         left_out = f"; left out: {'; '.join(self.left_out)}" if self.left_out else ""
         where = f"the worst of {', '.join(label for label, _ in self.labelled)}{left_out}"
-        return checks_table(list(self.worst.values()), f"{'passed' if self.passed else 'not passed'}: {where}")
+        return checks_table(
+            list(self.worst.values()), f"{'passed' if self.passed else 'not passed'}: {where}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The verdict without its curves as JSON-ready data."""
@@ -120,6 +144,10 @@ class Verification(Presented):
         }
 
     def to_frame(self) -> Any:
-        """A pandas.DataFrame with a row for each check at each point: point, check, value, unit, relation, limit, ..."""
+        """A pandas.DataFrame with a row for each check at each point: point, check, value, unit,
+        relation, limit, ...
+        """
         rows = [(label, check) for label, checks in self.labelled for check in checks.checks]
-        return data_frame({"point": [label for label, _ in rows], **check_columns([check for _, check in rows])})
+        return data_frame(
+            {"point": [label for label, _ in rows], **check_columns([check for _, check in rows])}
+        )

@@ -1,4 +1,6 @@
-"""The closed loop of core/lft.py's diagram, around a plant and a controller; how a controller's signals find their axes."""
+"""The closed loop of core/lft.py's diagram, around a plant and a controller; how a controller's
+signals find their axes.
+"""
 
 from __future__ import annotations
 
@@ -9,29 +11,43 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, connect, is_system, rename, select
-from ambrose.machine.description import OperatingPoint
+from ambrose.core.statespace import (
+    ControllerLike,
+    StateSpace,
+    as_statespace,
+    connect,
+    is_system,
+    rename,
+    select,
+)
 from ambrose.law.program import ControlProgram
-from ambrose.model.plant import Plant
 from ambrose.law.scheduling import SPEED, scheduling_of
+from ambrose.machine.description import OperatingPoint
+from ambrose.model.plant import Plant
 
-LawAt = Callable[[float], ControllerLike]  # speed [rad/s], or what a ScheduledSystem says, -> the law there
-Law = ControllerLike | LawAt | ControlProgram  # whatever closes a loop: fixed, scheduled, or a running program
+# speed [rad/s], or what a ScheduledSystem says, -> the law there
+LawAt = Callable[[float], ControllerLike]
+# whatever closes a loop: fixed, scheduled, or a running program
+Law = ControllerLike | LawAt | ControlProgram
 
 
 def closed_loop(plant: Plant, controller: Law) -> StateSpace:
     """Everything that can be asked of the loop, as one system.
 
-    Inputs: e_<axis> [A] excitation added to the controller's output, d_<axis> [m] output disturbance, r_<axis> [m] reference,
-    f_<port> [N] force. Outputs: y_<axis> [m] measured displacement (d included), u_<axis> [A] controller output,
-    i_<axis> [A] coil current, q_<port> [m], qdot_<port> [m/s]. A sampled controller closes the loop around the plant sampled
-    with a zero-order hold. The controller is matched by ``match_controller``, which raises InvalidInput.
+    Inputs: e_<axis> [A] excitation added to the controller's output, d_<axis> [m] output
+    disturbance, r_<axis> [m] reference, f_<port> [N] force. Outputs: y_<axis> [m] measured
+    displacement (d included), u_<axis> [A] controller output, i_<axis> [A] coil current, q_<port>
+    [m], qdot_<port> [m/s]. A sampled controller closes the loop around the plant sampled with a
+    zero-order hold. The controller is matched by ``match_controller``, which raises InvalidInput.
     """
     controller = match_controller(controller, plant)
     system = plant.system if controller.dt is None else c2d(plant.system, controller.dt)
     axes = plant.axes
     return connect(
-        [rename(system, {f"u_{a}": f"v_{a}" for a in axes}, {f"y_{a}": f"g_{a}" for a in axes}), controller],
+        [
+            rename(system, {f"u_{a}": f"v_{a}" for a in axes}, {f"y_{a}": f"g_{a}" for a in axes}),
+            controller,
+        ],
         inputs=[f"{kind}_{a}" for kind in "edr" for a in axes] + [f"f_{p}" for p in plant.ports],
         outputs=[f"{kind}_{a}" for kind in "yui" for a in axes]
         + [f"{kind}_{p}" for kind in ("q", "qdot") for p in plant.ports],
@@ -44,59 +60,88 @@ def closed_loop(plant: Plant, controller: Law) -> StateSpace:
 
 
 def match_controller(controller: Law, plant: Plant) -> StateSpace:
-    """The controller's law with inputs err_<axis> [m] and outputs u_<axis> [A], in the order of the plant's axes.
+    """The controller's law with inputs err_<axis> [m] and outputs u_<axis> [A], in the order of the
+    plant's axes.
 
-    Signals that are named after axes (err_A_zeta, y_A_zeta, u_A_zeta ...) are matched by name, whatever their order; a
-    controller without such names is matched by place. A scheduled law is the one at the plant's speed or seal pressure.
-    Raises InvalidInput where the size does not fit, or the names are those of other axes.
+    Signals that are named after axes (err_A_zeta, y_A_zeta, u_A_zeta ...) are matched by name,
+    whatever their order; a controller without such names is matched by place. A scheduled law is
+    the one at the plant's speed or seal pressure. Raises InvalidInput where the size does not fit,
+    or the names are those of other axes.
     """
     return match_axes(law_at(controller, plant.point), plant.axes, repr(plant.machine.name))
 
 
 def match_axes(controller: ControllerLike, axes: Sequence[str], machine: str = "") -> StateSpace:
-    """``match_controller`` for a fixed law and the axes themselves; machine: in words, for the message."""
+    """``match_controller`` for a fixed law and the axes themselves; machine: in words, for the
+    message.
+    """
     system = as_statespace(controller)
     n = len(axes)
     if system.D.shape != (n, n):
         requirement = f"({n}, {n}) for the axes {', '.join(axes)}"
-        raise invalid("the controller's size (outputs, inputs)", system.D.shape, requirement, "design it for this machine")
+        raise invalid(
+            "the controller's size (outputs, inputs)",
+            system.D.shape,
+            requirement,
+            "design it for this machine",
+        )
     into, out = (axis_order(system, side, axes, machine) for side in ("inputs", "outputs"))
     if into != list(range(n)) or out != list(range(n)):
         system = select(system, [system.inputs[k] for k in into], [system.outputs[k] for k in out])
     return rename(system, [f"err_{axis}" for axis in axes], [f"u_{axis}" for axis in axes])
 
 
-def axis_order(controller: StateSpace, side: Literal["inputs", "outputs"], axes: Sequence[str], machine: str = "") -> list[int]:
-    """Which of the controller's inputs or outputs belongs to each axis: by its name, or by place without names of axes.
+def axis_order(
+    controller: StateSpace,
+    side: Literal["inputs", "outputs"],
+    axes: Sequence[str],
+    machine: str = "",
+) -> list[int]:
+    """Which of the controller's inputs or outputs belongs to each axis: by its name, or by place
+    without names of axes.
 
     Raises InvalidInput where the names are those of other axes.
     """
     names, prefix = getattr(controller, side), "err_" if side == "inputs" else "u_"
     if not any(name.startswith(prefix) or name.endswith(("_zeta", "_eta")) for name in names):
         return list(range(len(axes)))
-    own = [next((axis for axis in axes if name == axis or name.endswith(f"_{axis}")), None) for name in names]
+    own = [
+        next((axis for axis in axes if name == axis or name.endswith(f"_{axis}")), None)
+        for name in names
+    ]
     if sorted(map(str, own)) != sorted(axes):
-        remedy = f"this controller is for another machine: design one for {machine or 'this'}, or give its signals these names"
+        remedy = (
+            f"this controller is for another machine: design one for {machine or 'this'}, or give "
+            "its signals these names"
+        )
         raise invalid(
-            f"the list of the controller's {side}", ", ".join(names), ", ".join(prefix + axis for axis in axes), remedy
+            f"the list of the controller's {side}",
+            ", ".join(names),
+            ", ".join(prefix + axis for axis in axes),
+            remedy,
         )
     return [own.index(axis) for axis in axes]
 
 
 def covers(law: Any, plant: Plant) -> bool:
-    """Whether a law is meant for the plant's operating point: a schedule has a range, and one over speed a seal pressure that
-    it was made at."""
+    """Whether a law is meant for the plant's operating point: a schedule has a range, and one over
+    speed a seal pressure that it was made at.
+    """
     along = scheduling_of(law)
     if along is None or not hasattr(law, "range"):
         return True
     low, high, value = (np.atleast_1d(x).astype(float) for x in (*law.range, along.of(plant.point)))
     slack = 1e-9 * high
-    elsewhere = along is SPEED and plant.point.seal_pressure != plant.machine.operation.design.seal_pressure
+    elsewhere = (
+        along is SPEED and plant.point.seal_pressure != plant.machine.operation.design.seal_pressure
+    )
     return bool(((low - slack <= value) & (value <= high + slack)).all()) and not elsewhere
 
 
 def law_at(controller: Law, point: OperatingPoint) -> StateSpace:
-    """The linear law at an operating point: a fixed one, a scheduled one there, a program's between its limits."""
+    """The linear law at an operating point: a fixed one, a scheduled one there, a program's between
+    its limits.
+    """
     if not is_system(controller):
         along = scheduling_of(controller)
         if along is not None and callable(controller):

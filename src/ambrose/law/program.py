@@ -1,6 +1,8 @@
-"""A controller that exists as a running program: the rig hands it the errors of one sample and takes its currents.
+"""A controller that exists as a running program: the rig hands it the errors of one sample and
+takes its currents.
 
-``code.c.compiled`` makes one from the generated C code, so that what runs on the rig is what runs on the machine.
+``code.c.compiled`` makes one from the generated C code, so that what runs on the rig is what runs
+on the machine.
 """
 
 from __future__ import annotations
@@ -16,8 +18,9 @@ from ambrose.core.statespace import StateSpace
 class ControlProgram(Protocol):
     """What the rig asks of a program.
 
-    sample_time [s]; delay [samples]: from the errors to the currents that act; system: its law between its limits in the
-    program's own states, sampled, err_<axis> [m] to u_<axis> [A]: for the equilibrium at the start and the poles of the loop.
+    sample_time [s]; delay [samples]: from the errors to the currents that act; system: its law
+    between its limits in the program's own states, sampled, err_<axis> [m] to u_<axis> [A]: for the
+    equilibrium at the start and the poles of the loop.
     """
 
     @property
@@ -38,9 +41,10 @@ class ControlProgram(Protocol):
 
 @runtime_checkable
 class ScheduledProgram(ControlProgram, Protocol):
-    """A program whose law changes with the speed [rad/s] or, where its attribute ``parameter`` says so, the pressure [Pa] or
-    both ("speed and pressure", a tuple): it is told that before every step; called with a value it returns its law there,
-    frozen, as ``system`` is at the present."""
+    """A program whose law changes with the speed [rad/s] or, where its attribute ``parameter`` says
+    so, the pressure [Pa] or both ("speed and pressure", a tuple): it is told that before every
+    step; called with a value it returns its law there, frozen, as ``system`` is at the present.
+    """
 
     def schedule(self, value: Any) -> None:
         """Speed or pressure of the next step; NaN: not known."""
@@ -52,9 +56,9 @@ class ScheduledProgram(ControlProgram, Protocol):
 class NativeProgram(ControlProgram, Protocol):
     """A program that the compiled rig calls by itself.
 
-    entry: address of ``int f(void *first, const double *errors, const double *told, double *currents)``, [m], speed [rad/s] or
-    what a ``ScheduledProgram`` is told, [A], and its first argument; both hold as long as the program does. A negative result
-    ends the run.
+    entry: address of ``int f(void *first, const double *errors, const double *told, double
+    *currents)``, [m], speed [rad/s] or what a ``ScheduledProgram`` is told, [A], and its first
+    argument; both hold as long as the program does. A negative result ends the run.
     """
 
     @property

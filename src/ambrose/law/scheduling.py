@@ -1,4 +1,6 @@
-"""What a controller can be scheduled over: quantities of the operating point, by the names that the schedule states."""
+"""What a controller can be scheduled over: quantities of the operating point, by the names that the
+schedule states.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from ambrose.machine.description import OperatingPoint
 
 @dataclass(frozen=True, slots=True)
 class Scheduling:
-    """name and SI unit in a schedule, field of an OperatingPoint, unit in which people are told of it and its size.
+    """name and SI unit in a schedule, field of an OperatingPoint, unit in which people are told of
+    it and its size.
 
     parts: of several at once, each by itself; a value is then a tuple, in their order.
     """
@@ -33,14 +36,22 @@ class Scheduling:
 
     def of(self, point: OperatingPoint) -> Any:
         """Its value [unit] at an operating point."""
-        return tuple(part.of(point) for part in self.parts) if self.parts else float(getattr(point, self.field))
+        return (
+            tuple(part.of(point) for part in self.parts)
+            if self.parts
+            else float(getattr(point, self.field))
+        )
 
     def moved(self, point: OperatingPoint, value: Any) -> OperatingPoint:
         """The operating point with another value [unit] of it."""
         if self.parts:
             speed, pressure = value
             return replace(point, speed=speed, seal_pressure=pressure)
-        return replace(point, speed=value) if self.field == "speed" else replace(point, seal_pressure=value)
+        return (
+            replace(point, speed=value)
+            if self.field == "speed"
+            else replace(point, seal_pressure=value)
+        )
 
     def words(self, value: Any) -> str:
         """A value [unit] for people: "140 Hz", "2.04 bar"."""
@@ -51,7 +62,9 @@ class Scheduling:
     def number(self, value: Any) -> str:
         """A value with its SI unit: "880 rad/s"."""
         items = value if self.parts else (value,)
-        return ", ".join(f"{item:.6g} {part.unit}" for part, item in zip(self.each, items, strict=True))
+        return ", ".join(
+            f"{item:.6g} {part.unit}" for part, item in zip(self.each, items, strict=True)
+        )
 
     @property
     def plural(self) -> str:
@@ -64,12 +77,17 @@ class Scheduling:
 
 SPEED = Scheduling("speed", "rad/s", "speed", "Hz", 2 * math.pi)
 PRESSURE = Scheduling("pressure", "Pa", "seal_pressure", "bar", 1e5)
-BOTH = Scheduling(AND.join((SPEED.name, PRESSURE.name)), AND.join((SPEED.unit, PRESSURE.unit)), parts=(SPEED, PRESSURE))
+BOTH = Scheduling(
+    AND.join((SPEED.name, PRESSURE.name)),
+    AND.join((SPEED.unit, PRESSURE.unit)),
+    parts=(SPEED, PRESSURE),
+)
 SCHEDULINGS = {item.name: item for item in (SPEED, PRESSURE, BOTH)}
 
 
 def scheduling_of(law: Any) -> Scheduling | None:
-    """What a law changes with: of a schedule or a scheduled program as it says, of another function the speed; None: nothing.
+    """What a law changes with: of a schedule or a scheduled program as it says, of another function
+    the speed; None: nothing.
 
     Raises InvalidInput for a schedule over anything else.
     """
@@ -79,7 +97,9 @@ def scheduling_of(law: Any) -> Scheduling | None:
     if name not in SCHEDULINGS or unit not in (None, SCHEDULINGS[name].unit):
         known = " or ".join(f"{item.name} [{item.unit}]" for item in SCHEDULINGS.values())
         given = f"{name} [{unit}]" if isinstance(law, ScheduledSystem) else repr(name)
-        raise invalid("the scheduling parameter", given, known, "make the schedule over one of them")
+        raise invalid(
+            "the scheduling parameter", given, known, "make the schedule over one of them"
+        )
     return SCHEDULINGS[name]
 
 

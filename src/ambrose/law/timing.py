@@ -1,7 +1,9 @@
-"""When a controller acts: its sample rate and its computing delay, one answer for design, verification, simulation and code.
+"""When a controller acts: its sample rate and its computing delay, one answer for design,
+verification, simulation and code.
 
-The displacements are read at sample k, the currents computed from them are set ``delay_samples`` later and held. What is given
-by the caller goes before the controller's own rate, that before the rate it was designed for, and the machine file comes last.
+The displacements are read at sample k, the currents computed from them are set ``delay_samples``
+later and held. What is given by the caller goes before the controller's own rate, that before the
+rate it was designed for, and the machine file comes last.
 """
 
 from __future__ import annotations
@@ -13,16 +15,17 @@ from typing import Any
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d, delayed, pade
 from ambrose.core.statespace import StateSpace, append, as_statespace, is_system, series
+from ambrose.law.program import ControlProgram
 from ambrose.machine.limits import DELAY_SAMPLES
 from ambrose.machine.machine import Machine
-from ambrose.law.program import ControlProgram
 
 _PADE_ORDER = 2  # 1.5 samples at 10 kHz: 1e-4 degrees off at 200 Hz, 0.3 at 1 kHz
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """A controller runs every ``sample_time`` [s]; its currents act ``delay_samples`` (0, 1, ...) later. source: who says so.
+    """A controller runs every ``sample_time`` [s]; its currents act ``delay_samples`` (0, 1, ...)
+    later. source: who says so.
 
     Raises InvalidInput.
     """
@@ -33,11 +36,19 @@ class Timing:
 
     def __post_init__(self) -> None:
         check_positive(self.sample_time, "the sample time", "give it in seconds")
-        if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int) or self.delay_samples < 0:
+        if (
+            isinstance(self.delay_samples, bool)
+            or not isinstance(self.delay_samples, int)
+            or self.delay_samples < 0
+        ):
             least = "a whole number of samples, zero or more"
-            raise invalid("the computing delay (delay_samples)", repr(self.delay_samples), least, "1 is usual")
+            raise invalid(
+                "the computing delay (delay_samples)", repr(self.delay_samples), least, "1 is usual"
+            )
         if self.delay_samples > DELAY_SAMPLES:  # each is a state of every axis
-            raise invalid("delay_samples", self.delay_samples, f"at most {DELAY_SAMPLES}", "1 is usual")
+            raise invalid(
+                "delay_samples", self.delay_samples, f"at most {DELAY_SAMPLES}", "1 is usual"
+            )
 
     @property
     def rate(self) -> float:
@@ -46,18 +57,28 @@ class Timing:
 
     @property
     def lag(self) -> float:
-        """By how much the currents are late on average [s]: computing, and half a sample of holding."""
+        """By how much the currents are late on average [s]: computing, and half a sample of
+        holding.
+        """
         return (self.delay_samples + 0.5) * self.sample_time
 
     def in_loop(self, law: StateSpace) -> StateSpace:
-        """A fixed law as the loop sees it: sampled by Tustin's map unless it is, and late. Raises InvalidInput."""
+        """A fixed law as the loop sees it: sampled by Tustin's map unless it is, and late. Raises
+        InvalidInput.
+        """
         if law.dt is not None and abs(law.dt - self.sample_time) > 1e-9 * self.sample_time:
             remedy = "leave the rate out, or give the continuous controller"
-            raise invalid("the controller's sample time", f"{law.dt:g} s", f"{self.sample_time:g} s", remedy)
-        return delayed(law if law.dt is not None else c2d(law, self.sample_time, "tustin"), self.delay_samples)
+            raise invalid(
+                "the controller's sample time", f"{law.dt:g} s", f"{self.sample_time:g} s", remedy
+            )
+        return delayed(
+            law if law.dt is not None else c2d(law, self.sample_time, "tustin"), self.delay_samples
+        )
 
     def late(self, law: StateSpace) -> StateSpace:
-        """A continuous law with the loop's mean delay as a second-order Pade all-pass on every input (two states each)."""
+        """A continuous law with the loop's mean delay as a second-order Pade all-pass on every
+        input (two states each).
+        """
         passes = append(*[pade(self.lag, _PADE_ORDER, name, name) for name in law.inputs])
         return series(passes, law)
 
@@ -70,9 +91,11 @@ DEFAULT = Timing(1e-4, 1, "assumed: nothing says it")  # where a rate is needed 
 
 
 def machine_timing(machine: Machine | None) -> Timing | None:
-    """What the machine file says: [controller] sample_time and delay (None: one sample); None where it states no rate.
+    """What the machine file says: [controller] sample_time and delay (None: one sample); None where
+    it states no rate.
 
-    A fraction of a sample, as identification may find it, is rounded up: outputs are set when a sample is taken.
+    A fraction of a sample, as identification may find it, is rounded up: outputs are set when a
+    sample is taken.
     """
     settings = None if machine is None else machine.controller
     if settings is None or settings.sample_time is None:
@@ -84,13 +107,17 @@ def machine_timing(machine: Machine | None) -> Timing | None:
 
 
 def timing_of(
-    machine: Machine | None, controller: Any = None, rate: float | None = None, delay_samples: int | None = None
+    machine: Machine | None,
+    controller: Any = None,
+    rate: float | None = None,
+    delay_samples: int | None = None,
 ) -> Timing | None:
     """When a controller acts on a machine, None where nothing says it.
 
-    controller: a Synthesis, a law or None. rate [Hz], delay_samples: given by the caller, who is heard first; then the sample
-    time of a sampled law, then the rate that a Synthesis was designed for, then the machine file. A delay that is not given is
-    that of the same source, else the machine's, else one sample. Raises InvalidInput.
+    controller: a Synthesis, a law or None. rate [Hz], delay_samples: given by the caller, who is
+    heard first; then the sample time of a sampled law, then the rate that a Synthesis was designed
+    for, then the machine file. A delay that is not given is that of the same source, else the
+    machine's, else one sample. Raises InvalidInput.
     """
     own, law = machine_timing(machine), getattr(controller, "law", controller)
     settings = getattr(getattr(controller, "provenance", None), "settings", None) or {}
@@ -102,7 +129,9 @@ def timing_of(
     stated = settings.get("delay_samples")
     of_law = samples if stated is None or isinstance(law, ControlProgram) else int(stated)
     if rate is not None:
-        found: Timing | None = Timing(1 / check_positive(rate, "rate", "give the sample rate in Hz"), samples)
+        found: Timing | None = Timing(
+            1 / check_positive(rate, "rate", "give the sample rate in Hz"), samples
+        )
     elif (dt := getattr(law, "dt", None)) is not None:
         found = Timing(float(dt), of_law, "the controller's own")
     elif settings.get("rate"):
@@ -112,6 +141,13 @@ def timing_of(
     if delay_samples is None:
         return found
     if found is None:
-        raise invalid("delay_samples", delay_samples, "given with a rate", "say at which rate [Hz] the controller runs")
+        raise invalid(
+            "delay_samples",
+            delay_samples,
+            "given with a rate",
+            "say at which rate [Hz] the controller runs",
+        )
     given = delay_samples != found.delay_samples and found.source != "given"
-    return Timing(found.sample_time, delay_samples, f"{found.source}, delay given" if given else found.source)
+    return Timing(
+        found.sample_time, delay_samples, f"{found.source}, delay given" if given else found.source
+    )

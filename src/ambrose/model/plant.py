@@ -1,4 +1,6 @@
-"""The plant: one linear model of the whole machine at an operating point, full or reduced, always the same type."""
+"""The plant: one linear model of the whole machine at an operating point, full or reduced, always
+the same type.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,12 @@ class Plant(Presented):
         y_<axis> [m]      measured displacement, along the sensors (``ports.measured_ports``)
         i_<axis> [A]      control current in the coil
         q_<port> [m], qdot_<port> [m/s]   rotor displacement and velocity at the same ports as the forces.
-    ``rotor`` is its mechanical part alone (bearing stiffness, seals and couplings closed), from forces f_<port> to q_<port>,
-    qdot_<port> and the displacements s_<channel> [m] at the sensors (``ports.sensor_ports``). ``bending_modes`` is None for
-    the full finite-element model, else the number of bending modes kept (per plane). ``offsets``: tolerances and where within
-    them (-1..1) the parameters of ``system`` stand, see ``model.uncertainty.perturbed``; ``machine`` and ``rotor`` are the
-    nominal ones.
+    ``rotor`` is its mechanical part alone (bearing stiffness, seals and couplings closed), from
+    forces f_<port> to q_<port>, qdot_<port> and the displacements s_<channel> [m] at the sensors
+    (``ports.sensor_ports``). ``bending_modes`` is None for the full finite-element model, else the
+    number of bending modes kept (per plane). ``offsets``: tolerances and where within them (-1..1)
+    the parameters of ``system`` stand, see ``model.uncertainty.perturbed``; ``machine`` and
+    ``rotor`` are the nominal ones.
     """
 
     machine: Machine
@@ -54,8 +57,12 @@ class Plant(Presented):
         return self.machine.axes
 
     def named(self, prefix: str) -> tuple[str, ...]:
-        """Signal names of one kind: "u", "y", "i" over the control axes; "f", "q", "qdot" over the ports."""
-        return tuple(f"{prefix}_{name}" for name in (self.axes if prefix in {"u", "y", "i"} else self.ports))
+        """Signal names of one kind: "u", "y", "i" over the control axes; "f", "q", "qdot" over the
+        ports.
+        """
+        return tuple(
+            f"{prefix}_{name}" for name in (self.axes if prefix in {"u", "y", "i"} else self.ports)
+        )
 
     def bearing_named(self, prefix: str) -> tuple[str, ...]:
         """The "f", "q" or "qdot" signals at the bearings, in the order of the axes."""
@@ -65,13 +72,21 @@ class Plant(Presented):
         """Machine and operating point, the size of the model, and the parameters that are moved."""
         point = self.point
         at = point.label or f"{point.speed:.4g} rad/s, {point.seal_pressure:.4g} Pa"
-        size = "full" if self.bending_modes is None else f"{self.bending_modes} bending modes per plane"
+        size = (
+            "full"
+            if self.bending_modes is None
+            else f"{self.bending_modes} bending modes per plane"
+        )
         moved = {tolerance.parameter: f"{delta:+.3g}" for tolerance, delta in self.offsets}
         return {
-            "machine": self.machine.name, "point": at, "model": size, "states": self.system.n_states,
+            "machine": self.machine.name,
+            "point": at,
+            "model": size,
+            "states": self.system.n_states,
             **({"offsets": [f"{path} {delta}" for path, delta in moved.items()]} if moved else {}),
-            "axes": self.axes, "ports": self.ports,
-        }  # fmt: skip
+            "axes": self.axes,
+            "ports": self.ports,
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Operating point, offsets and the state space with its signal names, ready for JSON."""
@@ -85,5 +100,9 @@ class Plant(Presented):
 
 
 def top_speed(machine: Machine) -> float:
-    """The highest speed the machine is meant for [rad/s]: of its speed range and its operating points; 0 at standstill."""
-    return max(machine.operation.speed_range[1], *(point.speed for point in machine.operation.envelope))
+    """The highest speed the machine is meant for [rad/s]: of its speed range and its operating
+    points; 0 at standstill.
+    """
+    return max(
+        machine.operation.speed_range[1], *(point.speed for point in machine.operation.envelope)
+    )

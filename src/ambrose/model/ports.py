@@ -15,7 +15,9 @@ QUARTER = np.pi / 2
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """name ("A_zeta", "center_x"), position [m] along the rotor, direction [rad] from the global x."""
+    """name ("A_zeta", "center_x"), position [m] along the rotor, direction [rad] from the global
+    x.
+    """
 
     name: str
     position: float
@@ -23,11 +25,15 @@ class Port:
 
 
 def ports(machine: Machine) -> tuple[Port, ...]:
-    """All ports: bearings (zeta, eta) first, in the order of the axes, then couplings (zeta, eta), seals and discs (x, y)."""
+    """All ports: bearings (zeta, eta) first, in the order of the axes, then couplings (zeta, eta),
+    seals and discs (x, y).
+    """
     tilted = [(b.name, b.position, b.angle) for b in machine.bearings] + [
         (c.name, c.position, c.angle) for c in machine.couplings
     ]
-    upright = [(s.name, s.position, 0.0) for s in machine.seals] + [(d.name, d.position, 0.0) for d in machine.discs]
+    upright = [(s.name, s.position, 0.0) for s in machine.seals] + [
+        (d.name, d.position, 0.0) for d in machine.discs
+    ]
     return tuple(
         Port(f"{name}_{axis}", position, angle + turn)
         for group, axes in ((tilted, ("zeta", "eta")), (upright, ("x", "y")))
@@ -37,14 +43,18 @@ def ports(machine: Machine) -> tuple[Port, ...]:
 
 
 def supported_ports(machine: Machine) -> tuple[str, ...]:
-    """The ports at which the stator is on a support or a casing that moves: forces of bearing and seal act on both."""
+    """The ports at which the stator is on a support or a casing that moves: forces of bearing and
+    seal act on both.
+    """
     moved = {name for support in machine.supports for name in (support.bearing, *support.seals)}
     moved |= {name for mode in machine.casing_modes for name in mode.at}
     return tuple(port.name for port in ports(machine) if port.name.rpartition("_")[0] in moved)
 
 
 def sensor_ports(machine: Machine) -> tuple[Port, ...]:
-    """The places of the single displacement sensors, in the order of ``model.effects.sensor.channels``."""
+    """The places of the single displacement sensors, in the order of
+    ``model.effects.sensor.channels``.
+    """
     return tuple(
         Port(name, pair.position, (pair.angle or 0.0) + way * QUARTER)
         for name, pair, way in sensor.channels(machine.sensor_pairs, machine.axes)
@@ -52,17 +62,27 @@ def sensor_ports(machine: Machine) -> tuple[Port, ...]:
 
 
 def measured_ports(machine: Machine) -> tuple[Port, ...]:
-    """Where and along what the measured signals y_<axis> read: the mean place of a bearing's sensors, the first one's angle."""
+    """Where and along what the measured signals y_<axis> read: the mean place of a bearing's
+    sensors, the first one's angle.
+    """
     found = []
     for bearing in machine.bearings:
         own = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
         place, angle = sum(pair.weight * pair.position for pair in own), own[0].angle or 0.0
-        found += [Port(f"{bearing.name}_{axis}", place, angle + turn) for axis, turn in (("zeta", 0.0), ("eta", QUARTER))]
+        found += [
+            Port(f"{bearing.name}_{axis}", place, angle + turn)
+            for axis, turn in (("zeta", 0.0), ("eta", QUARTER))
+        ]
     return tuple(found)
 
 
 def sensor_turn(machine: Machine) -> np.ndarray:
-    """(axes, axes): displacements along the actuators' axes from the measured ones; the identity for sensors at their angle."""
+    """(axes, axes): displacements along the actuators' axes from the measured ones; the identity
+    for sensors at their angle.
+    """
     read = measured_ports(machine)[0::2]
-    turned = [sensor.rotation(port.direction - b.angle) for port, b in zip(read, machine.bearings, strict=True)]
+    turned = [
+        sensor.rotation(port.direction - b.angle)
+        for port, b in zip(read, machine.bearings, strict=True)
+    ]
     return np.asarray(block_diag(*turned))

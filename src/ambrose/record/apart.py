@@ -1,8 +1,10 @@
-"""Files of MATLAB and LabVIEW, and HDF5 of other programs, read in a process apart with a limited amount of memory and time.
+"""Files of MATLAB and LabVIEW, and HDF5 of other programs, read in a process apart with a limited
+amount of memory and time.
 
-Their readers are other people's: a file that is damaged, or made to do harm, may crash them or make them take all memory. The
-parent asks for variables by name; the child leaves their numbers in a temporary file, which the parent maps. An HDF5 record is
-only tried: once the child came to its end, so will the parent.
+Their readers are other people's: a file that is damaged, or made to do harm, may crash them or make
+them take all memory. The parent asks for variables by name; the child leaves their numbers in a
+temporary file, which the parent maps. An HDF5 record is only tried: once the child came to its end,
+so will the parent.
 """
 
 from __future__ import annotations
@@ -32,13 +34,18 @@ _SECONDS, _BYTES_PER_SECOND = 20.0, 5_000_000  # time of the child: for any file
 
 @contextmanager
 def variables_of(path: Path, names: Sequence[str]) -> Iterator[list[Variable]]:
-    """The variables of these names (``mat_tdms.read_variables``), valid within the block. Raises InvalidInput."""
+    """The variables of these names (``mat_tdms.read_variables``), valid within the block. Raises
+    InvalidInput.
+    """
     with tempfile.TemporaryDirectory(prefix="ambrose-", ignore_cleanup_errors=True) as folder:
         answer = Path(folder, "answer.json")
         numbers = answer.with_suffix(".numbers")
         told = _ask(path, names, answer)
         yield [
-            Variable(np.memmap(numbers, np.dtype(kind), "r", start, (count,)) if count else np.empty(0), *rest)
+            Variable(
+                np.memmap(numbers, np.dtype(kind), "r", start, (count,)) if count else np.empty(0),
+                *rest,
+            )
             for kind, start, count, *rest in told["variables"]
         ]
 
@@ -50,7 +57,9 @@ def tree_of(path: Path) -> dict[str, Any]:
 
 
 def try_record(path: Path) -> None:
-    """Read an HDF5 record, all of it, in vain. Raises InvalidInput where it is refused, or where its reader finds no end."""
+    """Read an HDF5 record, all of it, in vain. Raises InvalidInput where it is refused, or where
+    its reader finds no end.
+    """
     with tempfile.TemporaryDirectory(prefix="ambrose-", ignore_cleanup_errors=True) as folder:
         _ask(path, None, Path(folder, "answer.json"))
 
@@ -58,11 +67,16 @@ def try_record(path: Path) -> None:
 def _ask(path: Path, names: Sequence[str] | None, answer: Path) -> dict[str, Any]:
     limit = _SECONDS + (path.stat().st_size / _BYTES_PER_SECOND if path.is_file() else 0)
     found = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
-    remedy = "it is damaged, too large, or made to do harm: save its numbers again as plain variables"
+    remedy = (
+        "it is damaged, too large, or made to do harm: save its numbers again as plain variables"
+    )
     with subprocess.Popen(
-        [sys.executable, "-P", "-m", __name__, str(path), str(answer), str(limit)], env={**os.environ, **found},
-        stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    ) as child:  # fmt: skip
+        [sys.executable, "-P", "-m", __name__, str(path), str(answer), str(limit)],
+        env={**os.environ, **found},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as child:
         try:
             child.communicate(json.dumps(names).encode(), timeout=limit)
         except subprocess.TimeoutExpired:
@@ -73,7 +87,9 @@ def _ask(path: Path, names: Sequence[str] | None, answer: Path) -> dict[str, Any
     try:
         told = dict(json.loads(answer.read_text(encoding="utf-8")))
     except (OSError, ValueError):
-        raise InvalidInput(f"its reader came to a sudden end (status {child.returncode}); {remedy}") from None
+        raise InvalidInput(
+            f"its reader came to a sudden end (status {child.returncode}); {remedy}"
+        ) from None
     if "refused" in told:
         raise InvalidInput(told["refused"])
     return told
@@ -92,7 +108,16 @@ def _answer(path: Path, answer: Path, seconds: float) -> None:
         with answer.with_suffix(".numbers").open("wb") as file:
             for variable in read_variables(path, names) if names else ():
                 values = np.ascontiguousarray(variable.values)
-                told.append([values.dtype.str, file.tell(), len(values), variable.unit, variable.rate, variable.bad])
+                told.append(
+                    [
+                        values.dtype.str,
+                        file.tell(),
+                        len(values),
+                        variable.unit,
+                        variable.rate,
+                        variable.bad,
+                    ]
+                )
                 values.tofile(file)
         text = json.dumps({"variables": told, "tree": tree})
     except InvalidInput as error:
@@ -102,13 +127,16 @@ def _answer(path: Path, answer: Path, seconds: float) -> None:
 
 def _limit(memory: int, seconds: float) -> None:
     """A process that is without a parent comes to its end as well."""
-    with suppress(ImportError, AttributeError, OSError, ValueError):  # not on Windows; elsewhere the system may not heed it
+    # not on Windows; elsewhere the system may not heed it
+    with suppress(ImportError, AttributeError, OSError, ValueError):
         import resource
 
         hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
         most = memory if hard == resource.RLIM_INFINITY else min(memory, hard)
         resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
-        resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 2, resource.getrlimit(resource.RLIMIT_CPU)[1]))
+        resource.setrlimit(
+            resource.RLIMIT_CPU, (int(seconds) + 2, resource.getrlimit(resource.RLIMIT_CPU)[1])
+        )
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
 
 

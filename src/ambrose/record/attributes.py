@@ -1,4 +1,6 @@
-"""The attributes of a record's file, the same in every format, as a pydantic model with a published schema."""
+"""The attributes of a record's file, the same in every format, as a pydantic model with a published
+schema.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,15 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, ValidationInfo, WithJsonSchema
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+)
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.description import OperatingPoint
@@ -19,14 +29,19 @@ from ambrose.record.record import FORMAT, POINT_KEYS, VERSION, Record, si_values
 
 def _format(value: object) -> str:
     if value != FORMAT:
-        remedy = f"a record names its format and version {VERSION}; another program's needs a column map, docs/records.md"
+        remedy = (
+            f"a record names its format and version {VERSION}; another program's needs a column "
+            "map, docs/records.md"
+        )
         raise invalid("the format", quoted(value), repr(FORMAT), remedy)
     return FORMAT
 
 
 def _version(value: object) -> int:
     if str(value) != str(VERSION):
-        raise invalid("the version", quoted(value), str(VERSION), "update ambrose or convert the file")
+        raise invalid(
+            "the version", quoted(value), str(VERSION), "update ambrose or convert the file"
+        )
     return VERSION
 
 
@@ -38,7 +53,9 @@ def _number(value: Any, info: ValidationInfo) -> float:
         number = math.nan
     if not math.isfinite(number):
         name = str(info.field_name)
-        raise invalid(POINT_KEYS.get(name, name), quoted(value), "a finite number", "correct the attribute")
+        raise invalid(
+            POINT_KEYS.get(name, name), quoted(value), "a finite number", "correct the attribute"
+        )
     return number
 
 
@@ -48,27 +65,40 @@ _Text = Annotated[str, PlainValidator(str), WithJsonSchema({"type": "string"})]
 
 
 class RecordAttributes(BaseModel):
-    """The attributes of a record: in HDF5 those of the root, in CSV the lines "# key: value" before the header.
+    """The attributes of a record: in HDF5 those of the root, in CSV the lines "# key: value" before
+    the header.
 
     Any further attribute is a note: a key in lower case with a text.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
-    format: Annotated[str, PlainValidator(_format), WithJsonSchema({"const": FORMAT})] = Field(description="that of a record")
+    format: Annotated[str, PlainValidator(_format), WithJsonSchema({"const": FORMAT})] = Field(
+        description="that of a record"
+    )
     version: Annotated[int, PlainValidator(_version), WithJsonSchema({"const": VERSION})] = Field(
         description="version of the format"
     )
     machine: _Text = Field(description="name of the machine")
     speed_rad_s: _Number = Field(description="spin speed [rad/s]")
     seal_pressure_pa: _Number = Field(description="differential pressure of every seal [Pa]")
-    bias_current_a: _Optional = Field(default=None, description="bias current [A]; default: that of each bearing")
+    bias_current_a: _Optional = Field(
+        default=None, description="bias current [A]; default: that of each bearing"
+    )
     whirl_frequency_rad_s: _Optional = Field(
-        default=None, description="frequency [rad/s] at which frequency-dependent seals are read; default: the speed"
+        default=None,
+        description="frequency [rad/s] at which frequency-dependent seals are read; default: the "
+        "speed",
     )
     point: _Text = Field(default="", description="label of the operating point")
-    sample_rate_hz: _Optional = Field(default=None, description="sampling frequency [Hz]; CSV may leave it to the time column")
-    start_time_s: _Number = Field(default=0.0, description="time of the first sample [s]; CSV has it in the time column")
-    samples: _Optional = Field(default=None, description="number of rows of a CSV file, so that a truncated one is noticed")
+    sample_rate_hz: _Optional = Field(
+        default=None, description="sampling frequency [Hz]; CSV may leave it to the time column"
+    )
+    start_time_s: _Number = Field(
+        default=0.0, description="time of the first sample [s]; CSV has it in the time column"
+    )
+    samples: _Optional = Field(
+        default=None, description="number of rows of a CSV file, so that a truncated one is noticed"
+    )
 
     @property
     def operating_point(self) -> OperatingPoint:
@@ -80,7 +110,8 @@ class RecordAttributes(BaseModel):
 
 
 def read_attributes(attributes: Mapping[str, Any]) -> RecordAttributes:
-    """The attributes of a file, checked; refuses what is no record, of another version, or without its operating point.
+    """The attributes of a file, checked; refuses what is no record, of another version, or without
+    its operating point.
 
     Raises InvalidInput.
     """
@@ -90,20 +121,33 @@ def read_attributes(attributes: Mapping[str, Any]) -> RecordAttributes:
         problems = error.errors()
     missing = [str(problem["loc"][0]) for problem in problems if problem["type"] == "missing"]
     for problem in problems:
-        if problem["type"] == "value_error" and (problem["loc"][0] in {"format", "version"} or not missing):
+        if problem["type"] == "value_error" and (
+            problem["loc"][0] in {"format", "version"} or not missing
+        ):
             raise problem["ctx"]["error"]
-    raise InvalidInput(f"the attribute {' and '.join(missing)} is missing; the operating point must be known, add it")
+    raise InvalidInput(
+        f"the attribute {' and '.join(missing)} is missing; the operating point must be known, "
+        "add it"
+    )
 
 
 def record_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a record's attributes: every key with its meaning and form."""
     title = f"attributes of an ambrose record, version {VERSION}"
     made = {"title": title, **tidy_schema(RecordAttributes.model_json_schema())}
-    return {"$schema": DIALECT, **made, "additionalProperties": {"type": "string", "description": "a note"}}
+    return {
+        "$schema": DIALECT,
+        **made,
+        "additionalProperties": {"type": "string", "description": "a note"},
+    }
 
 
 def record_of(
-    attributes: RecordAttributes, signals: Sequence[tuple[str, str]], values: np.ndarray, rate: float, start: float
+    attributes: RecordAttributes,
+    signals: Sequence[tuple[str, str]],
+    values: np.ndarray,
+    rate: float,
+    start: float,
 ) -> Record:
     """A Record from file attributes, (name, unit) pairs and values (p, k) in these units.
 
@@ -115,7 +159,16 @@ def record_of(
         units.append(si)
     values.flags.writeable = False
     names = tuple(name for name, _ in signals)
-    return Record(attributes.machine, rate, names, tuple(units), values, attributes.operating_point, start, attributes.notes)
+    return Record(
+        attributes.machine,
+        rate,
+        names,
+        tuple(units),
+        values,
+        attributes.operating_point,
+        start,
+        attributes.notes,
+    )
 
 
 if __name__ == "__main__":  # python -m ambrose.record.attributes docs/record.schema.json

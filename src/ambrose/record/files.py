@@ -1,9 +1,9 @@
 """Reading and writing the files of records, by their suffix.
 
-SI in every file written; any unit of the right kind is understood when reading. Files are written under a temporary name and
-renamed, so that a reader never meets half a file. A reader refuses what it does not know and never alters its source.
-The formats: record/hdf5_file.py and record/csv_file.py. Long runs: record/writer.py. Files of other programs:
-record/foreign.py.
+SI in every file written; any unit of the right kind is understood when reading. Files are written
+under a temporary name and renamed, so that a reader never meets half a file. A reader refuses what
+it does not know and never alters its source. The formats: record/hdf5_file.py and
+record/csv_file.py. Long runs: record/writer.py. Files of other programs: record/foreign.py.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ _FOREIGN = {".mat", ".tdms", ".txt", ".dat", ".asc", ".uff", ".unv"}
 
 
 def read_record(path: str | Path) -> Record:
-    """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file, or what an unfinished run has left so far (.partial).
+    """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file, or what an unfinished run has left so
+    far (.partial).
 
     Raises InvalidInput with the file's name and what is wrong.
     """
@@ -42,13 +43,17 @@ def read_record(path: str | Path) -> Record:
 
 
 def write_record(record: Record, path: str | Path) -> Path:
-    """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises InvalidInput."""
+    """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises
+    InvalidInput.
+    """
     from ambrose.record.csv_file import write_csv
     from ambrose.record.hdf5_file import write_hdf5
 
     path = check_path(path, "record")
     if not isinstance(record, Record):
-        raise invalid("the record", type(record).__name__, "a Record", "read_record and simulate give one")
+        raise invalid(
+            "the record", type(record).__name__, "a Record", "read_record and simulate give one"
+        )
     writer = _by_suffix(path, {".h5": write_hdf5, ".hdf5": write_hdf5, ".csv": write_csv})
     with draft_of(path, "record") as draft:
         writer(record, draft)
@@ -63,7 +68,18 @@ def check_suffix(path: Path) -> None:
 def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
     if path.suffix.lower() not in choices:
         foreign = path.suffix.lower() in _FOREIGN
-        remedy = "read it with a column map (ambrose convert --columns), or export it as a kind that has one"
-        remedy = f"{remedy if foreign else 'export it as one of them, or as one that a column map reads'}: see docs/records.md"
-        raise invalid(f"the suffix of {path.name}", repr(path.suffix), f"one of {', '.join(_SUFFIXES)}", remedy)
+        remedy = (
+            "read it with a column map (ambrose convert --columns), or export it as a kind that "
+            "has one"
+        )
+        remedy = (
+            f"{remedy if foreign else 'export it as one of them, or as one that a column map reads'}: "
+            "see docs/records.md"
+        )
+        raise invalid(
+            f"the suffix of {path.name}",
+            repr(path.suffix),
+            f"one of {', '.join(_SUFFIXES)}",
+            remedy,
+        )
     return choices[path.suffix.lower()]

@@ -1,6 +1,8 @@
-"""Variables and channels in the files of other programs: MATLAB .mat (to version 7, and 7.3) and NI TDMS.
+"""Variables and channels in the files of other programs: MATLAB .mat (to version 7, and 7.3) and NI
+TDMS.
 
-Each reader hands out numbers by the name that its program uses, and what the file says about them; nothing is interpreted here.
+Each reader hands out numbers by the name that its program uses, and what the file says about them;
+nothing is interpreted here.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ _TABLES, _UNIVERSAL = (".csv", ".txt", ".dat", ".asc"), (".uff", ".unv")
 
 
 def read_variables(path: Path, names: Iterable[str]) -> Iterator[Variable]:
-    """The variables of these names, one after the other. Raises InvalidInput; what a reader's crash is, apart.py knows."""
+    """The variables of these names, one after the other. Raises InvalidInput; what a reader's crash
+    is, apart.py knows.
+    """
     with _opened(path) as find:
         for name in names:
             found = find(name)
@@ -39,21 +43,25 @@ def read_variables(path: Path, names: Iterable[str]) -> Iterator[Variable]:
 def _opened(path: Path) -> Iterator[Callable[[str], Variable]]:
     """A function from the name of a variable to its Variable, while the file is open for reading.
 
-    MATLAB: "y", a field "log.y", a column or row of a matrix "Y(:,2)", "Y(2,:)". TDMS: "group/channel". HDF5: "group/dataset",
-    and columns or rows as of MATLAB's. Raises InvalidInput.
+    MATLAB: "y", a field "log.y", a column or row of a matrix "Y(:,2)", "Y(2,:)". TDMS:
+    "group/channel". HDF5: "group/dataset", and columns or rows as of MATLAB's. Raises InvalidInput.
     """
     readers = {".mat": _matlab, ".tdms": _tdms, **dict.fromkeys((".h5", ".hdf5"), _hdf5)}
     readers |= {**dict.fromkeys(_TABLES, text_table), **dict.fromkeys(_UNIVERSAL, universal)}
     if path.suffix.lower() not in readers:
         page = "see docs/records.md, Files of other programs"
-        raise InvalidInput(f"{path}: it is not of a kind known here ({', '.join(readers)}); export it as one of them, {page}")
+        raise InvalidInput(
+            f"{path}: it is not of a kind known here ({', '.join(readers)}); export it as one of "
+            f"them, {page}"
+        )
     check_source(path, "file of another program")
     with _refused(path), readers[path.suffix.lower()](path) as find:
         yield find
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """All variables of a MAT-file as plain data: matrices by rows, structs as dicts, cells as lists, complex numbers as text.
+    """All variables of a MAT-file as plain data: matrices by rows, structs as dicts, cells as
+    lists, complex numbers as text.
 
     Raises InvalidInput for a file of version 7.3, and for too many numbers.
     """
@@ -63,21 +71,34 @@ def read_tree(path: Path) -> dict[str, Any]:
     check_source(path, "MAT-file")
     with _refused(path):
         if h5py.is_hdf5(path):
-            raise InvalidInput("it is of MATLAB's version 7.3; save it as an older one: save('name.mat', '-v7')")
+            raise InvalidInput(
+                "it is of MATLAB's version 7.3; save it as an older one: save('name.mat', '-v7')"
+            )
         left = [CONTROLLER_NUMBERS]
-        return {name: _plain(value, left) for name, value in scipy.io.loadmat(path).items() if not name.startswith("__")}
+        return {
+            name: _plain(value, left)
+            for name, value in scipy.io.loadmat(path).items()
+            if not name.startswith("__")
+        }
 
 
 def _plain(value: Any, left: list[int]) -> Any:
-    """Of what loadmat gives; left: how many numbers may still come. Objects (ss, tf) are None: nobody but MATLAB reads them."""
+    """Of what loadmat gives; left: how many numbers may still come. Objects (ss, tf) are None:
+    nobody but MATLAB reads them.
+    """
     import scipy.sparse
 
     array = value.toarray() if scipy.sparse.issparse(value) else np.asarray(value)
     left[0] -= array.size
     if left[0] < 0:
-        raise InvalidInput(f"it holds more than {CONTROLLER_NUMBERS} numbers; save the controller alone")
+        raise InvalidInput(
+            f"it holds more than {CONTROLLER_NUMBERS} numbers; save the controller alone"
+        )
     if array.dtype.names:
-        entries = [{name: _plain(entry[name], left) for name in array.dtype.names} for entry in array.ravel()]
+        entries = [
+            {name: _plain(entry[name], left) for name in array.dtype.names}
+            for entry in array.ravel()
+        ]
         return None if "arr" in array.dtype.names else entries[0] if len(entries) == 1 else entries
     if array.dtype.kind == "O":
         return [[_plain(entry, left) for entry in row] for row in np.atleast_2d(array)]
@@ -100,7 +121,9 @@ def _refused(path: Path) -> Iterator[None]:
         raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
     except Exception as error:  # parsers of damaged files raise anything
         words = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InvalidInput(f"{path}: it cannot be read ({words}); it is damaged, truncated or of another kind") from error
+        raise InvalidInput(
+            f"{path}: it cannot be read ({words}); it is damaged, truncated or of another kind"
+        ) from error
 
 
 @contextmanager
@@ -135,23 +158,39 @@ def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
     match = _PART.fullmatch(name)
     array = get(match["name"] if match else name)
     if array.ndim > 2 or array.dtype.kind not in "fiub":
-        kind = "complex numbers" if array.dtype.kind == "c" else "no numbers" if array.ndim <= 2 else "a block of numbers"
-        raise InvalidInput(f"the variable {name} holds {kind}, but must hold real ones in rows or columns; save its parts")
+        kind = (
+            "complex numbers"
+            if array.dtype.kind == "c"
+            else "no numbers"
+            if array.ndim <= 2
+            else "a block of numbers"
+        )
+        raise InvalidInput(
+            f"the variable {name} holds {kind}, but must hold real ones in rows or columns; save "
+            "its parts"
+        )
     array = np.atleast_2d(array)
     if match is None:
         if min(array.shape) != 1:
             size = " x ".join(map(str, array.shape))
-            raise InvalidInput(f"the variable {name} is {size}, but one signal is needed; name a column, such as {name}(:,1)")
+            raise InvalidInput(
+                f"the variable {name} is {size}, but one signal is needed; name a column, such as "
+                f"{name}(:,1)"
+            )
         return array.ravel()
     axis = 0 if match["row"] else 1
     index = int(match["row"] or match["column"])
     if not 1 <= index <= array.shape[axis]:
         what = "rows" if axis == 0 else "columns"
-        raise InvalidInput(f"{name} does not exist, the variable has {array.shape[axis]} {what}; count from 1")
+        raise InvalidInput(
+            f"{name} does not exist, the variable has {array.shape[axis]} {what}; count from 1"
+        )
     return array.take(index - 1, axis=axis)
 
 
-def _from_matlab5(load: Callable[[str], np.ndarray], known: Mapping[str, int], name: str) -> np.ndarray:
+def _from_matlab5(
+    load: Callable[[str], np.ndarray], known: Mapping[str, int], name: str
+) -> np.ndarray:
     top, *fields = name.split(".")
     if top not in known:
         raise unknown(name, list(known), "variable")
@@ -169,7 +208,9 @@ def _from_matlab5(load: Callable[[str], np.ndarray], known: Mapping[str, int], n
 
 def _check_count(name: str, count: int) -> None:
     if count > FOREIGN_NUMBERS:
-        raise InvalidInput(f"{name} has {count} numbers, but at most {FOREIGN_NUMBERS} are read; save it in parts")
+        raise InvalidInput(
+            f"{name} has {count} numbers, but at most {FOREIGN_NUMBERS} are read; save it in parts"
+        )
 
 
 def _from_tree(tree: Any, name: str, path: Path, mark: str = ".") -> np.ndarray:
@@ -180,14 +221,21 @@ def _from_tree(tree: Any, name: str, path: Path, mark: str = ".") -> np.ndarray:
     node = tree
     keys = name.strip("/").split(mark)
     for i, key in enumerate(keys):
-        members = [member for member in node if not member.startswith("#")] if isinstance(node, h5py.Group) else []
+        members = (
+            [member for member in node if not member.startswith("#")]
+            if isinstance(node, h5py.Group)
+            else []
+        )
         if key not in members:
             raise unknown(name, [mark.join((*keys[:i], member)) for member in members], "variable")
         node = own_member(node, key, name)
     if not isinstance(node, h5py.Dataset):
         raise unknown(name, [f"{name}{mark}{member}" for member in node], "variable")
     if node.attrs.get("MATLAB_class", b"") in {b"char", b"cell"}:
-        raise InvalidInput(f"the variable {name} holds no numbers, but must hold real ones in rows or columns; save its parts")
+        raise InvalidInput(
+            f"the variable {name} holds no numbers, but must hold real ones in rows or columns; "
+            "save its parts"
+        )
     _check_count(name, node.size or 0)
     check_packing([node], path)
     return np.asarray(node[()]).T  # MATLAB stores column by column
@@ -199,7 +247,9 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
         from nptdms import TdmsFile
         from nptdms.log import log_manager
     except ImportError as error:
-        raise InvalidInput("NI TDMS files need the package npTDMS; install it with: pip install 'ambrose[tdms]'") from error
+        raise InvalidInput(
+            "NI TDMS files need the package npTDMS; install it with: pip install 'ambrose[tdms]'"
+        ) from error
 
     doubts: list[str] = []
 
@@ -209,7 +259,10 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
 
     def find(name: str) -> Variable:
         if doubts:  # a file cut within its last channels still has the others in full
-            raise InvalidInput(f"the file is incomplete ({doubts[0]}); copy it again, or save it again in LabVIEW or DIAdem")
+            raise InvalidInput(
+                f"the file is incomplete ({doubts[0]}); copy it again, or save it again in "
+                "LabVIEW or DIAdem"
+            )
         if name not in channels:
             raise unknown(name, list(channels), "channel")
         channel = channels[name]
@@ -226,10 +279,15 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
 
     log_manager.console_handler.addFilter(note)
     try:
-        with path.open("rb") as stream, TdmsFile.open(stream) as file:  # not by its name: it would read an index file beside it
+        # not by its name: it would read an index file beside it
+        with path.open("rb") as stream, TdmsFile.open(stream) as file:
             if file.file_status.incomplete_final_segment and not doubts:
                 doubts.append("its last segment was never finished")
-            channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
+            channels = {
+                f"{group.name}/{channel.name}": channel
+                for group in file.groups()
+                for channel in group.channels()
+            }
             yield find
     finally:
         log_manager.console_handler.removeFilter(note)

@@ -1,7 +1,9 @@
-"""Channels in text tables of any program (*.csv, *.txt, *.dat, *.asc) and in universal files (*.uff, *.unv), dataset 58.
+"""Channels in text tables of any program (*.csv, *.txt, *.dat, *.asc) and in universal files
+(*.uff, *.unv), dataset 58.
 
-A table's separator, decimal mark and header lines are found by looking at its rows: from the first data row on every row has
-the same number of cells, and all of them are numbers. What cannot be told apart is refused, never guessed.
+A table's separator, decimal mark and header lines are found by looking at its rows: from the first
+data row on every row has the same number of cells, and all of them are numbers. What cannot be told
+apart is refused, never guessed.
 """
 
 from __future__ import annotations
@@ -23,14 +25,16 @@ _HEAD = 1000  # lines before the first row of numbers
 _SEPARATORS = ("\t", ";", ",", None)  # None: spaces
 _CELL = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
 _BLOCK = 20_000  # rows converted together
-_REAL = {2: ("f4", 6, 13), 4: ("f8", 4, 20)}  # of dataset 58: kind of number, numbers a line, characters a number
+# of dataset 58: kind of number, numbers a line, characters a number
+_REAL = {2: ("f4", 6, 13), 4: ("f8", 4, 20)}
 
 _SHOWN = 20  # names in a message
 
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One axis of numbers (k,) as they stand in the file; unit and sample rate [Hz] where the file states them.
+    """One axis of numbers (k,) as they stand in the file; unit and sample rate [Hz] where the file
+    states them.
 
     bad: the first sample that is not finite.
     """
@@ -67,7 +71,10 @@ def text_table(path: Path) -> Iterator[Find]:
     def find(name: str) -> Variable:
         place = re.fullmatch(r"column (\d+)", name)
         if names.count(name) > 1:
-            raise InvalidInput(f'the column {name!r} stands there {names.count(name)} times; name it by its place, "column 2"')
+            raise InvalidInput(
+                f"the column {name!r} stands there {names.count(name)} times; name it by its "
+                'place, "column 2"'
+            )
         if name in names:
             index = names.index(name)
         elif place and 1 <= int(place[1]) <= width:
@@ -82,7 +89,9 @@ def text_table(path: Path) -> Iterator[Find]:
 def _lines(path: Path) -> list[str]:
     data = path.read_bytes()
     if b"\0" in data[:4096]:
-        raise InvalidInput("it is no text; export the record as a text table, or as a file of MATLAB or LabVIEW")
+        raise InvalidInput(
+            "it is no text; export the record as a text table, or as a file of MATLAB or LabVIEW"
+        )
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -94,7 +103,9 @@ def _lines(path: Path) -> list[str]:
 
 
 def _form(lines: list[str]) -> tuple[str | None, bool, int, int]:
-    """Separator, whether commas are decimal, index of the first row of numbers, and how many numbers a row has."""
+    """Separator, whether commas are decimal, index of the first row of numbers, and how many
+    numbers a row has.
+    """
     sample = lines[-20:] if len(lines) > 40 else lines[len(lines) // 2 :]
     for separator in _SEPARATORS:
         for comma in (False, True) if separator != "," else (False,):
@@ -109,7 +120,8 @@ def _form(lines: list[str]) -> tuple[str | None, bool, int, int]:
     if not any(line.strip() for line in lines):
         raise InvalidInput(f"the file is empty; {remedy}")
     raise InvalidInput(
-        f"its last rows are no numbers in equally many columns (line {len(lines)}); {remedy}, and copy all of it"
+        f"its last rows are no numbers in equally many columns (line {len(lines)}); {remedy}, and "
+        "copy all of it"
     )
 
 
@@ -141,13 +153,21 @@ def _header(lines: list[str], separator: str | None, width: int) -> tuple[list[s
     if len(full) > 1 and len(rows) > 1 and rows[-1] is full[-1] and rows[-2] is full[-2]:
         names, below = full[-2], full[-1]
     found = [_CELL.fullmatch(cell) for cell in names]
-    own = [(match[1] or "", match[2] or "") if match else (cell, "") for match, cell in zip(found, names, strict=True)]
+    own = [
+        (match[1] or "", match[2] or "") if match else (cell, "")
+        for match, cell in zip(found, names, strict=True)
+    ]
     units = [cell.strip("[]() ") for cell in below] or [""] * width
-    return [name for name, _ in own], [unit or other for (_, unit), other in zip(own, units, strict=True)]
+    return [name for name, _ in own], [
+        unit or other for (_, unit), other in zip(own, units, strict=True)
+    ]
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
-    cells = [cell.strip().strip('"').strip() for cell in line.strip().lstrip("#%").strip("\r\n").split(separator)]
+    cells = [
+        cell.strip().strip('"').strip()
+        for cell in line.strip().lstrip("#%").strip("\r\n").split(separator)
+    ]
     return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
 
 
@@ -161,13 +181,17 @@ class _Set:
 
 @contextmanager
 def universal(path: Path) -> Iterator[Find]:
-    """By the first line of a dataset 58 ("y_A_zeta"), by node and direction ("101:+Z") or by place ("set 2").
+    """By the first line of a dataset 58 ("y_A_zeta"), by node and direction ("101:+Z") or by place
+    ("set 2").
 
     Raises InvalidInput.
     """
     sets = list(_sets(path.read_bytes()))
     if not sets:
-        raise InvalidInput("it holds no dataset 58 (function at a nodal degree of freedom); export time signals as such")
+        raise InvalidInput(
+            "it holds no dataset 58 (function at a nodal degree of freedom); export time signals "
+            "as such"
+        )
 
     def find(name: str) -> Variable:
         place = re.fullmatch(r"set (\d+)", name)
@@ -178,7 +202,8 @@ def universal(path: Path) -> Iterator[Find]:
             known = [item.names[0] for item in sets]
             if len(chosen) > 1:
                 raise InvalidInput(
-                    f'{len(chosen)} datasets are called {name!r}; name one by its place, "set 1" to "set {len(sets)}"'
+                    f'{len(chosen)} datasets are called {name!r}; name one by its place, "set 1" '
+                    f'to "set {len(sets)}"'
                 )
             raise unknown(name, known, "dataset")
         return Variable(chosen[0].values, chosen[0].unit, chosen[0].rate)
@@ -188,7 +213,11 @@ def universal(path: Path) -> Iterator[Find]:
 
 def _sets(data: bytes) -> Iterator[_Set]:
     at = 0
-    while (found := re.compile(rb"^ {4}-1[ \t]*\r?\n[ \t]*58(b?)([^\n]*)\n", re.MULTILINE).search(data, at)) is not None:
+    while (
+        found := re.compile(rb"^ {4}-1[ \t]*\r?\n[ \t]*58(b?)([^\n]*)\n", re.MULTILINE).search(
+            data, at
+        )
+    ) is not None:
         head, at = _take(data, found.end(), 11)
         if found[1]:
             count = [int(word) for word in found[2].split()[:4]]
@@ -217,32 +246,53 @@ def _set(head: list[str], body: bytes, order: str) -> _Set:
     """A dataset: eleven lines of heading, then numbers as text, or as bytes of that order."""
     title = head[0].strip()
     try:
-        kind, (code, count, even) = int(head[5][:5]), (int(head[6][i : i + 10]) for i in (0, 10, 20))
+        kind, (code, count, even) = (
+            int(head[5][:5]),
+            (int(head[6][i : i + 10]) for i in (0, 10, 20)),
+        )
         step = float(head[6][43:56])
         node, direction = int(head[5][41:51]), int(head[5][51:55])
     except (ValueError, IndexError):
-        raise InvalidInput(f"the heading of the dataset {title!r} cannot be read; export it again as dataset 58") from None
+        raise InvalidInput(
+            f"the heading of the dataset {title!r} cannot be read; export it again as dataset 58"
+        ) from None
     if kind != 1 or code not in _REAL:
         what = "a function of another kind than time response" if kind != 1 else "complex numbers"
-        raise InvalidInput(f"the dataset {title!r} holds {what}; export real time signals (function type 1)")
+        raise InvalidInput(
+            f"the dataset {title!r} holds {what}; export real time signals (function type 1)"
+        )
     if not 0 < count <= FOREIGN_NUMBERS:
         raise InvalidInput(
-            f"the dataset {title!r} states {count} numbers, at most {FOREIGN_NUMBERS} are read; export it in parts"
+            f"the dataset {title!r} states {count} numbers, at most {FOREIGN_NUMBERS} are read; "
+            "export it in parts"
         )
     if not even or not step > 0:
-        raise InvalidInput(f"the dataset {title!r} is not evenly spaced in time; export it with a constant step")
+        raise InvalidInput(
+            f"the dataset {title!r} is not evenly spaced in time; export it with a constant step"
+        )
     dtype, per_line, size = _REAL[code]
     if order:
-        values = np.frombuffer(body[: len(body) // int(dtype[1]) * int(dtype[1])], f"{order}{dtype}").astype(float)
+        values = np.frombuffer(
+            body[: len(body) // int(dtype[1]) * int(dtype[1])], f"{order}{dtype}"
+        ).astype(float)
     else:
         text = body.decode("ascii", errors="replace").replace("\r", "").split("\n")
-        cells = [row[i : i + size] for row in text for i in range(0, min(len(row.rstrip()), per_line * size), size)]
+        cells = [
+            row[i : i + size]
+            for row in text
+            for i in range(0, min(len(row.rstrip()), per_line * size), size)
+        ]
         try:
             values = np.array([float(cell.replace("D", "E")) for cell in cells])
         except ValueError:
-            raise InvalidInput(f"the numbers of the dataset {title!r} cannot be read; export it again") from None
+            raise InvalidInput(
+                f"the numbers of the dataset {title!r} cannot be read; export it again"
+            ) from None
     if len(values) != count:
-        raise InvalidInput(f"the dataset {title!r} states {count} numbers and holds {len(values)}; copy the whole file")
+        raise InvalidInput(
+            f"the dataset {title!r} states {count} numbers and holds {len(values)}; copy the "
+            "whole file"
+        )
     axis = "XYZ"[(abs(direction) - 1) % 3] if direction else ""
     place = f"{node}:{'-' if direction < 0 else '+'}{axis}" if axis else str(node)
     unit = head[8][46:66].strip()
@@ -254,6 +304,10 @@ def unknown(name: str, known: list[str], kind: str) -> InvalidInput:
     """A name that the file does not know, and those that it does."""
     rest = f" and {len(known) - _SHOWN} rest" if len(known) > _SHOWN else ""
     hint = suggestion(name, known, "")
-    listed = f"it has {', '.join(known[:_SHOWN])}{rest}" if known else f"there is no {kind} at that place"
+    listed = (
+        f"it has {', '.join(known[:_SHOWN])}{rest}"
+        if known
+        else f"there is no {kind} at that place"
+    )
     close = f"; {hint}" if hint.startswith("did you mean") else ""
     return InvalidInput(f"there is no {kind} {name!r} in the file; {listed}{close}")

@@ -1,13 +1,15 @@
-"""RecordWriter: a record written while it is measured or simulated, in constant memory; interrupted, it is still a record.
+"""RecordWriter: a record written while it is measured or simulated, in constant memory;
+interrupted, it is still a record.
 
     with RecordWriter("run.h5", "seal-rig", 10e3, ("y_A_zeta",), ("m",), point) as writer:
         for block in blocks:                     # (p, any number) each
             writer.append(block)
 
-Until the block ends, the samples are in ``run.h5.partial``, which read_record reads at any time: while it grows, after Ctrl-C,
-after kill -9 (which loses the last ``chunk`` samples at most). Only when the block ends without an exception does ``run.h5``
-appear, complete, and the other go. What is in the partial file survives a full disk and a failure of the writing itself
-(record/stream.py); a power failure of the computer costs what the system had not yet put on the disk.
+Until the block ends, the samples are in ``run.h5.partial``, which read_record reads at any time:
+while it grows, after Ctrl-C, after kill -9 (which loses the last ``chunk`` samples at most). Only
+when the block ends without an exception does ``run.h5`` appear, complete, and the other go. What is
+in the partial file survives a full disk and a failure of the writing itself (record/stream.py); a
+power failure of the computer costs what the system had not yet put on the disk.
 """
 
 from __future__ import annotations
@@ -40,9 +42,10 @@ def partial_path(path: str | Path) -> Path:
 class RecordWriter:
     """Appends blocks of samples to an HDF5 record; use it as a context manager.
 
-    path: of the finished record (.h5, .hdf5); it, and a partial one of that name, are replaced. machine, sample_rate_hz [Hz],
-    signals, units, point, start_time [s] and notes as for a Record. chunk: samples that are written at once, and lost at most.
-    note(key, text) adds a note that is known only later. Raises InvalidInput.
+    path: of the finished record (.h5, .hdf5); it, and a partial one of that name, are replaced.
+    machine, sample_rate_hz [Hz], signals, units, point, start_time [s] and notes as for a Record.
+    chunk: samples that are written at once, and lost at most. note(key, text) adds a note that is
+    known only later. Raises InvalidInput.
     """
 
     def __init__(
@@ -60,13 +63,25 @@ class RecordWriter:
     ) -> None:
         self.path = Path(path)
         if self.path.suffix.lower() not in {".h5", ".hdf5"}:
-            raise invalid(f"the suffix of {self.path.name}", repr(self.path.suffix), ".h5 or .hdf5", "a stream is HDF5")
+            raise invalid(
+                f"the suffix of {self.path.name}",
+                repr(self.path.suffix),
+                ".h5 or .hdf5",
+                "a stream is HDF5",
+            )
         if chunk < 1:
             raise invalid("chunk", chunk, "at least 1", f"leave it at {CHUNK} samples")
         self.partial = partial_path(self.path)
         one = np.zeros((len(signals), 1))
         self._header = Record(
-            machine, sample_rate_hz, tuple(signals), tuple(units), one, point or OperatingPoint(), start_time, notes
+            machine,
+            sample_rate_hz,
+            tuple(signals),
+            tuple(units),
+            one,
+            point or OperatingPoint(),
+            start_time,
+            notes,
         )
         self._buffer = np.empty((len(signals), chunk))
         self._written = self._filled = 0
@@ -82,7 +97,9 @@ class RecordWriter:
 
     def __enter__(self) -> Self:
         if self._file is not None or self.samples:
-            raise InvalidInput(f"the record {self.path} was written by this writer already; make a new one")
+            raise InvalidInput(
+                f"the record {self.path} was written by this writer already; make a new one"
+            )
         check_file(self.path, "record")
         header = {name: getattr(self._header, name) for name in ("attributes", "signals", "units")}
         with ExitStack() as stack:
@@ -94,17 +111,32 @@ class RecordWriter:
         return self
 
     def append(self, block: ArrayLike) -> None:
-        """Append samples (p, n) in SI, n at least 1. Raises InvalidInput for another shape, NaN, or a disk that is full."""
+        """Append samples (p, n) in SI, n at least 1. Raises InvalidInput for another shape, NaN, or
+        a disk that is full.
+        """
         if self._file is None:
-            raise InvalidInput(f"the record {self.path} is not open; append within `with RecordWriter(...) as writer:`")
+            raise InvalidInput(
+                f"the record {self.path} is not open; append within `with RecordWriter(...) as "
+                "writer:`"
+            )
         values = np.asarray(block, dtype=float)
         p, chunk = self._buffer.shape
         if values.ndim != 2 or values.shape[0] != p or values.shape[1] == 0:
-            raise invalid("the shape of a block", values.shape, f"({p}, n) with n > 0", "give one row per signal")
+            raise invalid(
+                "the shape of a block",
+                values.shape,
+                f"({p}, n) with n > 0",
+                "give one row per signal",
+            )
         if not np.isfinite(values).all():
             i, j = (int(index) for index in np.argwhere(~np.isfinite(values))[0])
             at = f"{self._header.signals[i]} at sample {self.samples + j}"
-            raise invalid(at, values[i, j], "finite", f"stop before it; what came earlier is kept in {self.partial}")
+            raise invalid(
+                at,
+                values[i, j],
+                "finite",
+                f"stop before it; what came earlier is kept in {self.partial}",
+            )
         done = 0
         if self._filled == chunk:  # an earlier attempt failed
             self._write_out()
@@ -119,10 +151,24 @@ class RecordWriter:
         """Add or replace a note of the finished record. Raises InvalidInput as Record does."""
         notes = {**dict(self._header.notes), **self._late, key: text}
         h = self._header
-        Record(h.machine, h.sample_rate_hz, h.signals, h.units, h.values, h.point, h.start_time, tuple(notes.items()))
+        Record(
+            h.machine,
+            h.sample_rate_hz,
+            h.signals,
+            h.units,
+            h.values,
+            h.point,
+            h.start_time,
+            tuple(notes.items()),
+        )
         self._late[key] = text
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         with self._stack:
             try:
                 if self._filled:
@@ -137,7 +183,9 @@ class RecordWriter:
             if not self.samples:
                 self.partial.unlink(missing_ok=True)
                 if kind is None:
-                    raise InvalidInput(f"the record {self.path} got no samples; append at least one block")
+                    raise InvalidInput(
+                        f"the record {self.path} got no samples; append at least one block"
+                    )
             elif kind is None:
                 self._finish()
 
@@ -157,7 +205,9 @@ class RecordWriter:
                 view = view[self._file.write(view) or 0 :]
         except OSError as error:
             remedy = "free some disk space and repeat the run, what was written is kept"
-            raise InvalidInput(f"cannot write {self.partial} ({error.strerror or error}); {remedy}") from error
+            raise InvalidInput(
+                f"cannot write {self.partial} ({error.strerror or error}); {remedy}"
+            ) from error
         self._end += len(content)
 
     def _finish(self) -> None:
@@ -167,16 +217,26 @@ class RecordWriter:
         try:
             with (
                 draft_of(self.path, "record") as draft,
-                created(draft, attributes, zip(h.signals, h.units, strict=True), self._written) as datasets,
+                created(
+                    draft, attributes, zip(h.signals, h.units, strict=True), self._written
+                ) as datasets,
             ):
                 done = 0
-                for part in (samples(content, len(datasets)) for kind, content in blocks(self.partial) if kind == b"S"):
+                for part in (
+                    samples(content, len(datasets))
+                    for kind, content in blocks(self.partial)
+                    if kind == b"S"
+                ):
                     for data, row in zip(datasets, part, strict=True):
                         data[done : done + part.shape[1]] = row
                     done += part.shape[1]
                 if done < self._written:
-                    raise InvalidInput(f"{self.partial} does not give back what was written; check the disk")
+                    raise InvalidInput(
+                        f"{self.partial} does not give back what was written; check the disk"
+                    )
         except InvalidInput as error:
-            raise InvalidInput(f"{error}; the samples are kept in {self.partial}, which `ambrose convert` reads") from error
+            raise InvalidInput(
+                f"{error}; the samples are kept in {self.partial}, which `ambrose convert` reads"
+            ) from error
         with suppress(OSError):  # the record is whole
             self.partial.unlink()

@@ -1,4 +1,5 @@
-"""The page of a controller over its whole range: poles over speed and pressure, Campbell, pulse and unbalance families.
+"""The page of a controller over its whole range: poles over speed and pressure, Campbell, pulse and
+unbalance families.
 
 write(family_report(explore(machine, controller)), "map.html")
 """
@@ -10,26 +11,34 @@ from typing import Any
 import numpy as np
 
 from ambrose.judge.exploration import Exploration
+from ambrose.judge.family.poles import PoleMap
+from ambrose.judge.family.responses import BoxUnbalance, PulseFamily
 from ambrose.machine.file.toml import machine_hash
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import drawn
 from ambrose.report.figures.curves import figure
 from ambrose.report.page import Figure, Report, Row, Section, Table, Verdict, numbers
-from ambrose.judge.family.poles import PoleMap
-from ambrose.judge.family.responses import BoxUnbalance, PulseFamily
 
 _POLES = (
-    "Left: poles of the closed loop, coloured by the value (circles); right of the line at zero the loop is unstable. Right: "
-    "the largest real part of all poles over the value; where it passes zero, stability ends (dashed, by bisection)."
+    "Left: poles of the closed loop, coloured by the value (circles); right of the line at zero "
+    "the loop is unstable. Right: "
+    "the largest real part of all poles over the value; where it passes zero, stability ends "
+    "(dashed, by bisection)."
 )
-_CAMPBELL = "Damped natural frequencies of the closed loop over speed, every mode followed by its shape, and their damping."
+_CAMPBELL = (
+    "Damped natural frequencies of the closed loop over speed, every mode followed by its shape, "
+    "and their damping."
+)
 _PULSES = (
-    "Every member of the tolerances (nominal, corners, samples) after 100 N for 2 ms at {port}. Pale: what the stable "
+    "Every member of the tolerances (nominal, corners, samples) after 100 N for 2 ms at {port}. "
+    "Pale: what the stable "
     "ones fill; dark: nominal; dashed: the stable member that swings longest."
 )
 _UNBALANCE = (
-    "Largest orbit at a bearing over speed, for the worst distribution of the residual unbalance: nominal, and the worst found "
-    "over the tolerances. That is a search; the upper bound, where it was asked for, is proved at these speeds."
+    "Largest orbit at a bearing over speed, for the worst distribution of the residual unbalance: "
+    "nominal, and the worst found "
+    "over the tolerances. That is a search; the upper bound, where it was asked for, is proved at "
+    "these speeds."
 )
 _SCALE = ((0.0, "#56b4e9"), (0.5, "#009e73"), (1.0, "#d55e00"))
 _BAND, _HEIGHT = "rgba(130,89,174,0.25)", 190
@@ -40,19 +49,41 @@ def family_report(found: Exploration, *, date: str = "") -> Report:
     sections = []
     for item in found.maps:
         title = f"Poles over {item.over}"
-        sections.append(Section(title, "", (Figure(title, pole_picture(item), _POLES),), (_ends(item),), folded=True))
+        sections.append(
+            Section(
+                title, "", (Figure(title, pole_picture(item), _POLES),), (_ends(item),), folded=True
+            )
+        )
     if found.campbell:
-        shown = [Figure(curve.title, figure([("closed loop", curve)]), "") for curve in found.campbell]
+        shown = [
+            Figure(curve.title, figure([("closed loop", curve)]), "") for curve in found.campbell
+        ]
         sections.append(Section("Modes over speed", _CAMPBELL, tuple(shown)))
     if found.pulses is not None:
         caption = _PULSES.format(port=units.axis_name(found.port))
         picture = pulse_picture(found.pulses)
-        sections.append(Section("Pulse over the tolerances", _members(found.pulses), (Figure("Pulses", picture, caption),)))
+        sections.append(
+            Section(
+                "Pulse over the tolerances",
+                _members(found.pulses),
+                (Figure("Pulses", picture, caption),),
+            )
+        )
     if found.unbalance is not None:
         limit = found.machine.requirements.unbalance_orbit
-        sections.append(Section("Unbalance", "", (Figure("Unbalance", unbalance_picture(found.unbalance, limit), _UNBALANCE),)))
+        sections.append(
+            Section(
+                "Unbalance",
+                "",
+                (Figure("Unbalance", unbalance_picture(found.unbalance, limit), _UNBALANCE),),
+            )
+        )
     verdicts = [
-        Verdict(f"Stable over {item.over}", None, "everywhere on the map" if not item.ends else _words(item))
+        Verdict(
+            f"Stable over {item.over}",
+            None,
+            "everywhere on the map" if not item.ends else _words(item),
+        )
         for item in found.maps
     ]
     if found.pulses is not None:
@@ -64,9 +95,21 @@ def family_report(found: Exploration, *, date: str = "") -> Report:
         ("Loop", found.timing),
         ("How", units.prose(". ".join(f"{note[:1].upper()}{note[1:]}" for note in found.notes))),
     )
-    words = "stable over the machine's own range" if found.stable else "not stable everywhere in the machine's own range"
+    words = (
+        "stable over the machine's own range"
+        if found.stable
+        else "not stable everywhere in the machine's own range"
+    )
     result = Verdict("Result", found.stable, words)
-    return Report("The loop over its range", found.machine, tuple(sections), tuple(verdicts), facts, date, result=result)
+    return Report(
+        "The loop over its range",
+        found.machine,
+        tuple(sections),
+        tuple(verdicts),
+        facts,
+        date,
+        result=result,
+    )
 
 
 def _members(family: PulseFamily) -> str:
@@ -74,15 +117,24 @@ def _members(family: PulseFamily) -> str:
 
 
 def _words(item: PoleMap) -> str:
-    parts = [f"{'gains' if above else 'loses'} stability at {units.quantity(at, item.unit, 4)}" for at, above in item.ends]
+    parts = [
+        f"{'gains' if above else 'loses'} stability at {units.quantity(at, item.unit, 4)}"
+        for at, above in item.ends
+    ]
     return ", ".join(parts)
 
 
 def _ends(item: PoleMap) -> Table:
     rows: list[Row] = []
-    for value, real, ratio in zip(item.values.tolist(), item.abscissa.tolist(), item.damping.tolist(), strict=True):
+    for value, real, ratio in zip(
+        item.values.tolist(), item.abscissa.tolist(), item.damping.tolist(), strict=True
+    ):
         verdict = "stable" if real < 0 else "unstable"
-        told = (units.quantity(value, item.unit, 4), units.quantity(real, "1/s"), f"{100 * ratio:.3g} %")
+        told = (
+            units.quantity(value, item.unit, 4),
+            units.quantity(real, "1/s"),
+            f"{100 * ratio:.3g} %",
+        )
         rows.append((*numbers(*told), verdict))
     columns = (item.over.capitalize(), "Largest real part", "Least damping ratio", "")
     return Table(f"By {item.over}", columns, tuple(rows), _words(item) if item.ends else "")
@@ -94,8 +146,16 @@ def pole_picture(item: PoleMap) -> Any:
     factor, unit = units.scale(item.unit, float(item.values.max()))
     x = np.concatenate([p.real for p in item.poles])
     y = np.concatenate([p.imag for p in item.poles]) / units.TWO_PI
-    shade = np.concatenate([np.full(len(p), v * factor) for p, v in zip(item.poles, item.values, strict=True)])
-    bar = {"title": {"text": f"[{unit}]", "side": "top"}, "thickness": 10, "x": 0.5, "len": 0.9, "outlinewidth": 0}
+    shade = np.concatenate(
+        [np.full(len(p), v * factor) for p, v in zip(item.poles, item.values, strict=True)]
+    )
+    bar = {
+        "title": {"text": f"[{unit}]", "side": "top"},
+        "thickness": 10,
+        "x": 0.5,
+        "len": 0.9,
+        "outlinewidth": 0,
+    }
     marker = {
         "color": drawn(shade),
         "colorscale": _SCALE,
@@ -106,14 +166,28 @@ def pole_picture(item: PoleMap) -> Any:
     }
     hover = f"%{{x:.4g}} 1/s, %{{y:.4g}} Hz at %{{marker.color:.4g}} {unit}<extra></extra>"
     first, second = {"row": 1, "col": 1}, {"row": 1, "col": 2}
-    theme.scatter(picture, first, drawn(x), drawn(y), mode="markers", marker=marker, hovertemplate=hover)
+    theme.scatter(
+        picture, first, drawn(x), drawn(y), mode="markers", marker=marker, hovertemplate=hover
+    )
     look = theme.Style("#0072b2", "solid", "circle", 1.8)
-    theme.scatter(picture, second, drawn(item.values * factor), drawn(item.abscissa), mode="lines+markers", line=look.line,
-                  marker={"size": 4}, hovertemplate=f"%{{x:.4g}} {unit}: %{{y:.4g}} 1/s<extra></extra>")  # fmt: skip
+    theme.scatter(
+        picture,
+        second,
+        drawn(item.values * factor),
+        drawn(item.abscissa),
+        mode="lines+markers",
+        line=look.line,
+        marker={"size": 4},
+        hovertemplate=f"%{{x:.4g}} {unit}: %{{y:.4g}} 1/s<extra></extra>",
+    )
     for at, _ in item.ends:
-        picture.add_vline(x=at * factor, row=1, col=2, line={"dash": "dash", "color": theme.LIMIT, "width": 1.2})
+        picture.add_vline(
+            x=at * factor, row=1, col=2, line={"dash": "dash", "color": theme.LIMIT, "width": 1.2}
+        )
     theme.dress(picture, 330, legend=False)
-    slow = np.abs(x) < max(3.0 * float(np.abs(item.abscissa).max()), 0.5 * float(np.median(np.abs(x))))
+    slow = np.abs(x) < max(
+        3.0 * float(np.abs(item.abscissa).max()), 0.5 * float(np.median(np.abs(x)))
+    )
     reach = float(np.abs(x[slow]).max())
     right = max(1.2 * float(item.abscissa.max()), 0.1 * reach)
     picture.add_vline(x=0, row=1, col=1, line={"color": theme.LIMIT, "width": 1})
@@ -126,19 +200,27 @@ def pole_picture(item: PoleMap) -> Any:
 
 
 def pulse_picture(family: PulseFamily) -> Any:
-    """Every output over time: the band of the stable members, the nominal one, the one that settles last."""
+    """Every output over time: the band of the stable members, the nominal one, the one that settles
+    last.
+    """
     count, columns = len(family.outputs), 2
     titles = [f"<b>{theme.plain(units.axis_name(name))}</b>" for name in family.outputs]
     rows = -(-count // columns)
     picture = theme.subplots(
-        rows=rows, cols=columns, subplot_titles=titles, horizontal_spacing=0.1, vertical_spacing=0.35 / rows
+        rows=rows,
+        cols=columns,
+        subplot_titles=titles,
+        horizontal_spacing=0.1,
+        vertical_spacing=0.35 / rows,
     )
     stable, time = family.responses[family.stable], 1e3 * family.time[::5]
     tail = np.abs(family.responses[:, :, -len(family.time) // 10 :]).max(axis=(1, 2))
     last = int(np.argmax(np.where(family.stable, tail, -1.0)))
     for i, name in enumerate(family.outputs):
         place, shown = {"row": i // columns + 1, "col": i % columns + 1}, i == 0
-        factor, unit = units.scale("m" if name.startswith("q") else "A", float(np.abs(family.responses[0, i]).max()))
+        factor, unit = units.scale(
+            "m" if name.startswith("q") else "A", float(np.abs(family.responses[0, i]).max())
+        )
         if len(stable):
             low, high = (f(axis=0)[::5] * factor for f in (stable[:, i].min, stable[:, i].max))
             theme.band(picture, place, time, low, high, _BAND, "stable members" if shown else "")
@@ -162,10 +244,22 @@ def unbalance_picture(curve: BoxUnbalance, limit: float | None) -> Any:
     rows = [("nominal", curve.nominal), ("worst found over the tolerances", curve.found)]
     if not np.isnan(curve.bound).any():
         rows.append(("upper bound", curve.bound))
-    for (label, values), look in zip(rows, theme.styles([label for label, _ in rows]).values(), strict=True):
-        theme.scatter(picture, {}, drawn(x), drawn(values * factor), label, shown=True, line=look.line)
+    for (label, values), look in zip(
+        rows, theme.styles([label for label, _ in rows]).values(), strict=True
+    ):
+        theme.scatter(
+            picture, {}, drawn(x), drawn(values * factor), label, shown=True, line=look.line
+        )
     if limit is not None:
-        theme.guide(picture, {}, x[[0, -1]], np.full(2, limit * factor), color=theme.LIMIT, width=1.2, dash="1.5px,2px")
+        theme.guide(
+            picture,
+            {},
+            x[[0, -1]],
+            np.full(2, limit * factor),
+            color=theme.LIMIT,
+            width=1.2,
+            dash="1.5px,2px",
+        )
     theme.dress(picture, 300, legend=True)
     picture.update_xaxes(title_text="Speed [rpm]")
     picture.update_yaxes(title_text=f"Orbit, zero to peak [{unit}]", rangemode="tozero")

@@ -1,4 +1,6 @@
-"""The run-up on the comparison's page: what follows every step on the way up, and the first and the last of them in time."""
+"""The run-up on the comparison's page: what follows every step on the way up, and the first and the
+last of them in time.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +8,29 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.rig.trial import RunUp
+from ambrose.judge.checks import Curve
 from ambrose.report import theme, units
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Cell, Figure, Row, Section, Table, numbers
 from ambrose.rig.run_up import Step
 from ambrose.rig.trace import Trace
-from ambrose.judge.checks import Curve
+from ambrose.rig.trial import RunUp
 
 _SPAN = 0.1  # s, of the first and the last panel
 _WORDS = (
-    "The machine runs up while a force or the set point steps every 50 ms. A scheduled controller changes with the speed, a "
-    "fixed one was designed for one speed. Speeds are those at the start of a step; settling is to 5 % of its own peak."
+    "The machine runs up while a force or the set point steps every 50 ms. A scheduled controller "
+    "changes with the speed, a "
+    "fixed one was designed for one speed. Speeds are those at the start of a step; settling is "
+    "to 5 % of its own peak."
 )
 
 
-def run_up_section(runs: Sequence[RunUp], limit: float | None, order: Sequence[str] = ()) -> Section:
-    """runs: one per controller, in order; limit [s]: the settling time asked for (None: no verdict)."""
+def run_up_section(
+    runs: Sequence[RunUp], limit: float | None, order: Sequence[str] = ()
+) -> Section:
+    """runs: one per controller, in order; limit [s]: the settling time asked for (None: no
+    verdict).
+    """
     return Section("Run-up", _WORDS, (run_up_figure(runs, order),), (_table(runs, limit),))
 
 
@@ -31,18 +39,28 @@ def _table(runs: Sequence[RunUp], limit: float | None) -> Table:
     every = [steps for run in runs for steps in (run.linear_steps, run.rig_steps)]
     longest = max(every, key=lambda run: run[-1].start if run else 0.0)
     for k, step in enumerate(longest):
-        cells = [_settling(steps[k], limit) if k < len(steps) else Cell("ended before", "fail") for steps in every]
-        rows.append((*numbers(units.quantity(step.start, "s"), units.quantity(step.speed, "rad/s")), *cells))
+        cells = [
+            _settling(steps[k], limit) if k < len(steps) else Cell("ended before", "fail")
+            for steps in every
+        ]
+        rows.append(
+            (*numbers(units.quantity(step.start, "s"), units.quantity(step.speed, "rad/s")), *cells)
+        )
     columns = ("Step at", "Speed", *("Linear", "Rig") * len(runs))
     groups = (("", 2), *((f"{run.name}, settles in", 2) for run in runs))
     note = "" if limit is None else f"Asked for: {units.quantity(limit, 's')}."
-    return Table("Settling after every step", columns, tuple(rows), note, groups=groups, by_cell=True)
+    return Table(
+        "Settling after every step", columns, tuple(rows), note, groups=groups, by_cell=True
+    )
 
 
 def _settling(step: Step, limit: float | None) -> Cell:
     if not np.isfinite(step.settling):
         return Cell("not within 50 ms", "fail")
-    return Cell(units.quantity(step.settling, "s"), "fail" if limit is not None and step.settling > limit else "number")
+    return Cell(
+        units.quantity(step.settling, "s"),
+        "fail" if limit is not None and step.settling > limit else "number",
+    )
 
 
 def run_up_figure(runs: Sequence[RunUp], order: Sequence[str] = ()) -> Figure:
@@ -57,11 +75,14 @@ def run_up_figure(runs: Sequence[RunUp], order: Sequence[str] = ()) -> Figure:
         panels = []
         for words, start in (("first 100 ms", 0.0), ("last 100 ms", float(last) - _SPAN)):
             curves = tuple((run.name, _piece(getattr(run, where), start)) for run in runs)
-            panels.append(Panel(f"{'Virtual rig' if where == 'rig' else 'Linear loop'}, {words}", curves))
+            panels.append(
+                Panel(f"{'Virtual rig' if where == 'rig' else 'Linear loop'}, {words}", curves)
+            )
         rows.append(panels)
     picture, hidden = panel_figure(rows, theme.candidate_styles([*order, *names]))
     words = (
-        "Displacement at the first sensor, from the start of the shown piece: low speed on the left, high speed on the right."
+        "Displacement at the first sensor, from the start of the shown piece: low speed on the "
+        "left, high speed on the right."
     )
     return Figure("Steps at the lowest and the highest speed", picture, f"{words} {hidden}".strip())
 
@@ -72,4 +93,6 @@ def _piece(trace: Trace, start: float) -> Curve:
     inside = (time >= start - 1e-9) & (time <= start + _SPAN + 1e-9)
     x = time[inside] - start
     level = values - np.mean(values)  # the rig's rotor rests where its weight leaves it
-    return Curve("run-up", "displacement", "time", x, level[inside][None], (units.axis_name(name),), "s", "m")
+    return Curve(
+        "run-up", "displacement", "time", x, level[inside][None], (units.axis_name(name),), "s", "m"
+    )

@@ -1,4 +1,5 @@
-"""One controller with everything that verification and simulation say about it, as a comparison takes it.
+"""One controller with everything that verification and simulation say about it, as a comparison
+takes it.
 
 candidate = evaluate("mu", synthesis, full_plants(machine))
 """
@@ -12,31 +13,33 @@ from typing import Any
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.checks import Check, Checks
 from ambrose.judge.plants import Progress, split_covered
-from ambrose.rig.trial import RUN_UP, RunUp, run_on_rig, simulate_linear
+from ambrose.judge.result import Synthesis
 from ambrose.judge.verdict import verify_points, verify_ranges, verify_tolerances
+from ambrose.judge.verification import CONTINUOUS
+from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant
-from ambrose.law.timing import Timing, timing_of
 from ambrose.rig import virtual_rig
 from ambrose.rig.run_up import steps
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import Trace
-from ambrose.judge.result import Synthesis
-from ambrose.judge.checks import Check, Checks
-from ambrose.judge.verification import CONTINUOUS
+from ambrose.rig.trial import RUN_UP, RunUp, run_on_rig, simulate_linear
 
 SCENARIOS = ("impulse-orthogonal", "impulse-parallel")  # the two disturbance patterns of P5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One controller and all results about it. Raises InvalidInput for a name or a label that does not tell apart.
+    """One controller and all results about it. Raises InvalidInput for a name or a label that does
+    not tell apart.
 
-    name: for people ("PID", "H-infinity", "mu"); checks: per operating point; boxes: over the tolerances around each, from
-    verify_tolerances; traces: (operating point, trace) pairs, several scenarios; left_out: labels of the operating points that
-    its schedule does not cover; timing: what loop was judged, in words; ranges: over the machine's ranges, from verify_ranges.
+    name: for people ("PID", "H-infinity", "mu"); checks: per operating point; boxes: over the
+    tolerances around each, from verify_tolerances; traces: (operating point, trace) pairs, several
+    scenarios; left_out: labels of the operating points that its schedule does not cover; timing:
+    what loop was judged, in words; ranges: over the machine's ranges, from verify_ranges.
     """
 
     name: str
@@ -52,25 +55,36 @@ class Candidate:
         if not self.name.strip():
             raise InvalidInput("a candidate has no name; give it one, e.g. that of its method")
         if not self.checks:
-            raise InvalidInput(f"candidate {self.name!r} has no checks; verify it at one operating point at least")
+            raise InvalidInput(
+                f"candidate {self.name!r} has no checks; verify it at one operating point at least"
+            )
         labels = [checks.label for checks in self.checks]
         twice = next((label for label in labels if labels.count(label) > 1), None)
         if twice is not None:
-            raise InvalidInput(f"candidate {self.name!r} has two verifications labelled {twice!r}; give every point its label")
+            raise InvalidInput(
+                f"candidate {self.name!r} has two verifications labelled {twice!r}; give every "
+                "point its label"
+            )
 
     @property
     def robust(self) -> Checks | None:
-        """The checks over the tolerances around the first point that has any: the one with all curves, bounds and proofs."""
+        """The checks over the tolerances around the first point that has any: the one with all
+        curves, bounds and proofs.
+        """
         return self.boxes[0] if self.boxes else None
 
     @property
     def verifications(self) -> tuple[Checks, ...]:
-        """The checks at every operating point, then those over the tolerances around each and over the ranges."""
+        """The checks at every operating point, then those over the tolerances around each and over
+        the ranges.
+        """
         return (*self.checks, *self.boxes, *self.ranges)
 
     @property
     def passed(self) -> bool:
-        """Whether no operating point is left out and every check at every one and over the tolerances around each is met."""
+        """Whether no operating point is left out and every check at every one and over the
+        tolerances around each is met.
+        """
         return not self.left_out and all(checks.passed for checks in self.verifications)
 
     def at(self, point: str) -> Checks | None:
@@ -82,8 +96,9 @@ class Candidate:
 class Deployed:
     """A controller as it runs on the machine, where that differs from its design.
 
-    law: sampled, without its computing delay, which is verified with it; program: what computes it, run on the rig; plants: of
-    the machine that the rig stands for; timing: when it acts (None: it is continuous).
+    law: sampled, without its computing delay, which is verified with it; program: what computes it,
+    run on the rig; plants: of the machine that the rig stands for; timing: when it acts (None: it
+    is continuous).
     """
 
     law: StateSpace | ScheduledSystem
@@ -94,18 +109,28 @@ class Deployed:
 
 def find(checks: Checks | None, name: str) -> Check | None:
     """The check of that name, if there is one."""
-    return next((check for check in checks.checks if check.name == name), None) if checks is not None else None
+    return (
+        next((check for check in checks.checks if check.name == name), None)
+        if checks is not None
+        else None
+    )
 
 
 def points_of(machine: Machine, candidates: Sequence[Candidate]) -> tuple[str, ...]:
-    """The labels of all operating points, by rising speed and seal pressure; unknown ones last, as they come.
+    """The labels of all operating points, by rising speed and seal pressure; unknown ones last, as
+    they come.
 
     Raises InvalidInput for no candidates, or two of the same name.
     """
     names = [candidate.name for candidate in candidates]
     if not names or len(set(names)) < len(names):
-        raise InvalidInput(f"the candidates are named {', '.join(names) or 'not at all'}, but need one name each; rename them")
-    known = {point.label: (point.speed, point.seal_pressure) for point in machine.operation.envelope}
+        raise InvalidInput(
+            f"the candidates are named {', '.join(names) or 'not at all'}, but need one name "
+            "each; rename them"
+        )
+    known = {
+        point.label: (point.speed, point.seal_pressure) for point in machine.operation.envelope
+    }
     labels = dict.fromkeys(checks.label for candidate in candidates for checks in candidate.checks)
     return tuple(sorted(labels, key=lambda label: known.get(label, (float("inf"), 0.0))))
 
@@ -121,9 +146,10 @@ def evaluate(
 ) -> Candidate:
     """A controller with everything that verification and simulation say about it.
 
-    plants: full; tolerances: as for ``verify_tolerances``. In time: both patterns of P5 on the linear loop, one also on the
-    virtual rig. deployed: as it runs, where that is known: its law is verified, its program runs the rig (None: the controller
-    itself does, at the rate that it or the machine file knows). Raises InvalidInput.
+    plants: full; tolerances: as for ``verify_tolerances``. In time: both patterns of P5 on the
+    linear loop, one also on the virtual rig. deployed: as it runs, where that is known: its law is
+    verified, its program runs the rig (None: the controller itself does, at the rate that it or the
+    machine file knows). Raises InvalidInput.
     """
     law = synthesis.law
     within, left_out = split_covered(law, plants)
@@ -144,22 +170,32 @@ def evaluate(
     return Candidate(name, synthesis, checks, boxes, tuple(traces), left_out, words, ranges)
 
 
-def run_ups(plant: Plant, candidates: tuple[Candidate, ...], progress: Progress) -> tuple[RunUp, ...]:
-    """The scheduled candidates and the robust ones beside them while the machine runs up, on the linear loop and on the virtual
-    rig; none where no schedule covers the scenario's speeds."""
+def run_ups(
+    plant: Plant, candidates: tuple[Candidate, ...], progress: Progress
+) -> tuple[RunUp, ...]:
+    """The scheduled candidates and the robust ones beside them while the machine runs up, on the
+    linear loop and on the virtual rig; none where no schedule covers the scenario's speeds.
+    """
     scenario = load_scenario(RUN_UP).on(plant.machine)
     low, high = scenario.speed_at(0.0), scenario.speed_at(scenario.duration)
     schedules = [c.synthesis.scheduled for c in candidates if c.synthesis.scheduled is not None]
-    if not any(s.axes[0][0] <= low * (1 + 1e-9) and high <= s.axes[0][-1] * (1 + 1e-9) for s in schedules):
+    if not any(
+        s.axes[0][0] <= low * (1 + 1e-9) and high <= s.axes[0][-1] * (1 + 1e-9) for s in schedules
+    ):
         return ()
     runs = []
     for candidate in candidates:
-        if candidate.synthesis.method not in {"lpv", "tuned", "mu"}:  # the scheduled one, and the fixed ones that are robust
+        # the scheduled one, and the fixed ones that are robust
+        if candidate.synthesis.method not in {"lpv", "tuned", "mu"}:
             continue
         law = candidate.synthesis.law
         progress(f"{candidate.name}: running up, {RUN_UP}")
-        linear = simulate_linear(plant, law, scenario, timing_of(plant.machine, candidate.synthesis))
+        linear = simulate_linear(
+            plant, law, scenario, timing_of(plant.machine, candidate.synthesis)
+        )
         rig = virtual_rig.run(plant.machine, law, scenario, point=plant.point)
         y = plant.named("y")
-        runs.append(RunUp(candidate.name, linear, rig, steps(linear, scenario, y), steps(rig, scenario, y)))
+        runs.append(
+            RunUp(candidate.name, linear, rig, steps(linear, scenario, y), steps(rig, scenario, y))
+        )
     return tuple(runs)

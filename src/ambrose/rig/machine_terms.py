@@ -1,7 +1,9 @@
-"""A scenario in terms of the machine: its "first", "last" and "every" bearing, and shares of its top speed or pressure.
+"""A scenario in terms of the machine: its "first", "last" and "every" bearing, and shares of its
+top speed or pressure.
 
-A scenario file may say ``signal = "e_first_zeta"``, ``port = "every"`` or ``to_speed = "80 % of top speed"``; what that is, the
-machine says. Of "every" bearing a grade of unbalance is parted among them, and each has a binary sequence of its own.
+A scenario file may say ``signal = "e_first_zeta"``, ``port = "every"`` or ``to_speed = "80 % of top
+speed"``; what that is, the machine says. Of "every" bearing a grade of unbalance is parted among
+them, and each has a binary sequence of its own.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ def _top_pressure(machine: Machine) -> float | None:
 
 
 def _least(name: str) -> Callable[[Machine], float | None]:
-    return lambda machine: min((v for b in machine.bearings if (v := getattr(b, name)) is not None), default=None)
+    return lambda machine: min(
+        (v for b in machine.bearings if (v := getattr(b, name)) is not None), default=None
+    )
 
 
 _QUANTITIES: dict[str, tuple[str, Callable[[Machine], float | None], str]] = {
@@ -58,13 +62,18 @@ _QUANTITIES: dict[str, tuple[str, Callable[[Machine], float | None], str]] = {
 
 
 def read_share(value: Any, dimension: Dimension) -> Share | None:
-    """The share that a text such as "80 % of top speed" says; None for anything else. Raises InvalidInput, ValueError."""
+    """The share that a text such as "80 % of top speed" says; None for anything else. Raises
+    InvalidInput, ValueError.
+    """
     found = _PHRASE.fullmatch(value.strip()) if isinstance(value, str) else None
     if not found:
         return None
     names = [name for name, (kind, *_) in _QUANTITIES.items() if DIMENSIONS[kind] is dimension]
     if found[2] not in names:
-        raise ValueError(f"is {value!r}, but may be a share of {' or '.join(names) or 'nothing'} only; correct it")
+        raise ValueError(
+            f"is {value!r}, but may be a share of {' or '.join(names) or 'nothing'} only; correct "
+            "it"
+        )
     return Share(read_quantity(found[1], DIMENSIONS["ratio"]), found[2])
 
 
@@ -81,22 +90,36 @@ def relative_values(item: Any) -> Iterator[Share]:
 
 
 def with_quantities(item: Any, machine: Machine) -> Any:
-    """The same with the machine's numbers in place of shares. Raises InvalidInput where the machine does not state one."""
+    """The same with the machine's numbers in place of shares. Raises InvalidInput where the machine
+    does not state one.
+    """
     if isinstance(item, Share):
         _, value_of, key = _QUANTITIES[item.of]
         value = value_of(machine)
         if value is None:
-            raise InvalidInput(f"the scenario needs the {item.of} of machine {machine.name!r}, which states none; add {key}")
+            raise InvalidInput(
+                f"the scenario needs the {item.of} of machine {machine.name!r}, which states "
+                f"none; add {key}"
+            )
         return float(item) * value
     if isinstance(item, tuple):
         return tuple(with_quantities(part, machine) for part in item)
     if is_dataclass(item) and not isinstance(item, type) and any(relative_values(item)):
-        return replace(item, **{f.name: with_quantities(getattr(item, f.name), machine) for f in fields(item) if f.init})
+        return replace(
+            item,
+            **{
+                f.name: with_quantities(getattr(item, f.name), machine)
+                for f in fields(item)
+                if f.init
+            },
+        )
     return item
 
 
 def at_bearings(items: Sequence[Any], bearings: Sequence[str]) -> tuple[Any, ...]:
-    """Disturbances, unbalances or failures with the names of these bearings in place of "first", "last" and "every"."""
+    """Disturbances, unbalances or failures with the names of these bearings in place of "first",
+    "last" and "every".
+    """
     return tuple(made for item in items for made in _at(item, bearings))
 
 
@@ -111,7 +134,11 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
     for number, name in enumerate(chosen):
         more: dict[str, Any] = {}
         if isinstance(item, Unbalance):
-            more = {"amount": item.amount / len(chosen)} if item.amount is not None else {"share": item.share / len(chosen)}
+            more = (
+                {"amount": item.amount / len(chosen)}
+                if item.amount is not None
+                else {"share": item.share / len(chosen)}
+            )
         elif isinstance(item, Prbs):
             more = {"seed": item.seed + _SEEDS * number}
         yield replace(item, **{key: f"{before}{name}{after}"}, **more)

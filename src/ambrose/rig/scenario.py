@@ -1,7 +1,9 @@
-"""Scenario: what is done to a closed loop during a simulation; its TOML files, and the bundled ones.
+"""Scenario: what is done to a closed loop during a simulation; its TOML files, and the bundled
+ones.
 
-Its parts are in disturbances.py. Disturbances act on the loop's input signals by name: current excitation e_<axis> [A], output
-disturbance d_<axis> [m], reference r_<axis> [m], force f_<port>_<direction> [N]; unbalance acts at a port, in both directions.
+Its parts are in disturbances.py. Disturbances act on the loop's input signals by name: current
+excitation e_<axis> [A], output disturbance d_<axis> [m], reference r_<axis> [m], force
+f_<port>_<direction> [N]; unbalance acts at a port, in both directions.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ from ambrose.core.presentation import Presented
 from ambrose.machine.file.toml import read_toml
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
-from ambrose.record.record import signal_dimension
 from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.record.record import signal_dimension
 from ambrose.rig.disturbances import (
     Chirp,
     Disturbance,
@@ -37,7 +39,7 @@ from ambrose.rig.disturbances import (
     SteppedSine,
     Unbalance,
     check_disturbance,
-)  # fmt: skip
+)
 from ambrose.rig.machine_terms import at_bearings, read_share, relative_values, with_quantities
 
 LEVITATED = "levitated"
@@ -48,12 +50,14 @@ INITIAL_STATES = (LEVITATED, "resting")
 class Scenario(Presented):
     """All disturbances of one simulation, which lasts ``duration`` [s].
 
-    speed [rad/s] (None: that of the loop) goes linearly to ``to_speed`` over ``ramp`` [s] (None: the whole duration) and
-    stays there, or follows the changes of speed. sample_time [s]: None leaves it to the simulation. For the virtual rig alone:
-    ``initial`` state, "levitated" in equilibrium or "resting" in the touchdown bearings; changes of
-    pressure while the speed changes, too, and of what its sensor tells a controller that is scheduled over it; failures;
-    switch_at [s], where a second controller takes over. Bearings may be called "first", "last" and "every", and quantities be
-    shares of the machine's (machine_terms.py), until a simulation calls ``on(machine)``. Raises InvalidInput.
+    speed [rad/s] (None: that of the loop) goes linearly to ``to_speed`` over ``ramp`` [s] (None:
+    the whole duration) and stays there, or follows the changes of speed. sample_time [s]: None
+    leaves it to the simulation. For the virtual rig alone: ``initial`` state, "levitated" in
+    equilibrium or "resting" in the touchdown bearings; changes of pressure while the speed changes,
+    too, and of what its sensor tells a controller that is scheduled over it; failures; switch_at
+    [s], where a second controller takes over. Bearings may be called "first", "last" and "every",
+    and quantities be shares of the machine's (machine_terms.py), until a simulation calls
+    ``on(machine)``. Raises InvalidInput.
     """
 
     name: str
@@ -99,26 +103,44 @@ class Scenario(Presented):
         for what, changes in (("pressure", of_pressure), ("speed", of_speed)):
             for earlier, later in pairwise(changes):
                 if later.time < earlier.time + earlier.ramp:
-                    requirement = f"after the one before is over, at {earlier.time + earlier.ramp:g} s"
-                    raise invalid(f"the time of a change of {what}", later.time, requirement, "move it")
+                    requirement = (
+                        f"after the one before is over, at {earlier.time + earlier.ramp:g} s"
+                    )
+                    raise invalid(
+                        f"the time of a change of {what}", later.time, requirement, "move it"
+                    )
         if any(later.time <= earlier.time for earlier, later in pairwise(self.pressure_sensors)):
-            raise InvalidInput("the pressure sensors are not in the order of their times; give each its own, ascending")
+            raise InvalidInput(
+                "the pressure sensors are not in the order of their times; give each its own, "
+                "ascending"
+            )
         for name in ("speed", "to_speed"):
             if (value := getattr(self, name)) is not None:
                 check_positive(value, name, "a rotor turns one way, from x to y", zero_allowed=True)
         if self.to_speed is not None and self.speed_changes:
             raise InvalidInput("to_speed and changes of speed are both given; keep one of the two")
         if (self.to_speed is not None or self.speed_changes) and self.speed is None:
-            raise InvalidInput("a change of speed is given without speed; give the speed at the start")
+            raise InvalidInput(
+                "a change of speed is given without speed; give the speed at the start"
+            )
         if self.ramp is not None and (self.to_speed is None or not 0 < self.ramp <= self.duration):
-            raise invalid("ramp", self.ramp, "positive, within the duration, and with a to_speed", "correct the run-up")
+            raise invalid(
+                "ramp",
+                self.ramp,
+                "positive, within the duration, and with a to_speed",
+                "correct the run-up",
+            )
         if self.unbalances and self.speed is None:
-            raise InvalidInput("an unbalance is given without speed; give the speed at which the rotor turns")
+            raise InvalidInput(
+                "an unbalance is given without speed; give the speed at which the rotor turns"
+            )
 
     @property
     def all_sines(self) -> tuple[Sine, ...]:
         """The sines and the steps of the stepped sines that begin within the duration."""
-        steps = [sine for item in self.stepped_sines for sine in item.sines if sine.start < self.duration]
+        steps = [
+            sine for item in self.stepped_sines for sine in item.sines if sine.start < self.duration
+        ]
         return (*self.sines, *steps)
 
     @property
@@ -130,7 +152,9 @@ class Scenario(Presented):
     def fastest(self) -> float:
         """The highest frequency [rad/s] of a sine, chirp or unbalance; 0 without any."""
         found = [sine.frequency for sine in self.all_sines]
-        found += [frequency for item in self.chirps for frequency in (item.frequency, item.to_frequency)]
+        found += [
+            frequency for item in self.chirps for frequency in (item.frequency, item.to_frequency)
+        ]
         if self.unbalances:
             found += [abs(speed) for speed in self.speed_knots[1]]
         return max(found, default=0.0)
@@ -139,7 +163,17 @@ class Scenario(Presented):
     def quiet(self) -> Scenario:
         """The same without anything that disturbs: its speeds and pressures."""
         nothing: dict[str, Any] = dict.fromkeys(
-            ("pulses", "sines", "stepped_sines", "chirps", "sequences", "unbalances", "failures", "pressure_sensors"), ()
+            (
+                "pulses",
+                "sines",
+                "stepped_sines",
+                "chirps",
+                "sequences",
+                "unbalances",
+                "failures",
+                "pressure_sensors",
+            ),
+            (),
         )
         return replace(self, **nothing)
 
@@ -159,8 +193,9 @@ class Scenario(Presented):
         return len(set(self.speed_knots[1])) > 1
 
     def pressure_knots(self, start: float, dt: float) -> tuple[list[float], list[float]]:
-        """Times [s] and pressures [Pa], ``start`` at first, between which the pressure is linear; a change without ramp takes
-        dt [s]."""
+        """Times [s] and pressures [Pa], ``start`` at first, between which the pressure is linear; a
+        change without ramp takes dt [s].
+        """
         times, values = [0.0], [start]
         for change in self.pressures:
             times += [max(change.time, times[-1]), change.time + max(change.ramp, dt)]
@@ -169,7 +204,9 @@ class Scenario(Presented):
 
     @property
     def speed_knots(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Times [s] and speeds [rad/s] between which the speed is linear, and after which it stays; empty without a speed."""
+        """Times [s] and speeds [rad/s] between which the speed is linear, and after which it stays;
+        empty without a speed.
+        """
         if self.speed is None:
             return (), ()
         changes = list(self.speed_changes)
@@ -183,15 +220,23 @@ class Scenario(Presented):
         return tuple(times), tuple(speeds)
 
     def on(self, machine: Machine) -> Scenario:
-        """The same with the machine's bearings and numbers. Raises InvalidInput where it lacks one that is asked for."""
+        """The same with the machine's bearings and numbers. Raises InvalidInput where it lacks one
+        that is asked for.
+        """
         return self.at_bearings([bearing.name for bearing in machine.bearings], machine)
 
     def at_bearings(self, bearings: Sequence[str], machine: Machine | None = None) -> Scenario:
-        """The same with these bearings, and with the machine's numbers. Raises InvalidInput where no machine has them."""
+        """The same with these bearings, and with the machine's numbers. Raises InvalidInput where
+        no machine has them.
+        """
         if machine is None and (share := next(relative_values(self), None)) is not None:
-            raise InvalidInput(f"scenario {self.name} asks for {share!r}; give the machine: scenario.on(machine)")
+            raise InvalidInput(
+                f"scenario {self.name} asks for {share!r}; give the machine: scenario.on(machine)"
+            )
         numbers = self if machine is None else with_quantities(self, machine)
-        named = {name: at_bearings(getattr(numbers, name), bearings) for name, _ in _TABLES.values()}
+        named = {
+            name: at_bearings(getattr(numbers, name), bearings) for name, _ in _TABLES.values()
+        }
         return replace(numbers, **named)
 
     def speed_at(self, time: float) -> float:
@@ -214,11 +259,31 @@ _TABLES: dict[str, tuple[str, type[Any]]] = {
     "pressure_sensor": ("pressure_sensors", PressureSensor),
 }
 _KINDS = {
-    **dict.fromkeys(("duration", "start", "every", "ramp", "sample_time", "dwell", "bit_time", "time", "switch_at"), "time"),
-    **dict.fromkeys(("speed", "to_speed", "frequency", "to_frequency", "frequencies", "grade_speed"), "angular rate"),
-    "phase": "angle", "grade": "velocity", "share": "ratio", "gain": "ratio", "lag": "time",
+    **dict.fromkeys(
+        (
+            "duration",
+            "start",
+            "every",
+            "ramp",
+            "sample_time",
+            "dwell",
+            "bit_time",
+            "time",
+            "switch_at",
+        ),
+        "time",
+    ),
+    **dict.fromkeys(
+        ("speed", "to_speed", "frequency", "to_frequency", "frequencies", "grade_speed"),
+        "angular rate",
+    ),
+    "phase": "angle",
+    "grade": "velocity",
+    "share": "ratio",
+    "gain": "ratio",
+    "lag": "time",
     **dict.fromkeys(("pressure", "offset", "noise"), "pressure"),
-}  # fmt: skip
+}
 _TEXTS = {"name", "description", "signal", "port", "initial", "spacing", "axis", "fault"}
 _COUNTS = {"order", "seed"}
 _AMOUNT = {"kg m": 1.0, "g mm": 1e-6, "g m": 1e-3, "kg mm": 1e-3}
@@ -233,13 +298,19 @@ def scenario_text(name: str) -> str:
     """The file of a bundled scenario. Raises InvalidInput for another name."""
     if name not in _bundled_names():
         raise InvalidInput(f"{name} is no bundled scenario; {suggestion(name, _bundled_names())}")
-    return files("ambrose").joinpath("rig", "scenarios", f"{name}.toml").read_text(encoding="utf-8").rstrip()
+    return (
+        files("ambrose")
+        .joinpath("rig", "scenarios", f"{name}.toml")
+        .read_text(encoding="utf-8")
+        .rstrip()
+    )
 
 
 def load_scenario(name: str | Path) -> Scenario:
     """The bundled scenario of that name, or the one in a TOML file.
 
-    Quantities are SI numbers or strings with a unit ("10 ms", "0.05 A"). Raises InvalidInput naming file, table and key.
+    Quantities are SI numbers or strings with a unit ("10 ms", "0.05 A"). Raises InvalidInput naming
+    file, table and key.
     """
     bundled = files("ambrose").joinpath("rig", "scenarios", f"{name}.toml")
     try:
@@ -263,28 +334,42 @@ def read_scenario(document: Mapping[str, Any]) -> Scenario:
         tables = document.get(key, [])
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise InvalidInput(f"{key} is not a list of tables; write [[{key}]]")
-        parts[attribute] = tuple(_build(kind, table, f"[[{key}]] number {i + 1}: ") for i, table in enumerate(tables))
+        parts[attribute] = tuple(
+            _build(kind, table, f"[[{key}]] number {i + 1}: ") for i, table in enumerate(tables)
+        )
     return _build(Scenario, plain, "", parts)
 
 
 def _bundled_names() -> list[str]:
     folder = files("ambrose").joinpath("rig", "scenarios")
-    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    return sorted(
+        entry.name.removesuffix(".toml")
+        for entry in folder.iterdir()
+        if entry.name.endswith(".toml")
+    )
 
 
-def _build(kind: type[Any], table: Mapping[str, Any], where: str, parts: Mapping[str, Any] | None = None) -> Any:
+def _build(
+    kind: type[Any], table: Mapping[str, Any], where: str, parts: Mapping[str, Any] | None = None
+) -> Any:
     """An instance of a dataclass from one TOML table."""
     known = [item.name for item in fields(kind) if item.name not in (parts or {})]
     for key in table:
         if key not in known:
             tables = [*_TABLES] if kind is Scenario else []
             raise InvalidInput(f"{where}unknown key {key!r}; {suggestion(key, [*known, *tables])}")
-    required = [item.name for item in fields(kind) if item.name in known and item.default is item.default_factory]
+    required = [
+        item.name
+        for item in fields(kind)
+        if item.name in known and item.default is item.default_factory
+    ]
     missing = [key for key in required if key not in table]
     if missing:
         raise InvalidInput(f"{where}{' and '.join(missing)} is missing; add it")
     try:
-        return kind(**{key: _value(key, value, table) for key, value in table.items()}, **(parts or {}))
+        return kind(
+            **{key: _value(key, value, table) for key, value in table.items()}, **(parts or {})
+        )
     except (ValueError, OverflowError) as error:
         raise InvalidInput(f"{where}{error}") from error
 
@@ -305,7 +390,9 @@ def _value(key: str, value: Any, table: Mapping[str, Any]) -> Any:
     try:
         if key == "frequencies":
             if not isinstance(value, list):
-                raise invalid(key, repr(value), "a list of frequencies", "write it in square brackets")
+                raise invalid(
+                    key, repr(value), "a list of frequencies", "write it in square brackets"
+                )
             return tuple(read_quantity(item, dimension) for item in value)
         share = read_share(value, dimension)
         return read_quantity(value, dimension) if share is None else share
@@ -317,11 +404,18 @@ def _value(key: str, value: Any, table: Mapping[str, Any]) -> Any:
 
 def _amount(value: Any) -> float:
     """An unbalance [kg m]."""
-    number, _, unit = value.strip().partition(" ") if isinstance(value, str) else (value, "", "kg m")
+    number, _, unit = (
+        value.strip().partition(" ") if isinstance(value, str) else (value, "", "kg m")
+    )
     try:
         factor, amount = _AMOUNT[unit.strip().replace("*", " ")], float(number)
     except (KeyError, TypeError, ValueError) as error:
-        raise invalid("amount", repr(value), f"a number or a text with one of {', '.join(_AMOUNT)}", "correct it") from error
+        raise invalid(
+            "amount",
+            repr(value),
+            f"a number or a text with one of {', '.join(_AMOUNT)}",
+            "correct it",
+        ) from error
     if isinstance(value, bool) or not math.isfinite(amount):
         raise invalid("amount", repr(value), "finite", "correct it")
     return factor * amount

@@ -1,4 +1,5 @@
-"""One controller in time: a scenario on the linear loop or on the virtual rig, and run-ups of several.
+"""One controller in time: a scenario on the linear loop or on the virtual rig, and run-ups of
+several.
 
 trace = simulate_scenario(machine, controller, "levitation")          what the front door and `ambrose simulate` call
 """
@@ -7,25 +8,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.judge.plants import Progress, chosen_point
 from ambrose.judge.verdict import running_law
-from ambrose.annexes.scheduled.watched import Estimated, watched
-from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine
-from ambrose.model.effects.rotor import mass_properties
-from ambrose.model.assemble import assemble
 from ambrose.law.loop import closed_loop, match_controller
-from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce
 from ambrose.law.supervision import check_pair, supervised, supervision_limits
 from ambrose.law.timing import Timing, timing_of
-from ambrose.rig import linear
-from ambrose.rig import virtual_rig
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.rotor import mass_properties
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+from ambrose.registry import registered, resolve
+from ambrose.rig import linear, virtual_rig
 from ambrose.rig.engine.controller import sample_time
 from ambrose.rig.run_up import Step, spin_up
 from ambrose.rig.scenario import Scenario, load_scenario
@@ -36,7 +36,9 @@ RUN_UP = "spin-up-steps"  # P3: 20 to 300 Hz in 1 s, a step of force or set poin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunUp:
-    """One controller while the machine runs up: on the linear loop and on the rig, with what followed each step."""
+    """One controller while the machine runs up: on the linear loop and on the rig, with what
+    followed each step.
+    """
 
     name: str
     linear: Trace
@@ -59,20 +61,22 @@ def simulate_scenario(
     pressure_rate: float | None = None,
     pressure_error: float = 0.0,
     stuck_after: float | None = None,
-    estimate: Estimated | None = None,
+    estimate: Literal["beside", "alone"] | None = None,
     progress: Progress = lambda stage: None,
     **rig: Any,
 ) -> Trace:
     """One scenario on the nonlinear virtual rig or, ``linear``, on the linear closed loop.
 
-    machine: or a Plant, whose operating point is then the default. controller: a Synthesis, a schedule, or anything
-    with A, B, C, D. scenario: bundled, a file, or a Scenario. point: operating point or label (None: the nominal one).
-    rate [Hz], delay_samples: of the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
-    nobody does). fallback: the fixed controller that takes over where the pressure that a schedule is told cannot be trusted,
-    pressure_rate [Pa/s]: how fast that may change (None: the machine file's), pressure_error [Pa]: how far off the reading may
-    be, stuck_after [s]: how long it may be the very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs
-    "beside" the reading, or "alone" in place of it (``annexes.scheduled.watched``). rig: further arguments of ``virtual_rig.run``
-    (second, bending_modes, seed, path, ...). Raises InvalidInput.
+    machine: or a Plant, whose operating point is then the default. controller: a Synthesis, a
+    schedule, or anything with A, B, C, D. scenario: bundled, a file, or a Scenario. point:
+    operating point or label (None: the nominal one). rate [Hz], delay_samples: of the controller
+    (None: as it or the machine file says; the rig takes 10 kHz and one sample where nobody does).
+    fallback: the fixed controller that takes over where the pressure that a schedule is told cannot
+    be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine file's),
+    pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may be the
+    very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside" the
+    reading, or "alone" in place of it (registered by the annex of schedules). rig: further arguments of
+    ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
     law = getattr(controller, "law", controller)
     plant = machine if isinstance(machine, Plant) else None
@@ -95,8 +99,15 @@ def simulate_scenario(
         return simulate_linear(plant, law, events, timing)
     if timing is not None:
         rig.setdefault("computing_delay", timing.delay_samples)
-        events = replace(events, sample_time=timing.sample_time) if events.sample_time is None or rate is not None else events
-    progress(f"running {events.name} on the virtual rig (the first run on a computer compiles it, half a minute)")
+        events = (
+            replace(events, sample_time=timing.sample_time)
+            if events.sample_time is None or rate is not None
+            else events
+        )
+    progress(
+        f"running {events.name} on the virtual rig (the first run on a computer compiles it, half "
+        "a minute)"
+    )
     start = where or (plant.point if plant is not None else None)
     if "second" in rig:
         rig["second"] = getattr(rig["second"], "law", rig["second"])
@@ -110,16 +121,31 @@ def simulate_scenario(
     program: Any = supervised(law, other, described, sample, limits)
     if estimate is not None:
         at = start or described.operation.nominal
-        program = watched(program, described, events, other, at, estimate, pressure_rate)
+        program = _companion()(program, described, events, other, at, estimate, pressure_rate)
     trace = virtual_rig.run(described, program, events, point=start, progress=progress, **rig)
     return replace(trace, text=f"{trace.text}; {program.words()}")
 
 
-def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, timing: Timing | None = None) -> Trace:
-    """One scenario on the linear closed loop, with a timing as it runs; stops where the rotor would touch down.
+def _companion() -> Any:
+    """The seal monitor that an annex registered to run beside a supervised program.
 
-    Where the scenario changes the speed or the pressure, the plant changes with it (``run_up.spin_up``); a fixed controller
-    then has the mean delay of its sampled loop, a scheduled one runs as it was designed.
+    Raises InvalidInput where this installation has none.
+    """
+    place = registered("companion").get("seal monitor")
+    if place is None:
+        raise invalid("estimate", "given", "left out", "this installation has no seal monitor")
+    return resolve(place)
+
+
+def simulate_linear(
+    plant: Plant, controller: Any, scenario: str | Scenario, timing: Timing | None = None
+) -> Trace:
+    """One scenario on the linear closed loop, with a timing as it runs; stops where the rotor would
+    touch down.
+
+    Where the scenario changes the speed or the pressure, the plant changes with it
+    (``run_up.spin_up``); a fixed controller then has the mean delay of its sampled loop, a
+    scheduled one runs as it was designed.
     """
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     events = events.on(plant.machine)
@@ -131,7 +157,8 @@ def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, tim
         fixed = controller if scheduled else match_controller(controller, plant)
         late = timing is not None and not scheduled and fixed.dt is None
         return spin_up(plant, timing.late(fixed) if late and timing is not None else fixed, events)
-    if events.speed is not None and events.speed_at(0.0) != plant.point.speed:  # the plant turns as the record will say
+    # the plant turns as the record will say
+    if events.speed is not None and events.speed_at(0.0) != plant.point.speed:
         turning = assemble(plant.machine, replace(plant.point, speed=events.speed_at(0.0)))
         plant = turning if plant.bending_modes is None else reduce(turning, plant.bending_modes)
     gaps = [b.touchdown_gap for b in plant.machine.bearings if b.touchdown_gap is not None]
@@ -146,9 +173,11 @@ def simulate_linear(plant: Plant, controller: Any, scenario: str | Scenario, tim
 
 
 def run_on_rig(plant: Plant, program: Any, scenario: str, timing: Timing | None) -> Trace:
-    """One scenario on the virtual rig with the controller as it would be deployed; touchdown is an outcome.
+    """One scenario on the virtual rig with the controller as it would be deployed; touchdown is an
+    outcome.
 
-    Only the measured displacements are kept: the currents carry the rotor's weight and hide the response beside it.
+    Only the measured displacements are kept: the currents carry the rotor's weight and hide the
+    response beside it.
     """
     rate, late = (None, None) if timing is None else (timing.rate, timing.delay_samples)
     trace = simulate_scenario(plant, program, scenario, rate=rate, delay_samples=late)

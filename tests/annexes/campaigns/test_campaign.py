@@ -1,4 +1,6 @@
-"""Campaigns: plans, keys, arrays against single cases, what survives a kill, results and indices."""
+"""Campaigns: plans, keys, arrays against single cases, what survives a kill, results and
+indices.
+"""
 
 import json
 import os
@@ -50,7 +52,10 @@ def test_a_grid_has_every_combination_once_and_a_key_for_each():
 
 def test_keys_follow_contents_not_places(tmp_path):
     (tmp_path / "m.toml").write_text("one")
-    document = {"campaign": {"task": "design", "machine": "m.toml"}, "vary": {"point.speed": [1, 2]}}
+    document = {
+        "campaign": {"task": "design", "machine": "m.toml"},
+        "vary": {"point.speed": [1, 2]},
+    }
     first = [case.key for case in plan_of(document, tmp_path).drawn()]
     (tmp_path / "m.toml").write_text("two")
     assert not set(first) & {case.key for case in plan_of(document, tmp_path).drawn()}
@@ -60,7 +65,10 @@ def test_keys_follow_contents_not_places(tmp_path):
 
 
 def test_a_latin_hypercube_visits_every_stratum_of_every_range():
-    vary = {"point.speed": {"from": "0 Hz", "to": "10 Hz"}, "point.seal_pressure": {"from": "1 bar", "to": "2 bar"}}
+    vary = {
+        "point.speed": {"from": "0 Hz", "to": "10 Hz"},
+        "point.seal_pressure": {"from": "1 bar", "to": "2 bar"},
+    }
     cases = list(plan({"plan": "latin-hypercube", "cases": 10}, vary).drawn())
     speeds = sorted(float(case.by_path["point.speed"].removesuffix(" Hz")) for case in cases)
     assert [int(speed) for speed in speeds] == list(range(10))
@@ -70,7 +78,10 @@ def test_paths_reach_names_numbers_and_lists():
     document = {"bearing": [{"name": "A", "k": [1.0, "2 N/m"]}, {"name": "B", "k": "3 N/m"}]}
     assign(document, "bearing.*.k", Times(2.0), "machine")
     assign(document, "bearing.B.gap", "1 mm", "machine")
-    assert document["bearing"] == [{"name": "A", "k": [2.0, "4.0 N/m"]}, {"name": "B", "k": "6.0 N/m", "gap": "1 mm"}]
+    assert document["bearing"] == [
+        {"name": "A", "k": [2.0, "4.0 N/m"]},
+        {"name": "B", "k": "6.0 N/m", "gap": "1 mm"},
+    ]
     with pytest.raises(amb.InvalidInput, match="leads nowhere"):
         assign(document, "bearing.C.k", 1.0, "machine")
     with pytest.raises(amb.InvalidInput, match="not in the machine file"):
@@ -97,7 +108,9 @@ def test_wrong_plans_are_refused(head, vary, words):
 
 
 def test_the_array_agrees_with_every_case_alone():
-    """Oracle: the plant perturbed in its matrices, and its sensitivity at the frequency found and around it."""
+    """Oracle: the plant perturbed in its matrices, and its sensitivity at the frequency found and
+    around it.
+    """
     wanted = plan()
     bases, fixed = bases_of(wanted), fixed_of(wanted)
     cases = list(wanted.drawn())
@@ -107,8 +120,8 @@ def test_the_array_agrees_with_every_case_alone():
         plant = full_plant(item)
         law = amb.StateSpace(item.controller.law)
         from ambrose.law.loop import match_controller
-        from ambrose.model.reduce import default_bending_modes, reduce
         from ambrose.law.timing import timing_of
+        from ambrose.model.reduce import default_bending_modes, reduce
 
         late = timing_of(item.machine, item.controller).late(match_controller(law, plant))
         at = 2 * np.pi * row.values["sensitivity.output.at"]
@@ -135,13 +148,23 @@ def test_every_task_has_its_row():
     head = {"machine": "seal-rig", "controller": "pid"}
     rows = {
         "verify": one_row("verify", head, {"point.speed": ["0 Hz"]}),
-        "simulate": one_row("simulate", head | {"scenario": "prbs"}, {"scenario.duration": ["0.3 s"]}),
-        "identify": one_row("identify", head | {"scenario": "prbs"}, {"scenario.duration": ["0.6 s"]}),
-        "design": one_row("design", {"machine": "seal-rig"}, {"point": ["nominal pressure"]}, method="pid"),
+        "simulate": one_row(
+            "simulate", head | {"scenario": "prbs"}, {"scenario.duration": ["0.3 s"]}
+        ),
+        "identify": one_row(
+            "identify", head | {"scenario": "prbs"}, {"scenario.duration": ["0.6 s"]}
+        ),
+        "design": one_row(
+            "design", {"machine": "seal-rig"}, {"point": ["nominal pressure"]}, method="pid"
+        ),
     }
     assert rows["verify"].values["stable"] and rows["verify"].values[PEAK] > 1
     assert rows["simulate"].values["outcome"] == "completed"
-    found = {name: value for name, value in rows["identify"].values.items() if name.endswith("seal.center.k")}
+    found = {
+        name: value
+        for name, value in rows["identify"].values.items()
+        if name.endswith("seal.center.k")
+    }
     assert found, rows["identify"].values
     assert rows["design"].values["stable"] and json.loads(rows["design"].files["controller.json"])
 
@@ -170,8 +193,10 @@ def test_results_as_dataset_and_table(tmp_path):
     found.write(tmp_path)
     with xr.open_dataset(tmp_path / "results.nc", engine="h5netcdf") as data:
         assert dict(data.sizes) == {
-            "point.speed": 2, "tolerance.seal.balance-piston.k": 3, "tolerance.bearing.all.negative_stiffness": 2,
-        }  # fmt: skip
+            "point.speed": 2,
+            "tolerance.seal.balance-piston.k": 3,
+            "tolerance.bearing.all.negative_stiffness": 2,
+        }
         assert data["point.speed"].attrs["units"] == "rpm"
         assert np.array_equal(data[PEAK].values.ravel(), found.values[PEAK])
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 13
@@ -190,7 +215,9 @@ def test_indices_are_those_of_ishigami_and_homma_1990():
 def test_indices_of_a_whole_grid_are_exact():
     x = np.stack(np.meshgrid(np.arange(3.0), np.arange(4.0), indexing="ij"), axis=-1).reshape(-1, 2)
     variances = 4 * np.arange(3.0).var(), np.arange(4.0).var()
-    assert main_effects(x, 2 * x[:, 0] + x[:, 1], complete=True) == pytest.approx(np.array(variances) / sum(variances))
+    assert main_effects(x, 2 * x[:, 0] + x[:, 1], complete=True) == pytest.approx(
+        np.array(variances) / sum(variances)
+    )
     assert not main_effects(x, np.ones(12)).any()
 
 
@@ -222,17 +249,24 @@ def test_a_process_pool_gives_the_same_and_survives_a_killed_worker(tmp_path):
 def test_dask_gives_the_same_and_survives_a_killed_worker(tmp_path):
     """Three workers of a real local cluster; one is killed while it computes."""
     distributed = pytest.importorskip("distributed")
-    wanted = plan(vary=VARY | {"machine.bearing.MID.bias_current": {"from": 0.9, "to": 1.1, "count": 12, "times": True}})
+    wanted = plan(
+        vary=VARY
+        | {"machine.bearing.MID.bias_current": {"from": 0.9, "to": 1.1, "count": 12, "times": True}}
+    )
     killed = []
     with (
-        distributed.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(
+            n_workers=3, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
         distributed.Client(cluster) as client,
     ):
 
         def told(stage):
             if not killed and "of 144 cases" in stage:
                 busy = [name for name, tasks in client.processing().items() if tasks]
-                killed.append(next(w.pid for w in cluster.workers.values() if w.worker_address in busy))
+                killed.append(
+                    next(w.pid for w in cluster.workers.values() if w.worker_address in busy)
+                )
                 os.kill(killed[0], signal.SIGKILL)
 
         run_plan(wanted, tmp_path / "dask", make=client.get_executor, workers=3, progress=told)
@@ -244,10 +278,22 @@ def test_dask_gives_the_same_and_survives_a_killed_worker(tmp_path):
 def test_the_command(tmp_path):
     file = tmp_path / "plan.toml"
     file.write_text(
-        '[campaign]\ntask = "screen"\nmachine = "three-bearing-train"\ncontroller = "pid"\nmodel = "reduced"\n'
+        '[campaign]\ntask = "screen"\nmachine = "three-bearing-train"\ncontroller = "pid"\nmodel '
+        '= "reduced"\n'
         '[vary]\n"tolerance.seal.balance-piston.k" = [-1, 1]\n'
     )
-    run = [sys.executable, "-m", "ambrose", "campaign", str(file), "--workers", "1", "--pages", "1", "--json"]
+    run = [
+        sys.executable,
+        "-m",
+        "ambrose",
+        "campaign",
+        str(file),
+        "--workers",
+        "1",
+        "--pages",
+        "1",
+        "--json",
+    ]
     ended = subprocess.run(run, capture_output=True, text=True, check=False, env=os.environ)
     assert ended.returncode == 0, ended.stderr
     found = json.loads(ended.stdout)
@@ -260,16 +306,25 @@ def test_the_command(tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="an interrupt is sent as a signal")
 def test_ctrl_c_keeps_what_is_done_and_the_front_door_goes_on(tmp_path):
-    document = {"campaign": HEAD, "vary": VARY | {"tolerance.seal.balance-piston.k": {"from": -1.0, "to": 1.0, "count": 400}}}
+    document = {
+        "campaign": HEAD,
+        "vary": VARY | {"tolerance.seal.balance-piston.k": {"from": -1.0, "to": 1.0, "count": 400}},
+    }
     (tmp_path / "plan.json").write_text(json.dumps(document))
     code = (
         "import json, sys, ambrose as amb\n"
-        "amb.campaign(json.load(open(sys.argv[1])), sys.argv[2], workers=1, progress=lambda text: print(text, flush=True))"
+        "amb.campaign(json.load(open(sys.argv[1])), sys.argv[2], workers=1, progress=lambda text: "
+        "print(text, flush=True))"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "plan.json"), str(tmp_path / "out")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
         deadline = time.monotonic() + 60
-        while not ((tmp_path / "out" / ROWS).exists() and (tmp_path / "out" / ROWS).stat().st_size) and run.poll() is None:
+        while (
+            not ((tmp_path / "out" / ROWS).exists() and (tmp_path / "out" / ROWS).stat().st_size)
+            and run.poll() is None
+        ):
             assert time.monotonic() < deadline
             time.sleep(0.01)
         run.send_signal(signal.SIGINT)

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.annexes.scheduled.monitor_code import generate_monitor, write_monitor
+from ambrose.annexes.scheduled.seal_monitor.model import seal_model
+from ambrose.annexes.scheduled.seal_monitor.watch import SealMonitor
+from ambrose.code.c.compiler import build_library, find_compiler, has_compiler, load_library
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.code.c.compiler import build_library, find_compiler, has_compiler, load_library
-from ambrose.annexes.scheduled.monitor_code import generate_monitor, write_monitor
-from ambrose.annexes.scheduled.seal_monitor.model import seal_model
-from ambrose.annexes.scheduled.seal_monitor.watch import SealMonitor
-from ambrose.model.assemble import assemble
 from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 
@@ -38,18 +38,24 @@ def case(name, speed):
     e[:, 14_000:] = 0.0
     names = [[f"{k}_{axis}" for k in kinds for axis in machine.axes] for kinds in ("ed", "yu")]
     signals = simulate(select(loop, *names), np.vstack([e, 1e-7 * rng.standard_normal(e.shape)]))
-    model = seal_model(machine, law, point, [f"seal.{machine.seals[0].name}.pressure"], dt, bending_modes=1)
+    model = seal_model(
+        machine, law, point, [f"seal.{machine.seals[0].name}.pressure"], dt, bending_modes=1
+    )
     return model, signals[:m], signals[m:], e
 
 
 @pytest.mark.skipif(not has_compiler(), reason="no C compiler")
-@pytest.mark.parametrize(("name", "speed"), [("seal-rig", 0.0), ("seal-rig", 300.0), ("three-bearing-train", 900.0)])
+@pytest.mark.parametrize(
+    ("name", "speed"), [("seal-rig", 0.0), ("seal-rig", 300.0), ("three-bearing-train", 900.0)]
+)
 def test_code_and_python_give_the_same(name, speed):
     model, y, u, e = case(name, speed)
     following = SealMonitor(model, window=0.5)
     files = generate_monitor(following)
     flags = ["-Wall", "-Wextra", "-Werror", "-pedantic"]
-    library = load_library(build_library(find_compiler(), files, ["seal_monitor.c"], flags, "mend the code"))
+    library = load_library(
+        build_library(find_compiler(), files, ["seal_monitor.c"], flags, "mend the code")
+    )
     m = len(model.axes)
     memory = ctypes.create_string_buffer(200_000)
     step, vector = library.seal_monitor_step, ctypes.c_double * m
@@ -77,7 +83,9 @@ def test_what_the_header_says_and_what_is_refused(tmp_path):
     paths = write_monitor(tmp_path / "code", SealMonitor(model))
     assert sorted(path.name for path in paths) == ["seal_monitor.c", "seal_monitor.h"]
     header = (tmp_path / "code" / "seal_monitor.h").read_text()
-    assert int(re.search(r"Cost: (\d+) mult", header)[1]) < 4500 and "seal.center.pressure" in header
+    assert (
+        int(re.search(r"Cost: (\d+) mult", header)[1]) < 4500 and "seal.center.pressure" in header
+    )
     code = (tmp_path / "code" / "seal_monitor.c").read_text()
     assert "malloc" not in code and "#include <" not in code
     with pytest.raises(InvalidInput, match="one parameter"):

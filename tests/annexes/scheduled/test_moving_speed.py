@@ -1,4 +1,6 @@
-"""Proofs while the speed changes, of a fixed PID on a rig made by hand: against norms at rest, corners, and what is refused."""
+"""Proofs while the speed changes, of a fixed PID on a rig made by hand: against norms at rest,
+corners, and what is refused.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +9,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ambrose.annexes.scheduled.moving.speed import check_speed, speed_spans
 from ambrose.core.checks import InvalidInput
 from ambrose.core.norms import hinf_norm
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.verdict import verify_controller
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.law.loop import closed_loop
 from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.pid import pid_controller
-from ambrose.annexes.scheduled.moving.speed import check_speed, speed_spans
 
 from .conftest import PID, make_rig
 
-TOP, PRESSURE, RATE = 2 * np.pi * 50, 3e4, 100.0
+TOP = 2 * np.pi * 50
+PRESSURE = 3e4
+RATE = 100.0
 
 
 @pytest.fixture(scope="module")
@@ -33,14 +37,20 @@ def rig() -> Machine:
         OperatingPoint(speed=TOP, seal_pressure=PRESSURE, label="top speed"),
     )
     return replace(
-        machine, operation=replace(machine.operation, points=points, design_point="", speed_range=(0.0, TOP)),
-        tolerances=(Tolerance("seal.center.k", relative=0.5),), requirements=Requirements(sensitivity_peak=4.5),
-    )  # fmt: skip
+        machine,
+        operation=replace(
+            machine.operation, points=points, design_point="", speed_range=(0.0, TOP)
+        ),
+        tolerances=(Tolerance("seal.center.k", relative=0.5),),
+        requirements=Requirements(sensitivity_peak=4.5),
+    )
 
 
 def peak(machine: Machine, law: StateSpace, speed: float, k: float = 0.0) -> float:
     """sigma_max(S_o) of the full plant at a steady speed, k moved within its tolerance."""
-    plant = perturbed(assemble(machine, OperatingPoint(speed=speed, seal_pressure=PRESSURE)), {"seal.center.k": k})
+    plant = perturbed(
+        assemble(machine, OperatingPoint(speed=speed, seal_pressure=PRESSURE)), {"seal.center.k": k}
+    )
     inputs, outputs = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "dy")
     return hinf_norm(select(closed_loop(plant, law), inputs, outputs)).value
 
@@ -61,7 +71,9 @@ def test_the_proofs_are_just_above_steady_speeds_and_above_the_worst_corner(rig:
 def test_what_it_does_not_cover_is_refused(rig: Machine) -> None:
     law = pid_controller(PID, rig)
     along = ScheduledSystem((0.0, 6e4), (law, law), "pressure", "Pa")
-    with pytest.raises(InvalidInput, match="scheduled over pressure is not proved while the speed changes"):
+    with pytest.raises(
+        InvalidInput, match="scheduled over pressure is not proved while the speed changes"
+    ):
         verify_controller(rig, along, tolerances=False, speed_rate=RATE)
     alone = replace(rig, operation=replace(rig.operation, points=rig.operation.points[:1]))
     with pytest.raises(InvalidInput, match="no two operating points differ in speed alone"):

@@ -1,4 +1,6 @@
-"""Acceptance by measurement, on the linear loop whose sensitivity is known, its refusals, its page and its command."""
+"""Acceptance by measurement, on the linear loop whose sensitivity is known, its refusals, its page
+and its command.
+"""
 
 import json
 from dataclasses import replace
@@ -9,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
+from ambrose.annexes.site.acceptance import accept
+from ambrose.annexes.site.acceptance_page import acceptance_report
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.annexes.site.acceptance import accept
 from ambrose.machine.description import OperatingPoint, Requirements
-from ambrose.annexes.site.acceptance_page import acceptance_report
 from ambrose.report.page import render
 from ambrose.rig.disturbances import Unbalance
 from ambrose.rig.scenario import load_scenario
@@ -33,17 +35,33 @@ def law():
 
 @cache
 def record(speed=0.0, kind="e", noise=2e-8):
-    """The linear loop under the bundled sequences, as currents or as references, with noise on what is recorded of y."""
+    """The linear loop under the bundled sequences, as currents or as references, with noise on what
+    is recorded of y.
+    """
     scenario = load_scenario("acceptance")
     sequences = scenario.sequences
     if kind == "r":
-        sequences = tuple(replace(item, signal=f"r_{item.signal[2:]}", amplitude=1e-6) for item in sequences)
+        sequences = tuple(
+            replace(item, signal=f"r_{item.signal[2:]}", amplitude=1e-6) for item in sequences
+        )
     heavy = (Unbalance("impeller", 2e-5),) if speed else ()
     scenario = replace(scenario, duration=4.0, sequences=sequences, speed=speed, unbalances=heavy)
-    found = amb.simulate(machine(), law(), scenario, linear=True, point=OperatingPoint(speed=speed)).record
-    found = found.select([name for name in found.signals if name[:2] in {"y_", f"{kind}_"} or (name[:2] == "u_" and not noise)])
+    found = amb.simulate(
+        machine(), law(), scenario, linear=True, point=OperatingPoint(speed=speed)
+    ).record
+    found = found.select(
+        [
+            name
+            for name in found.signals
+            if name[:2] in {"y_", f"{kind}_"} or (name[:2] == "u_" and not noise)
+        ]
+    )
     shown = np.array([name.startswith("y_") for name in found.signals])[:, None]
-    return replace(found, values=found.values + shown * noise * np.random.default_rng(1).standard_normal(found.values.shape))
+    return replace(
+        found,
+        values=found.values
+        + shown * noise * np.random.default_rng(1).standard_normal(found.values.shape),
+    )
 
 
 @pytest.mark.parametrize("speed", [0.0, 2 * np.pi * 120])
@@ -58,7 +76,9 @@ def test_the_measured_sensitivity_is_the_true_one(speed, kind):
     largest = np.linalg.norm(S, 2, axis=(1, 2))
     assert np.mean((loop.low <= largest) & (largest <= loop.high)) > 0.95
     peak = loop.checks.checks[0]
-    assert peak.name == "sensitivity.output.impeller-side_zeta" and peak.value == pytest.approx(own[:, 0].max(), rel=0.03)
+    assert peak.name == "sensitivity.output.impeller-side_zeta" and peak.value == pytest.approx(
+        own[:, 0].max(), rel=0.03
+    )
     for i, (low, high) in enumerate(loop.peaks):
         assert low <= own[:, i].max() <= high
     np.testing.assert_allclose(loop.loops, 1 / np.einsum("wii->wi", loop.S) - 1)
@@ -68,7 +88,9 @@ def test_zones_judge_the_outer_end_of_the_interval():
     loop = accept(machine(), law(), record()).points[0]
     value, high = loop.checks.checks[0].value, loop.peaks[0][1]
     for limit, met in ((1.05 * high, True), ((value + high) / 2, False), (0.5 * value, False)):
-        judged = replace(machine(), requirements=replace(machine().requirements, sensitivity_peak=limit))
+        judged = replace(
+            machine(), requirements=replace(machine().requirements, sensitivity_peak=limit)
+        )
         check = accept(judged, law(), record()).points[0].checks.checks[0]
         assert check.passed is met
         assert ("record longer" in check.detail) == (value < limit < high)
@@ -77,9 +99,18 @@ def test_zones_judge_the_outer_end_of_the_interval():
 
 
 def test_another_controller_than_the_file_says_is_noticed():
-    louder = replace(law(), controller=replace(law().controller, C=1.2 * law().controller.C, D=1.2 * law().controller.D))
+    louder = replace(
+        law(),
+        controller=replace(
+            law().controller, C=1.2 * law().controller.C, D=1.2 * law().controller.D
+        ),
+    )
     own, other = (
-        next(c for c in accept(machine(), item, record(noise=0.0)).points[0].checks.checks if c.name == "controller.difference")
+        next(
+            c
+            for c in accept(machine(), item, record(noise=0.0)).points[0].checks.checks
+            if c.name == "controller.difference"
+        )
         for item in (law(), louder)
     )
     assert own.passed and own.value < 0.01
@@ -87,15 +118,28 @@ def test_another_controller_than_the_file_says_is_noticed():
 
 
 def test_another_delay_than_was_told_fails_and_can_be_told():
-    """One sample more turns the currents by less than the tenth that is allowed in size: the delay is judged by itself."""
+    """One sample more turns the currents by less than the tenth that is allowed in size: the delay
+    is judged by itself.
+    """
     late = amb.simulate(
-        machine(), law(), replace(load_scenario("acceptance"), duration=4.0), linear=True, delay_samples=2
+        machine(),
+        law(),
+        replace(load_scenario("acceptance"), duration=4.0),
+        linear=True,
+        delay_samples=2,
     ).record
     late = late.select([name for name in late.signals if name[:2] in {"y_", "e_", "u_"}])
     told, right = (
-        {c.name: c for c in accept(machine(), law(), late, delay_samples=delay).points[0].checks.checks} for delay in (None, 2)
+        {
+            c.name: c
+            for c in accept(machine(), law(), late, delay_samples=delay).points[0].checks.checks
+        }
+        for delay in (None, 2)
     )
-    assert not told["controller.delay"].passed and "with 2 samples instead of 1" in told["controller.delay"].detail
+    assert (
+        not told["controller.delay"].passed
+        and "with 2 samples instead of 1" in told["controller.delay"].detail
+    )
     assert right["controller.delay"].passed and right["controller.difference"].value < 0.01
 
 
@@ -104,18 +148,32 @@ def test_operating_points_are_told_apart():
     assert [loop.point.speed for loop in both.points] == [0.0, 2 * np.pi * 120]
     assert both.passed == all(loop.checks.passed for loop in both.points)
     page = render(acceptance_report(both))
-    assert "Acceptance of the magnetic bearing loop" in page and page.count("Measured over predicted,") >= 2
+    assert (
+        "Acceptance of the magnetic bearing loop" in page
+        and page.count("Measured over predicted,") >= 2
+    )
 
 
 def with_pressure(data):
     rising = np.linspace(2e5, 3e5, data.values.shape[1])
-    return replace(data, signals=(*data.signals, "p_seal"), units=(*data.units, "Pa"), values=np.vstack([data.values, rising]))
+    return replace(
+        data,
+        signals=(*data.signals, "p_seal"),
+        units=(*data.units, "Pa"),
+        values=np.vstack([data.values, rising]),
+    )
 
 
 def test_what_cannot_be_accepted_is_refused():
     data = record()
-    still = replace(data, values=data.values * np.array([not n.startswith("e_") for n in data.signals])[:, None])
-    one = replace(data, values=data.values * np.array([n[:2] != "e_" or n == "e_free-end_eta" for n in data.signals])[:, None])
+    still = replace(
+        data, values=data.values * np.array([not n.startswith("e_") for n in data.signals])[:, None]
+    )
+    one = replace(
+        data,
+        values=data.values
+        * np.array([n[:2] != "e_" or n == "e_free-end_eta" for n in data.signals])[:, None],
+    )
     touched = replace(data, notes=(("outcome", "touchdown at 0.3 s"),))
     for item, words in (
         (still, "no excitation"),

@@ -1,4 +1,6 @@
-"""`ambrose bias` on the nonlinear rig: rows that the machine file lacks, found again; both methods; page and refusals."""
+"""`ambrose bias` on the nonlinear rig: rows that the machine file lacks, found again; both methods;
+page and refusals.
+"""
 
 import json
 from dataclasses import replace
@@ -9,15 +11,15 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
+from ambrose.annexes.site.bias import identify_over_bias, with_bias
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.annexes.site.bias import identify_over_bias, with_bias
+from ambrose.judge.controller_file import write_controller
 from ambrose.machine.description import BiasPoint, OperatingPoint
-from ambrose.record.files import write_record
 from ambrose.model.static_load import magnet_coefficients
+from ambrose.record.files import write_record
 from ambrose.rig.disturbances import Prbs
 from ambrose.rig.scenario import Scenario
-from ambrose.judge.controller_file import write_controller
 
 TRAIN, RIG = "three-bearing-train", "seal-rig"
 
@@ -27,10 +29,19 @@ def truth():
     """The train with rows at 4 A that its file lacks, off the square law by 2 and 3 %."""
     machine = amb.load_machine(TRAIN)
     rows = [
-        BiasPoint(4.0, tuple(0.8 * 1.02 * k for k in b.force_per_current), tuple(0.64 * 0.97 * k for k in b.negative_stiffness))
+        BiasPoint(
+            4.0,
+            tuple(0.8 * 1.02 * k for k in b.force_per_current),
+            tuple(0.64 * 0.97 * k for k in b.negative_stiffness),
+        )
         for b in machine.bearings
     ]
-    return replace(machine, bearings=tuple(replace(b, measured=(r,)) for b, r in zip(machine.bearings, rows, strict=True)))
+    return replace(
+        machine,
+        bearings=tuple(
+            replace(b, measured=(r,)) for b, r in zip(machine.bearings, rows, strict=True)
+        ),
+    )
 
 
 @cache
@@ -43,7 +54,10 @@ def record(bias):
     machine = truth()
     items = tuple(Prbs(f"e_{a}", 0.2, 1e-3, order=10, seed=i) for i, a in enumerate(machine.axes))
     return amb.simulate(
-        machine, law(TRAIN), Scenario("prbs", 2.5, sequences=items), point=OperatingPoint(bias_current=bias)
+        machine,
+        law(TRAIN),
+        Scenario("prbs", 2.5, sequences=items),
+        point=OperatingPoint(bias_current=bias),
     ).record
 
 
@@ -55,8 +69,19 @@ def test_rows_that_the_file_lacks_are_found(tmp_path):
     for bias in (4.0, 5.0):
         write_record(record(bias), tmp_path / f"{bias:g}.h5")
     write_controller(tmp_path / "pid.json", law(TRAIN))
-    done = call("bias", TRAIN, tmp_path / "4.h5", tmp_path / "5.h5", "--controller", tmp_path / "pid.json",
-                "-o", tmp_path / "found.toml", "--report", tmp_path / "bias.html", "--json")  # fmt: skip
+    done = call(
+        "bias",
+        TRAIN,
+        tmp_path / "4.h5",
+        tmp_path / "5.h5",
+        "--controller",
+        tmp_path / "pid.json",
+        "-o",
+        tmp_path / "found.toml",
+        "--report",
+        tmp_path / "bias.html",
+        "--json",
+    )
     assert done.exit_code == 0, done.stdout + done.stderr
     told = json.loads(done.stdout)
     assert [row["bias"] for row in told["rows"]] == [4.0, 5.0]
@@ -71,7 +96,9 @@ def test_rows_that_the_file_lacks_are_found(tmp_path):
 
 
 def test_static_loads_alone_and_beside():
-    """K_i of the seal rig at its own bias by loads: written where nothing else tells it; currents read 30 % low are named."""
+    """K_i of the seal rig at its own bias by loads: written where nothing else tells it; currents
+    read 30 % low are named.
+    """
     machine = amb.load_machine(RIG)
     loads = amb.simulate(machine, law(RIG), "static-loads-both", rate=1e4).record
     done = identify_over_bias(machine, loads=[loads])
@@ -81,10 +108,14 @@ def test_static_loads_alone_and_beside():
     assert found == pytest.approx(k_i, rel=0.02)
     assert magnet_coefficients(done.machine, OperatingPoint())[0] == pytest.approx(found, rel=1e-6)
     items = tuple(Prbs(f"e_{a}", 0.1, 1e-3, order=10, seed=i) for i, a in enumerate(machine.axes))
-    moving = amb.simulate(machine, law(RIG), Scenario("prbs", 2.5, sequences=items), rate=1e4).record
+    moving = amb.simulate(
+        machine, law(RIG), Scenario("prbs", 2.5, sequences=items), rate=1e4
+    ).record
     assert not identify_over_bias(machine, [moving], {None: law(RIG)}, loads=[loads]).findings
     low = np.array([0.7 if name[:2] in {"u_", "i_"} else 1.0 for name in loads.signals])[:, None]
-    both = identify_over_bias(machine, [moving], {None: law(RIG)}, loads=[replace(loads, values=low * loads.values)])
+    both = identify_over_bias(
+        machine, [moving], {None: law(RIG)}, loads=[replace(loads, values=low * loads.values)]
+    )
     assert "1.4" in str(both.findings[-1]) and "static loads" in str(both.findings[-1])
     kept = [value for value, _ in both.rows[0].values().values()][:4]
     assert magnet_coefficients(both.machine, OperatingPoint())[0] == pytest.approx(kept, rel=1e-6)
@@ -93,8 +124,12 @@ def test_static_loads_alone_and_beside():
 def test_a_bias_without_coefficients_begins_at_the_square_law():
     machine = amb.load_machine(TRAIN)
     begun = with_bias(machine, 4.0).bearings[0]
-    assert begun.measured[0].force_per_current == pytest.approx([0.8 * k for k in machine.bearings[0].force_per_current])
-    assert begun.measured[0].negative_stiffness == pytest.approx([0.64 * k for k in machine.bearings[0].negative_stiffness])
+    assert begun.measured[0].force_per_current == pytest.approx(
+        [0.8 * k for k in machine.bearings[0].force_per_current]
+    )
+    assert begun.measured[0].negative_stiffness == pytest.approx(
+        [0.64 * k for k in machine.bearings[0].negative_stiffness]
+    )
     assert with_bias(machine, 5.0) == machine
 
 

@@ -1,4 +1,6 @@
-"""`ambrose frf`: every kind of record of the rig on machines of two and three bearings, its page, its table, its refusals."""
+"""`ambrose frf`: every kind of record of the rig on machines of two and three bearings, its page,
+its table, its refusals.
+"""
 
 import csv
 import json
@@ -9,12 +11,12 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
-from ambrose.cli import main
 from ambrose.annexes.site.frf import respond
+from ambrose.annexes.site.frf_page import response_report
+from ambrose.cli import main
+from ambrose.judge.controller_file import read_controller
 from ambrose.record.files import read_record, write_record
 from ambrose.report.page import render
-from ambrose.annexes.site.frf_page import response_report
-from ambrose.judge.controller_file import read_controller
 
 CHIRP = """
 name = "sweep"
@@ -36,30 +38,64 @@ def place(request, tmp_path_factory):
     """A machine, a folder with its PID and a sweep of the nonlinear rig, without pressure."""
     folder, name = tmp_path_factory.mktemp("frf"), request.param
     (folder / "sweep.toml").write_text(CHIRP)
-    assert call("synthesize", name, "--method", "pid", "-o", folder / "pid.json", "--json").exit_code == 0
+    assert (
+        call("synthesize", name, "--method", "pid", "-o", folder / "pid.json", "--json").exit_code
+        == 0
+    )
     point = {"seal-rig": "zero pressure", "three-bearing-train": "rest"}[name]
     done = call(
-        "simulate", name, "--controller", folder / "pid.json", "--scenario", folder / "sweep.toml", "--rate-hz", "10000",
-        "--point", point, "-o", folder / "sweep.h5", "--json",
-    )  # fmt: skip
+        "simulate",
+        name,
+        "--controller",
+        folder / "pid.json",
+        "--scenario",
+        folder / "sweep.toml",
+        "--rate-hz",
+        "10000",
+        "--point",
+        point,
+        "-o",
+        folder / "sweep.h5",
+        "--json",
+    )
     assert done.exit_code == 0, done.stderr
     return name, folder
 
 
 def test_a_clean_sweep_is_measured_without_a_doubt(place):
     name, folder = place
-    done = call("frf", name, folder / "sweep.h5", "--controller", folder / "pid.json", "--to-hz", "180", "--json",
-                "--csv", folder / "table.csv", "-o", folder / "page.html")  # fmt: skip
+    done = call(
+        "frf",
+        name,
+        folder / "sweep.h5",
+        "--controller",
+        folder / "pid.json",
+        "--to-hz",
+        "180",
+        "--json",
+        "--csv",
+        folder / "table.csv",
+        "-o",
+        folder / "page.html",
+    )
     assert done.exit_code == 0, done.stdout + done.stderr
     point = json.loads(done.stdout)["points"][0]
     axis = amb.load_machine(name).axes[0]
-    assert point["findings"] == [] and point["excitations"] == [[f"e_{axis}"]] and point["method"] == "polynomials"
+    assert (
+        point["findings"] == []
+        and point["excitations"] == [[f"e_{axis}"]]
+        and point["method"] == "polynomials"
+    )
     motion = point["responses"][0]
     own = motion["outputs"].index(f"y_{axis}")
     assert np.median(np.array(motion["coherence"])[:, own]) > 0.9
     assert motion["model_agrees"][own][0] > 0.95
     row = point["axes"][0]
-    assert row["axis"] == axis and row["peak_95"][0] <= row["predicted"] * 1.03 and row["peak_95"][1] >= row["predicted"] * 0.97
+    assert (
+        row["axis"] == axis
+        and row["peak_95"][0] <= row["predicted"] * 1.03
+        and row["peak_95"][1] >= row["predicted"] * 0.97
+    )
     rows = list(csv.DictReader((folder / "table.csv").read_text().splitlines()))
     assert {item["response"] for item in rows} == {"motion", "sensitivity"}
     first = next(item for item in rows if item["output"] == f"y_{axis}")
@@ -67,17 +103,29 @@ def test_a_clean_sweep_is_measured_without_a_doubt(place):
         abs(complex(motion["real"][0][own][0], motion["imag"][0][own][0])), rel=1e-6
     )
     page = (folder / "page.html").read_text()
-    assert "Sensitivity" in page and "How far the model holds" in page and "Coherence" not in page.split("<body")[0]
+    assert (
+        "Sensitivity" in page
+        and "How far the model holds" in page
+        and "Coherence" not in page.split("<body")[0]
+    )
 
 
 def test_a_wrong_model_is_seen(place):
-    """The same record beside a machine whose magnets pull a fifth less: the model agrees at fewer lines."""
+    """The same record beside a machine whose magnets pull a fifth less: the model agrees at fewer
+    lines.
+    """
     name, folder = place
     machine, record = amb.load_machine(name), read_record(folder / "sweep.h5")
     law = read_controller(folder / "pid.json")
-    weak = tuple(replace(b, force_per_current=tuple(0.8 * k for k in b.force_per_current)) for b in machine.bearings)
+    weak = tuple(
+        replace(b, force_per_current=tuple(0.8 * k for k in b.force_per_current))
+        for b in machine.bearings
+    )
     models = (machine, replace(machine, bearings=weak))
-    right, wrong = (respond(model, record, law).points[0].of("sensitivity")[0].agreement[0, 0] for model in models)
+    right, wrong = (
+        respond(model, record, law).points[0].of("sensitivity")[0].agreement[0, 0]
+        for model in models
+    )
     assert right > 0.95 and wrong < 0.8
 
 

@@ -1,4 +1,6 @@
-"""Maps and least values: what is found meets all, and a size smaller fails for the reason that is told."""
+"""Maps and least values: what is found meets all, and a size smaller fails for the reason that is
+told.
+"""
 
 import json
 from dataclasses import replace
@@ -10,13 +12,13 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose import InvalidInput, NumericalFailure
-from ambrose.cli import main
-from ambrose.report.page import render
-from ambrose.annexes.sizing.page import sizing_report
 from ambrose.annexes.sizing import guarantee
 from ambrose.annexes.sizing import map as mapped
 from ambrose.annexes.sizing.least import Least, least, price
 from ambrose.annexes.sizing.magnets import Size
+from ambrose.annexes.sizing.page import sizing_report
+from ambrose.cli import main
+from ambrose.report.page import render
 from ambrose.synthesis.options import DesignOptions
 
 FAST = DesignOptions(rate=10_000, order=8)
@@ -27,7 +29,9 @@ def rig():
     """The seal rig with k alone uncertain, at its nominal pressure."""
     found = amb.load_machine("seal-rig-k-only")
     point = found.operation.nominal
-    return replace(found, operation=replace(found.operation, points=(point,), design_point=None, ranges=()))
+    return replace(
+        found, operation=replace(found.operation, points=(point,), design_point=None, ranges=())
+    )
 
 
 @cache
@@ -40,7 +44,9 @@ def test_what_is_taken_meets_all_and_verification_agrees():
     assert knee is not None and knee.met and knee.ratio == max(knee.ratios.values())
     verified = amb.verify(knee.machine, knee.synthesis, rate=10_000, tolerances=False)
     assert verified.stable
-    assert not any("sensitivity" in check.name for _, checks in verified.labelled for check in checks.failed)
+    assert not any(
+        "sensitivity" in check.name for _, checks in verified.labelled for check in checks.failed
+    )
 
 
 def test_a_size_smaller_fails_for_its_weight():
@@ -53,7 +59,9 @@ def test_a_size_smaller_fails_for_its_weight():
 def test_the_front_has_less_of_one_for_more_of_the_other():
     front = sizing().front
     assert front and all(trial.met for trial in front)
-    volumes, losses = ([getattr(t.costs, name) for t in front] for name in ("volume", "copper_loss"))
+    volumes, losses = (
+        [getattr(t.costs, name) for t in front] for name in ("volume", "copper_loss")
+    )
     assert volumes == sorted(volumes) and losses == sorted(losses, reverse=True)
 
 
@@ -85,13 +93,20 @@ def test_what_holds_a_wider_range_holds_the_narrower(monkeypatch):
     values = {0.5: 3.0, 1.0: 5.0, 1.5: 4.0}
 
     def found(machine, lever, *arguments, **options):
-        (width,) = (item.relative for item in machine.tolerances if item.parameter == "seal.center.k")
+        (width,) = (
+            item.relative for item in machine.tolerances if item.parameter == "seal.center.k"
+        )
         return Least(lever, values[width], 0.0, f"{width}")
 
     monkeypatch.setattr("ambrose.annexes.sizing.least.least", found)
-    assert [(item.value, item.binding) for item in price(rig(), "seal.center.k", (1.5, 0.5, 1.0), "gain", FAST).found] == [
-        (3.0, "0.5"), (4.0, "1.5"), (4.0, "1.5"),
-    ]  # fmt: skip
+    assert [
+        (item.value, item.binding)
+        for item in price(rig(), "seal.center.k", (1.5, 0.5, 1.0), "gain", FAST).found
+    ] == [
+        (3.0, "0.5"),
+        (4.0, "1.5"),
+        (4.0, "1.5"),
+    ]
 
 
 def test_a_lever_is_stepped_down_to_what_fails(monkeypatch):
@@ -102,7 +117,9 @@ def test_a_lever_is_stepped_down_to_what_fails(monkeypatch):
 
     monkeypatch.setattr("ambrose.annexes.sizing.least.attempt", attempt)
     found = least(rig(), "area", FAST)
-    assert 0.31 <= found.value < 0.31 * 1.05 and found.refused < 0.31 and found.binding == "settling"
+    assert (
+        0.31 <= found.value < 0.31 * 1.05 and found.refused < 0.31 and found.binding == "settling"
+    )
 
 
 def test_an_interrupt_keeps_what_is_done(monkeypatch):
@@ -145,10 +162,24 @@ def test_refusals(arguments, words):
 
 def test_the_page_and_the_command(tmp_path, monkeypatch):
     text = render(sizing_report(sizing()))
-    assert "Size of the magnetic bearings" in text and "one size smaller" in text and "static load" in text
+    assert (
+        "Size of the magnetic bearings" in text
+        and "one size smaller" in text
+        and "static load" in text
+    )
     monkeypatch.setattr(mapped, "attempt", lambda machine, size, options, **rest: _stored(size))
-    call = ["size", "seal-rig-k-only", "--areas", "0.4, 100 %", "--biases", "1, 1.3", "--unverified"]
-    plain = CliRunner().invoke(main, [*call, "--json", "--machine-out", str(tmp_path / "knee.toml")])
+    call = [
+        "size",
+        "seal-rig-k-only",
+        "--areas",
+        "0.4, 100 %",
+        "--biases",
+        "1, 1.3",
+        "--unverified",
+    ]
+    plain = CliRunner().invoke(
+        main, [*call, "--json", "--machine-out", str(tmp_path / "knee.toml")]
+    )
     assert plain.exit_code == 0, plain.output
     told = json.loads(plain.stdout)
     assert told["knee"]["met"] and len(told["rows"]) == 4 and told["verified"] is None

@@ -1,4 +1,6 @@
-"""Thesis, 7.3: the least control action that still guarantees robust performance, as docs/reproduction.md states it."""
+"""Thesis, 7.3: the least control action that still guarantees robust performance, as
+docs/reproduction.md states it.
+"""
 
 import pytest
 
@@ -13,10 +15,17 @@ pytestmark = [pytest.mark.literature, pytest.mark.campaign]
 def test_the_heaviest_control_weight_with_mu_at_most_one():
     machine = amb.load_machine("seal-rig")
     found = amb.least(machine, "weight")
-    assert found.value == pytest.approx(0.30, abs=0.01) and found.synthesis.gamma <= 1 < found.refused / found.value
-    rms = direct_gain_mismatch(found.synthesis.controller, pid_controller(machine.reference, machine))[0]
+    assert (
+        found.value == pytest.approx(0.30, abs=0.01)
+        and found.synthesis.gamma <= 1 < found.refused / found.value
+    )
+    rms = direct_gain_mismatch(
+        found.synthesis.controller, pid_controller(machine.reference, machine)
+    )[0]
     assert rms == pytest.approx(0.372, abs=0.02)  # ln of 1.45
-    assert found.synthesis.certificate.margins["full_sensitivity_peak"] == pytest.approx(2.58, abs=0.05)
+    assert found.synthesis.certificate.margins["full_sensitivity_peak"] == pytest.approx(
+        2.58, abs=0.05
+    )
 
 
 def test_the_least_gain_that_meets_every_requirement():

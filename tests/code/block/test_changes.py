@@ -1,4 +1,6 @@
-"""What changes over a grid, as few signals: against matrices whose rank is known, and a controller of a machine."""
+"""What changes over a grid, as few signals: against matrices whose rank is known, and a controller
+of a machine.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ RNG = np.random.default_rng(3)
 
 
 def tables(rank: int, spread: float = 0.0) -> np.ndarray:
-    """Five matrices (9, 8) around one whose rows and columns differ by powers of ten up to ``spread``."""
+    """Five matrices (9, 8) around one whose rows and columns differ by powers of ten up to
+    ``spread``.
+    """
     rows, columns = 10 ** RNG.uniform(-spread, spread, 9), 10 ** RNG.uniform(-spread, spread, 8)
     left, right = RNG.normal(0, 1, (9, rank)), RNG.normal(0, 1, (rank, 8))
     core = RNG.normal(0, 1, (5, rank, rank))

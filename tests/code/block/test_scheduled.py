@@ -1,4 +1,6 @@
-"""The block of a scheduled controller in Python: its law, its bounds, its answers to speeds good and bad."""
+"""The block of a scheduled controller in Python: its law, its bounds, its answers to speeds good
+and bad.
+"""
 
 from dataclasses import replace
 
@@ -9,15 +11,34 @@ import scipy.signal
 import code_driver as driver
 import schedule_driver as schedules
 from ambrose import StateSpace
+from ambrose.code.block.fixed import build_block
+from ambrose.code.block.motion import bound_motion
+from ambrose.code.block.run import (
+    BEHIND,
+    CLAMPED,
+    FAULT,
+    HELD,
+    LIMITED,
+    TOLD,
+    follow_told,
+    run_block,
+    run_scheduled,
+)
+from ambrose.code.block.vectors import make_scheduled_vectors
+from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.motion import bound_motion
-from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, follow_told, run_block, run_scheduled
-from ambrose.code.block.vectors import make_scheduled_vectors
-from ambrose.code.sampled import deploy, deploy_scheduled
-from schedule_driver import CURRENT, DT, ERROR, GRID, block_of, gain_schedule, small_schedule, two_states
+from schedule_driver import (
+    CURRENT,
+    DT,
+    ERROR,
+    GRID,
+    block_of,
+    gain_schedule,
+    small_schedule,
+    two_states,
+)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +49,11 @@ def block():
 def quiet(block, count=1500, seed=1):
     """Errors that limit nothing."""
     share = 0.9 * (block.current_limit / block.raw_limit).min()
-    return share * block.error_limit * np.random.default_rng(seed).uniform(-1, 1, (count, len(block.inputs)))
+    return (
+        share
+        * block.error_limit
+        * np.random.default_rng(seed).uniform(-1, 1, (count, len(block.inputs)))
+    )
 
 
 def apart(found, expected):
@@ -75,7 +100,8 @@ def test_it_is_continuous_at_the_grid_points(block):
     e = quiet(block, 400)
     for speed in GRID[1:-1]:
         below, at, above = (
-            run_scheduled(block, e, np.full(400, v)).currents for v in (np.nextafter(speed, 0), speed, np.nextafter(speed, 1e4))
+            run_scheduled(block, e, np.full(400, v)).currents
+            for v in (np.nextafter(speed, 0), speed, np.nextafter(speed, 1e4))
         )
         assert apart(below, at) < 1e-12
         assert apart(above, at) < 1e-12
@@ -85,7 +111,8 @@ def test_how_far_it_is_from_the_sampled_interpolation():
     """Second order in the spacing: half the spacing, a quarter of the distance."""
     wide = deploy_scheduled(small_schedule(), DT, force=True)
     fine = ScheduledSystem(
-        middles := np.sort([*GRID, *np.add(GRID[1:], GRID[:-1]) / 2]), [small_schedule().at(v) for v in middles]
+        middles := np.sort([*GRID, *np.add(GRID[1:], GRID[:-1]) / 2]),
+        [small_schedule().at(v) for v in middles],
     )
     narrow = deploy_scheduled(fine, DT, force=True)
     assert 1e-3 < wide.deviation < 0.1
@@ -116,9 +143,21 @@ def test_a_missing_speed_is_held_then_a_fault():
 
 def test_the_schedule_follows_no_faster_than_it_may():
     block = block_of(small_schedule(), rate_limit=1e5)  # 10 rad/s a sample
-    place, status = follow_told(block, np.array([np.nan, 300.0, 325.0, 325.0, 325.0, 325.0, 50.0, 50.0, np.nan]))
+    place, status = follow_told(
+        block, np.array([np.nan, 300.0, 325.0, 325.0, 325.0, 325.0, 50.0, 50.0, np.nan])
+    )
     assert place == pytest.approx([100.0, 300.0, 310.0, 320.0, 325.0, 325.0, 315.0, 305.0, 295.0])
-    assert [(s & BEHIND) > 0 for s in status] == [False, False, True, True, False, False, True, True, True]
+    assert [(s & BEHIND) > 0 for s in status] == [
+        False,
+        False,
+        True,
+        True,
+        False,
+        False,
+        True,
+        True,
+        True,
+    ]
     assert [(s & CLAMPED) > 0 for s in status] == [False] * 6 + [True] * 3
 
 
@@ -146,7 +185,13 @@ def switching(A, count=2):
     """bound_motion() of matrices without inputs to speak of."""
     zero = np.zeros((count, 2, 1))
     return bound_motion(
-        np.array(A) - np.eye(2), zero + 1, np.zeros((count, 1, 2)), np.zeros((count, 1, 1)), zero, np.ones(2), [(0, 1)]
+        np.array(A) - np.eye(2),
+        zero + 1,
+        np.zeros((count, 1, 2)),
+        np.zeros((count, 1, 1)),
+        zero,
+        np.ones(2),
+        [(0, 1)],
     )
 
 
@@ -160,11 +205,15 @@ def test_no_bound_is_claimed_where_motion_can_destabilise():
 
 
 def test_a_common_function_that_no_single_point_gives_is_found():
-    """Lyapunov's solution of the first matrix grows by 1.57 in a sample of the second one; matrix inequalities find another."""
+    """Lyapunov's solution of the first matrix grows by 1.57 in a sample of the second one; matrix
+    inequalities find another.
+    """
     A = [[[0.9, 0.35], [0.0, 0.2]], [[0.9, -0.35], [0.0, 0.2]]]
     found = switching(A)
     assert found.proved
-    rng, x, largest = np.random.default_rng(0), np.zeros(2), np.zeros(2)
+    rng = np.random.default_rng(0)
+    x = np.zeros(2)
+    largest = np.zeros(2)
     for pick in rng.integers(0, 2, 5000):
         x = np.array(A[pick]) @ x + rng.choice([-1.0, 1.0]) * np.ones(2)
         largest = np.maximum(largest, np.abs(x))
@@ -190,7 +239,9 @@ def test_transfer_is_planned_where_it_converges(block):
 
 
 def test_vectors_meet_every_branch(block):
-    status = np.bitwise_or.reduce(make_scheduled_vectors(block_of(small_schedule(), rate_limit=1e4)).status)
+    status = np.bitwise_or.reduce(
+        make_scheduled_vectors(block_of(small_schedule(), rate_limit=1e4)).status
+    )
     assert status == HELD | FAULT | LIMITED | CLAMPED | TOLD | BEHIND
 
 
@@ -209,7 +260,8 @@ def test_an_unstable_point_is_refused():
         deploy_scheduled(schedule, DT)
     blind = StateSpace([[0.0]], [[1.0]], [[0.0]], [[1.0]], ["err_x"], ["u_x"])
     with pytest.raises(
-        NumericalFailure, match=r"no anti-windup gain was found at 1 rad/s .*: an integrator that no output sees"
+        NumericalFailure,
+        match=r"no anti-windup gain was found at 1 rad/s .*: an integrator that no output sees",
     ):
         block_of(ScheduledSystem([1.0, 2.0], [blind, blind]))
 
@@ -247,7 +299,10 @@ def test_grid_points_that_single_precision_cannot_tell_apart():
 
 def test_only_speed_and_pressure_can_be_scheduled_over():
     schedule = replace(small_schedule(), parameter="bias", unit="A")
-    with pytest.raises(InvalidInput, match=r"the scheduling parameter is bias \[A\], but must be speed \[rad/s\] or pressure"):
+    with pytest.raises(
+        InvalidInput,
+        match=r"the scheduling parameter is bias \[A\], but must be speed \[rad/s\] or pressure",
+    ):
         deploy_scheduled(schedule, DT)
     with pytest.raises(InvalidInput, match="no schedule"):
         deploy_scheduled(small_schedule().at(100.0), DT)

@@ -1,4 +1,6 @@
-"""Software in the loop: the compiled C code runs the virtual rig, and its law is read back out of it."""
+"""Software in the loop: the compiled C code runs the virtual rig, and its law is read back out of
+it.
+"""
 
 import shutil
 from dataclasses import replace
@@ -7,18 +9,18 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.core.checks import InvalidInput
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import run_block
 from ambrose.code.c.compiled import CompiledBlock, read_law
-from ambrose.code.sampled import deploy
 from ambrose.code.pipeline import machine_limits
-from ambrose.model.assemble import assemble
+from ambrose.code.sampled import deploy
+from ambrose.core.checks import InvalidInput
+from ambrose.judge import nominal
 from ambrose.law.program import NativeProgram
+from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.judge import nominal
 
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
 SAMPLE = 1e-4
@@ -44,10 +46,14 @@ def test_the_law_is_read_back_out_of_the_running_code(rig, arithmetic):
     found = read_law(CompiledBlock(block, arithmetic))
     for letter in "ABCD":
         meant = getattr(block.system, letter)
-        assert np.abs(getattr(found, letter) - meant).max() <= WORDS[arithmetic] * np.abs(meant).max()
+        assert (
+            np.abs(getattr(found, letter) - meant).max() <= WORDS[arithmetic] * np.abs(meant).max()
+        )
 
 
-@pytest.mark.parametrize(("arithmetic", "apart"), [("double", 1e-12), ("float", 1e-4), ("fixed32", 1e-3)])
+@pytest.mark.parametrize(
+    ("arithmetic", "apart"), [("double", 1e-12), ("float", 1e-4), ("fixed32", 1e-3)]
+)
 def test_the_rig_cannot_tell_the_code_from_the_design(rig, arithmetic, apart):
     machine, plant, block = rig
     scenario = replace(load_scenario("impulse-parallel"), duration=0.1)
@@ -56,7 +62,9 @@ def test_the_rig_cannot_tell_the_code_from_the_design(rig, arithmetic, apart):
     assert code.outcome == design.outcome == "completed"
     names = plant.named("y")
     size = max(np.ptp(design.record[name]) for name in names)
-    assert max(np.abs(code.record[name] - design.record[name]).max() for name in names) <= apart * size
+    assert (
+        max(np.abs(code.record[name] - design.record[name]).max() for name in names) <= apart * size
+    )
     assert code.pole == pytest.approx(design.pole)
 
 
@@ -65,7 +73,12 @@ class Relay:
 
     def __init__(self, code, last=10_000):
         self.code, self.steps, self.last = code, 0, last
-        self.sample_time, self.delay, self.system, self.begin = code.sample_time, code.delay, code.system, code.begin
+        self.sample_time, self.delay, self.system, self.begin = (
+            code.sample_time,
+            code.delay,
+            code.system,
+            code.begin,
+        )
 
     def step(self, errors):
         self.steps += 1
@@ -80,15 +93,20 @@ def test_code_called_by_its_address_and_through_python_log_the_same(rig, arithme
     scenario = replace(load_scenario("impulse-parallel"), duration=0.1)
     code = CompiledBlock(block, arithmetic)
     assert isinstance(code, NativeProgram) and not isinstance(Relay(code), NativeProgram)
-    native, relayed = (virtual_rig.run(machine, c, scenario, point=plant.point).record for c in (code, Relay(code)))
+    native, relayed = (
+        virtual_rig.run(machine, c, scenario, point=plant.point).record for c in (code, Relay(code))
+    )
     for name in plant.named("y") + plant.named("u"):
         np.testing.assert_array_equal(native[name], relayed[name])
-    with pytest.raises(RuntimeError, match="no more"):  # what a program raises comes out of the compiled rig
+    # what a program raises comes out of the compiled rig
+    with pytest.raises(RuntimeError, match="no more"):
         virtual_rig.run(machine, Relay(code, 300), scenario, point=plant.point)
 
 
 def test_words_end_where_a_converter_ends(rig):
-    """An error beyond the word's range is its largest count, not another number after an overflow."""
+    """An error beyond the word's range is its largest count, not another number after an
+    overflow.
+    """
     code = CompiledBlock(rig[2], "fixed32")
     currents = []
     for size in (3.0, 1e9):
@@ -100,7 +118,9 @@ def test_words_end_where_a_converter_ends(rig):
 @pytest.mark.campaign
 def test_the_same_verification_comes_out_of_the_code(rig):
     _, plant, block = rig
-    code, design = (nominal.check(plant, system) for system in (read_law(CompiledBlock(block)), block.system))
+    code, design = (
+        nominal.check(plant, system) for system in (read_law(CompiledBlock(block)), block.system)
+    )
     assert code.stable
     for name in ("sensitivity.output.max", "compliance.max"):
         assert code[name].value == pytest.approx(design[name].value, rel=1e-9)

@@ -1,4 +1,6 @@
-"""Compilers that hang, lie or cannot run, and folders for temporary files that cannot be used: told soon, in one sentence."""
+"""Compilers that hang, lie or cannot run, and folders for temporary files that cannot be used: told
+soon, in one sentence.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,10 @@ import time
 
 import pytest
 
-from ambrose.core.checks import InvalidInput
 from ambrose.code.c import compiler
 from ambrose.code.c.compiler import build_library, compiler_problem, has_compiler, load_library
 from ambrose.code.fmu.archive import check_compiler
+from ambrose.core.checks import InvalidInput
 
 posix = pytest.mark.skipif(os.name != "posix", reason="a shell script stands in for the compiler")
 
@@ -34,12 +36,18 @@ def fake(tmp_path, monkeypatch):
 
 
 @posix
-def test_a_compiler_that_hangs_is_found_soon_and_ends_with_all_that_it_started(fake, monkeypatch, tmp_path):
-    """It took two minutes, twice for an FMU, after the verification; and the compiler's own processes went on for ever."""
+def test_a_compiler_that_hangs_is_found_soon_and_ends_with_all_that_it_started(
+    fake, monkeypatch, tmp_path
+):
+    """It took two minutes, twice for an FMU, after the verification; and the compiler's own
+    processes went on for ever.
+    """
     fake(f"(sleep 1; echo alive > {tmp_path}/alive) & wait")
     monkeypatch.setattr(compiler, "_PROBE_TIME", 0.2)
     begin = time.monotonic()
-    with pytest.raises(InvalidInput, match=r"did not end within 0\.2 s; write an FMU of sources only"):
+    with pytest.raises(
+        InvalidInput, match=r"did not end within 0\.2 s; write an FMU of sources only"
+    ):
         check_compiler()
     assert "did not end" in compiler_problem() and not has_compiler()
     assert time.monotonic() - begin < 1

@@ -1,4 +1,6 @@
-"""The generated C against the block in Python, under the address and undefined-behaviour sanitizers."""
+"""The generated C against the block in Python, under the address and undefined-behaviour
+sanitizers.
+"""
 
 import re
 import subprocess
@@ -11,14 +13,14 @@ import scipy.signal
 import code_driver as driver
 import example_blocks as example
 from ambrose import StateSpace, load_machine
-from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.core.sampling import c2d
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.fixed_point import to_fixed_point
 from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
 from ambrose.code.block.word_length import floating_error, word_lengths
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.sampled import deploy
+from ambrose.core.checks import InvalidInput, UnstableSystem
+from ambrose.core.sampling import c2d
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
 from example_blocks import gain_block, rig_block
@@ -39,13 +41,18 @@ def controllers():
 
 @pytest.fixture(scope="module")
 def blocks(controllers):
-    return {m: build_block(deploy(K, 1e-4, 1e-4, force=True), "rig", ERROR, CURRENT) for m, K in controllers.items()}
+    return {
+        m: build_block(deploy(K, 1e-4, 1e-4, force=True), "rig", ERROR, CURRENT)
+        for m, K in controllers.items()
+    }
 
 
 def small_block(**settings):
     """Two inputs, one output, an integrator, a complex pair and a real pole; no direct term."""
     A = [[0.0, 0, 0, 0], [0, -200.0, 900.0, 0], [0, -900.0, -200.0, 0], [0, 0, 0, -3000.0]]
-    K = StateSpace(A, [[40.0, 10.0], [0, 5e5], [5e5, 0], [9e6, 4e6]], [[500.0, 1.0, 1.0, 2.0]], [[0.0, 0.0]])
+    K = StateSpace(
+        A, [[40.0, 10.0], [0, 5e5], [5e5, 0], [9e6, 4e6]], [[500.0, 1.0, 1.0, 2.0]], [[0.0, 0.0]]
+    )
     return build_block(deploy(K, 1e-4, force=True), "small", 1e-3, 2.0, **settings)
 
 
@@ -55,7 +62,9 @@ def test_double_agrees_with_python(blocks, method, tmp_path):
     block = blocks[method]
     e, valid = driver.adversarial(block, SAMPLES)
     expected = run_block(block, e, valid)
-    found, status = driver.replay(driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, valid)
+    found, status = driver.replay(
+        driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, valid
+    )
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
     for bit in (HELD, FAULT, LIMITED):  # the samples did meet every branch
@@ -74,14 +83,18 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
     program = driver.compiled(block, "float", tmp_path / "c", "gcc")
     expected = run_block(block, e, valid)
     found, status = driver.replay(program, "float", e, valid)
-    assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT  # stated in docs/integrator.md; limiting included
+    # stated in docs/integrator.md; limiting included
+    assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
     assert (status == expected.status).all()
-    share = 0.9 * CURRENT / block.raw_limit.max()  # no limiting: the bound, which grows with the signals, holds
+    # no limiting: the bound, which grows with the signals, holds
+    share = 0.9 * CURRENT / block.raw_limit.max()
     e = np.where(np.abs(e) <= block.error_limit, e * share, 0.0).astype(np.float32).astype(float)
     expected = run_block(block, e)
     found, status = driver.replay(program, "float", e)
     assert not status.any()
-    assert (np.abs(found - expected.currents).max(axis=0) <= share * floating_error(block, 24)).all()
+    assert (
+        np.abs(found - expected.currents).max(axis=0) <= share * floating_error(block, 24)
+    ).all()
 
 
 @compiler
@@ -92,14 +105,17 @@ def test_fixed_point_is_the_integer_model_bit_by_bit(blocks, method, tmp_path):
     e, valid = driver.adversarial(block, SAMPLES // (3 if method == "mu" else 10))
     one = 1 << fixed.signal_bits
     with np.errstate(all="ignore"):
-        words = np.nan_to_num(np.clip(np.round(e / ERROR * one), -(2**31), 2**31 - 1), nan=2**31 - 1).astype(np.int64)
+        words = np.nan_to_num(
+            np.clip(np.round(e / ERROR * one), -(2**31), 2**31 - 1), nan=2**31 - 1
+        ).astype(np.int64)
     program = driver.compiled(block, "fixed32", tmp_path / "c", "gcc")
     expected = run_fixed(fixed, words, valid)
     found, status = driver.replay(program, "fixed32", words, valid)
     assert (found == expected.currents).all()
     assert (status == expected.status).all()
     exact = run_block(block, words / one * ERROR, valid)
-    assert np.abs(found / one * CURRENT - exact.currents).max() <= 1e-4 * CURRENT  # stated; limiting included
+    # stated; limiting included
+    assert np.abs(found / one * CURRENT - exact.currents).max() <= 1e-4 * CURRENT
     words = np.where(np.abs(words) <= one, words, 0) * 0.9 * CURRENT // block.raw_limit.max()
     found, status = driver.replay(program, "fixed32", words.astype(np.int64))
     exact = run_block(block, words / one * ERROR)
@@ -116,7 +132,9 @@ def test_c_is_the_sampled_controller(controllers, blocks, tmp_path):
         e = rng.normal(0, 1, (4000, 4)) * 0.1 * ERROR * CURRENT / block.raw_limit.max()
         K = c2d(controllers[method], 1e-4, "tustin")
         _, expected, _ = scipy.signal.dlsim((K.A, K.B, K.C, K.D, 1e-4), e)
-        found, status = driver.replay(driver.compiled(block, "double", tmp_path / method, "gcc"), "double", e)
+        found, status = driver.replay(
+            driver.compiled(block, "double", tmp_path / method, "gcc"), "double", e
+        )
         assert not status.any()
         assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
 
@@ -140,11 +158,18 @@ def test_compiles_clean_and_passes_its_own_vectors(arithmetic, name, tmp_path):
 @pytest.mark.parametrize("make", [rig_block, example.small_block, gain_block])
 @pytest.mark.parametrize("arithmetic", ["double", "float", "fixed32"])
 def test_every_warning_of_clang_but_two(make, arithmetic, tmp_path):
-    """But padding, which no target's layout can avoid, and the comparison of the current given with the one asked for."""
+    """But padding, which no target's layout can avoid, and the comparison of the current given with
+    the one asked for.
+    """
     block = make()
     for name, text in generate(block, arithmetic).items():
         (tmp_path / name).write_text(text)
-    silent = ["-Wno-padded", "-Wno-float-equal", "-Wno-unknown-warning-option", "-Wno-unsafe-buffer-usage"]
+    silent = [
+        "-Wno-padded",
+        "-Wno-float-equal",
+        "-Wno-unknown-warning-option",
+        "-Wno-unsafe-buffer-usage",
+    ]
     sources = [str(tmp_path / f"{block.name}{end}") for end in (".c", "_test.c")]
     driver.build("clang", ["-Weverything", *silent, "-O2", *sources, "-o", str(tmp_path / "t")])
     assert subprocess.run([str(tmp_path / "t")], capture_output=True, check=False).returncode == 0
@@ -157,7 +182,10 @@ def test_selftest_notices_another_coefficient(tmp_path):
     assert broken != files["small.c"]
     for name, text in {**files, "small.c": broken}.items():
         (tmp_path / name).write_text(text)
-    driver.build("gcc", [str(tmp_path / "small.c"), str(tmp_path / "small_test.c"), "-o", str(tmp_path / "t")])
+    driver.build(
+        "gcc",
+        [str(tmp_path / "small.c"), str(tmp_path / "small_test.c"), "-o", str(tmp_path / "t")],
+    )
     assert subprocess.run([str(tmp_path / "t")], capture_output=True, check=False).returncode == 1
 
 
@@ -176,7 +204,13 @@ def test_transfer_without_a_bump(blocks, arithmetic, tmp_path):
         e = np.tile([1e-6, -2e-6, 3e-6, 0.0], (3, 1))
         given = np.tile([1.0, -0.5, 2.0, 0.25], (3, 1))
         op = np.array([driver.RESET, driver.TRACK, driver.STEP])
-        found, _ = driver.replay(program, arithmetic, np.round(e * unit_e) if unit_e != 1 else e, op=op, given=given * unit_u)
+        found, _ = driver.replay(
+            program,
+            arithmetic,
+            np.round(e * unit_e) if unit_e != 1 else e,
+            op=op,
+            given=given * unit_u,
+        )
         tolerance = 1e-11 if arithmetic == "double" else 2e-3
         assert np.abs(found[-1] / unit_u - given[-1]).max() <= tolerance
 
@@ -186,14 +220,18 @@ def test_held_input_and_fault(tmp_path):
     block = small_block(hold_samples=3)
     e = np.full((12, 2), 1e-4)
     e[4:10, 0] = np.nan
-    found, status = driver.replay(driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, outputs=1)
+    found, status = driver.replay(
+        driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, outputs=1
+    )
     assert status.tolist() == [0] * 4 + [HELD] * 3 + [HELD | FAULT] * 3 + [0] * 2
     steady = run_block(block, np.full((12, 2), 1e-4)).currents
     assert np.abs(found - steady).max() <= 1e-13
 
 
 def test_integrators_do_not_wind_up(blocks):
-    """After 2 s beyond the limit the output leaves it within a few windup times; without anti-windup it stays."""
+    """After 2 s beyond the limit the output leaves it within a few windup times; without
+    anti-windup it stays.
+    """
     block = blocks["pid"]
     e = np.concatenate([np.full((20_000, 4), 3e-4), np.full((2000, 4), -2e-6)])
     limited = (run_block(block, e).status & LIMITED) > 0
@@ -221,30 +259,43 @@ def test_word_length_table_and_report(blocks):
 
 
 def test_16_bits_refused_where_rounding_is_too_large(blocks):
-    with pytest.raises(InvalidInput, match=r"rounding error of u_\w+ with words of 16 bits is .* of its limit"):
+    with pytest.raises(
+        InvalidInput, match=r"rounding error of u_\w+ with words of 16 bits is .* of its limit"
+    ):
         to_fixed_point(blocks["mu"], 16)
 
 
 def test_fixed_point_that_overflows_is_refused(controllers):
     block = build_block(deploy(controllers["mu"], 1e-4, force=True), "rig", ERROR, 1e-3)
-    with pytest.raises(InvalidInput, match=r"fixed point overflows: an output adds up to .* words of 32 bits"):
+    with pytest.raises(
+        InvalidInput, match=r"fixed point overflows: an output adds up to .* words of 32 bits"
+    ):
         to_fixed_point(block, 16)
 
 
 def test_a_state_without_bound_is_refused():
     unstable = StateSpace([[5.0]], [[1.0]], [[1.0]], [[0.0]])
     with pytest.raises(UnstableSystem, match="no output sees"):
-        build_block(deploy(StateSpace([[0.0]], [[1.0]], [[0.0]], [[1.0]]), 1e-3, force=True), "k", 1.0, 1.0)
-    # an unstable pole that saturates is held by the unwinding only inside a region: L stabilises it, so it is bounded
+        build_block(
+            deploy(StateSpace([[0.0]], [[1.0]], [[0.0]], [[1.0]]), 1e-3, force=True), "k", 1.0, 1.0
+        )
+    # an unstable pole that saturates is held by the unwinding only inside a region: L stabilises
+    # it, so it is bounded
     assert build_block(deploy(unstable, 1e-3, force=True), "k", 1.0, 1.0).winding == 1
 
 
 @pytest.mark.parametrize(
-    "name", ["", "1st", "with space", "a-b", "int", "_x", "ä", "x;", "a" * 25, "class", 'x"\n#error', None]
-)  # fmt: skip
+    "name",
+    ["", "1st", "with space", "a-b", "int", "_x", "ä", "x;", "a" * 25, "class", 'x"\n#error', None],
+)
 def test_names_that_are_not_c_identifiers(name):
     with pytest.raises(InvalidInput, match="must be a C identifier"):
-        build_block(deploy(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 1e-3, force=True), name, 1.0, 1.0)
+        build_block(
+            deploy(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 1e-3, force=True),
+            name,
+            1.0,
+            1.0,
+        )
 
 
 def test_signal_names_that_are_not_c_identifiers():
@@ -274,7 +325,9 @@ def test_limits_that_mean_nothing(settings, message):
 
 
 def test_arithmetic_unknown():
-    with pytest.raises(InvalidInput, match="'half', but must be double or float or fixed32 or fixed16"):
+    with pytest.raises(
+        InvalidInput, match="'half', but must be double or float or fixed32 or fixed16"
+    ):
         generate(small_block(), "half")
 
 
@@ -319,7 +372,9 @@ def test_writing_again_replaces(tmp_path):
 
 @compiler
 def test_a_gain_without_states(tmp_path):
-    block = build_block(deploy(StateSpace([], [], [], [[2.0, 0.0], [0.0, 3.0]]), 1e-3, force=True), "gain", 1.0, 2.0)
+    block = build_block(
+        deploy(StateSpace([], [], [], [[2.0, 0.0], [0.0, 3.0]]), 1e-3, force=True), "gain", 1.0, 2.0
+    )
     for arithmetic in ("double", "fixed32"):
         program = driver.compiled(block, arithmetic, tmp_path / arithmetic, "gcc")
         one = 1 if arithmetic == "double" else 2**30

@@ -1,4 +1,6 @@
-"""The C code of a scheduled controller against the block in Python, under the address and undefined-behaviour sanitizers."""
+"""The C code of a scheduled controller against the block in Python, under the address and
+undefined-behaviour sanitizers.
+"""
 
 import re
 import subprocess
@@ -10,13 +12,13 @@ import pytest
 import code_driver as driver
 import example_blocks as example
 from ambrose import StateSpace
-from ambrose.core.checks import InvalidInput
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.code.block.cost import scheduled_cost
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_scheduled
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.sampled import deploy
+from ambrose.core.checks import InvalidInput
+from ambrose.core.scheduled import ScheduledSystem
 from schedule_driver import (
     CURRENT,
     DT,
@@ -47,7 +49,13 @@ def adversarial(block, count, seed=0):
 @compiler
 @pytest.mark.parametrize(
     ("make", "rate"),
-    [(small_schedule, None), (small_schedule, 5e4), (two_states, 5e4), (gain_schedule, None), (pressure_schedule, 5e6)],
+    [
+        (small_schedule, None),
+        (small_schedule, 5e4),
+        (two_states, 5e4),
+        (gain_schedule, None),
+        (pressure_schedule, 5e6),
+    ],
 )
 def test_double_agrees_with_python(make, rate, tmp_path):
     block = block_of(make(), rate_limit=rate)
@@ -55,11 +63,17 @@ def test_double_agrees_with_python(make, rate, tmp_path):
     e, valid, v = adversarial(block, count)
     expected = run_scheduled(block, e, v, valid)
     found, status = replay(
-        driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=len(block.outputs)
+        driver.compiled(block, "double", tmp_path / "c", "gcc"),
+        "double",
+        e,
+        v,
+        valid,
+        outputs=len(block.outputs),
     )
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
-    for bit in (HELD, FAULT, LIMITED, CLAMPED, TOLD, *([BEHIND] if rate else [])):  # the samples did meet every branch
+    # the samples did meet every branch
+    for bit in (HELD, FAULT, LIMITED, CLAMPED, TOLD, *([BEHIND] if rate else [])):
         assert 0.01 < ((status & bit) > 0).mean() < 0.9
 
 
@@ -69,7 +83,9 @@ def test_clang_agrees_with_python(tmp_path):
     e, valid, v = adversarial(block, SAMPLES // 10, seed=1)
     expected = run_scheduled(block, e, v, valid)
     for flags in (None, ["-O3"]):
-        found, status = replay(driver.compiled(block, "double", tmp_path / "c", "clang", flags), "double", e, v, valid)
+        found, status = replay(
+            driver.compiled(block, "double", tmp_path / "c", "clang", flags), "double", e, v, valid
+        )
         assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
         assert (status == expected.status).all()
 
@@ -81,23 +97,33 @@ def test_single_precision_stays_close(tmp_path):
         e, valid, v = adversarial(block, SAMPLES // 5)
         e, v = e.astype(np.float32).astype(float), v.astype(np.float32).astype(float)
     expected = run_scheduled(block, e, v, valid)
-    found, status = replay(driver.compiled(block, "float", tmp_path / "c", "gcc"), "float", e, v, valid)
-    assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT  # stated in docs/integrator.md; limiting included
+    found, status = replay(
+        driver.compiled(block, "float", tmp_path / "c", "gcc"), "float", e, v, valid
+    )
+    # stated in docs/integrator.md; limiting included
+    assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
     assert (status == expected.status).all()
 
 
 @compiler
 def test_a_block_as_large_as_the_machines(tmp_path):
-    """24 states, four errors, four currents: integrators, oscillations, real poles, whose couplings move with speed."""
+    """24 states, four errors, four currents: integrators, oscillations, real poles, whose couplings
+    move with speed.
+    """
     K = example.rig_controller()
     turn = np.random.default_rng(8).normal(0, 1, (24, 24))
     turn = 0.02 * (turn - turn.T) * np.sqrt(np.outer(size := np.abs(K.A).max(axis=1), size))
-    systems = [StateSpace(K.A + s * turn, K.B, (1 + s) * K.C, K.D, K.inputs, K.outputs) for s in (0.0, 0.3, 1.0)]
+    systems = [
+        StateSpace(K.A + s * turn, K.B, (1 + s) * K.C, K.D, K.inputs, K.outputs)
+        for s in (0.0, 0.3, 1.0)
+    ]
     schedule = ScheduledSystem([100.0, 250.0, 600.0], systems)
     block = block_of(schedule)
     e, valid, v = adversarial(block, SAMPLES // 10)
     expected = run_scheduled(block, e, v, valid)
-    found, status = replay(driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=4)
+    found, status = replay(
+        driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=4
+    )
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
 
@@ -126,10 +152,13 @@ def test_the_code_is_continuous_at_the_grid_points_and_clamps_at_the_ends(tmp_pa
 @pytest.mark.parametrize(
     ("make", "arithmetic"),
     [
-        (small_schedule, "double"), (small_schedule, "float"), (two_states, "float"), (gain_schedule, "double"),
+        (small_schedule, "double"),
+        (small_schedule, "float"),
+        (two_states, "float"),
+        (gain_schedule, "double"),
         (pressure_schedule, "float"),
     ],
-)  # fmt: skip
+)
 def test_compiles_clean_and_passes_its_own_vectors(make, arithmetic, name, tmp_path):
     write_code(tmp_path / "code", block_of(make(), rate_limit=1e5), arithmetic, ["A */ comment"])
     files = [str(tmp_path / "code" / f) for f in ("lpv.c", "lpv_test.c")]
@@ -144,13 +173,25 @@ def test_compiles_clean_and_passes_its_own_vectors(make, arithmetic, name, tmp_p
 @pytest.mark.skipif("clang" not in driver.compilers(), reason="no clang")
 @pytest.mark.parametrize(
     ("make", "arithmetic"),
-    [(small_schedule, "float"), (two_states, "double"), (gain_schedule, "double"), (pressure_schedule, "double")],
+    [
+        (small_schedule, "float"),
+        (two_states, "double"),
+        (gain_schedule, "double"),
+        (pressure_schedule, "double"),
+    ],
 )
 def test_every_warning_of_clang_but_two(make, arithmetic, tmp_path):
-    """But padding, which no target's layout can avoid, and the comparison of the current given with the one asked for."""
+    """But padding, which no target's layout can avoid, and the comparison of the current given with
+    the one asked for.
+    """
     for name, text in generate(block_of(make(), rate_limit=1e5), arithmetic).items():
         (tmp_path / name).write_text(text)
-    silent = ["-Wno-padded", "-Wno-float-equal", "-Wno-unknown-warning-option", "-Wno-unsafe-buffer-usage"]
+    silent = [
+        "-Wno-padded",
+        "-Wno-float-equal",
+        "-Wno-unknown-warning-option",
+        "-Wno-unsafe-buffer-usage",
+    ]
     sources = [str(tmp_path / f"lpv{end}") for end in (".c", "_test.c")]
     driver.build("clang", ["-Weverything", *silent, "-O2", *sources, "-o", str(tmp_path / "t")])
 
@@ -176,16 +217,21 @@ def test_selftest_notices(pattern, change, tmp_path):
     assert broken != files["lpv.c"]
     for name, text in {**files, "lpv.c": broken}.items():
         (tmp_path / name).write_text(text)
-    driver.build("gcc", [str(tmp_path / "lpv.c"), str(tmp_path / "lpv_test.c"), "-o", str(tmp_path / "t")])
+    driver.build(
+        "gcc", [str(tmp_path / "lpv.c"), str(tmp_path / "lpv_test.c"), "-o", str(tmp_path / "t")]
+    )
     assert subprocess.run([str(tmp_path / "t")], capture_output=True, check=False).returncode == 1
 
 
 @compiler
 @pytest.mark.parametrize(
-    ("make", "arithmetic"), [(small_schedule, "double"), (small_schedule, "float"), (two_states, "double")]
+    ("make", "arithmetic"),
+    [(small_schedule, "double"), (small_schedule, "float"), (two_states, "double")],
 )
 def test_transfer_without_a_bump(make, arithmetic, tmp_path):
-    """At grid points and between them: the step after a track gives the currents that were tracked."""
+    """At grid points and between them: the step after a track gives the currents that were
+    tracked.
+    """
     block = block_of(make())
     program = driver.compiled(block, arithmetic, tmp_path / "c", "gcc")
     m, p = len(block.inputs), len(block.outputs)
@@ -215,14 +261,25 @@ def test_header_and_report_say_what_matters():
     files = generate(block, provenance=["Verified nowhere"])
     header, report = files["lpv.h"], files["lpv_report.md"]
     for text in (
-        "Verified nowhere", "4 grid points from 100 to 600 rad/s (15.92 to 95.49 Hz)", "#define LPV_SPEED_LOWEST 100.0",
-        "#define LPV_SPEED_HIGHEST 600.0", "#define LPV_SPEED_LIMIT 1200.0", "#define LPV_SPEED_RATE 2500", "LPV_CLAMPED 8u",
-        "LPV_ERR_Y = 1 /* within +-0.001 m */", "LPV_U_X = 0, /* within +-2 A */", "set 1 sample after",
-        "proved, conservative", "follows at 2500 rad/s^2 at most",
-    ):  # fmt: skip
+        "Verified nowhere",
+        "4 grid points from 100 to 600 rad/s (15.92 to 95.49 Hz)",
+        "#define LPV_SPEED_LOWEST 100.0",
+        "#define LPV_SPEED_HIGHEST 600.0",
+        "#define LPV_SPEED_LIMIT 1200.0",
+        "#define LPV_SPEED_RATE 2500",
+        "LPV_CLAMPED 8u",
+        "LPV_ERR_Y = 1 /* within +-0.001 m */",
+        "LPV_U_X = 0, /* within +-2 A */",
+        "set 1 sample after",
+        "proved, conservative",
+        "follows at 2500 rad/s^2 at most",
+    ):
         assert text in header
     cost = scheduled_cost(block, "double")
-    assert f"{cost.multiplications} multiplications, {cost.additions} additions and 1 division" in header
+    assert (
+        f"{cost.multiplications} multiplications, {cost.additions} additions and 1 division"
+        in header
+    )
     assert f"| {cost.state_bytes}, {cost.table_bytes} bytes |" in report
     row = next(line for line in report.splitlines() if line.startswith("| 100 |"))
     assert 1e-9 < float(row.split("|")[-2]) < 1e-4  # what single precision does to the gain
@@ -235,15 +292,24 @@ def test_over_pressure_the_code_speaks_of_pressure_alone():
     files = generate(block_of(pressure_schedule(), rate_limit=4e6, told_limit=1e5))
     header = files["lpv.h"]
     for text in (
-        "scheduled over pressure", "pressure [Pa]", "Pressure   the law is that of 4 grid points from 10000 to",
+        "scheduled over pressure",
+        "pressure [Pa]",
+        "Pressure   the law is that of 4 grid points from 10000 to",
         "10000 to 60000 Pa (0.1 to 0.6 bar)",
-        "#define LPV_PRESSURE_LOWEST 10000.0", "#define LPV_PRESSURE_LIMIT 100000.0",
+        "#define LPV_PRESSURE_LOWEST 10000.0",
+        "#define LPV_PRESSURE_LIMIT 100000.0",
         "#define LPV_PRESSURE_RATE 4000000 /* Pa/s",
-        "double pressure, double current[LPV_OUTPUTS]", "follows at 4e+06 Pa/s at most", "LPV_PRESSURE 16u",
-    ):  # fmt: skip
+        "double pressure, double current[LPV_OUTPUTS]",
+        "follows at 4e+06 Pa/s at most",
+        "LPV_PRESSURE 16u",
+    ):
         assert text in header
     for name, text in files.items():
-        assert not re.search("speed|rad/s|Hz", text.replace(" Hz)", "", 1) if name == "lpv.h" else text, re.IGNORECASE), name
+        assert not re.search(
+            "speed|rad/s|Hz",
+            text.replace(" Hz)", "", 1) if name == "lpv.h" else text,
+            re.IGNORECASE,
+        ), name
     assert files["lpv_vectors.csv"].splitlines()[0].split(",")[4] == "pressure"
 
 
@@ -254,7 +320,8 @@ def test_the_stated_memory_is_that_of_the_compiler(tmp_path):
         for name, text in generate(block, arithmetic).items():
             (tmp_path / name).write_text(text)
         (tmp_path / "size.c").write_text(
-            '#include <stdio.h>\n#include "lpv.h"\nint main(void) { printf("%d", (int)sizeof(lpv_block)); return 0; }\n'
+            '#include <stdio.h>\n#include "lpv.h"\nint main(void) { printf("%d", '
+            "(int)sizeof(lpv_block)); return 0; }\n"
         )
         driver.build("gcc", [str(tmp_path / "size.c"), "-o", str(tmp_path / "size")])
         size = int(subprocess.run([str(tmp_path / "size")], capture_output=True, check=True).stdout)
@@ -264,6 +331,7 @@ def test_the_stated_memory_is_that_of_the_compiler(tmp_path):
 @pytest.mark.parametrize("arithmetic", ["fixed32", "fixed16", "half"])
 def test_other_arithmetic_is_refused(arithmetic):
     with pytest.raises(
-        InvalidInput, match=f"arithmetic of a scheduled controller is '{arithmetic}', but must be double or float"
+        InvalidInput,
+        match=f"arithmetic of a scheduled controller is '{arithmetic}', but must be double or float",
     ):
         generate(block_of(small_schedule()), arithmetic)

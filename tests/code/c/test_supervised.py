@@ -1,4 +1,6 @@
-"""C code of a schedule with a fixed controller to fall back to: against its twin in Python, the rig, and what is proved."""
+"""C code of a schedule with a fixed controller to fall back to: against its twin in Python, the
+rig, and what is proved.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,6 @@ import pytest
 
 import code_driver as driver
 from ambrose import StateSpace
-from ambrose.core.checks import InvalidInput
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.code.block.cost import scheduled_cost, step_cost
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import LATCHED, REASON_AT, STATE_AT, run_supervised
@@ -22,8 +22,10 @@ from ambrose.code.block.supervised import supervise, supervised_twin
 from ambrose.code.block.vectors import make_scheduled_vectors
 from ambrose.code.c.code import generate
 from ambrose.code.c.compiled import CompiledSchedule
-from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.code.pipeline import ExportOptions, export, machine_limits
+from ambrose.code.sampled import deploy, deploy_scheduled
+from ambrose.core.checks import InvalidInput
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.law.supervision import Fault, Limits, State
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
@@ -34,14 +36,23 @@ from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressur
 
 compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
 LOW, HIGH = 1e4, 6e4
-WATCH = Limits(LOW, HIGH, 2e3, rate=2e6, noise=300.0, stuck=0.004, band=4e3, dwell=0.003, fade=0.002)
+WATCH = Limits(
+    LOW, HIGH, 2e3, rate=2e6, noise=300.0, stuck=0.004, band=4e3, dwell=0.003, fade=0.002
+)
 CALM = Limits(LOW, HIGH, 2e3, band=4e3, dwell=0.001, fade=0.0)
 
 
 def integrating():
     """Two errors, two currents, an integrator for each and a real pole."""
     A, B = np.diag([0.0, 0.0, -500.0]), [[30.0, 5.0], [0.0, 40.0], [2e3, 1e3]]
-    return StateSpace(A, B, [[400.0, 20.0, 50.0], [0.0, 600.0, -30.0]], 1.5e3 * np.eye(2), ["err_x", "err_y"], ["u_x", "u_y"])
+    return StateSpace(
+        A,
+        B,
+        [[400.0, 20.0, 50.0], [0.0, 600.0, -30.0]],
+        1.5e3 * np.eye(2),
+        ["err_x", "err_y"],
+        ["u_x", "u_y"],
+    )
 
 
 def gain():
@@ -58,8 +69,12 @@ def over_pressure(schedule):
 
 
 def readings(count, seed=0):
-    """Walks within the rate, jumps, losses, stuck and wild values; estimates near and far, sharp, wide and none."""
-    rng, told, at = np.random.default_rng(seed), [], 3e4
+    """Walks within the rate, jumps, losses, stuck and wild values; estimates near and far, sharp,
+    wide and none.
+    """
+    rng = np.random.default_rng(seed)
+    told = []
+    at = 3e4
     while len(told) < count:
         kind, k = rng.integers(0, 7), int(rng.integers(5, 120))
         walk = np.clip(at + np.cumsum(rng.uniform(-150, 150, k)), LOW - 1e3, HIGH + 1e3)
@@ -72,7 +87,9 @@ def readings(count, seed=0):
         told += walk.tolist()
         at = walk[-1] if LOW <= walk[-1] <= HIGH else at
     told = np.array(told[:count])
-    estimate = np.where(rng.random(count) < 0.1, rng.uniform(LOW, HIGH, count), told + rng.uniform(-3e3, 3e3, count))
+    estimate = np.where(
+        rng.random(count) < 0.1, rng.uniform(LOW, HIGH, count), told + rng.uniform(-3e3, 3e3, count)
+    )
     silent = np.repeat(rng.random(count // 50 + 1) < 0.5, 50)[:count]
     width = rng.choice([1e2, 3e3, 1e4, np.inf, -1.0, np.nan], count)
     return np.column_stack([told, np.where(silent, np.nan, estimate), width])
@@ -81,13 +98,23 @@ def readings(count, seed=0):
 @compiler
 @pytest.mark.parametrize(
     ("watch", "schedule", "fixed"),
-    [(WATCH, None, None), (CALM, None, None), (WATCH, None, gain()), (WATCH, over_pressure(gain_schedule()), None)],
+    [
+        (WATCH, None, None),
+        (CALM, None, None),
+        (WATCH, None, gain()),
+        (WATCH, over_pressure(gain_schedule()), None),
+    ],
     ids=["all watched", "little watched", "fixed without states", "schedule without states"],
 )
 def test_the_code_is_its_twin(watch, schedule, fixed):
-    """Adversarial readings, estimates and errors; who is in charge and why is the same in every sample."""
+    """Adversarial readings, estimates and errors; who is in charge and why is the same in every
+    sample.
+    """
     block, count = small(watch, schedule, fixed), 6000
-    e = np.random.default_rng(1).normal(0, 0.2 * ERROR, (count, 2)) * np.repeat([1.0, 4.0, 0.01], count // 3)[:, None]
+    e = (
+        np.random.default_rng(1).normal(0, 0.2 * ERROR, (count, 2))
+        * np.repeat([1.0, 4.0, 0.01], count // 3)[:, None]
+    )
     told = readings(count)
     twin, code = run_supervised(block, e, told), CompiledSchedule(block)
     currents, status = np.empty_like(twin.currents), np.empty(count, int)
@@ -97,7 +124,9 @@ def test_the_code_is_its_twin(watch, schedule, fixed):
         currents[k], status[k] = code.step(e[k]), code.status
     np.testing.assert_array_equal(status, twin.status)
     assert np.abs(currents - twin.currents).max() <= 1e-12 * CURRENT
-    states, reasons = (set((status >> at & most).tolist()) for at, most in ((STATE_AT, 3), (REASON_AT, 7)))
+    states, reasons = (
+        set((status >> at & most).tolist()) for at, most in ((STATE_AT, 3), (REASON_AT, 7))
+    )
     assert states == {0, 1, 2, 3} and reasons >= {Fault.NONE, Fault.LOST, Fault.RANGE}
     if watch is WATCH:
         assert reasons == set(Fault) and 0 < ((status & LATCHED) > 0).mean() < 1
@@ -112,19 +141,30 @@ def test_the_self_test_passes_and_meets_every_state_and_doubt(watch, arithmetic,
         (tmp_path / name).write_text(text)
     for cc in driver.compilers():
         driver.build(
-            cc, [*driver.sanitizers(cc), str(tmp_path / "lpv.c"), str(tmp_path / "lpv_test.c"), "-o", str(tmp_path / "t")]
+            cc,
+            [
+                *driver.sanitizers(cc),
+                str(tmp_path / "lpv.c"),
+                str(tmp_path / "lpv_test.c"),
+                "-o",
+                str(tmp_path / "t"),
+            ],
         )
         done = subprocess.run([str(tmp_path / "t")], capture_output=True, text=True, check=False)
         assert done.returncode == 0 and " 0 wrong" in done.stdout, done.stdout
     status = make_scheduled_vectors(block).status
     assert set((status >> STATE_AT & 3).tolist()) == set(State)
-    assert set((status >> REASON_AT & 7).tolist()) == (set(Fault) if watch is WATCH else set(Fault) - {Fault.JUMP, Fault.STUCK})
+    assert set((status >> REASON_AT & 7).tolist()) == (
+        set(Fault) if watch is WATCH else set(Fault) - {Fault.JUMP, Fault.STUCK}
+    )
     text = (tmp_path / "lpv.c").read_text()
     assert "malloc" not in text and text.count("#include") == 1  # its own header
 
 
 def test_states_stay_within_their_bounds_whoever_is_in_charge():
-    """At frozen pressures, the largest errors by random signs, readings lost and found at random."""
+    """At frozen pressures, the largest errors by random signs, readings lost and found at
+    random.
+    """
     rng, block = np.random.default_rng(3), small(replace(WATCH, stuck=np.inf, rate=np.inf))
     for value in (LOW, 3.3e4, HIGH):
         twin, most = supervised_twin(block), 0.0
@@ -138,7 +178,9 @@ def test_states_stay_within_their_bounds_whoever_is_in_charge():
 
 @compiler
 def test_a_transfer_goes_on_with_the_currents_given_whoever_is_in_charge():
-    block, e, given = small(CALM), np.array([1e-5, -2e-5]), np.array([0.7, -0.4])
+    block = small(CALM)
+    e = np.array([1e-5, -2e-5])
+    given = np.array([0.7, -0.4])
     for told in (3e4, np.nan):
         code = CompiledSchedule(block)
         code.schedule(told)
@@ -167,27 +209,49 @@ def blocks():
     schedule = ScheduledSystem([0.0, TOP], [PID, louder], "pressure", "Pa")
     limits = machine_limits(RIG)
     fixed = build_block(deploy(PID, DT, DT, force=True), "rig", *limits)
-    return build_scheduled_block(deploy_scheduled(schedule, DT, DT, force=True), "rig", *limits), fixed
+    return build_scheduled_block(
+        deploy_scheduled(schedule, DT, DT, force=True), "rig", *limits
+    ), fixed
 
 
 @compiler
 def test_the_code_on_the_rig_is_the_program_on_the_rig(blocks):
-    """With the rotor's weight, in the loop: every fault of the sensor, and an estimate that says the reading is off."""
-    watch = Limits(0.0, TOP, 0.05 * TOP, rate=80e5, noise=1e3, band=0.1 * TOP, stuck=0.01, dwell=0.01, fade=0.002)
-    code, twin, others = None, None, set()
+    """With the rotor's weight, in the loop: every fault of the sensor, and an estimate that says
+    the reading is off.
+    """
+    watch = Limits(
+        0.0,
+        TOP,
+        0.05 * TOP,
+        rate=80e5,
+        noise=1e3,
+        band=0.1 * TOP,
+        stuck=0.01,
+        dwell=0.01,
+        fade=0.002,
+    )
+    code = None
+    twin = None
+    others = set()
     point = next(point for point in RIG.operation.points if point.seal_pressure == 0)
     for name, sensors in SENSORS.items():
         limits = watch if name == "stuck" else replace(watch, stuck=np.inf)
         block = supervise(*blocks, limits)
         code, twin = CompiledSchedule(block), supervised_twin(block)
         events = Scenario(
-            "surge", 0.045, pulses=(Pulse("f_center_x", 20.0, 0.005, 0.003),), pressures=(PressureChange(0.01, 1e5, 0.03),),
+            "surge",
+            0.045,
+            pulses=(Pulse("f_center_x", 20.0, 0.005, 0.003),),
+            pressures=(PressureChange(0.01, 1e5, 0.03),),
             pressure_sensors=sensors,
-        )  # fmt: skip
+        )
         ran, meant = (virtual_rig.run(RIG, law, events, point=point) for law in (code, twin))
         assert ran.outcome == meant.outcome == "completed"
         for kind in "yu":
-            a, b = (np.array([trace.record[f"{kind}_{axis}"] for axis in RIG.axes]) for trace in (ran, meant))
+            a, b = (
+                np.array([trace.record[f"{kind}_{axis}"] for axis in RIG.axes])
+                for trace in (ran, meant)
+            )
             assert np.abs(a - b).max() < 1e-11 * np.abs(b).max(), name  # 3e-13
         assert code.status >> STATE_AT & 3 == twin.supervisor.state
         others.add(twin.words().split("(")[-1])
@@ -199,14 +263,19 @@ def test_the_interrupt_of_the_page_compiles(blocks, tmp_path):
     page = (Path(__file__).parents[3] / "docs" / "integrator.md").read_text()
     for name, text in generate(supervise(*blocks, Limits(0.0, TOP, 0.05 * TOP))).items():
         (tmp_path / name).write_text(text)
-    (tmp_path / "main.c").write_text(next(text for text in re.findall(r"```c\n(.*?)```", page, re.DOTALL) if '"rig.h"' in text))
+    (tmp_path / "main.c").write_text(
+        next(text for text in re.findall(r"```c\n(.*?)```", page, re.DOTALL) if '"rig.h"' in text)
+    )
     driver.build(driver.compilers()[0], ["-fsyntax-only", str(tmp_path / "main.c")])
 
 
 def test_what_it_costs(blocks):
     watch = Limits(0.0, TOP, 0.05 * TOP)
     both = scheduled_cost(supervise(*blocks, watch), "double").multiplications
-    alone = scheduled_cost(blocks[0], "double").multiplications + step_cost(blocks[1], "double").multiplications
+    alone = (
+        scheduled_cost(blocks[0], "double").multiplications
+        + step_cost(blocks[1], "double").multiplications
+    )
     assert alone < both < 1.4 * alone
 
 
@@ -222,7 +291,14 @@ def test_refusals(blocks, tmp_path):
 
     def refused(match, law=schedule, to="c", fallback=PID, **options):
         with pytest.raises(InvalidInput, match=match):
-            export(law, tmp_path / "x", to=to, machine=RIG, options=ExportOptions(force=True, **options), fallback=fallback)
+            export(
+                law,
+                tmp_path / "x",
+                to=to,
+                machine=RIG,
+                options=ExportOptions(force=True, **options),
+                fallback=fallback,
+            )
 
     refused("scheduled itself", fallback=schedule)
     refused("--pressures-bar", law=PID)

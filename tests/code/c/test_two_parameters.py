@@ -1,4 +1,6 @@
-"""C code of a controller scheduled over speed and pressure: against its twin in Python, the interpolation, and the rig."""
+"""C code of a controller scheduled over speed and pressure: against its twin in Python, the
+interpolation, and the rig.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +11,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
+from simulation.test_two_parameters import TURNING, WEIGHTLESS, ZERO, apart, product
 
 import code_driver as driver
-from ambrose.core.checks import InvalidInput
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, TOLD, TOLD_SECOND, run_scheduled
 from ambrose.code.block.scheduled import build_scheduled_block, neighbours
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.c.compiled import CompiledSchedule, read_law
-from ambrose.code.sampled import deploy_scheduled
 from ambrose.code.fmu.archive import generate_fmus
+from ambrose.code.sampled import deploy_scheduled
+from ambrose.core.checks import InvalidInput
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.law.scheduling import BOTH
 from ambrose.rig import virtual_rig
-from schedule_driver import DT, ERROR, GRID, PRESSURES, adversarial_speeds, block_of, both_schedule, small_schedule
-from simulation.test_two_parameters import TURNING, WEIGHTLESS, ZERO, apart, product
+from schedule_driver import (
+    DT,
+    ERROR,
+    GRID,
+    PRESSURES,
+    adversarial_speeds,
+    block_of,
+    both_schedule,
+    small_schedule,
+)
 
 compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
 
@@ -32,9 +43,13 @@ def told_of(block, count, seed=0):
 
 
 def test_the_block_is_linear_in_each_parameter():
-    """scipy's multilinear interpolation of the sampled matrices, clamped, knows nothing of corners and shares."""
+    """scipy's multilinear interpolation of the sampled matrices, clamped, knows nothing of corners
+    and shares.
+    """
     block = block_of(both_schedule())
-    table = np.concatenate([block.C, block.D], axis=2).reshape(len(GRID), len(PRESSURES), len(block.outputs), -1)
+    table = np.concatenate([block.C, block.D], axis=2).reshape(
+        len(GRID), len(PRESSURES), len(block.outputs), -1
+    )
     oracle = RegularGridInterpolator((GRID, PRESSURES), table)
     rng = np.random.default_rng(0)
     for value in rng.uniform([50.0, -1e4], [700.0, 2.5e5], (30, 2)):
@@ -44,7 +59,8 @@ def test_the_block_is_linear_in_each_parameter():
 
 
 def test_a_parameter_that_stands_still_is_the_schedule_over_the_other():
-    """At the lowest pressure the block is that of the schedule over speed alone, in its currents and flags.
+    """At the lowest pressure the block is that of the schedule over speed alone, in its currents
+    and flags.
 
     Nothing is limited: the anti-windup is chosen for all points together.
     """
@@ -80,14 +96,19 @@ def test_the_code_is_its_twin(rates):
     """Adversarial speeds, pressures and errors; flags equal in every sample."""
     block = block_of(both_schedule(), rate_limit=rates)
     code, rng = CompiledSchedule(block), np.random.default_rng(3)
-    told, e = told_of(block, 3000), rng.uniform(-1.2, 1.2, (3000, 2)) * ERROR * np.exp2(-rng.integers(0, 9, (3000, 1)))
+    told, e = (
+        told_of(block, 3000),
+        rng.uniform(-1.2, 1.2, (3000, 2)) * ERROR * np.exp2(-rng.integers(0, 9, (3000, 1))),
+    )
     e[rng.random(e.shape) < 0.01] = np.nan
     meant = run_scheduled(block, e, told)
     for k in range(len(e)):
         code.schedule(tuple(told[k]))
         found = code.step(e[k])
         assert code.status == meant.status[k], k
-        np.testing.assert_allclose(found, meant.currents[k], rtol=0, atol=1e-12 * block.raw_limit.max())
+        np.testing.assert_allclose(
+            found, meant.currents[k], rtol=0, atol=1e-12 * block.raw_limit.max()
+        )
     seen = np.bitwise_or.reduce(meant.status)
     assert seen & (TOLD | TOLD_SECOND | CLAMPED | FAULT) == TOLD | TOLD_SECOND | CLAMPED | FAULT
     assert bool(seen & BEHIND) is (rates is not None)
@@ -122,14 +143,19 @@ def test_the_selftest_notices(pattern, change, tmp_path):
     for file, text in {**files, "lpv.c": broken}.items():
         (tmp_path / file).write_text(text)
     program = tmp_path / "selftest"
-    driver.build(driver.compilers()[0], [str(tmp_path / f) for f in ("lpv.c", "lpv_test.c")] + ["-o", str(program)])
+    driver.build(
+        driver.compilers()[0],
+        [str(tmp_path / f) for f in ("lpv.c", "lpv_test.c")] + ["-o", str(program)],
+    )
     assert subprocess.run([str(program)], capture_output=True, check=False).returncode == 1
 
 
 @compiler
 def test_a_transfer_continues_with_the_currents_that_act():
     block = block_of(both_schedule())
-    code, e, u = CompiledSchedule(block), np.array([2e-4, -1e-4]), np.array([0.7, -0.4])
+    code = CompiledSchedule(block)
+    e = np.array([2e-4, -1e-4])
+    u = np.array([0.7, -0.4])
     code.schedule((180.0, 1.2e5))
     code.track(e, u)
     np.testing.assert_allclose(code.step(e), u, atol=1e-9)
@@ -141,7 +167,12 @@ def test_the_law_read_back_from_the_code_is_the_block_s():
     for value in ((100.0, 0.0), (275.0, 1e5), (600.0, 2e5)):
         found, meant = read_law(CompiledSchedule(block), value), block.at(value)
         np.testing.assert_allclose(found.D, meant.D, rtol=1e-9)
-        np.testing.assert_allclose(found.C @ found.B, meant.C @ meant.B, rtol=1e-6, atol=1e-6 * np.abs(meant.C @ meant.B).max())
+        np.testing.assert_allclose(
+            found.C @ found.B,
+            meant.C @ meant.B,
+            rtol=1e-6,
+            atol=1e-6 * np.abs(meant.C @ meant.B).max(),
+        )
 
 
 @compiler
@@ -151,7 +182,9 @@ def test_the_code_runs_on_the_rig_while_speed_and_pressure_change():
     limits = [b.max_current or 10.0 for b in WEIGHTLESS.bearings for _ in range(2)]
     code = CompiledSchedule(build_scheduled_block(deployment, "rig", 5e-4, limits))
     assert code.parameter == BOTH.name
-    ran, held = (virtual_rig.run(WEIGHTLESS, item, TURNING, point=ZERO).record for item in (code, law))
+    ran, held = (
+        virtual_rig.run(WEIGHTLESS, item, TURNING, point=ZERO).record for item in (code, law)
+    )
     assert apart(held, ran) < 0.01
     assert code.told == pytest.approx((100.0, 2e5))
     slow = replace(law, systems=(law.systems[0],) * 4)
@@ -162,9 +195,13 @@ def test_what_cannot_be_is_refused(tmp_path):
     block = block_of(both_schedule())
     with pytest.raises(InvalidInput, match=r"speed and pressure is written as C"):
         generate_fmus(block, "double", [], sources_only=True)
-    with pytest.raises(InvalidInput, match=r"pressure_limit is 100000 Pa, but must be at least 200000 Pa"):
+    with pytest.raises(
+        InvalidInput, match=r"pressure_limit is 100000 Pa, but must be at least 200000 Pa"
+    ):
         block_of(both_schedule(), told_limit=(None, 1e5))
-    with pytest.raises(InvalidInput, match=r"shape of speeds and pressures is \(3,\), but must be \(3, 2\)"):
+    with pytest.raises(
+        InvalidInput, match=r"shape of speeds and pressures is \(3,\), but must be \(3, 2\)"
+    ):
         run_scheduled(block, np.zeros((3, 2)), np.zeros(3))
     axes = (np.array([100.0, 100.0 + 1e-6]), np.array(PRESSURES))
     close = ScheduledSystem(axes, both_schedule().systems[:6], BOTH.name, BOTH.unit)

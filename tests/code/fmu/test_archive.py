@@ -17,11 +17,11 @@ from fmpy.validation import validate_fmu
 
 import code_driver as driver
 from ambrose import StateSpace
-from ambrose.core.checks import InvalidInput
 from ambrose.code.block.fixed_point import to_fixed_point
 from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
 from ambrose.code.fmu.archive import generate_fmu, generate_fmus, generate_sources
 from ambrose.code.fmu.description import variables
+from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_files
 from example_blocks import CURRENT, ERROR, gain_block, rig_block, small_block
 from fmu_player import Player
@@ -55,9 +55,13 @@ def files_of(content):
 
 @compiler
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("make", [small_block, lambda: small_block(0), lambda: small_block(3), gain_block, rig_block])
+@pytest.mark.parametrize(
+    "make", [small_block, lambda: small_block(0), lambda: small_block(3), gain_block, rig_block]
+)
 def test_validation_finds_nothing(version, make, tmp_path):
-    content = generate_fmu(make(), version, provenance=['<&"> Controller'], sources_only=make is not gain_block)
+    content = generate_fmu(
+        make(), version, provenance=['<&"> Controller'], sources_only=make is not gain_block
+    )
     (tmp_path / "x.fmu").write_bytes(content)
     assert validate_fmu(str(tmp_path / "x.fmu")) == []
 
@@ -78,35 +82,47 @@ def test_agrees_with_the_block_in_python(rig, version, tmp_path):
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("delay", [0, 2, 3])
 def test_the_computing_delay_is_inside(version, delay, tmp_path):
-    """u[k] leaves at the communication point k + delay; without delay already before the step, from the errors just set."""
+    """u[k] leaves at the communication point k + delay; without delay already before the step, from
+    the errors just set.
+    """
     block = small_block(delay)
     e, valid = driver.adversarial(block, 600)
     expected = run_block(block, e, valid).currents
     found, _ = opened(block, version, tmp_path).play(block, e, valid, direct=delay == 0)
     late = max(delay - 1, 0)
     assert (found[:late] == 0).all()
-    assert np.abs(found[late:] - expected[: len(e) - late]).max() <= 1e-12 * block.current_limit.max()
+    assert (
+        np.abs(found[late:] - expected[: len(e) - late]).max() <= 1e-12 * block.current_limit.max()
+    )
 
 
 @compiler
 @pytest.mark.parametrize("version", VERSIONS)
 def test_simulated_with_tables_of_input(version, tmp_path):
-    """FMPy's own master, its inputs from a table, 10^4 samples: smooth errors, nothing implausible."""
+    """FMPy's own master, its inputs from a table, 10^4 samples: smooth errors, nothing
+    implausible.
+    """
     block = small_block()
     (tmp_path / "x.fmu").write_bytes(generate_fmu(block, version))
     count = 10_000
     t = np.arange(count + 1) * block.sample_time
     e = 2e-5 * np.column_stack([np.sin(300 * t), np.cos(40 * t)])
     signals = np.array(
-        [(*row,) for row in np.column_stack([t, e])], dtype=[("time", float), ("err_x", float), ("err_y", float)]
+        [(*row,) for row in np.column_stack([t, e])],
+        dtype=[("time", float), ("err_x", float), ("err_y", float)],
     )
     found = fmpy.simulate_fmu(
-        str(tmp_path / "x.fmu"), stop_time=t[-1], step_size=block.sample_time, output_interval=block.sample_time,
-        input=signals, output=["u_x", "limited"],
-    )  # fmt: skip
+        str(tmp_path / "x.fmu"),
+        stop_time=t[-1],
+        step_size=block.sample_time,
+        output_interval=block.sample_time,
+        input=signals,
+        output=["u_x", "limited"],
+    )
     expected = run_block(block, e).currents[:, 0]
     assert len(found) == count + 1
-    assert np.abs(found["u_x"][1:] - expected[:-1]).max() <= 1e-9 * np.abs(expected).max()  # FMPy interpolates its table
+    # FMPy interpolates its table
+    assert np.abs(found["u_x"][1:] - expected[:-1]).max() <= 1e-9 * np.abs(expected).max()
     assert np.abs(expected).max() > 0.1
     assert found["u_x"][0] == 0
 
@@ -182,7 +198,9 @@ def test_tracking_then_control_without_a_bump(rig, version, arithmetic, tmp_path
     player.set_flags(["tracking"], [True])
     for _ in range(3):
         player.step(rig.sample_time)
-        assert np.abs(np.array(player.get(list(rig.outputs))) - given).max() <= (0 if arithmetic == "double" else 1e-8)
+        assert np.abs(np.array(player.get(list(rig.outputs))) - given).max() <= (
+            0 if arithmetic == "double" else 1e-8
+        )
     player.set_flags(["tracking"], [False])
     player.step(rig.sample_time)
     tolerance = 1e-11 if arithmetic == "double" else 2e-3
@@ -209,12 +227,17 @@ def test_a_wrong_token_or_variable_is_refused(version, tmp_path):
 @pytest.mark.parametrize("name", driver.compilers())
 @pytest.mark.parametrize("arithmetic", ["double", "fixed16"])
 def test_sources_fit_the_headers_of_the_standard(version_headers, name, arithmetic, tmp_path):
-    """Compiled with the standard's declarations before ours: every signature agrees, and every function is there."""
+    """Compiled with the standard's declarations before ours: every signature agrees, and every
+    function is there.
+    """
     version, header = version_headers
     block = small_block(0 if arithmetic == "double" else 2)
     if arithmetic == "fixed16":
         block = small_block(
-            2, system=StateSpace([[-300.0]], [[300.0, 100.0]], [[1e3]], [[500.0, 0.0]], ["err_x", "err_y"], ["u_x"])
+            2,
+            system=StateSpace(
+                [[-300.0]], [[300.0, 100.0]], [[1e3]], [[500.0, 0.0]], ["err_x", "err_y"], ["u_x"]
+            ),
         )
     for file, text in generate_sources(block, version, arithmetic).items():
         (tmp_path / file).write_text(text)
@@ -223,12 +246,18 @@ def test_sources_fit_the_headers_of_the_standard(version_headers, name, arithmet
         out = tmp_path / "wrapper.o"
         # the standard's 3.0 header declares two callbacks without a prototype
         extra = (
-            ["-Wno-unknown-warning-option", "-Wno-strict-prototypes", "-Wno-deprecated-non-prototype"]
+            [
+                "-Wno-unknown-warning-option",
+                "-Wno-strict-prototypes",
+                "-Wno-deprecated-non-prototype",
+            ]
             if flags and name == "clang"
             else []
         )
         driver.build(name, ["-O2", "-fPIC", *flags, *extra, "-c", str(wrapper), "-o", str(out)])
-    listed = subprocess.run(["nm", "-g", "--defined-only", str(out)], capture_output=True, text=True, check=True).stdout
+    listed = subprocess.run(
+        ["nm", "-g", "--defined-only", str(out)], capture_output=True, text=True, check=True
+    ).stdout
     defined = {line.split()[-1] for line in listed.splitlines()}
     text = (HEADERS / header).read_text()
     declared = set(re.findall(r"\b(fmi[23][A-Z]\w+)TYPE\b", text))
@@ -278,17 +307,34 @@ def test_wrappers_under_the_sanitizers(version, delay, tmp_path):
         (tmp_path / file).write_text(text)
     check = _CHECK_2.replace("SAMPLE,", f"{block.sample_time},")
     if version == "3.0":  # the same calls in its words
-        check = re.sub(r"fmi2Instantiate\(\"x\", fmi2CoSimulation, (\"\w+\"), \"\", &none, 0, 0\)",
-                       r'fmi3InstantiateCoSimulation("x", \1, "", 0, 0, 0, 0, 0, 0, 0, 0, 0)', check)  # fmt: skip
-        check = re.sub(r"fmi2DoStep\((.*?), 1\)", r"fmi3DoStep(\1, 1, flags, flags + 1, flags + 2, values + 2)", check)
-        check = re.sub(r"fmi2(Get|Set)Real\(c, refs, (\d), values\)", r"fmi3\1Float64(c, refs, \2, values, \2)", check)
-        check = check.replace("fmi2CallbackFunctions none = {0, 0, 0, 0, 0}", "int none = 0").replace(
-            "int k;", "bool flags[3]; int k;"
+        check = re.sub(
+            r"fmi2Instantiate\(\"x\", fmi2CoSimulation, (\"\w+\"), \"\", &none, 0, 0\)",
+            r'fmi3InstantiateCoSimulation("x", \1, "", 0, 0, 0, 0, 0, 0, 0, 0, 0)',
+            check,
+        )
+        check = re.sub(
+            r"fmi2DoStep\((.*?), 1\)",
+            r"fmi3DoStep(\1, 1, flags, flags + 1, flags + 2, values + 2)",
+            check,
+        )
+        check = re.sub(
+            r"fmi2(Get|Set)Real\(c, refs, (\d), values\)",
+            r"fmi3\1Float64(c, refs, \2, values, \2)",
+            check,
+        )
+        check = check.replace(
+            "fmi2CallbackFunctions none = {0, 0, 0, 0, 0}", "int none = 0"
+        ).replace("int k;", "bool flags[3]; int k;")
+        check = (
+            check.replace("DeSerialize", "Deserialize")
+            .replace("FMUstate", "FMUState")
+            .replace("fmi2Component", "fmi3Instance")
         )
         check = (
-            check.replace("DeSerialize", "Deserialize").replace("FMUstate", "FMUState").replace("fmi2Component", "fmi3Instance")
+            check.replace("char bytes", "uint8_t bytes")
+            .replace("fmi2", "fmi3")
+            .replace("int k;", "int k; (void)none;")
         )
-        check = check.replace("char bytes", "uint8_t bytes").replace("fmi2", "fmi3").replace("int k;", "int k; (void)none;")
     (tmp_path / "check.c").write_text(check)
     sources = [str(tmp_path / "check.c"), str(tmp_path / "rig.c")]
     driver.build("gcc", [*driver.sanitizers("gcc"), *sources, "-o", str(tmp_path / "check"), "-lm"])
@@ -305,8 +351,11 @@ def version_headers(request):
 @pytest.mark.skipif(shutil.which("make") is None, reason="no make")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_builds_the_sources_itself(version, tmp_path, monkeypatch):
-    """An FMU of sources only: FMPy finds what to compile in the FMU, builds it with CMake, and runs it."""
-    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=":")  # CMake comes with FMPy
+    """An FMU of sources only: FMPy finds what to compile in the FMU, builds it with CMake, and runs
+    it.
+    """
+    # CMake comes with FMPy
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=":")
     block = small_block()
     (tmp_path / "x.fmu").write_bytes(generate_fmu(block, version, sources_only=True))
     folder = fmpy.extract(str(tmp_path / "x.fmu"), str(tmp_path / "x"))
@@ -316,7 +365,9 @@ def test_fmpy_builds_the_sources_itself(version, tmp_path, monkeypatch):
     player = Player(tmp_path / "built.zip", tmp_path / "opened")
     player.begin()
     e, valid = driver.adversarial(block, 1000)
-    assert np.abs(player.play(block, e, valid)[0] - run_block(block, e, valid).currents).max() <= 1e-12
+    assert (
+        np.abs(player.play(block, e, valid)[0] - run_block(block, e, valid).currents).max() <= 1e-12
+    )
 
 
 @compiler
@@ -328,10 +379,17 @@ def test_contents_and_repeatable_bytes(version):
     found = files_of(content)
     binaries = [name for name in found if name.startswith("binaries/")]
     assert len(binaries) == 1
-    assert {"sources/small.c", "sources/small.h", "sources/small_fmu.h", f"sources/fmi{version[0]}.c"} < set(found)
+    assert {
+        "sources/small.c",
+        "sources/small.h",
+        "sources/small_fmu.h",
+        f"sources/fmi{version[0]}.c",
+    } < set(found)
     assert b"from &lt;here&gt; &amp; there" in found["documentation/index.html"]
     assert b"TOKEN" not in found[f"sources/fmi{version[0]}.c"]
-    other = files_of(generate_fmu(replace(block, hold_samples=3), version, sources_only=True))["modelDescription.xml"]
+    other = files_of(generate_fmu(replace(block, hold_samples=3), version, sources_only=True))[
+        "modelDescription.xml"
+    ]
     assert other != found["modelDescription.xml"]  # another code, another token
 
 
@@ -343,13 +401,14 @@ def test_variables_units_and_limits(version, tmp_path):
     assert found["u_B_eta"].unit == "A"
     assert float(found["u_B_eta"].max) == CURRENT
     assert found["valid_err_A_zeta"].start == "true"
-    assert [found[n].causality for n in ("tracking", "given_u_A_zeta", "held", "fault", "limited")] == ["input"] * 2 + [
-        "output"
-    ] * 3
+    assert [
+        found[n].causality for n in ("tracking", "given_u_A_zeta", "held", "fault", "limited")
+    ] == ["input"] * 2 + ["output"] * 3
     description = fmpy.read_model_description(str(tmp_path / "x.fmu"))
     assert float(description.defaultExperiment.stepSize) == 1e-4
     needs = {o.variable.name: [v.name for v in o.dependencies] for o in description.outputs}
-    assert needs["u_A_zeta"][0] == "err_A_zeta"  # without delay the outputs depend on the inputs of the same instant
+    # without delay the outputs depend on the inputs of the same instant
+    assert needs["u_A_zeta"][0] == "err_A_zeta"
     (tmp_path / "x.fmu").write_bytes(generate_fmu(rig_block(1), version, sources_only=True))
     later = fmpy.read_model_description(str(tmp_path / "x.fmu"))
     assert all(o.dependencies == [] for o in later.outputs)
@@ -367,17 +426,24 @@ def test_a_compiler_that_fails(monkeypatch, tmp_path):
     (tmp_path / "cc").write_text("#!/bin/sh\necho 'no licence today' >&2\nexit 3\n")
     (tmp_path / "cc").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    with pytest.raises(InvalidInput, match=r"refused the code: no licence today; write an FMU of sources only"):
+    with pytest.raises(
+        InvalidInput, match=r"refused the code: no licence today; write an FMU of sources only"
+    ):
         generate_fmus(small_block())
 
 
 def test_a_platform_without_a_name(monkeypatch):
     monkeypatch.setattr("platform.machine", lambda: "mips")
-    with pytest.raises(InvalidInput, match=r"this computer is Linux mips, but must be a platform that FMI 2.0 names"):
+    with pytest.raises(
+        InvalidInput,
+        match=r"this computer is Linux mips, but must be a platform that FMI 2.0 names",
+    ):
         generate_fmu(small_block(), "2.0")
 
 
-@pytest.mark.parametrize("names", [(["held", "b"], ["c"]), (["a", "b"], ["time"]), (["a", "valid_a"], ["c"])])
+@pytest.mark.parametrize(
+    "names", [(["held", "b"], ["c"]), (["a", "b"], ["time"]), (["a", "valid_a"], ["c"])]
+)
 def test_signals_called_like_variables_of_the_fmu(names):
     K = StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]], *names)
     with pytest.raises(InvalidInput, match="must be unlike the FMU's own variables"):
@@ -399,7 +465,9 @@ def test_nothing_half_written_when_the_disk_is_full(tmp_path, monkeypatch):
 
 
 def test_limits_are_those_of_the_code(tmp_path):
-    """In single precision 0.3 A is a little more: the description says so, and no output leaves its range."""
+    """In single precision 0.3 A is a little more: the description says so, and no output leaves its
+    range.
+    """
     block = replace(small_block(), current_limit=np.array([0.3]))
     (tmp_path / "x.fmu").write_bytes(generate_fmu(block, "3.0", "float", sources_only=True))
     found = {v.name: v for v in fmpy.read_model_description(str(tmp_path / "x.fmu")).modelVariables}

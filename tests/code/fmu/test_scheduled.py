@@ -7,14 +7,22 @@ import pytest
 from fmpy.validation import validate_fmu
 
 import code_driver as driver
-from ambrose.core.checks import InvalidInput
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_scheduled
-from ambrose.code.sampled import deploy
 from ambrose.code.fmu.archive import generate_fmu
 from ambrose.code.fmu.description import model_description
+from ambrose.code.sampled import deploy
+from ambrose.core.checks import InvalidInput
 from fmu_player import Player
-from schedule_driver import CURRENT, DT, ERROR, adversarial_speeds, block_of, pressure_schedule, small_schedule
+from schedule_driver import (
+    CURRENT,
+    DT,
+    ERROR,
+    adversarial_speeds,
+    block_of,
+    pressure_schedule,
+    small_schedule,
+)
 
 pytestmark = pytest.mark.campaign  # code to compile
 
@@ -44,11 +52,18 @@ def test_agrees_with_the_block_in_python(version, make, rate, tmp_path):
         assert 0.01 < ((status & bit) > 0).mean() < 0.95
 
 
-@pytest.mark.parametrize(("make", "name", "unit"), [(small_schedule, "speed", "rad/s"), (pressure_schedule, "pressure", "Pa")])
+@pytest.mark.parametrize(
+    ("make", "name", "unit"),
+    [(small_schedule, "speed", "rad/s"), (pressure_schedule, "pressure", "Pa")],
+)
 def test_the_description_names_the_parameter_with_its_unit(make, name, unit):
     for version in VERSIONS:
         text = model_description(block_of(make()), version, "{x}", "x")
-        assert f'name="{name}"' in text and f'unit="{unit}"' in text and f'<Unit name="{unit}">' in text
+        assert (
+            f'name="{name}"' in text
+            and f'unit="{unit}"' in text
+            and f'<Unit name="{unit}">' in text
+        )
 
 
 def test_fixed_point_is_refused():

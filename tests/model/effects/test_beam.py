@@ -1,7 +1,8 @@
-"""Beam elements against printed element matrices and closed-form beam frequencies, with the order of convergence.
+"""Beam elements against printed element matrices and closed-form beam frequencies, with the order
+of convergence.
 
-Without shear the order is 4. Nelson's Timoshenko element holds the shear strain constant, so that its error, the shear part of
-the strain energy times (k h)^2/12 to first order, falls with order 2.
+Without shear the order is 4. Nelson's Timoshenko element holds the shear strain constant, so that
+its error, the shear part of the strain energy times (k h)^2/12 to first order, falls with order 2.
 """
 
 import numpy as np
@@ -11,17 +12,35 @@ import scipy.linalg as sla
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BEAM_THEORIES, Amplifier, ShaftSection
 from ambrose.machine.machine import Machine
-from ambrose.model.effects.beam import area, beam_element, conical_element, second_moment, shape, shear_coefficient
+from ambrose.model.effects.beam import (
+    area,
+    beam_element,
+    conical_element,
+    second_moment,
+    shape,
+    shear_coefficient,
+)
 from ambrose.model.effects.rotor import finite_element_rotor
 
-RHO, E, NU = 7850.0, 2.1e11, 0.3
+RHO = 7850.0
+E = 2.1e11
+NU = 0.3
 L, D = 1.0, 0.08  # a stubby beam: shear and rotary inertia matter
 EI, KAG = E * second_moment(D, 0.0), shear_coefficient(NU) * E / (2 * (1 + NU)) * area(D, 0.0)
 RHO_A, RHO_I = RHO * area(D, 0.0), RHO * second_moment(D, 0.0)
 
 
 def element(length=0.2, outer=D, inner=0.0, theory="timoshenko", **changes):
-    return beam_element(length, outer, inner, density=RHO, youngs_modulus=E, poisson_ratio=NU, theory=theory, **changes)
+    return beam_element(
+        length,
+        outer,
+        inner,
+        density=RHO,
+        youngs_modulus=E,
+        poisson_ratio=NU,
+        theory=theory,
+        **changes,
+    )
 
 
 def chain(n, theory, what):
@@ -39,9 +58,11 @@ def pinned(matrix):
 
 
 def pinned_frequencies(theory, speed=0.0, modes=(1, 2, 3)):
-    """Whirl frequencies [rad/s] of a pinned, spinning beam: w = sin(k x), theta = cos(k x) make the equations algebraic.
+    """Whirl frequencies [rad/s] of a pinned, spinning beam: w = sin(k x), theta = cos(k x) make the
+    equations algebraic.
 
-    Huang (1961) for the Timoshenko beam at standstill; forward whirl with speed > 0, backward with speed < 0.
+    Huang (1961) for the Timoshenko beam at standstill; forward whirl with speed > 0, backward with
+    speed < 0.
     """
     result = []
     for mode in modes:
@@ -58,7 +79,8 @@ def pinned_frequencies(theory, speed=0.0, modes=(1, 2, 3)):
         n = len(mass)
         # w^2 M - w Omega G - K = 0
         whirl = sla.eigvals(
-            np.block([[np.zeros((n, n)), np.eye(n)], [stiffness, speed * gyroscopic]]), sla.block_diag(np.eye(n), mass)
+            np.block([[np.zeros((n, n)), np.eye(n)], [stiffness, speed * gyroscopic]]),
+            sla.block_diag(np.eye(n), mass),
         )
         result.append(np.min(whirl.real[whirl.real > 0]))
     return np.array(result)
@@ -95,10 +117,13 @@ def test_pinned_beam_converges_to_closed_form(theory):
         frequencies = np.sqrt(sla.eigh(K, M, eigvals_only=True)[:3])
         errors.append(np.abs(frequencies / exact - 1))
     assert np.all(np.abs(order_of(errors) - ORDER[theory]) < 0.1)
-    # The errors' constants as well; the shear part of the strain energy is E I k^2/(kappa G A + E I k^2).
+    # The errors' constants as well; the shear part of the strain energy is E I k^2/(kappa G A + E I
+    # k^2).
     k = np.arange(1, 4) * np.pi / L
     kh = k * L / 32
-    predicted = EI * k**2 / (KAG + EI * k**2) * kh**2 / 24 if theory == "timoshenko" else kh**4 / 1440
+    predicted = (
+        EI * k**2 / (KAG + EI * k**2) * kh**2 / 24 if theory == "timoshenko" else kh**4 / 1440
+    )
     assert errors[-1] == pytest.approx(predicted, rel=0.1)
 
 
@@ -134,12 +159,29 @@ def test_theories_differ_in_the_known_order():
 
 
 def test_matrices_are_the_printed_ones():
-    """Bernoulli-Euler and Rayleigh (Nelson & McVaugh 1976, appendix), in [w1, theta1, w2, theta2]."""
+    """Bernoulli-Euler and Rayleigh (Nelson & McVaugh 1976, appendix), in [w1, theta1, w2,
+    theta2].
+    """
     h = 0.2
     e = element(h, theory="rayleigh")
-    translational = [[156, 22 * h, 54, -13 * h], [0, 4 * h**2, 13 * h, -3 * h**2], [0, 0, 156, -22 * h], [0, 0, 0, 4 * h**2]]
-    rotary = [[36, 3 * h, -36, 3 * h], [0, 4 * h**2, -3 * h, -(h**2)], [0, 0, 36, -3 * h], [0, 0, 0, 4 * h**2]]
-    stiffness = [[12, 6 * h, -12, 6 * h], [0, 4 * h**2, -6 * h, 2 * h**2], [0, 0, 12, -6 * h], [0, 0, 0, 4 * h**2]]
+    translational = [
+        [156, 22 * h, 54, -13 * h],
+        [0, 4 * h**2, 13 * h, -3 * h**2],
+        [0, 0, 156, -22 * h],
+        [0, 0, 0, 4 * h**2],
+    ]
+    rotary = [
+        [36, 3 * h, -36, 3 * h],
+        [0, 4 * h**2, -3 * h, -(h**2)],
+        [0, 0, 36, -3 * h],
+        [0, 0, 0, 4 * h**2],
+    ]
+    stiffness = [
+        [12, 6 * h, -12, 6 * h],
+        [0, 4 * h**2, -6 * h, 2 * h**2],
+        [0, 0, 12, -6 * h],
+        [0, 0, 0, 4 * h**2],
+    ]
     for matrix, printed, factor in (
         (e.translational, translational, RHO_A * h / 420),
         (e.rotary, rotary, RHO_I / (30 * h)),
@@ -162,12 +204,23 @@ def test_timoshenko_matrices_are_the_printed_ones():
     t1, t2 = 13 / 35 + 7 * p / 10 + p**2 / 3, (11 / 210 + 11 * p / 120 + p**2 / 24) * h
     t3, t4 = 9 / 70 + 3 * p / 10 + p**2 / 6, (13 / 420 + 3 * p / 40 + p**2 / 24) * h
     t5, t6 = (1 / 105 + p / 60 + p**2 / 120) * h**2, (1 / 140 + p / 60 + p**2 / 120) * h**2
-    translational = np.array([[t1, t2, t3, -t4], [t2, t5, t4, -t6], [t3, t4, t1, -t2], [-t4, -t6, -t2, t5]])
+    translational = np.array(
+        [[t1, t2, t3, -t4], [t2, t5, t4, -t6], [t3, t4, t1, -t2], [-t4, -t6, -t2, t5]]
+    )
     r1, r2 = 6 / 5, (1 / 10 - p / 2) * h
     r5, r6 = (2 / 15 + p / 6 + p**2 / 3) * h**2, (-1 / 30 - p / 6 + p**2 / 6) * h**2
-    rotary = np.array([[r1, r2, -r1, r2], [r2, r5, -r2, r6], [-r1, -r2, r1, -r2], [r2, r6, -r2, r5]])
+    rotary = np.array(
+        [[r1, r2, -r1, r2], [r2, r5, -r2, r6], [-r1, -r2, r1, -r2], [r2, r6, -r2, r5]]
+    )
     k5, k6 = (4 + p) * h**2, (2 - p) * h**2
-    stiffness = np.array([[12, 6 * h, -12, 6 * h], [6 * h, k5, -6 * h, k6], [-12, -6 * h, 12, -6 * h], [6 * h, k6, -6 * h, k5]])
+    stiffness = np.array(
+        [
+            [12, 6 * h, -12, 6 * h],
+            [6 * h, k5, -6 * h, k6],
+            [-12, -6 * h, 12, -6 * h],
+            [6 * h, k6, -6 * h, k5],
+        ]
+    )
     assert e.translational == pytest.approx(translational * RHO_A * h / (1 + p) ** 2, rel=1e-12)
     assert e.rotary == pytest.approx(rotary * RHO_I / h / (1 + p) ** 2, rel=1e-12)
     assert e.gyroscopic == pytest.approx(2 * e.rotary, rel=1e-14)
@@ -183,9 +236,17 @@ def test_shape_functions_satisfy_the_static_beam(phi):
     assert ends == pytest.approx(np.eye(4), abs=1e-14)
     # Cubic in xi: four points give the exact derivatives.
     polynomial = np.polynomial.polynomial
-    slope = np.stack([polynomial.polyval(xi, polynomial.polyder(c)) for c in polynomial.polyfit(xi, w, 3).T], axis=1) / h
+    slope = (
+        np.stack(
+            [polynomial.polyval(xi, polynomial.polyder(c)) for c in polynomial.polyfit(xi, w, 3).T],
+            axis=1,
+        )
+        / h
+    )
     shear_strain = slope - theta
-    assert shear_strain == pytest.approx(np.broadcast_to(shear_strain[0], shear_strain.shape), abs=1e-10)
+    assert shear_strain == pytest.approx(
+        np.broadcast_to(shear_strain[0], shear_strain.shape), abs=1e-10
+    )
     # Equilibrium: kappa G A (w' - theta) = -E I theta'' with phi = 12 E I/(kappa G A h^2)
     curvature_slope = np.array([2 * polynomial.polyfit(xi, theta, 2)[2]]) / h**2
     assert shear_strain[0] == pytest.approx(-phi * h**2 / 12 * curvature_slope[0], abs=1e-10)
@@ -203,18 +264,18 @@ def test_elements_of_a_batch_equal_single_elements():
 def test_hollow_section_is_the_difference_of_two_solid_ones():
     outer, inner = 0.08, 0.05
     for theory in ("bernoulli-euler", "rayleigh"):
-        tube, solid, core = (
-            element(outer=outer, inner=inner, theory=theory),
-            element(theory=theory),
-            element(outer=inner, theory=theory),
-        )
+        tube = element(outer=outer, inner=inner, theory=theory)
+        solid = element(theory=theory)
+        core = element(outer=inner, theory=theory)
         for name in ("mass", "gyroscopic", "stiffness"):
             expected = getattr(solid, name) - getattr(core, name)
             assert getattr(tube, name) == pytest.approx(expected, rel=1e-12)
 
 
 def test_shrunk_on_mass_adds_inertia_but_no_stiffness():
-    plain, heavy, thick = element(), element(mass_diameter=0.12), element(outer=0.12)
+    plain = element()
+    heavy = element(mass_diameter=0.12)
+    thick = element(outer=0.12)
     assert np.array_equal(heavy.stiffness, plain.stiffness)
     assert np.array_equal(heavy.shear, plain.shear)
     rigid = np.array([1.0, 0.0, 1.0, 0.0])
@@ -244,11 +305,14 @@ def test_impossible_sections_are_refused(arguments, message):
         element(**arguments)
 
 
-@pytest.mark.parametrize(("name", "value"), [("density", 0.0), ("youngs_modulus", -1.0), ("poisson_ratio", 0.6)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("density", 0.0), ("youngs_modulus", -1.0), ("poisson_ratio", 0.6)]
+)
 def test_impossible_materials_are_refused(name, value):
     material = {"density": RHO, "youngs_modulus": E, "poisson_ratio": NU} | {name: value}
     with pytest.raises(
-        InvalidInput, match=name.replace("_", ".*").replace("youngs", "Young's").replace("poisson", "Poisson's")
+        InvalidInput,
+        match=name.replace("_", ".*").replace("youngs", "Young's").replace("poisson", "Poisson's"),
     ):
         beam_element(0.1, 0.05, **material)
 
@@ -274,7 +338,10 @@ def staircase(n, left, right, length, theory, bore=(0.0, 0.0)):
     """n cylinders of the cone's mean diameters."""
     middle = (np.arange(n) + 0.5) / n
     outer, inner = left + (right - left) * middle, bore[0] + (bore[1] - bore[0]) * middle
-    return [beam_element(length / n, do, di, theory=theory, **MATERIAL) for do, di in zip(outer, inner, strict=True)]
+    return [
+        beam_element(length / n, do, di, theory=theory, **MATERIAL)
+        for do, di in zip(outer, inner, strict=True)
+    ]
 
 
 def frequencies(elements, keep=slice(None)):
@@ -293,7 +360,9 @@ def test_a_cone_of_equal_diameters_is_a_cylinder(theory):
 
 @pytest.mark.parametrize("theory", BEAM_THEORIES)
 def test_one_cone_has_the_flexibility_of_many_steps(theory):
-    """Static end loads: one conical element is exact; 64 steps come within 0.05 %, 8 steps miss by more than 0.3 %."""
+    """Static end loads: one conical element is exact; 64 steps come within 0.05 %, 8 steps miss by
+    more than 0.3 %.
+    """
     shape_of = {"left": 0.06, "right": 0.12, "length": 0.3, "theory": theory, "bore": (0.02, 0.05)}
     held = slice(2, None)
 
@@ -308,7 +377,9 @@ def test_one_cone_has_the_flexibility_of_many_steps(theory):
 
 
 def test_a_few_cones_bend_like_hundreds_of_steps():
-    """First free-free frequency without shear: four conical elements within 0.2 % of 256 steps, four steps miss by 4 %."""
+    """First free-free frequency without shear: four conical elements within 0.2 % of 256 steps,
+    four steps miss by 4 %.
+    """
     shape_of = {"left": 0.05, "right": 0.12, "length": 0.8, "theory": "rayleigh"}
     true = frequencies(staircase(256, **shape_of))[2]
     assert frequencies(cone(4, **shape_of))[2] == pytest.approx(true, rel=2e-3)
@@ -316,9 +387,11 @@ def test_a_few_cones_bend_like_hundreds_of_steps():
 
 
 def test_kirchhoff_s_cone():
-    """A cantilever that runs out to a point, Kirchhoff (1879): w L^2 sqrt(rho A/(E I)) = 8.719, 21.15, 38.45 at the root.
+    """A cantilever that runs out to a point, Kirchhoff (1879): w L^2 sqrt(rho A/(E I)) = 8.719,
+    21.15, 38.45 at the root.
 
-    The last hundredth is left out: what is that thin has no mass. The first two frequencies change by 3e-4, the third by 1e-3.
+    The last hundredth is left out: what is that thin has no mass. The first two frequencies change
+    by 3e-4, the third by 1e-3.
     """
     root = 0.08
     found = frequencies(cone(48, root, 0.01 * root, 0.99, "bernoulli-euler"), slice(2, None))[:3]
@@ -328,25 +401,36 @@ def test_kirchhoff_s_cone():
 
 
 def test_a_cone_has_its_mass_and_no_stiffness_against_rigid_motion():
-    item = conical_element(0.3, (0.06, 0.12), (0.02, 0.05), (0.06, 0.12), theory="timoshenko", **MATERIAL)
+    item = conical_element(
+        0.3, (0.06, 0.12), (0.02, 0.05), (0.06, 0.12), theory="timoshenko", **MATERIAL
+    )
     shift, tilt = np.array([1.0, 0, 1, 0]), np.array([0.0, 1, 0.3, 1])
-    volume = np.pi / 12 * 0.3 * ((0.06**2 + 0.06 * 0.12 + 0.12**2) - (0.02**2 + 0.02 * 0.05 + 0.05**2))
+    volume = (
+        np.pi / 12 * 0.3 * ((0.06**2 + 0.06 * 0.12 + 0.12**2) - (0.02**2 + 0.02 * 0.05 + 0.05**2))
+    )
     assert shift @ item.translational @ shift == pytest.approx(RHO * volume, rel=1e-12)
     for motion in (shift, tilt):
-        np.testing.assert_allclose(item.stiffness @ motion, 0, atol=1e-9 * np.abs(item.stiffness).max())
+        np.testing.assert_allclose(
+            item.stiffness @ motion, 0, atol=1e-9 * np.abs(item.stiffness).max()
+        )
 
 
 @pytest.mark.parametrize(("right", "bore"), [(0.01, (0.0, 0.0)), (0.1, (0.02, 0.099))])
 def test_steep_cones_and_thin_walls_are_integrated_to_rounding(right, bore):
     """The flexibility of one element is that of twenty in a row, which are ten times less steep."""
     one, many = (
-        np.linalg.inv(assembled(cone(n, 0.1, right, 0.3, "timoshenko", bore), "stiffness")[2:, 2:])[-2:, -2:] for n in (1, 20)
+        np.linalg.inv(assembled(cone(n, 0.1, right, 0.3, "timoshenko", bore), "stiffness")[2:, 2:])[
+            -2:, -2:
+        ]
+        for n in (1, 20)
     )
     np.testing.assert_allclose(one, many, rtol=1e-8)
 
 
 def test_a_section_of_two_diameters_is_such_a_chain():
-    section = ShaftSection(0.0, 0.3, 0.06, 0.02, elements=3, end_outer_diameter=0.12, end_inner_diameter=0.05)
+    section = ShaftSection(
+        0.0, 0.3, 0.06, 0.02, elements=3, end_outer_diameter=0.12, end_inner_diameter=0.05
+    )
     machine = Machine("cone", (section,), (), (), Amplifier("none"), beam_theory="timoshenko")
     chain_of = cone(3, 0.06, 0.12, 0.3, "timoshenko", bore=(0.02, 0.05))
     rotor = finite_element_rotor(machine)
@@ -361,9 +445,13 @@ def test_a_section_of_two_diameters_is_such_a_chain():
         ({"end_outer_diameter": 0.0}, "end_outer_diameter is 0 m"),
         (
             {"end_outer_diameter": 0.01},
-            "inner_diameter is 0.02 m, but must be below the outer diameter at the right end, 0.01 m",
+            "inner_diameter is 0.02 m, but must be below the outer diameter at the right end, "
+            "0.01 m",
         ),
-        ({"end_inner_diameter": 0.07}, "end_inner_diameter is 0.07 m, but must be below the outer diameter at the right end"),
+        (
+            {"end_inner_diameter": 0.07},
+            "end_inner_diameter is 0.07 m, but must be below the outer diameter at the right end",
+        ),
         ({"end_inner_diameter": -0.01}, "end_inner_diameter is -0.01 m"),
     ],
 )

@@ -12,18 +12,33 @@ from scipy.optimize import brentq
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.description import Seal
-from ambrose.model.effects.bulkflow import Friction, Gas, SealCondition, SealGeometry, _walls, air, bulk_flow, seal_table
+from ambrose.model.effects.bulkflow import (
+    Friction,
+    Gas,
+    SealCondition,
+    SealGeometry,
+    _walls,
+    air,
+    bulk_flow,
+    seal_table,
+)
 from ambrose.model.effects.bulkflow_static import static_flow
 from ambrose.model.effects.bulkflow_whirl import whirl_flow
 from ambrose.model.effects.seal import coefficients
 
 HZ = 2 * np.pi
 # the seal of the thesis' P3 (chapter 4, figure 2); the stator's friction is assumed
-SEAL = SealGeometry(0.0857, 0.11474, 2.115e-4, 2.102e-4, 3.3e-3, 0.684, stator_friction=Friction(0.02, 0.0))
+SEAL = SealGeometry(
+    0.0857, 0.11474, 2.115e-4, 2.102e-4, 3.3e-3, 0.684, stator_friction=Friction(0.02, 0.0)
+)
 CONDITION = SealCondition(70e5, 31.5e5, 290.55, 20200 * HZ / 60, air(290.55))
 FREQUENCIES = HZ * np.arange(20, 301, 20)
-# ROSS 2.3.0: exit pressure [Pa], preswirl -> leakage [kg/s], Mach number and swirl [m/s] at the exit
-ROSS = [(31.5e5, 0.0, 0.7664387917, 0.9215362897, 61.18504220), (50e5, 0.5, 0.6662060511, 0.5046392111, 81.53316513)]
+# ROSS 2.3.0: exit pressure [Pa], preswirl -> leakage [kg/s], Mach number and swirl [m/s] at the
+# exit
+ROSS = [
+    (31.5e5, 0.0, 0.7664387917, 0.9215362897, 61.18504220),
+    (50e5, 0.5, 0.6662060511, 0.5046392111, 81.53316513),
+]
 
 
 def coefficient_array(flow):
@@ -34,8 +49,12 @@ def coefficient_array(flow):
 
 
 def test_isothermal_duct_formula():
-    """At rest with constant friction: p1^2 - p2^2 = (G a/H)^2 ((f_s + f_r) L/H + 2 ln(p1/p2)), any textbook on gas dynamics."""
-    seal = replace(SEAL, exit_clearance=2.115e-4, rotor_friction=Friction(0.005, 0.0), inlet_loss=0.0)
+    """At rest with constant friction: p1^2 - p2^2 = (G a/H)^2 ((f_s + f_r) L/H + 2 ln(p1/p2)), any
+    textbook on gas dynamics.
+    """
+    seal = replace(
+        SEAL, exit_clearance=2.115e-4, rotor_friction=Friction(0.005, 0.0), inlet_loss=0.0
+    )
     condition = replace(CONDITION, speed=0.0)
     flow = bulk_flow(seal, condition, [100.0])
     G = flow.leakage / (np.pi * seal.diameter)
@@ -56,7 +75,9 @@ def test_static_flow_against_momentum_balance(taper, preswirl):
     seal = replace(SEAL, exit_clearance=taper * SEAL.inlet_clearance, exit_recovery=0.3)
     walls = _walls(seal, replace(CONDITION, preswirl=preswirl))
     flow = static_flow(walls, 100)
-    G, a2, R_omega = flow.G, walls.a2, walls.surface_speed
+    G = flow.G
+    a2 = walls.a2
+    R_omega = walls.surface_speed
 
     def state(z, momentum):
         H = walls.H_in + (walls.H_out - walls.H_in) * z / walls.length
@@ -69,18 +90,31 @@ def test_static_flow_against_momentum_balance(taper, preswirl):
         stress = np.zeros(2)
         for (n, m), wall in ((walls.stator, 0.0), (walls.rotor, R_omega)):
             V = np.hypot(W, U - wall)
-            stress += 0.5 * rho * V * n * (2 * rho * H * V / walls.viscosity) ** m * np.array([W, U - wall])
+            stress += (
+                0.5
+                * rho
+                * V
+                * n
+                * (2 * rho * H * V / walls.viscosity) ** m
+                * np.array([W, U - wall])
+            )
         return [p * (walls.H_out - walls.H_in) / walls.length - stress[0], -stress[1] / G]
 
     start = [flow.p[0] * walls.H_in + G * flow.W[0], preswirl * R_omega]
-    other = solve_ivp(rhs, (0, walls.length), start, method="DOP853", rtol=1e-12, atol=1e-12, t_eval=flow.z)
+    other = solve_ivp(
+        rhs, (0, walls.length), start, method="DOP853", rtol=1e-12, atol=1e-12, t_eval=flow.z
+    )
     p = np.array([state(z, momentum)[1] for z, momentum in zip(other.t, other.y[0], strict=True)])
     np.testing.assert_allclose(flow.p, p, rtol=1e-7)
     np.testing.assert_allclose(flow.U, other.y[1], atol=1e-6 * R_omega)
     # and the two ends
     head = 0.5 * flow.p * flow.W**2 / a2
-    assert flow.p[0] + (1 + seal.inlet_loss) * head[0] == pytest.approx(CONDITION.inlet_pressure, rel=1e-12)
-    assert flow.p[-1] + seal.exit_recovery * head[-1] == pytest.approx(CONDITION.exit_pressure, rel=1e-9)
+    assert flow.p[0] + (1 + seal.inlet_loss) * head[0] == pytest.approx(
+        CONDITION.inlet_pressure, rel=1e-12
+    )
+    assert flow.p[-1] + seal.exit_recovery * head[-1] == pytest.approx(
+        CONDITION.exit_pressure, rel=1e-9
+    )
     np.testing.assert_allclose(flow.p / a2 * flow.W * flow.H, G, rtol=1e-12)  # mass
 
 
@@ -88,11 +122,15 @@ def test_static_flow_against_momentum_balance(taper, preswirl):
 
 
 def smooth_walls(**changes):
-    return replace(_walls(replace(SEAL, exit_clearance=1.7e-4), replace(CONDITION, preswirl=0.3)), **changes)
+    return replace(
+        _walls(replace(SEAL, exit_clearance=1.7e-4), replace(CONDITION, preswirl=0.3)), **changes
+    )
 
 
 def remainder(walls, flow, q, omega, amplitude):
-    """What mass, axial and circumferential momentum (3,) leave over, relative, for flow + amplitude * whirl."""
+    """What mass, axial and circumferential momentum (3,) leave over, relative, for flow + amplitude
+    * whirl.
+    """
     R, d = walls.radius, 1e-4
 
     def field(t, theta):
@@ -114,15 +152,27 @@ def remainder(walls, flow, q, omega, amplitude):
     for theta in (0.0, 0.9, 2.5):
         H, p, U, W = field(0.0, theta)
         rho = p / walls.a2
-        along = CubicSpline(flow.z, [rho * H * W, rho * H * W * W, rho * H * W * U, p], axis=1)(flow.z, 1)
-        change = (stored(d / abs(omega), theta) - stored(-d / abs(omega), theta)) / (2 * d / abs(omega))
+        along = CubicSpline(flow.z, [rho * H * W, rho * H * W * W, rho * H * W * U, p], axis=1)(
+            flow.z, 1
+        )
+        change = (stored(d / abs(omega), theta) - stored(-d / abs(omega), theta)) / (
+            2 * d / abs(omega)
+        )
         turn = (around(0.0, theta + d) - around(0.0, theta - d)) / (2 * d * R)
         stress = np.zeros((2, len(p)))
         for (n, m), wall in ((walls.stator, 0.0), (walls.rotor, walls.surface_speed)):
             V = np.hypot(W, U - wall)
-            stress += 0.5 * rho * V * n * (2 * rho * H * V / walls.viscosity) ** m * np.array([W, U - wall])
+            stress += (
+                0.5
+                * rho
+                * V
+                * n
+                * (2 * rho * H * V / walls.viscosity) ** m
+                * np.array([W, U - wall])
+            )
         total = change[:3] + along[:3] + turn[:3]
-        total[1] += H * along[3] + stress[0] + W * change[3]  # what enters the cells takes its momentum along
+        # what enters the cells takes its momentum along
+        total[1] += H * along[3] + stress[0] + W * change[3]
         total[2] += H * turn[3] + stress[1] + U * change[3]
         scale = np.array([flow.G / walls.length, np.abs(stress[0]).max(), np.abs(stress[1]).max()])
         left.append(np.abs(total[:, 40:-40]).max(axis=1) / scale)
@@ -131,26 +181,40 @@ def remainder(walls, flow, q, omega, amplitude):
 
 @pytest.mark.parametrize("omega", [-900.0, 300.0, 2000.0])
 def test_first_order_solves_the_nonlinear_equations(omega):
-    """Flow plus a small whirl, put into the unsteady conservation laws: what is left falls with the amplitude's square."""
+    """Flow plus a small whirl, put into the unsteady conservation laws: what is left falls with the
+    amplitude's square.
+    """
     walls = _walls(replace(SEAL, exit_clearance=1.7e-4), replace(CONDITION, preswirl=0.3))
     flow = static_flow(walls, 400)
     q = whirl_flow(walls, flow, np.array([omega]))
-    large, small, none = (remainder(walls, flow, q, omega, amplitude) for amplitude in (4e-7, 1e-7, 0.0))
+    large, small, none = (
+        remainder(walls, flow, q, omega, amplitude) for amplitude in (4e-7, 1e-7, 0.0)
+    )
     assert (none < 1e-8).all()
     assert (small < large / 15).all()
     assert (small < 1e-4).all()
 
 
 def test_breathing_clearance_against_finite_differences():
-    """A uniform, very slow change of the clearance (no waves around) is the difference of two zeroth-order flows."""
-    seal, condition = replace(SEAL, exit_clearance=1.7e-4, exit_recovery=0.4), replace(CONDITION, preswirl=0.3)
+    """A uniform, very slow change of the clearance (no waves around) is the difference of two
+    zeroth-order flows.
+    """
+    seal, condition = (
+        replace(SEAL, exit_clearance=1.7e-4, exit_recovery=0.4),
+        replace(CONDITION, preswirl=0.3),
+    )
     walls = _walls(seal, condition)
     q = whirl_flow(walls, static_flow(walls, 200), np.array([0.0]), harmonic=0)
     d = 1e-9
-    wide, narrow = (static_flow(replace(walls, H_in=walls.H_in + x, H_out=walls.H_out + x), 200) for x in (d, -d))
+    wide, narrow = (
+        static_flow(replace(walls, H_in=walls.H_in + x, H_out=walls.H_out + x), 200)
+        for x in (d, -d)
+    )
     for amplitude, name in ((q.p, "p"), (q.u, "U"), (q.w, "W")):
         difference = (getattr(wide, name) - getattr(narrow, name)) / (2 * d)
-        np.testing.assert_allclose(amplitude[0, ::2], difference[::2], atol=2e-6 * np.abs(difference).max())
+        np.testing.assert_allclose(
+            amplitude[0, ::2], difference[::2], atol=2e-6 * np.abs(difference).max()
+        )
 
 
 def test_coefficients_settle_at_low_frequency():
@@ -163,8 +227,9 @@ def test_coefficients_settle_at_low_frequency():
 def black(xi, sigma, dp, R, L, H, rho, Omega, omega):
     """K, k, C, c of a short incompressible seal, friction factors constant, swirl R Omega/2.
 
-    Mass j s h + H w' = 0 and momentum rho (j s w + W w') = -p' - (f/H)(rho W w - rho W^2 h/(2 H)), s = omega - Omega/2, are
-    polynomials in z (Black 1969; Childs 1983 without the circumferential flow).
+    Mass j s h + H w' = 0 and momentum rho (j s w + W w') = -p' - (f/H)(rho W w - rho W^2 h/(2 H)),
+    s = omega - Omega/2, are polynomials in z (Black 1969; Childs 1983 without the circumferential
+    flow).
     """
     W = np.sqrt(2 * dp / (rho * (1 + xi + 2 * sigma)))
     f = 2 * sigma * H / L
@@ -175,25 +240,49 @@ def black(xi, sigma, dp, R, L, H, rho, Omega, omega):
         h = -1.0
         squeezed = P([0, -1j * s * h / H])  # w = w0 + squeezed
         slope_of_one = P([-rho * (1j * s + f * W / H)])  # p' per w0
-        slope = -rho * (1j * s * squeezed + W * squeezed.deriv()) - f * rho * W / H * squeezed + 0.5 * f * rho * W**2 * h / H**2
+        slope = (
+            -rho * (1j * s * squeezed + W * squeezed.deriv())
+            - f * rho * W / H * squeezed
+            + 0.5 * f * rho * W**2 * h / H**2
+        )
         inlet = -(1 + xi) * rho * W  # p(0) per w0
         w0 = -slope.integ()(L) / (inlet + slope_of_one.integ()(L))
         p = w0 * (inlet + slope_of_one.integ()) + slope.integ()
         result.append(np.pi * R * p.integ()(L))
     Z, back = result
-    return np.array([(Z + back).real / 2, -(Z + back).imag / 2, (Z - back).imag / (2 * omega), (Z - back).real / (2 * omega)])
+    return np.array(
+        [
+            (Z + back).real / 2,
+            -(Z + back).imag / 2,
+            (Z - back).imag / (2 * omega),
+            (Z - back).real / (2 * omega),
+        ]
+    )
 
 
 @pytest.mark.literature
 def test_incompressible_short_seal():
-    """A heavy, hardly compressible fluid in a seal much shorter than its radius: Black's solution, error as (L/R)^2."""
-    L, H, xi, f = 0.02, 2e-4, 0.5, 0.02
-    rho, a, dp, Omega, omega = 1000.0, 3e4, 1e6, 1.0, 300.0
+    """A heavy, hardly compressible fluid in a seal much shorter than its radius: Black's solution,
+    error as (L/R)^2.
+    """
+    L = 0.02
+    H = 2e-4
+    xi = 0.5
+    f = 0.02
+    rho = 1000.0
+    a = 3e4
+    dp = 1e6
+    Omega = 1.0
+    omega = 300.0
     errors = []
     for R in (0.1, 0.2):
         friction = Friction(f / 2, 0.0)
-        seal = SealGeometry(L, 2 * R, H, H, rotor_friction=friction, stator_friction=friction, inlet_loss=xi)
-        fluid = SealCondition(rho * a**2 + dp, rho * a**2, 300.0, Omega, Gas(a**2 / 300.0, 1e-3), preswirl=0.5)
+        seal = SealGeometry(
+            L, 2 * R, H, H, rotor_friction=friction, stator_friction=friction, inlet_loss=xi
+        )
+        fluid = SealCondition(
+            rho * a**2 + dp, rho * a**2, 300.0, Omega, Gas(a**2 / 300.0, 1e-3), preswirl=0.5
+        )
         expected = black(xi, f * L / H / 2, dp, R, L, H, rho, Omega, omega)
         got = coefficient_array(bulk_flow(seal, fluid, [omega]))[:, 0]
         errors.append(got / expected - 1)
@@ -203,15 +292,30 @@ def test_incompressible_short_seal():
 
 @pytest.mark.literature
 def test_lomakin_stiffness():
-    """Static stiffness of Black (1969): pi R dp L/(H sigma) mu_0, mu_0 = (1 + xi) sigma^2/(1 + xi + 2 sigma)^2, no rotation."""
-    L, H, xi, f, R, rho, a, dp = 0.01, 2e-4, 0.5, 0.02, 0.5, 1000.0, 3e4, 1e6
+    """Static stiffness of Black (1969): pi R dp L/(H sigma) mu_0, mu_0 = (1 + xi) sigma^2/(1 + xi +
+    2 sigma)^2, no rotation.
+    """
+    L = 0.01
+    H = 2e-4
+    xi = 0.5
+    f = 0.02
+    R = 0.5
+    rho = 1000.0
+    a = 3e4
+    dp = 1e6
     friction = Friction(f / 2, 0.0)
-    seal = SealGeometry(L, 2 * R, H, H, rotor_friction=friction, stator_friction=friction, inlet_loss=xi)
-    flow = bulk_flow(seal, SealCondition(rho * a**2 + dp, rho * a**2, 300.0, 0.0, Gas(a**2 / 300.0, 1e-3)), [1.0])
+    seal = SealGeometry(
+        L, 2 * R, H, H, rotor_friction=friction, stator_friction=friction, inlet_loss=xi
+    )
+    flow = bulk_flow(
+        seal, SealCondition(rho * a**2 + dp, rho * a**2, 300.0, 0.0, Gas(a**2 / 300.0, 1e-3)), [1.0]
+    )
     sigma = f * L / H / 2
     expected = np.pi * R * dp * L / (H * sigma) * (1 + xi) * sigma**2 / (1 + xi + 2 * sigma) ** 2
     assert flow.K[0] == pytest.approx(expected, rel=2e-4)
-    assert flow.leakage == pytest.approx(2 * np.pi * R * H * np.sqrt(2 * dp * rho / (1 + xi + 2 * sigma)), rel=1e-5)
+    assert flow.leakage == pytest.approx(
+        2 * np.pi * R * H * np.sqrt(2 * dp * rho / (1 + xi + 2 * sigma)), rel=1e-5
+    )
 
 
 # symmetries
@@ -227,7 +331,9 @@ def test_no_rotation_has_no_cross_coupling():
 def test_opposed_swirl_turns_the_cross_coupling():
     """Swirl against a rotor that hardly turns: k and c change sign with it."""
     slow = replace(CONDITION, speed=40.0)
-    with_spin, against = (bulk_flow(SEAL, replace(slow, preswirl=sign * 2.0), FREQUENCIES) for sign in (1, -1))
+    with_spin, against = (
+        bulk_flow(SEAL, replace(slow, preswirl=sign * 2.0), FREQUENCIES) for sign in (1, -1)
+    )
     assert (with_spin.k > 0).all() and (against.k < 0).all()
     np.testing.assert_allclose(with_spin.K, against.K, rtol=0.02)
 
@@ -236,7 +342,8 @@ def test_opposed_swirl_turns_the_cross_coupling():
 def test_no_cells_is_the_smooth_seal(changes):
     smooth = bulk_flow(replace(SEAL, hole_depth=0.0, hole_area_ratio=0.0), CONDITION, FREQUENCIES)
     np.testing.assert_array_equal(
-        coefficient_array(bulk_flow(replace(SEAL, **changes), CONDITION, FREQUENCIES)), coefficient_array(smooth)
+        coefficient_array(bulk_flow(replace(SEAL, **changes), CONDITION, FREQUENCIES)),
+        coefficient_array(smooth),
     )
     holes = bulk_flow(SEAL, CONDITION, FREQUENCIES)
     assert holes.leakage == smooth.leakage  # the cells only store
@@ -245,22 +352,38 @@ def test_no_cells_is_the_smooth_seal(changes):
 
 def test_vanishing_holes_approach_the_smooth_seal():
     smooth = coefficient_array(bulk_flow(replace(SEAL, hole_depth=0.0), CONDITION, FREQUENCIES[:3]))
-    near, far = (coefficient_array(bulk_flow(replace(SEAL, hole_depth=d), CONDITION, FREQUENCIES[:3])) for d in (1e-8, 2e-8))
+    near, far = (
+        coefficient_array(bulk_flow(replace(SEAL, hole_depth=d), CONDITION, FREQUENCIES[:3]))
+        for d in (1e-8, 2e-8)
+    )
     np.testing.assert_allclose((far - smooth) / (near - smooth), 2.0, rtol=2e-3)
 
 
 def test_similarity():
-    """All pressures and the viscosity times s: forces times s. All lengths times s, times s, viscosity times s: forces s^2."""
+    """All pressures and the viscosity times s: forces times s. All lengths times s, times s,
+    viscosity times s: forces s^2.
+    """
     s = 2.5
     flow = bulk_flow(SEAL, CONDITION, FREQUENCIES)
     gas = replace(CONDITION.gas, viscosity=s * CONDITION.gas.viscosity)
-    denser = replace(CONDITION, inlet_pressure=s * CONDITION.inlet_pressure, exit_pressure=s * CONDITION.exit_pressure, gas=gas)
-    np.testing.assert_allclose(coefficient_array(bulk_flow(SEAL, denser, FREQUENCIES)), s * coefficient_array(flow), rtol=1e-7)
+    denser = replace(
+        CONDITION,
+        inlet_pressure=s * CONDITION.inlet_pressure,
+        exit_pressure=s * CONDITION.exit_pressure,
+        gas=gas,
+    )
+    np.testing.assert_allclose(
+        coefficient_array(bulk_flow(SEAL, denser, FREQUENCIES)),
+        s * coefficient_array(flow),
+        rtol=1e-7,
+    )
     lengths = ("length", "diameter", "inlet_clearance", "exit_clearance", "hole_depth")
     larger = replace(SEAL, **{name: s * getattr(SEAL, name) for name in lengths})
     big = bulk_flow(larger, replace(CONDITION, speed=CONDITION.speed / s, gas=gas), FREQUENCIES / s)
     np.testing.assert_allclose(
-        coefficient_array(big), coefficient_array(flow) * np.array([[s], [s], [s**2], [s**2]]), rtol=1e-7
+        coefficient_array(big),
+        coefficient_array(flow) * np.array([[s], [s], [s**2], [s**2]]),
+        rtol=1e-7,
     )
     assert big.leakage == pytest.approx(s**2 * flow.leakage, rel=1e-8)
 
@@ -279,7 +402,9 @@ def test_grid_converges_with_fourth_order():
     walls = _walls(SEAL, replace(CONDITION, exit_pressure=50e5))
     omega = np.concatenate([FREQUENCIES, -FREQUENCIES])
     fine = whirl_flow(walls, static_flow(walls, 512), omega).mean_p
-    errors = [np.abs(whirl_flow(walls, static_flow(walls, n), omega).mean_p - fine).max() for n in cells]
+    errors = [
+        np.abs(whirl_flow(walls, static_flow(walls, n), omega).mean_p - fine).max() for n in cells
+    ]
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (order > 3.6).all() and (order < 4.6).all(), order
     assert bulk_flow(SEAL, CONDITION, FREQUENCIES).grid_error < 3e-5
@@ -295,29 +420,44 @@ def isothermal_mach(flux):
 
 @pytest.mark.literature
 @pytest.mark.parametrize(
-    ("exit_pressure", "preswirl", "leakage", "mach", "swirl"), [pytest.param(*ROSS[0], marks=pytest.mark.campaign), ROSS[1]]
+    ("exit_pressure", "preswirl", "leakage", "mach", "swirl"),
+    [pytest.param(*ROSS[0], marks=pytest.mark.campaign), ROSS[1]],
 )
 def test_static_flow_against_ross(exit_pressure, preswirl, leakage, mach, swirl):
-    """ROSS 2.3.0's HolePatternSeal (its energy equation at gamma = 1.0001, no cells, 640 steps) integrates Mach numbers.
+    """ROSS 2.3.0's HolePatternSeal (its energy equation at gamma = 1.0001, no cells, 640 steps)
+    integrates Mach numbers.
 
-    Its walls follow Moody's formula 1.375e-3 (1 + (x/Re)^(1/3)), x = 2e6 and a quarter of it at the stator, x = 1e6 at the
-    rotor; here each is Blasius' law tangent to it at a third of the length. Its inlet loss is one of total pressure; here the
-    inlet_loss is chosen that leaves the same p(0).
+    Its walls follow Moody's formula 1.375e-3 (1 + (x/Re)^(1/3)), x = 2e6 and a quarter of it at the
+    stator, x = 1e6 at the rotor; here each is Blasius' law tangent to it at a third of the length.
+    Its inlet loss is one of total pressure; here the inlet_loss is chosen that leaves the same
+    p(0).
     """
-    H, R, speed, gas = 2.115e-4, 0.05737, 20200 * HZ / 60, Gas(8314 / 28.97, 1.458e-6 * 290.55**1.5 / (110.4 + 290.55))
+    H = 2.115e-4
+    R = 0.05737
+    speed = 20200 * HZ / 60
+    gas = Gas(8314 / 28.97, 1.458e-6 * 290.55**1.5 / (110.4 + 290.55))
     condition = SealCondition(70e5, exit_pressure, 290.55, speed, gas, preswirl)
     walls, loss = [Friction(), Friction()], 0.1
     for _ in range(12):
-        seal = SealGeometry(0.0857, 2 * R, H, H, rotor_friction=walls[0], stator_friction=walls[1], inlet_loss=loss)
+        seal = SealGeometry(
+            0.0857, 2 * R, H, H, rotor_friction=walls[0], stator_friction=walls[1], inlet_loss=loss
+        )
         flow = bulk_flow(seal, condition, [100.0])
-        flux = flow.leakage / (2 * np.pi * R * H) * np.sqrt(gas.gas_constant * condition.temperature) / condition.inlet_pressure
+        flux = (
+            flow.leakage
+            / (2 * np.pi * R * H)
+            * np.sqrt(gas.gas_constant * condition.temperature)
+            / condition.inlet_pressure
+        )
         nozzle = isothermal_mach(flux)
         mach0 = isothermal_mach(flux / (1 - 0.1 / 2 * nozzle**2 * np.exp(-(nozzle**2) / 2)))
         p0 = flux / mach0
         loss = 2 * (1 - p0) / (p0 * mach0**2) - 1
         middle = len(flow.z) // 3
         U, W = flow.swirl[middle], flow.axial_velocity[middle]
-        for i, (share, x, V) in enumerate(((1.0, 1e6, np.hypot(W, U - R * speed)), (0.25, 2e6, np.hypot(W, U)))):
+        for i, (share, x, V) in enumerate(
+            ((1.0, 1e6, np.hypot(W, U - R * speed)), (0.25, 2e6, np.hypot(W, U)))
+        ):
             reynolds = flow.reynolds * V / W
             root = (x / reynolds) ** (1 / 3)
             exponent = -root / (1 + root) / 3
@@ -329,11 +469,16 @@ def test_static_flow_against_ross(exit_pressure, preswirl, leakage, mach, swirl)
 
 @pytest.mark.literature
 def test_water_seal_of_kanki():
-    """Kanki & Kawakami (1984), long seal, 2000 rpm, 9.8 bar: measured 4634 cm3/s, K 3.59, k 10.8 MN/m, C 147, c 55.3 kN s/m,
-    M 221.5 kg (as listed in the public repository trosny/bulk_flow)."""
-    rho, a, mu = 996.9, 1e4, 8.78e-4
+    """Kanki & Kawakami (1984), long seal, 2000 rpm, 9.8 bar: measured 4634 cm3/s, K 3.59, k 10.8
+    MN/m, C 147, c 55.3 kN s/m, M 221.5 kg (as listed in the public repository trosny/bulk_flow).
+    """
+    rho = 996.9
+    a = 1e4
+    mu = 8.78e-4
     seal = SealGeometry(0.2, 0.2, 5e-4, 5e-4, inlet_loss=0.2)
-    water = SealCondition(rho * a**2 + 9.8e5, rho * a**2, 300.0, 2000 * HZ / 60, Gas(a**2 / 300.0, mu), preswirl=0.2)
+    water = SealCondition(
+        rho * a**2 + 9.8e5, rho * a**2, 300.0, 2000 * HZ / 60, Gas(a**2 / 300.0, mu), preswirl=0.2
+    )
     omega = np.array([10.0, 100.0])
     flow = bulk_flow(seal, water, omega)
     M = -(flow.K[1] - flow.K[0]) / (omega[1] ** 2 - omega[0] ** 2)
@@ -348,8 +493,10 @@ def test_water_seal_of_kanki():
 
 @pytest.mark.literature
 def test_thesis_seal_behaves_as_hole_pattern_seals_do():
-    """In words, what Childs and co-workers publish: K and effective stiffness rise with the frequency, C and k fall, the
-    effective damping is negative below a cross-over frequency, preswirl raises k and the cross-over."""
+    """In words, what Childs and co-workers publish: K and effective stiffness rise with the
+    frequency, C and k fall, the effective damping is negative below a cross-over frequency,
+    preswirl raises k and the cross-over.
+    """
     flow = bulk_flow(SEAL, CONDITION, FREQUENCIES)
     assert (np.diff(flow.K) > 0).all() and (np.diff(flow.K + flow.c * flow.frequencies) > 0).all()
     assert (np.diff(flow.C) < 0).all() and (np.diff(flow.k) < 0).all()
@@ -374,9 +521,13 @@ def test_fifteen_frequencies_take_well_under_a_second():
 def test_table_feeds_a_seal():
     speeds, drops = (1000.0, 2115.0), (20e5, 38.5e5)
     table = seal_table(SEAL, CONDITION, FREQUENCIES, speeds, drops)
-    at = coefficients(Seal("piston", 0.5, table=table), pressure=38.5e5, speed=2115.0, frequency=FREQUENCIES[4])
+    at = coefficients(
+        Seal("piston", 0.5, table=table), pressure=38.5e5, speed=2115.0, frequency=FREQUENCIES[4]
+    )
     flow = bulk_flow(SEAL, replace(CONDITION, speed=2115.0), FREQUENCIES[4:5])
-    assert (at.K, at.k, at.C, at.c) == pytest.approx((flow.K[0], flow.k[0], flow.C[0], flow.c[0]), rel=1e-9)
+    assert (at.K, at.k, at.C, at.c) == pytest.approx(
+        (flow.K[0], flow.k[0], flow.C[0], flow.c[0]), rel=1e-9
+    )
     assert [name for name, _ in table.axes] == ["pressure", "speed", "frequency"]
 
 

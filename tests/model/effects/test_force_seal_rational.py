@@ -1,4 +1,6 @@
-"""Rational models of frequency-dependent seals: exact where the table is rational, close to it otherwise, causal always."""
+"""Rational models of frequency-dependent seals: exact where the table is rational, close to it
+otherwise, causal always.
+"""
 
 import inspect
 from dataclasses import replace
@@ -12,7 +14,15 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.machine.description import Seal, SealTable
 from ambrose.model.effects import seal as constant
-from ambrose.model.effects.seal_rational import force, lag, linearised, poles_of, rational, rows, system
+from ambrose.model.effects.seal_rational import (
+    force,
+    lag,
+    linearised,
+    poles_of,
+    rational,
+    rows,
+    system,
+)
 
 FREQUENCY = tuple(np.linspace(0, 2000, 21))
 PISTON = replace(load_machine("turboexpander").seals[0], frequency_dependence="states")
@@ -20,7 +30,9 @@ DROP = 38.5e5
 
 
 def seal_with(direct, cross, poles, frequency=FREQUENCY):
-    """A seal whose table holds the dynamic stiffnesses H_d, H_c (w,), C and c constant at standstill."""
+    """A seal whose table holds the dynamic stiffnesses H_d, H_c (w,), C and c constant at
+    standstill.
+    """
     w = np.array(frequency)
     slope = np.where(w > 0, np.divide(1, w, where=w > 0, out=np.zeros_like(w)), 0.0)
     names = {"K": direct.real, "C": direct.imag * slope, "k": cross.real, "c": cross.imag * slope}
@@ -29,11 +41,15 @@ def seal_with(direct, cross, poles, frequency=FREQUENCY):
 
 
 def rational_table(poles, poles_asked=None):
-    """K_0 + C_0 s + sum r s/(s + p), the same for the cross terms, and what it is at the table's frequencies."""
+    """K_0 + C_0 s + sum r s/(s + p), the same for the cross terms, and what it is at the table's
+    frequencies.
+    """
     s = 1j * np.array(FREQUENCY)
     lags = np.array([s / (s + p) for p in poles])
     direct, cross = np.linspace(2e6, 4e6, len(poles)), np.linspace(-1e6, 3e6, len(poles))
-    return seal_with(1e6 + 800 * s + direct @ lags, 2e6 - 300 * s + cross @ lags, poles_asked or len(poles))
+    return seal_with(
+        1e6 + 800 * s + direct @ lags, 2e6 - 300 * s + cross @ lags, poles_asked or len(poles)
+    )
 
 
 @pytest.mark.parametrize("poles", [(300.0,), (150.0, 700.0), (100.0, 400.0, 1500.0)])
@@ -47,22 +63,30 @@ def test_a_rational_table_is_found_exactly(poles):
 
 
 def test_other_causal_tables_are_met_better_with_more_poles():
-    """1 - (1 + s T)^(-1/2), relaxation without a pole: stiffness rises with frequency to a plateau, damping falls."""
+    """1 - (1 + s T)^(-1/2), relaxation without a pole: stiffness rises with frequency to a plateau,
+    damping falls.
+    """
     relaxed = 1 - (1 + 1j * np.array(FREQUENCY) / 300) ** -0.5
-    errors = [rational(seal_with(4e6 + 8e6 * relaxed, 3e6 - 1e6 * relaxed, n)).error for n in (1, 2, 3)]
+    errors = [
+        rational(seal_with(4e6 + 8e6 * relaxed, 3e6 - 1e6 * relaxed, n)).error for n in (1, 2, 3)
+    ]
     assert errors[0] > errors[1] > errors[2]
     assert errors[1] < 0.01
     assert errors[2] < 0.001
 
 
 def test_a_table_that_no_causal_seal_has_shows_in_the_error():
-    """Stiffness that rises without the damping that goes with it (Kramers and Kronig): no model can follow."""
+    """Stiffness that rises without the damping that goes with it (Kramers and Kronig): no model can
+    follow.
+    """
     w = np.array(FREQUENCY)
     assert rational(seal_with(4e6 + 8e6 * np.tanh(w / 900) ** 2 + 1e3j * w, 0j * w, 4)).error > 0.1
 
 
 def test_poles_are_common_to_all_pressures_and_speeds_of_a_table():
-    """Two pressures with the same pole, the second twice the first, and nothing at zero: the pole is found from all of them."""
+    """Two pressures with the same pole, the second twice the first, and nothing at zero: the pole
+    is found from all of them.
+    """
     w = np.array(FREQUENCY)
     s = 1j * w
     direct = 1e6 + 3e6 * s / (s + 250)
@@ -83,17 +107,23 @@ def test_poles_are_common_to_all_pressures_and_speeds_of_a_table():
 
 
 def test_the_gas_seal_is_met_up_to_its_highest_frequency():
-    """Against the bulk flow at frequencies between the fitted ones: 11 % with two poles, 0.5 % with three, 0.2 % with five."""
+    """Against the bulk flow at frequencies between the fitted ones: 11 % with two poles, 0.5 % with
+    three, 0.2 % with five.
+    """
     w = 2 * np.pi * np.array([3.3, 27.0, 77.0, 140.0, 213.0, 340.0, 610.0, 900.0, 1200.0, 1490.0])
     exact = [constant.coefficients(PISTON, DROP, frequency=x) for x in w]
-    truth = np.array([[c.K + 1j * x * c.C, c.k + 1j * x * c.c] for c, x in zip(exact, w, strict=True)]).T
+    truth = np.array(
+        [[c.K + 1j * x * c.C, c.k + 1j * x * c.c] for c, x in zip(exact, w, strict=True)]
+    ).T
     errors = []
     for poles in (2, 3, 5):
         model = rational(replace(PISTON, poles=poles), DROP)
         assert (np.linalg.eigvals(model.A).real < 0).all()
         assert (model.static.C, model.static.c) == (0.0, 0.0)  # finite at high frequency
         found = [linearised(model, x) for x in w]
-        fitted = np.array([[c.K + 1j * x * c.C, c.k + 1j * x * c.c] for c, x in zip(found, w, strict=True)]).T
+        fitted = np.array(
+            [[c.K + 1j * x * c.C, c.k + 1j * x * c.c] for c, x in zip(found, w, strict=True)]
+        ).T
         errors.append((np.abs(fitted - truth).max(axis=1) / np.abs(truth).max(axis=1)).max())
     assert errors[0] < 0.12
     assert errors[1] < 0.01
@@ -120,7 +150,9 @@ def test_state_space_is_the_force_law():
 
 @pytest.mark.campaign
 def test_time_domain_matches_the_linear_view():
-    """Steady whirl at a frequency, the states integrated from zero: force against K, k, C, c there."""
+    """Steady whirl at a frequency, the states integrated from zero: force against K, k, C, c
+    there.
+    """
     model = rational(PISTON, DROP)
     w, r, lines, n = 400.0, 1e-5, rows(model), len(model.b)
 
@@ -128,10 +160,14 @@ def test_time_domain_matches_the_linear_view():
         return r * np.cos(w * t), 0.3 * r * np.sin(w * t + 0.4)
 
     def motion(t, s):
-        return np.array([[lag(v, s[j::2], line) for j, v in enumerate(place(t))] for line in lines]).ravel()
+        return np.array(
+            [[lag(v, s[j::2], line) for j, v in enumerate(place(t))] for line in lines]
+        ).ravel()
 
     end = 40 / np.abs(np.linalg.eigvals(model.A).real).min()
-    states = solve_ivp(motion, (0, end), np.zeros(2 * n), rtol=1e-10, atol=1e-16, max_step=1e-3).y[:, -1]
+    states = solve_ivp(motion, (0, end), np.zeros(2 * n), rtol=1e-10, atol=1e-16, max_step=1e-3).y[
+        :, -1
+    ]
     x, y = place(end)
     vx, vy = -r * w * np.sin(w * end), 0.3 * r * w * np.cos(w * end + 0.4)
     expected = constant.force(x, y, vx, vy, 0.0, 0.0, constant.parameters(linearised(model, w)))
@@ -153,5 +189,9 @@ def test_compiles_as_it_stands():
     numba = pytest.importorskip("numba")
     model = rational(PISTON, DROP)
     row, states = rows(model)[0], np.linspace(1e-6, 2e-6, len(model.b))
-    assert numba.njit(inspect.unwrap(lag))(1e-5, states, row) == pytest.approx(lag(1e-5, states, row), rel=1e-14)
-    assert numba.njit(inspect.unwrap(force))(1e-5, 2e-5, 3.0, 4.0) == pytest.approx(force(1e-5, 2e-5, 3.0, 4.0))
+    assert numba.njit(inspect.unwrap(lag))(1e-5, states, row) == pytest.approx(
+        lag(1e-5, states, row), rel=1e-14
+    )
+    assert numba.njit(inspect.unwrap(force))(1e-5, 2e-5, 3.0, 4.0) == pytest.approx(
+        force(1e-5, 2e-5, 3.0, 4.0)
+    )

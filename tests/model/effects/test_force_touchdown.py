@@ -1,4 +1,6 @@
-"""Touchdown contact: pushes, never pulls; friction and damping only take energy; a ball bounces lower every time."""
+"""Touchdown contact: pushes, never pulls; friction and damping only take energy; a ball bounces
+lower every time.
+"""
 
 import math
 from dataclasses import replace
@@ -36,7 +38,8 @@ def test_it_pushes_and_never_pulls_and_only_takes_energy(x, y, vx, vy, spin):
     assert tangential * sliding <= 1e-9
     assert abs(tangential) <= P[3] * normal * (1 + 1e-9) + 1e-6
     spring = P[1] * (r - P[0])
-    assert (inward + spring) * (vx * ex + vy * ey) <= 1e-6 * max(spring, 1)  # what is not spring takes energy
+    # what is not spring takes energy
+    assert (inward + spring) * (vx * ex + vy * ey) <= 1e-6 * max(spring, 1)
 
 
 @given(POINT, POINT, SPEED, SPEED, physical(-3000, 3000), physical(0, 6.3))
@@ -51,7 +54,9 @@ def test_it_is_the_same_in_every_direction(x, y, vx, vy, spin, turn):
 
 
 def test_figures_by_hand():
-    """0.05 mm deep at rest with spin: N = 1e8 * 5e-5 = 5 kN; friction 0.2 N against the spin, at radius 42.7 mm."""
+    """0.05 mm deep at rest with spin: N = 1e8 * 5e-5 = 5 kN; friction 0.2 N against the spin, at
+    radius 42.7 mm.
+    """
     fx, fy, torque, normal = force(3e-4, 0.0, 0.0, 0.0, 1000.0, P)
     assert normal == pytest.approx(5000)
     assert fx == pytest.approx(-5000)
@@ -70,7 +75,9 @@ def test_a_fast_rebound_does_not_stick():
 
 
 def bounce(contact, mass=35.0, speed=0.3, friction_spin=0.0):
-    """The state 2.5 ms after setting out, when the one normal impact (1.9 ms) is over and the other side not reached."""
+    """The state 2.5 ms after setting out, when the one normal impact (1.9 ms) is over and the other
+    side not reached.
+    """
     bearing = replace(RIG.bearings[0], touchdown=contact)
     p = parameters(RIG, bearing)
 
@@ -78,7 +85,9 @@ def bounce(contact, mass=35.0, speed=0.3, friction_spin=0.0):
         fx, fy, _, _ = force(*s, friction_spin, p)
         return [s[2], s[3], fx / mass, fy / mass]
 
-    found = solve_ivp(motion, (0, 2.5e-3), [p[0] - 1e-5, 0.0, speed, 0.0], rtol=1e-9, atol=1e-12, max_step=1e-5)
+    found = solve_ivp(
+        motion, (0, 2.5e-3), [p[0] - 1e-5, 0.0, speed, 0.0], rtol=1e-9, atol=1e-12, max_step=1e-5
+    )
     return found.y[:, -1]
 
 

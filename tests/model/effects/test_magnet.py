@@ -1,4 +1,6 @@
-"""Magnet coefficients: given, measured, from geometry; the geometry's against derivatives of the nonlinear force."""
+"""Magnet coefficients: given, measured, from geometry; the geometry's against derivatives of the
+nonlinear force.
+"""
 
 from dataclasses import replace
 
@@ -13,8 +15,13 @@ from ambrose.model.effects.magnet import force_constant, linearised
 from physical_numbers import physical
 
 GEOMETRY = MagnetGeometry(turns=36, pole_area=4e-4, gap=0.5e-3)
-GIVEN = MagneticBearing("A", 0.1, 8.0, force_per_current=(250.0, 260.0), negative_stiffness=(4e6, 4.2e6))
-ROWS = (BiasPoint(6.0, (190.0, 195.0), (2.4e6, 2.5e6)), BiasPoint(10.0, (300.0, 310.0), (5.7e6, 5.9e6)))
+GIVEN = MagneticBearing(
+    "A", 0.1, 8.0, force_per_current=(250.0, 260.0), negative_stiffness=(4e6, 4.2e6)
+)
+ROWS = (
+    BiasPoint(6.0, (190.0, 195.0), (2.4e6, 2.5e6)),
+    BiasPoint(10.0, (300.0, 310.0), (5.7e6, 5.9e6)),
+)
 
 
 def force(i, x, bias, geometry):
@@ -35,7 +42,9 @@ def test_geometry_gives_the_derivatives_of_the_force(bias, gap, angle):
 
 
 def test_eight_pole_magnet_by_hand():
-    """N = 36, A = 4 cm2, s0 = 0.5 mm, i0 = 8 A: k = 1.6286e-7 N m2/A2, k_i = 4 k i0 cos(22.5 deg)/s0^2 = 19.26 N/A."""
+    """N = 36, A = 4 cm2, s0 = 0.5 mm, i0 = 8 A: k = 1.6286e-7 N m2/A2, k_i = 4 k i0 cos(22.5
+    deg)/s0^2 = 19.26 N/A.
+    """
     assert force_constant(GEOMETRY) == pytest.approx(1.62860e-7, rel=1e-5)
     found = linearised(MagneticBearing("A", 0.1, 8.0, geometry=GEOMETRY))
     assert found.force_per_current[0] == pytest.approx(19.2594, rel=1e-5)
@@ -50,7 +59,9 @@ def test_bias_scales_current_gain_linearly_and_stiffness_quadratically():
 
 
 def test_given_values_win_at_the_bearings_own_bias():
-    bearing = replace(GIVEN, geometry=GEOMETRY, measured=(*ROWS, BiasPoint(8.0, (1.0, 1.0), (1.0, 1.0))))
+    bearing = replace(
+        GIVEN, geometry=GEOMETRY, measured=(*ROWS, BiasPoint(8.0, (1.0, 1.0), (1.0, 1.0)))
+    )
     for bias in (None, 8.0):
         found = linearised(bearing, bias)
         assert found.force_per_current == (250.0, 260.0)
@@ -74,9 +85,21 @@ def test_given_values_count_as_a_measured_row():
 @pytest.mark.parametrize(
     ("bearing", "bias", "message"),
     [
-        (MagneticBearing("A", 0.1, 8.0, measured=ROWS), 5.0, "5 A, but must be within the measured 6 to 10 A"),
-        (replace(GIVEN, measured=ROWS, geometry=GEOMETRY), 11.0, "11 A, but must be within the measured 6 to 10 A"),
-        (GIVEN, 6.0, "6 A, but must be the 8 A at which its coefficients are given; add its geometry"),
+        (
+            MagneticBearing("A", 0.1, 8.0, measured=ROWS),
+            5.0,
+            "5 A, but must be within the measured 6 to 10 A",
+        ),
+        (
+            replace(GIVEN, measured=ROWS, geometry=GEOMETRY),
+            11.0,
+            "11 A, but must be within the measured 6 to 10 A",
+        ),
+        (
+            GIVEN,
+            6.0,
+            "6 A, but must be the 8 A at which its coefficients are given; add its geometry",
+        ),
         (GIVEN, 0.0, "bias current.*must be positive"),
         (GIVEN, np.nan, "bias current.*must be finite"),
         (MagneticBearing("A", 0.1, 8.0), None, "bearing A has no coefficients"),

@@ -1,9 +1,10 @@
 """The finite-element rotor against the exact solution of the beam equations by transfer matrices.
 
-State along the shaft for whirl z = w exp(j omega t): [w, theta, moment, shear force], E I theta' = moment,
-kappa G A (w' - theta) = shear, moment' = -shear - rho I (omega^2 - 2 Omega omega) theta, shear' = -rho A omega^2 w. Each
-uniform piece is a matrix exponential; discs and springs are jumps; free ends make a 2 x 2 determinant vanish. Nothing is shared
-with the elements, so that steps, bores, shrunk-on mass, discs, springs and gyroscopics are checked at once.
+State along the shaft for whirl z = w exp(j omega t): [w, theta, moment, shear force], E I theta' =
+moment, kappa G A (w' - theta) = shear, moment' = -shear - rho I (omega^2 - 2 Omega omega) theta,
+shear' = -rho A omega^2 w. Each uniform piece is a matrix exponential; discs and springs are jumps;
+free ends make a 2 x 2 determinant vanish. Nothing is shared with the elements, so that steps,
+bores, shrunk-on mass, discs, springs and gyroscopics are checked at once.
 """
 
 import numpy as np
@@ -15,9 +16,16 @@ from ambrose.machine.description import BEAM_THEORIES, Amplifier, Disc, Material
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies, plane_rows
 
-RHO, E, NU = 7850.0, 2.1e11, 0.3
+RHO = 7850.0
+E = 2.1e11
+NU = 0.3
 # length, outer, inner and mass diameter [m], elements of the coarsest mesh
-PIECES = [(0.15, 0.05, 0.0, 0.05, 2), (0.25, 0.09, 0.03, 0.12, 3), (0.30, 0.07, 0.02, 0.07, 4), (0.10, 0.04, 0.0, 0.04, 2)]
+PIECES = [
+    (0.15, 0.05, 0.0, 0.05, 2),
+    (0.25, 0.09, 0.03, 0.12, 3),
+    (0.30, 0.07, 0.02, 0.07, 4),
+    (0.10, 0.04, 0.0, 0.04, 2),
+]
 STATIONS = [0.0, 0.15, 0.40, 0.70, 0.80]
 DISC = Disc("wheel", 0.15, 6.0, 0.04, 0.022)
 SPRINGS = ((0.40, 3e7), (0.70, 2e7))
@@ -28,7 +36,9 @@ def rotor(theory, refine=1, discs=(DISC,)):
         ShaftSection(z, length, outer, inner, heavy, n * refine, Material(RHO, E, NU))
         for z, (length, outer, inner, heavy, n) in zip(STATIONS, PIECES, strict=False)
     )
-    return finite_element_rotor(Machine("stepped", shaft, (), (), Amplifier("none"), discs=tuple(discs), beam_theory=theory))
+    return finite_element_rotor(
+        Machine("stepped", shaft, (), (), Amplifier("none"), discs=tuple(discs), beam_theory=theory)
+    )
 
 
 def cowper(bore_ratio):
@@ -43,7 +53,11 @@ def determinant(omega, theory, speed, discs, springs):
         through = jump(z, omega, speed, discs, springs) @ through
         area, heavy_area = (np.pi / 4 * (d**2 - inner**2) for d in (outer, heavy))
         inertia, heavy_inertia = (np.pi / 64 * (d**4 - inner**4) for d in (outer, heavy))
-        shear = 0.0 if theory != "timoshenko" else 1 / (cowper(inner / outer) * E / (2 * (1 + NU)) * area)
+        shear = (
+            0.0
+            if theory != "timoshenko"
+            else 1 / (cowper(inner / outer) * E / (2 * (1 + NU)) * area)
+        )
         rotary = -2 * speed * omega + (0.0 if theory == "bernoulli-euler" else omega**2)
         A = np.zeros((4, 4))
         A[0, 1], A[0, 3] = 1.0, shear
@@ -70,7 +84,17 @@ def jump(z, omega, speed, discs, springs):
 def exact(near, theory, speed=0.0, discs=(DISC,), springs=()):
     """The roots next to approximate ones."""
     return np.array(
-        [brentq(determinant, 0.995 * w, 1.005 * w, (theory, speed, discs, springs), xtol=1e-9, rtol=1e-13) for w in near]
+        [
+            brentq(
+                determinant,
+                0.995 * w,
+                1.005 * w,
+                (theory, speed, discs, springs),
+                xtol=1e-9,
+                rtol=1e-13,
+            )
+            for w in near
+        ]
     )
 
 
@@ -90,7 +114,10 @@ def whirl(theory, refine, speed, count):
 @pytest.mark.parametrize("theory", BEAM_THEORIES)
 def test_free_stepped_rotor_with_disc(theory):
     reference = exact(free_bending_frequencies(rotor(theory, 8), 3), theory)
-    errors = [np.abs(free_bending_frequencies(rotor(theory, refine), 3) / reference - 1) for refine in (1, 2, 4)]
+    errors = [
+        np.abs(free_bending_frequencies(rotor(theory, refine), 3) / reference - 1)
+        for refine in (1, 2, 4)
+    ]
     order = np.log2(errors[1] / errors[2])
     assert np.all(np.abs(order - (2 if theory == "timoshenko" else 4)) < 0.25)
     assert errors[2].max() < (2e-3 if theory == "timoshenko" else 2e-5)

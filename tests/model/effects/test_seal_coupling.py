@@ -18,7 +18,9 @@ def test_constants_hold_at_every_operating_point():
 
 
 def test_named_coefficients_are_proportional_to_pressure():
-    seal = Seal("s", 0.4, K=1e5, k=4e5, C=200.0, reference_pressure=2e5, scales_with_pressure=("k", "C"))
+    seal = Seal(
+        "s", 0.4, K=1e5, k=4e5, C=200.0, reference_pressure=2e5, scales_with_pressure=("k", "C")
+    )
     assert coefficients(seal, 2e5) == SealCoefficients(1e5, 4e5, 200.0)
     at = coefficients(seal, 3e5)
     assert (at.K, at.k, at.C) == pytest.approx((1e5, 6e5, 300.0))
@@ -47,7 +49,9 @@ def test_table_is_interpolated_over_its_axes():
 
 def test_order_of_the_axes_is_the_tables():
     values = [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]
-    seal = Seal("s", 0.4, table=table({"frequency": (0.0, 1.0, 2.0), "pressure": (0.0, 1.0)}, K=values))
+    seal = Seal(
+        "s", 0.4, table=table({"frequency": (0.0, 1.0, 2.0), "pressure": (0.0, 1.0)}, K=values)
+    )
     assert coefficients(seal, pressure=1.0, frequency=2.0).K == 6.0
     assert coefficients(seal, pressure=0.0, frequency=1.0).K == 3.0
 
@@ -61,7 +65,11 @@ def test_frequency_defaults_to_the_speed():
 
 def test_table_without_pressure_can_scale_with_pressure():
     seal = Seal(
-        "s", 0.4, reference_pressure=2e5, scales_with_pressure=("k",), table=table({"speed": (0.0, 100.0)}, k=(0.0, 1e5))
+        "s",
+        0.4,
+        reference_pressure=2e5,
+        scales_with_pressure=("k",),
+        table=table({"speed": (0.0, 100.0)}, k=(0.0, 1e5)),
     )
     assert coefficients(seal, pressure=1e5, speed=50.0).k == pytest.approx(2.5e4)
 
@@ -69,7 +77,10 @@ def test_table_without_pressure_can_scale_with_pressure():
 def test_an_axis_of_one_point_holds_only_there():
     seal = Seal("s", 0.4, table=table({"pressure": (2e5,), "speed": (0.0, 100.0)}, k=((1.0, 3.0),)))
     assert coefficients(seal, 2e5, 50.0).k == pytest.approx(2.0)
-    with pytest.raises(InvalidInput, match=r"pressure of seal s is 100000 Pa.* within its table, 200000 to 200000 Pa"):
+    with pytest.raises(
+        InvalidInput,
+        match=r"pressure of seal s is 100000 Pa.* within its table, 200000 to 200000 Pa",
+    ):
         coefficients(seal, 1e5, 50.0)
     single = Seal("s", 0.4, table=table({"pressure": (2e5,)}, k=(5.0,)))
     assert coefficients(single, 2e5).k == 5.0
@@ -83,9 +94,16 @@ def test_rounding_at_the_end_of_a_table_is_forgiven():
 @pytest.mark.parametrize(
     ("point", "message"),
     [
-        ({"pressure": 4e5}, "pressure of seal s is 400000 Pa, but must be within its table, 100000 to 300000 Pa; extend"),
+        (
+            {"pressure": 4e5},
+            "pressure of seal s is 400000 Pa, but must be within its table, 100000 to 300000 Pa; "
+            "extend",
+        ),
         ({"pressure": 0.0}, "pressure of seal s is 0 Pa"),
-        ({"pressure": 2e5, "frequency": 2000.0}, "frequency of seal s is 2000 rad/s, but must be within its table, 0 to 1000"),
+        (
+            {"pressure": 2e5, "frequency": 2000.0},
+            "frequency of seal s is 2000 rad/s, but must be within its table, 0 to 1000",
+        ),
         ({"pressure": 2e5, "frequency": -1.0}, "frequency of seal s is -1 rad/s"),
         ({"pressure": 2e5, "frequency": np.nan}, "frequency of seal s is nan"),
         ({"pressure": -1.0}, "pressure.*zero or positive"),
@@ -109,7 +127,8 @@ def test_seal_matrices_drive_forward_whirl():
     assert stiffness.tolist() == [[1.0, 2.0], [-2.0, 1.0]]
     assert damping.tolist() == [[3.0, 4.0], [-4.0, 3.0]]
     assert mass.tolist() == [[5.0, 0.0], [0.0, 5.0]]
-    # Work on one turn of a circular orbit from x to y, per radius^2: 2 pi (k - C w) > 0 when k outweighs damping.
+    # Work on one turn of a circular orbit from x to y, per radius^2: 2 pi (k - C w) > 0 when k
+    # outweighs damping.
     angle = np.linspace(0, 2 * np.pi, 721)
     orbit = np.stack([np.cos(angle), np.sin(angle)])
     velocity = np.stack([-np.sin(angle), np.cos(angle)])
@@ -120,7 +139,9 @@ def test_seal_matrices_drive_forward_whirl():
 
 
 def test_coupling_matrices_are_diagonal_in_its_axes():
-    stiffness, damping = coupling.matrices(Coupling("c", 0.0, (4.0e5, 4.2e5), (10.0, 12.0), angle=0.3))
+    stiffness, damping = coupling.matrices(
+        Coupling("c", 0.0, (4.0e5, 4.2e5), (10.0, 12.0), angle=0.3)
+    )
     assert stiffness.tolist() == [[4.0e5, 0.0], [0.0, 4.2e5]]
     assert damping.tolist() == [[10.0, 0.0], [0.0, 12.0]]
     with pytest.raises(InvalidInput, match=r"stiffness of coupling c.*finite"):

@@ -1,4 +1,6 @@
-"""Pole-zero maps hold every pole and zero in view, count the unstable ones and refuse what they cannot show."""
+"""Pole-zero maps hold every pole and zero in view, count the unstable ones and refuse what they
+cannot show.
+"""
 
 import numpy as np
 import pytest
@@ -34,7 +36,9 @@ def test_reach_shows_more():
 
 def test_in_words():
     assert describe("G", UNSTABLE) == "G: 1 of 3 poles right of the axis, rightmost 20 +0j rad/s"
-    assert describe("K", StateSpace([], np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])) == "K: no pole"
+    assert (
+        describe("K", StateSpace([], np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])) == "K: no pole"
+    )
 
 
 def test_refusals():

@@ -1,4 +1,6 @@
-"""What a requirement costs: refusals, units, and on the seal rig a curve whose controllers do what it says."""
+"""What a requirement costs: refusals, units, and on the seal rig a curve whose controllers do what
+it says.
+"""
 
 import json
 from dataclasses import replace
@@ -9,10 +11,10 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import main
+from ambrose.judge.result import Certificate, Status
 from ambrose.synthesis.fixed_order import trade_off as module
 from ambrose.synthesis.fixed_order.trade_off import TradeOff, read_value, trade_off
 from ambrose.synthesis.options import DesignOptions
-from ambrose.judge.result import Certificate, Status
 from coarse import coarse
 
 
@@ -42,7 +44,9 @@ def test_values_as_in_a_machine_file():
     assert (read_value("order", "12"), read_value("log_decrement", "0.1")) == (12, 0.1)
 
 
-@pytest.mark.parametrize(("over", "text"), [("settling_time", "20"), ("order", "x"), ("order", "8 states")])
+@pytest.mark.parametrize(
+    ("over", "text"), [("settling_time", "20"), ("order", "x"), ("order", "8 states")]
+)
 def test_a_value_that_could_be_anything_is_refused(over, text):
     with pytest.raises(amb.InvalidInput, match=f"a value of {over} is"):
         read_value(over, text)
@@ -69,7 +73,15 @@ def test_a_value_in_another_unit_is_refused():
 
 
 def test_it_is_drawn_in_its_unit_and_says_what_was_not_met():
-    result = TradeOff("settling_time", "s", (0.06, 0.03), (2.1, 2.5), (True, False), ("sensitivity", "settling"), (None, None))
+    result = TradeOff(
+        "settling_time",
+        "s",
+        (0.06, 0.03),
+        (2.1, 2.5),
+        (True, False),
+        ("sensitivity", "settling"),
+        (None, None),
+    )
     picture = amb.plot(result)
     assert np.allclose(picture.data[0].x, [60, 30])
     assert "[ms]" in picture.layout.xaxis.title.text
@@ -78,8 +90,14 @@ def test_it_is_drawn_in_its_unit_and_says_what_was_not_met():
 
 
 def test_the_command_refuses_in_one_sentence():
-    done = CliRunner().invoke(main, ["trade-off", "seal-rig", "--over", "settling_time", "--values", "20 mm, 3 ms"])
-    assert done.exit_code == 2 and "a value of settling_time" in done.stderr and "Traceback" not in done.output
+    done = CliRunner().invoke(
+        main, ["trade-off", "seal-rig", "--over", "settling_time", "--values", "20 mm, 3 ms"]
+    )
+    assert (
+        done.exit_code == 2
+        and "a value of settling_time" in done.stderr
+        and "Traceback" not in done.output
+    )
 
 
 def test_ctrl_c_ends_it_and_keeps_the_values_that_are_done(monkeypatch):
@@ -89,12 +107,18 @@ def test_ctrl_c_ends_it_and_keeps_the_values_that_are_done(monkeypatch):
     def tuned(job, law, structure, *, again=False):
         seen.append(again)
         done = amb.Synthesis(
-            law, "tuned", 1.0, Status.VERIFIED, Certificate(margins={"ratio_sensitivity": 1.0, "ratio_gain": 0.5})
+            law,
+            "tuned",
+            1.0,
+            Status.VERIFIED,
+            Certificate(margins={"ratio_sensitivity": 1.0, "ratio_gain": 0.5}),
         )
         return done if len(seen) == 1 else replace(done, stopped_early="interrupted")
 
     monkeypatch.setattr(module, "tuned", tuned)
-    result = trade_off(coarse("seal-rig"), "settling_time", [0.1, 0.05, 0.02], DesignOptions(rate=1e4))
+    result = trade_off(
+        coarse("seal-rig"), "settling_time", [0.1, 0.05, 0.02], DesignOptions(rate=1e4)
+    )
     assert result.values == (0.1,)
     assert len(seen) == 2
 
@@ -105,7 +129,9 @@ def test_each_controller_settles_as_asked_and_a_harder_demand_costs_more(tmp_pat
     result = trade_off(machine, "settling_time", [0.12, 0.06], DesignOptions(rate=1e4))
     assert result.values == (0.12, 0.06)
     assert result.sensitivity[1] >= 0.98 * result.sensitivity[0]
-    for value, peak, met, found in zip(result.values, result.sensitivity, result.met, result.controllers, strict=True):
+    for value, peak, met, found in zip(
+        result.values, result.sensitivity, result.met, result.controllers, strict=True
+    ):
         verdict = amb.verify(machine, found, tolerances=False)
         assert verdict.worst["sensitivity.output.max"].value <= 1.01 * peak
         if met:

@@ -22,6 +22,7 @@ from ambrose.annexes.campaigns.plan import Case, Times, Value, number_of
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.result import Provenance, Synthesis
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.parse import machine_from_document
 from ambrose.machine.machine import Machine
@@ -29,16 +30,21 @@ from ambrose.machine.messages import suggestion
 from ambrose.machine.parameters import operating_point
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.rig.scenario import Scenario, read_scenario
-from ambrose.judge.result import Provenance, Synthesis
 
-_POINT = {"speed": "angular rate", "seal_pressure": "pressure", "bias_current": "current", "whirl_frequency": "angular rate"}
+_POINT = {
+    "speed": "angular rate",
+    "seal_pressure": "pressure",
+    "bias_current": "current",
+    "whirl_frequency": "angular rate",
+}
 _NAMES = ("name", "label", "bearing", "parameter")
 
 
 @dataclass(frozen=True, slots=True)
 class Bases:
-    """What cases start from, ready to be sent to another process: machine files and scenarios as JSON text by name,
-    controllers by (controller, machine)."""
+    """What cases start from, ready to be sent to another process: machine files and scenarios as
+    JSON text by name, controllers by (controller, machine).
+    """
 
     machines: Mapping[str, str]
     controllers: Mapping[tuple[str, str], Any]
@@ -59,8 +65,13 @@ class Subject:
 
 
 def subject(case: Case, bases: Bases, fixed: Mapping[str, Any]) -> Subject:
-    """The case made ready; fixed: what holds for all cases (names of the bases, "options"). Raises InvalidInput."""
-    given = {**{name: fixed[name] for name in ("machine", "controller", "scenario", "point")}, **case.by_path}
+    """The case made ready; fixed: what holds for all cases (names of the bases, "options"). Raises
+    InvalidInput.
+    """
+    given = {
+        **{name: fixed[name] for name in ("machine", "controller", "scenario", "point")},
+        **case.by_path,
+    }
     parts: dict[str, dict[str, Value]] = {}
     for path, value in given.items():
         section, _, rest = path.partition(".")
@@ -72,7 +83,10 @@ def subject(case: Case, bases: Bases, fixed: Mapping[str, Any]) -> Subject:
     controller = bases.controllers.get((str(given["controller"]), name))
     gains = parts.get("controller", {})
     if other := [key for key in gains if key != "gain"]:
-        raise InvalidInput(f'"controller.{other[0]}" is nothing that varies; controller.gain does, and controller whole')
+        raise InvalidInput(
+            f'"controller.{other[0]}" is nothing that varies; controller.gain does, and '
+            "controller whole"
+        )
     if gains and controller is not None:
         controller = _scaled(controller, _number("controller.gain", gains["gain"]))
     scenario = None
@@ -83,12 +97,22 @@ def subject(case: Case, bases: Bases, fixed: Mapping[str, Any]) -> Subject:
         scenario = read_scenario(document)
     point = _point(machine, str(given["point"]), parts.get("point", {}))
     options = {**fixed["options"], **parts.get("option", {})}
-    return Subject(machine, base, point, controller, scenario, _offsets(machine, parts.get("tolerance", {})), options)
+    return Subject(
+        machine,
+        base,
+        point,
+        controller,
+        scenario,
+        _offsets(machine, parts.get("tolerance", {})),
+        options,
+    )
 
 
 @lru_cache(maxsize=32)
 def machine_with(document: str, settings: tuple[tuple[str, Value], ...]) -> Machine:
-    """The machine in a parsed file (JSON text) with other values at some paths. Raises InvalidInput."""
+    """The machine in a parsed file (JSON text) with other values at some paths. Raises
+    InvalidInput.
+    """
     tables = json.loads(document)
     for path, value in settings:
         assign(tables, path, value, "machine")
@@ -96,19 +120,27 @@ def machine_with(document: str, settings: tuple[tuple[str, Value], ...]) -> Mach
 
 
 def assign(document: dict[str, Any], path: str, value: Value, what: str) -> None:
-    """Set a value, or multiply by a factor, wherever ``path`` leads in a parsed file. Raises InvalidInput where it does not."""
+    """Set a value, or multiply by a factor, wherever ``path`` leads in a parsed file. Raises
+    InvalidInput where it does not.
+    """
     *above, last = path.split(".")
     found = list(_places(document, above))
     if not found:
         first = path.split(".", maxsplit=1)[0]
-        raise InvalidInput(f'"{what}.{path}" leads nowhere in the {what} file; {suggestion(first, map(str, document))}')
+        raise InvalidInput(
+            f'"{what}.{path}" leads nowhere in the {what} file; '
+            f"{suggestion(first, map(str, document))}"
+        )
     for table in found:
         if not isinstance(value, Times):
             table[last] = copy.copy(value)
         elif last in table:
             table[last] = _times(table[last], value.factor, f"{what}.{path}")
         else:
-            raise InvalidInput(f'"{what}.{path}" is to be multiplied, but is not in the {what} file; give it a value there')
+            raise InvalidInput(
+                f'"{what}.{path}" is to be multiplied, but is not in the {what} file; give it a '
+                "value there"
+            )
 
 
 def _places(node: Any, path: list[str]) -> Iterator[dict[str, Any]]:
@@ -123,7 +155,11 @@ def _places(node: Any, path: list[str]) -> Iterator[dict[str, Any]]:
             yield from _places(node[key], path[1:])
     elif isinstance(node, list):
         for number, entry in enumerate(node):
-            names = [str(entry[key]) for key in _NAMES if key in entry] if isinstance(entry, dict) else []
+            names = (
+                [str(entry[key]) for key in _NAMES if key in entry]
+                if isinstance(entry, dict)
+                else []
+            )
             if any(fnmatchcase(name, path[0]) for name in [*names, str(number + 1)]):
                 yield from _places(entry, path[1:])
 
@@ -131,10 +167,20 @@ def _places(node: Any, path: list[str]) -> Iterator[dict[str, Any]]:
 def _times(value: Any, factor: float, path: str) -> Any:
     if isinstance(value, list):
         return [_times(entry, factor, path) for entry in value]
-    parsed = None if isinstance(value, bool) or not isinstance(value, str | int | float) else number_of(value)
+    parsed = (
+        None
+        if isinstance(value, bool) or not isinstance(value, str | int | float)
+        else number_of(value)
+    )
     if parsed is None:
-        raise invalid(f'"{path}"', repr(value), "a quantity to be multiplied", "give values instead of times")
-    return f"{parsed[0] * factor!r} {parsed[1]}".rstrip() if isinstance(value, str) else parsed[0] * factor
+        raise invalid(
+            f'"{path}"', repr(value), "a quantity to be multiplied", "give values instead of times"
+        )
+    return (
+        f"{parsed[0] * factor!r} {parsed[1]}".rstrip()
+        if isinstance(value, str)
+        else parsed[0] * factor
+    )
 
 
 def _number(path: str, value: Value) -> float:
@@ -162,10 +208,17 @@ def _offsets(machine: Machine, values: Mapping[str, Value]) -> dict[str, float]:
         names = [name for name in known if fnmatchcase(name, pattern)]
         if not names:
             nothing = "the machine file has no [[tolerance]]"
-            raise InvalidInput(f'"tolerance.{pattern}" names no tolerance; {suggestion(pattern, known, nothing)}')
+            raise InvalidInput(
+                f'"tolerance.{pattern}" names no tolerance; {suggestion(pattern, known, nothing)}'
+            )
         share = _number(f"tolerance.{pattern}", value)
         if not -1 <= share <= 1:
-            raise invalid(f'"tolerance.{pattern}"', share, "within -1 to 1", "widen the tolerance in the machine file")
+            raise invalid(
+                f'"tolerance.{pattern}"',
+                share,
+                "within -1 to 1",
+                "widen the tolerance in the machine file",
+            )
         found |= dict.fromkeys(names, share)
     return found
 
@@ -174,7 +227,8 @@ def _scaled(controller: Any, gain: float) -> Any:
     law = getattr(controller, "law", controller)
     if isinstance(law, ScheduledSystem) or not isinstance(law, StateSpace):
         raise InvalidInput(
-            "controller.gain needs a fixed linear controller; leave it out for a scheduled one or a filter program"
+            "controller.gain needs a fixed linear controller; leave it out for a scheduled one or "
+            "a filter program"
         )
     scaled = replace(law, C=gain * law.C, D=gain * law.D)
     return Synthesis(scaled, provenance=getattr(controller, "provenance", Provenance()))

@@ -59,7 +59,9 @@ Value = str | int | float | bool | Times
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """What is varied: ``values`` one after another (a grid), or anything from ``low`` to ``high`` in ``unit``."""
+    """What is varied: ``values`` one after another (a grid), or anything from ``low`` to ``high``
+    in ``unit``.
+    """
 
     path: str
     values: tuple[Value, ...] = ()
@@ -89,7 +91,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a plan file says; ``folder`` is where the files it names are looked for. Raises InvalidInput."""
+    """What a plan file says; ``folder`` is where the files it names are looked for. Raises
+    InvalidInput.
+    """
 
     variables: tuple[Variable, ...]
     task: str = "screen"
@@ -107,21 +111,36 @@ class Plan:
     def __post_init__(self) -> None:
         for name, known in (("task", TASKS), ("plan", PLANS), ("model", MODELS)):
             if getattr(self, name) not in known:
-                raise InvalidInput(f"{name} is {shown(getattr(self, name))}; {suggestion(str(getattr(self, name)), known)}")
+                raise InvalidInput(
+                    f"{name} is {shown(getattr(self, name))}; "
+                    f"{suggestion(str(getattr(self, name)), known)}"
+                )
         whole = {variable.path for variable in self.variables}
         needed = ["machine", *(["controller"] if self.task != "design" else [])]
         needed += ["scenario"] if self.task in {"simulate", "identify"} else []
         for name in needed:
             if not getattr(self, name) and name not in whole:
-                raise InvalidInput(f"a campaign of task {self.task} needs a {name}; name one in [campaign] or [vary]")
+                raise InvalidInput(
+                    f"a campaign of task {self.task} needs a {name}; name one in [campaign] or "
+                    "[vary]"
+                )
         if not self.variables:
             raise InvalidInput("the plan varies nothing; add [vary] with a path and its values")
         if self.plan != "grid" and self.cases < 1:
-            raise InvalidInput(f"a {self.plan} plan needs the number of its cases; add cases = 1000 to [campaign]")
+            raise InvalidInput(
+                f"a {self.plan} plan needs the number of its cases; add cases = 1000 to [campaign]"
+            )
         if self.plan == "grid" and (ranges := [v.path for v in self.variables if not v.values]):
-            raise InvalidInput(f"{ranges[0]} has no count, which a grid needs; add count = 10, or list its values")
+            raise InvalidInput(
+                f"{ranges[0]} has no count, which a grid needs; add count = 10, or list its values"
+            )
         if self.size > MOST_CASES:
-            raise invalid("the number of cases", self.size, f"at most {MOST_CASES}", "vary less, or draw a random plan")
+            raise invalid(
+                "the number of cases",
+                self.size,
+                f"at most {MOST_CASES}",
+                "vary less, or draw a random plan",
+            )
 
     @property
     def size(self) -> int:
@@ -145,19 +164,32 @@ class Plan:
         if self.plan == "grid":
             rows = product(*(variable.values for variable in self.variables))
         else:
-            rows = ([v.at(s) for v, s in zip(self.variables, row, strict=True)] for row in self.shares.tolist())
+            rows = (
+                [v.at(s) for v, s in zip(self.variables, row, strict=True)]
+                for row in self.shares.tolist()
+            )
         start = hashlib.sha256(self._common.encode())
         for values in rows:
             settings = tuple(zip(paths, values, strict=True))
             digest = start.copy()
-            digest.update(json.dumps([(p, self.content(p, v)) for p, v in sorted(settings)], sort_keys=True).encode())
+            digest.update(
+                json.dumps(
+                    [(p, self.content(p, v)) for p, v in sorted(settings)], sort_keys=True
+                ).encode()
+            )
             yield Case(digest.hexdigest()[:20], settings)
 
     @cached_property
     def _common(self) -> str:
         """All that is the same for every case, as text."""
-        fixed = {name: self.content(name, getattr(self, name)) for name in BASES if getattr(self, name)}
-        return json.dumps([__version__, self.task, self.model, fixed, dict(self.options)], sort_keys=True, default=str)
+        fixed = {
+            name: self.content(name, getattr(self, name)) for name in BASES if getattr(self, name)
+        }
+        return json.dumps(
+            [__version__, self.task, self.model, fixed, dict(self.options)],
+            sort_keys=True,
+            default=str,
+        )
 
     @cached_property
     def _contents(self) -> dict[tuple[str, str], str]:
@@ -180,7 +212,12 @@ class Plan:
     def named(self, base: str) -> tuple[str, ...]:
         """Every machine, controller or scenario of the plan."""
         varied = next((v.values for v in self.variables if v.path == base), ())
-        return tuple(dict.fromkeys(str(value) for value in varied or ([getattr(self, base)] if getattr(self, base) else [])))
+        return tuple(
+            dict.fromkeys(
+                str(value)
+                for value in varied or ([getattr(self, base)] if getattr(self, base) else [])
+            )
+        )
 
 
 def in_unit(number: float, unit: str, times: bool) -> Value:
@@ -211,16 +248,26 @@ def plan_of(document: Mapping[str, Any], folder: Path = Path()) -> Plan:
     """The plan in a parsed document. Raises InvalidInput."""
     for key in document:
         if key not in {"campaign", "vary", "options"}:
-            raise InvalidInput(f"[{key}]: unknown table; {suggestion(key, ('campaign', 'vary', 'options'))}")
+            raise InvalidInput(
+                f"[{key}]: unknown table; {suggestion(key, ('campaign', 'vary', 'options'))}"
+            )
     head, vary = document.get("campaign", {}), document.get("vary", {})
-    for name, table in (("campaign", head), ("vary", vary), ("options", document.get("options", {}))):
+    for name, table in (
+        ("campaign", head),
+        ("vary", vary),
+        ("options", document.get("options", {})),
+    ):
         if not isinstance(table, Mapping):
             raise InvalidInput(f"{name} is no table; write [{name}]")
     for key, value in head.items():
         if key not in _KEYS:
             raise InvalidInput(f"[campaign]: unknown key {key!r}; {suggestion(key, _KEYS)}")
         counted = key in {"cases", "seed"}
-        right = isinstance(value, int) and not isinstance(value, bool) and value >= 0 if counted else isinstance(value, str)
+        right = (
+            isinstance(value, int) and not isinstance(value, bool) and value >= 0
+            if counted
+            else isinstance(value, str)
+        )
         if not right:
             what = "a whole number, not negative" if counted else "a text"
             raise invalid(f"[campaign] {key}", shown(value), what, "correct it")
@@ -242,30 +289,50 @@ def _variable(path: str, given: Any, grid: bool) -> Variable:
     first, _, rest = path.partition(".")
     if first not in SECTIONS or (not rest and first not in BASES):
         known = ", ".join(f"{name}.<...>" for name in SECTIONS)
-        raise InvalidInput(f'[vary] "{path}" leads nowhere; a path is {known}, or one of {", ".join(BASES)} whole')
+        raise InvalidInput(
+            f'[vary] "{path}" leads nowhere; a path is {known}, or one of {", ".join(BASES)} whole'
+        )
     if not isinstance(given, Mapping):
         values = given if isinstance(given, list) else [given]
         if not values or not all(isinstance(value, str | int | float | bool) for value in values):
             raise invalid(
-                f'[vary] "{path}"', shown(given), "a list of texts or numbers", "or { from = ..., to = ..., count = ... }"
+                f'[vary] "{path}"',
+                shown(given),
+                "a list of texts or numbers",
+                "or { from = ..., to = ..., count = ... }",
             )
         return Variable(path, tuple(values))
     if unknown := [key for key in given if key not in {"from", "to", "count", "times", "values"}]:
-        raise InvalidInput(f'[vary] "{path}": unknown key {unknown[0]!r}; known: from, to, count, times')
-    ends = [number_of(given[key]) if isinstance(given.get(key), str | int | float) else None for key in ("from", "to")]
+        raise InvalidInput(
+            f'[vary] "{path}": unknown key {unknown[0]!r}; known: from, to, count, times'
+        )
+    ends = [
+        number_of(given[key]) if isinstance(given.get(key), str | int | float) else None
+        for key in ("from", "to")
+    ]
     if ends[0] is None or ends[1] is None or ends[0][1] != ends[1][1]:
         raise invalid(
-            f'[vary] "{path}"', shown(dict(given)), "from one quantity to another of the same unit", "write both alike"
+            f'[vary] "{path}"',
+            shown(dict(given)),
+            "from one quantity to another of the same unit",
+            "write both alike",
         )
     (low, unit), (high, _), times = ends[0], ends[1], given.get("times", False)
     if times and first not in {"machine", "scenario"}:
-        raise InvalidInput(f'[vary] "{path}": only what stands in a machine or scenario file takes times = true; leave it out')
+        raise InvalidInput(
+            f'[vary] "{path}": only what stands in a machine or scenario file takes times = true; '
+            "leave it out"
+        )
     count = given.get("count")
     if count is None or not grid:
         return Variable(path, (), low, high, unit, times)
     if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_CASES:
-        raise invalid(f'[vary] "{path}" count', shown(count), "a whole number, 1 or more", "correct it")
+        raise invalid(
+            f'[vary] "{path}" count', shown(count), "a whole number, 1 or more", "correct it"
+        )
     numbers = np.linspace(low, high, count).tolist()
-    if all(isinstance(given[key], int) for key in ("from", "to")) and all(number.is_integer() for number in numbers):
+    if all(isinstance(given[key], int) for key in ("from", "to")) and all(
+        number.is_integer() for number in numbers
+    ):
         return Variable(path, tuple(int(number) for number in numbers))
     return Variable(path, tuple(in_unit(number, unit, times) for number in numbers))

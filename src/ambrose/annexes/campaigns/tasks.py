@@ -1,9 +1,11 @@
-"""The tasks: a row of numbers and words for every case, failures as their reason. This is what worker processes run.
+"""The tasks: a row of numbers and words for every case, failures as their reason. This is what
+worker processes run.
 
-screen: stability and the largest singular value of the output sensitivity of the linear loop, by cases that share all but where
-they stand in the tolerances: these are one array. verify: every check of ``judge.nominal`` on the full plant. design:
-status and certificate. simulate: outcome and peaks on the virtual rig. identify: a run on the rig of the case's machine, and
-the parameters found from it, starting at the machine of the file.
+screen: stability and the largest singular value of the output sensitivity of the linear loop, by
+cases that share all but where they stand in the tolerances: these are one array. verify: every
+check of ``judge.nominal`` on the full plant. design: status and certificate. simulate: outcome and
+peaks on the virtual rig. identify: a run on the rig of the case's machine, and the parameters found
+from it, starting at the machine of the file.
 """
 
 from __future__ import annotations
@@ -23,28 +25,32 @@ from ambrose.core.frequency import largest_gain
 from ambrose.core.presentation import to_plain
 from ambrose.core.statespace import poles
 from ambrose.core.worst_case.loop import BoxLoop, default_grid, gains, unstable_poles
-from ambrose.rig.trial import simulate_scenario
-from ambrose.judge.verdict import running_law
-from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
-from ambrose.machine.description import Tolerance
-from ambrose.model.assemble import assemble
-from ambrose.law.loop import closed_loop, match_controller
-from ambrose.model.plant import Plant, top_speed
-from ambrose.model.reduce import default_bending_modes, reduce
-from ambrose.law.timing import timing_of
-from ambrose.model.uncertainty import perturbed, tolerances_around
 from ambrose.judge import nominal
 from ambrose.judge.loop_response import frequency_grid, loop_evaluator
 from ambrose.judge.robust import box_loops
+from ambrose.judge.verdict import running_law
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law.timing import timing_of
+from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
+from ambrose.machine.description import Tolerance
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant, top_speed
+from ambrose.model.reduce import default_bending_modes, reduce
+from ambrose.model.uncertainty import perturbed, tolerances_around
+from ambrose.rig.trial import simulate_scenario
 
-STABLE, PEAK, WHERE = "stable", "sensitivity.output.max", "sensitivity.output.at"
+STABLE = "stable"
+PEAK = "sensitivity.output.max"
+WHERE = "sensitivity.output.at"
 _LOWEST = 0.5 * TWO_PI  # [rad/s], as for the nominal checks
 _FINER = 9  # frequencies between the neighbours of a peak on the grid
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What came of a case: values by name, or why there are none; files that belong to it, by name."""
+    """What came of a case: values by name, or why there are none; files that belong to it, by
+    name.
+    """
 
     key: str
     values: Mapping[str, Any]
@@ -53,10 +59,15 @@ class Row:
 
 
 def compute(task: str, cases: Sequence[Case], bases: Bases, fixed: Mapping[str, Any]) -> list[Row]:
-    """A row for each case, in their order. Nothing that a case does wrong takes the others with it."""
+    """A row for each case, in their order. Nothing that a case does wrong takes the others with
+    it.
+    """
     if task == "screen":
         return _screened(cases, bases, fixed)
-    return [_row(case.key, lambda case=case: _TASKS[task](subject(case, bases, fixed))) for case in cases]  # type: ignore[misc]
+    return [
+        _row(case.key, lambda case=case: _TASKS[task](subject(case, bases, fixed)))
+        for case in cases
+    ]  # type: ignore[misc]
 
 
 def _row(key: str, work: Callable[[], Mapping[str, Any]]) -> Row:
@@ -71,9 +82,13 @@ def _row(key: str, work: Callable[[], Mapping[str, Any]]) -> Row:
 
 
 def group_of(case: Case) -> tuple[Any, ...]:
-    """What cases of one array share: all but the tolerances; the machine's first, so that neighbours share a rotor."""
+    """What cases of one array share: all but the tolerances; the machine's first, so that
+    neighbours share a rotor.
+    """
     kept = [(path, value) for path, value in case.settings if not path.startswith("tolerance.")]
-    return tuple(sorted(((not path.startswith("machine"), path, repr(value)) for path, value in kept)))
+    return tuple(
+        sorted(((not path.startswith("machine"), path, repr(value)) for path, value in kept))
+    )
 
 
 def _screened(cases: Sequence[Case], bases: Bases, fixed: Mapping[str, Any]) -> list[Row]:
@@ -92,7 +107,9 @@ def _screened(cases: Sequence[Case], bases: Bases, fixed: Mapping[str, Any]) -> 
             continue
         try:
             rows = _screen(list(subjects.values()), fixed["model"])
-            found |= {key: Row(key, to_plain(values)) for key, values in zip(subjects, rows, strict=True)}
+            found |= {
+                key: Row(key, to_plain(values)) for key, values in zip(subjects, rows, strict=True)
+            }
         except AmbroseError as error:
             found |= {key: Row(key, {}, str(error)) for key in subjects}
         except Exception as error:
@@ -106,12 +123,22 @@ def _screen(group: Sequence[Subject], model: str) -> list[dict[str, Any]]:
     plant = assemble(first.machine, first.point)
     if model == "reduced":
         plant = reduce(plant, default_bending_modes(plant))
-    timing = timing_of(first.machine, first.controller, first.options.get("rate"), first.options.get("delay_samples"))
+    timing = timing_of(
+        first.machine,
+        first.controller,
+        first.options.get("rate"),
+        first.options.get("delay_samples"),
+    )
     law = match_controller(getattr(first.controller, "law", first.controller), plant)
     if law.dt is not None:
-        raise InvalidInput("a sampled controller cannot be screened as a continuous loop; take the task verify")
+        raise InvalidInput(
+            "a sampled controller cannot be screened as a continuous loop; take the task verify"
+        )
     law = law if timing is None else timing.late(law)
-    highest = max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * max(top_speed(first.machine), first.point.speed))
+    highest = max(
+        SENSITIVITY_RANGE.limits[0].value,
+        SPEED_RANGE_FACTOR * max(top_speed(first.machine), first.point.speed),
+    )
     held = _held(plant, {name for item in group for name in item.offsets})
     if not held:
         return [_alone(plant, law, highest)] * len(group)
@@ -124,8 +151,13 @@ def _screen(group: Sequence[Subject], model: str) -> list[dict[str, Any]]:
 
 
 def _held(plant: Plant, names: Collection[str]) -> tuple[Tolerance, ...]:
-    """The tolerances that are moved: where a case says so they hold at every point; what is zero there stays zero."""
-    return tolerances_around(plant, [replace(one, around=()) for one in plant.machine.tolerances if one.parameter in names])
+    """The tolerances that are moved: where a case says so they hold at every point; what is zero
+    there stays zero.
+    """
+    return tolerances_around(
+        plant,
+        [replace(one, around=()) for one in plant.machine.tolerances if one.parameter in names],
+    )
 
 
 def _inside(item: Subject, held: Sequence[Any]) -> dict[str, float]:
@@ -146,7 +178,14 @@ def _array(loop: BoxLoop, delta: np.ndarray, highest: float) -> list[dict[str, A
         at = int(curve.argmax())
         fine = np.geomspace(omega[max(at - 1, 0)], omega[min(at + 1, len(omega) - 1)], _FINER)
         closer = gains(loop.at(fine), loop, delta[i : i + 1])[0]
-        rows.append(_peak(*max((float(curve[at]), float(omega[at])), (float(closer.max()), float(fine[closer.argmax()])))))
+        rows.append(
+            _peak(
+                *max(
+                    (float(curve[at]), float(omega[at])),
+                    (float(closer.max()), float(fine[closer.argmax()])),
+                )
+            )
+        )
     return rows
 
 
@@ -180,8 +219,12 @@ def full_plant(item: Subject) -> Plant:
 def checks_of(item: Subject) -> Any:
     """The nominal checks of a case on its full plant, of the loop as it runs."""
     plant = full_plant(item)
-    timing = timing_of(item.machine, item.controller, item.options.get("rate"), item.options.get("delay_samples"))
-    return nominal.check(plant, running_law(getattr(item.controller, "law", item.controller), plant, timing))
+    timing = timing_of(
+        item.machine, item.controller, item.options.get("rate"), item.options.get("delay_samples")
+    )
+    return nominal.check(
+        plant, running_law(getattr(item.controller, "law", item.controller), plant, timing)
+    )
 
 
 def _verify(item: Subject) -> dict[str, Any]:
@@ -202,25 +245,38 @@ def _design(item: Subject) -> dict[str, Any]:
     from ambrose.synthesis.design import design
 
     options = dict(item.options)
-    result = design(assemble(item.machine, item.point), str(options.pop("method", "tuned")), **options)
+    result = design(
+        assemble(item.machine, item.point), str(options.pop("method", "tuned")), **options
+    )
     certificate = result.certificate
     return {
-        "status": str(result.status), STABLE: certificate.stable, "norm": certificate.closed_loop_norm,
-        "abscissa": certificate.spectral_abscissa, "states": result.controller.n_states, **certificate.margins,
+        "status": str(result.status),
+        STABLE: certificate.stable,
+        "norm": certificate.closed_loop_norm,
+        "abscissa": certificate.spectral_abscissa,
+        "states": result.controller.n_states,
+        **certificate.margins,
         "files": {"controller.json": controller_text(result, item.machine)},
-    }  # fmt: skip
+    }
 
 
 def run(item: Subject) -> Any:
-    """The case's run on the rig, or with ``linear`` on the linear loop, which alone has offsets within tolerances."""
+    """The case's run on the rig, or with ``linear`` on the linear loop, which alone has offsets
+    within tolerances.
+    """
     options = dict(item.options)
     linear = bool(options.pop("linear", False))
     for name in ("method", "unknown", "repeats"):  # of the identification after it
         options.pop(name, None)
     if item.offsets and not linear:
-        raise InvalidInput("the rig has no tolerances; vary the machine's own keys, machine.<table>..., or set linear = true")
+        raise InvalidInput(
+            "the rig has no tolerances; vary the machine's own keys, machine.<table>..., or set "
+            "linear = true"
+        )
     place = full_plant(item) if linear else item.machine
-    return simulate_scenario(place, item.controller, item.scenario or "", point=item.point, linear=linear, **options)
+    return simulate_scenario(
+        place, item.controller, item.scenario or "", point=item.point, linear=linear, **options
+    )
 
 
 def _simulate(item: Subject) -> dict[str, Any]:
@@ -228,27 +284,43 @@ def _simulate(item: Subject) -> dict[str, Any]:
 
     trace = run(item)
     largest = {name: value for name, value in peaks(trace).items() if name[:2] in {"y_", "i_"}}
-    moved = max((value for name, value in largest.items() if name.startswith("y_")), default=math.nan)
+    moved = max(
+        (value for name, value in largest.items() if name.startswith("y_")), default=math.nan
+    )
     return {
-        "outcome": trace.outcome, STABLE: trace.stable, "completed": trace.outcome == "completed", "displacement.max": moved,
-        "settling": settling(trace), **{f"peak.{name}": value for name, value in largest.items()},
-    }  # fmt: skip
+        "outcome": trace.outcome,
+        STABLE: trace.stable,
+        "completed": trace.outcome == "completed",
+        "displacement.max": moved,
+        "settling": settling(trace),
+        **{f"peak.{name}": value for name, value in largest.items()},
+    }
 
 
 def _identify(item: Subject) -> dict[str, Any]:
     from ambrose.identification.pipeline import identify
 
-    options = {name: item.options[name] for name in ("method", "unknown", "repeats") if name in item.options}
+    options = {
+        name: item.options[name]
+        for name in ("method", "unknown", "repeats")
+        if name in item.options
+    }
     found = identify(item.base, run(item).record, item.controller, **options)
     values: dict[str, Any] = {"passed": found.passed}
     for parameter in found.parameters:
-        values |= {parameter.path: parameter.value, f"{parameter.path}.deviation": parameter.standard_deviation}
+        values |= {
+            parameter.path: parameter.value,
+            f"{parameter.path}.deviation": parameter.standard_deviation,
+        }
     return {**values, "findings": "; ".join(str(finding) for finding in found.findings)}
 
 
 _TASKS: dict[str, Callable[[Subject], dict[str, Any]]] = {
-    "verify": _verify, "design": _design, "simulate": _simulate, "identify": _identify,
-}  # fmt: skip
+    "verify": _verify,
+    "design": _design,
+    "simulate": _simulate,
+    "identify": _identify,
+}
 
 
 def line_of(row: Row) -> str:

@@ -1,8 +1,10 @@
-"""What a result depends on: variance-based sensitivity indices from samples that are there, without further runs.
+"""What a result depends on: variance-based sensitivity indices from samples that are there, without
+further runs.
 
-Main effect of an input x_i: S_i = Var(E[y | x_i]) / Var(y), the share of the variance that goes when x_i is known (Sobol 1993;
-Saltelli et al. 2008, sec. 1.2.8). Conditional means are those of classes: the values themselves where they are few, else
-classes of equally many samples (the correlation ratio of Pearson 1905).
+Main effect of an input x_i: S_i = Var(E[y | x_i]) / Var(y), the share of the variance that goes
+when x_i is known (Sobol 1993; Saltelli et al. 2008, sec. 1.2.8). Conditional means are those of
+classes: the values themselves where they are few, else classes of equally many samples (the
+correlation ratio of Pearson 1905).
 """
 
 from __future__ import annotations
@@ -20,8 +22,9 @@ _LEAST = 10
 def main_effects(x: ArrayLike, y: ArrayLike, *, complete: bool = False) -> np.ndarray:
     """S (v,) of the inputs x (c, v) on y (c,), each 0 to 1.
 
-    complete: x is a full grid, on which class means are exact; else what the scatter of means of few samples adds is taken off
-    (Kelley 1935). A constant y gives zeros. Raises InvalidInput for arrays that do not fit.
+    complete: x is a full grid, on which class means are exact; else what the scatter of means of
+    few samples adds is taken off (Kelley 1935). A constant y gives zeros. Raises InvalidInput for
+    arrays that do not fit.
     """
     x = check_shape(x, "x", "(c, v)").astype(float)
     y = check_shape(y, "y", "(c)", c=len(x)).astype(float)

@@ -1,0 +1,9 @@
+"""Parameters that move: schedules over speed and pressure, proofs along motions, the seal monitor."""
+
+ANNEX = {
+    "command": {"monitor": "monitor_command:monitor"},
+    "public": {"monitor": "front_door", "lpv_synthesis": "lpv.synthesis"},
+    "method": {"lpv": "lpv.method"},
+    "moving_proof": {"pressure and speed": "moving.proofs"},
+    "companion": {"seal monitor": "watched:watched"},
+}

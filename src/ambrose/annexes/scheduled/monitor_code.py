@@ -1,6 +1,8 @@
-"""The seal monitor as C99: one parameter of one seal, no heap, no library; what it does: identification/seal_monitor.
+"""The seal monitor as C99: one parameter of one seal, no heap, no library; what it does:
+identification/seal_monitor.
 
-The observer's filters run in modal coordinates, and what a parameter changes enters through the few directions it has.
+The observer's filters run in modal coordinates, and what a parameter changes enters through the few
+directions it has.
 """
 
 from __future__ import annotations
@@ -10,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
-from ambrose.core.realisation.modal_form import modal_form
-from ambrose.core.statespace import StateSpace
+from ambrose.annexes.scheduled.seal_monitor.model import Direction
+from ambrose.annexes.scheduled.seal_monitor.watch import OLD, WIDE, SealMonitor
 from ambrose.code.block.names import as_comment
 from ambrose.code.c.literals import integer_table, real_table
 from ambrose.code.rendering import render
-from ambrose.annexes.scheduled.seal_monitor.model import Direction
-from ambrose.annexes.scheduled.seal_monitor.watch import OLD, WIDE, SealMonitor
+from ambrose.core.checks import InvalidInput
+from ambrose.core.realisation.modal_form import modal_form
+from ambrose.core.statespace import StateSpace
 from ambrose.machine.atomic_write import write_files
 
 _RANK = 1e-9  # of the largest: directions that are no more are left out
@@ -28,7 +30,9 @@ def generate_monitor(following: SealMonitor, name: str = "seal_monitor") -> dict
     """The files <name>.h and <name>.c of a monitor of one parameter. Raises InvalidInput."""
     model = following.model
     if len(model.unknown) != 1:
-        raise InvalidInput(f"the C code watches one parameter, not {len(model.unknown)}; name one unknown")
+        raise InvalidInput(
+            f"the C code watches one parameter, not {len(model.unknown)}; name one unknown"
+        )
     n, m = model.B.shape
     p, c = len(model.C), len(model.doubts)
     family = modal_form(_states(model.observer))
@@ -38,11 +42,22 @@ def generate_monitor(following: SealMonitor, name: str = "seal_monitor") -> dict
     seen = np.vstack([np.eye(n, len(A)), np.hstack([-law.D @ model.C, law.C])])
     loop = modal_form(StateSpace(A, B, seen, np.zeros((n + m, m)), dt=model.dt)).system
     rows: list[dict[str, Any]] = []
-    for label, direction in [("linear", model.unknown[0]), ("square", model.squares[0]), *((f"doubt{i}", d) for i, d in
-                             enumerate(model.doubts))]:  # fmt: skip
+    for label, direction in [
+        ("linear", model.unknown[0]),
+        ("square", model.squares[0]),
+        *((f"doubt{i}", d) for i, d in enumerate(model.doubts)),
+    ]:
         U, V = _factors(direction)
-        rows.append({"label": label, "rank": U.shape[1], "U": _TABLE(into @ U), "Vx": _TABLE(V[:, :n] @ back),
-                     "Vv": _TABLE(V[:, n:]), "size": U.shape[1] * (2 * n + m)})  # fmt: skip
+        rows.append(
+            {
+                "label": label,
+                "rank": U.shape[1],
+                "U": _TABLE(into @ U),
+                "Vx": _TABLE(V[:, :n] @ back),
+                "Vv": _TABLE(V[:, n:]),
+                "size": U.shape[1] * (2 * n + m),
+            }
+        )
     U, V = _factors(model.unknown[0])
     H = V @ loop.C
     own, ends = _rows(family.system.A)
@@ -50,30 +65,77 @@ def generate_monitor(following: SealMonitor, name: str = "seal_monitor") -> dict
     sections, filters = following.filters.sections, 2 * m + p
     kinds = np.unique(model.kinds, return_inverse=True)[1]
     cost = (
-        5 * len(sections) * filters + (4 + c) * len(own) + len(looped) + n * (m + p) + 3 * n * p
-        + sum(row["size"] for row in rows) + 2 * rows[0]["size"] + len(loop.A) * (m + len(U.T)) + (4 + c) * p * p
-    )  # fmt: skip
+        5 * len(sections) * filters
+        + (4 + c) * len(own)
+        + len(looped)
+        + n * (m + p)
+        + 3 * n * p
+        + sum(row["size"] for row in rows)
+        + 2 * rows[0]["size"]
+        + len(loop.A) * (m + len(U.T))
+        + (4 + c) * p * p
+    )
     values = {
-        "name": name, "prefix": name.upper(), "n": n, "m": m, "p": p, "c": c, "nl": len(loop.A), "sections": _TABLE(sections),
-        "ns": len(sections), "filters": filters, "rows": rows, "doubts": rows[2:], "rank": len(H),
-        "observer": _TABLE(own), "observer_size": len(own), "observer_columns": integer_table(ends),
-        "loop": _TABLE(looped), "loop_size": len(looped), "loop_columns": integer_table(loop_ends),
-        "into": _TABLE(into @ np.hstack([model.B, model.L])), "out": _TABLE(model.C @ back),
-        "white": _TABLE(model.W), "loop_in": _TABLE(loop.B), "H": _TABLE(H), "loop_U": _TABLE(into @ U),
+        "name": name,
+        "prefix": name.upper(),
+        "n": n,
+        "m": m,
+        "p": p,
+        "c": c,
+        "nl": len(loop.A),
+        "sections": _TABLE(sections),
+        "ns": len(sections),
+        "filters": filters,
+        "rows": rows,
+        "doubts": rows[2:],
+        "rank": len(H),
+        "observer": _TABLE(own),
+        "observer_size": len(own),
+        "observer_columns": integer_table(ends),
+        "loop": _TABLE(looped),
+        "loop_size": len(looped),
+        "loop_columns": integer_table(loop_ends),
+        "into": _TABLE(into @ np.hstack([model.B, model.L])),
+        "out": _TABLE(model.C @ back),
+        "white": _TABLE(model.W),
+        "loop_in": _TABLE(loop.B),
+        "H": _TABLE(H),
+        "loop_U": _TABLE(into @ U),
         "loop_V": _TABLE(V[:, n:]),
-        "kinds": integer_table(kinds), "nk": int(kinds.max(initial=-1)) + 1, "block": following.block,
-        "wait": round(following.settling / model.dt), "step": following.block * model.dt, "rate": following.rate,
-        "windows": _TABLE(np.array(following.windows)), "reference": float(model.reference[0]),
-        "fade": _TABLE(np.exp(-following.block * model.dt / np.array(following.windows))), "dt": model.dt,
-        "wide": WIDE, "oldest": OLD * following.window,
-        "path": as_comment(model.paths[0]), "axes": as_comment(", ".join(model.axes)), "cost": int(cost),
-        "bytes": 8 * (filters * (1 + 2 * len(sections)) + (4 + c) * n + len(loop.A) + 4 + c + 2 * (3 + 6 + c + 3)),
-    }  # fmt: skip
+        "kinds": integer_table(kinds),
+        "nk": int(kinds.max(initial=-1)) + 1,
+        "block": following.block,
+        "wait": round(following.settling / model.dt),
+        "step": following.block * model.dt,
+        "rate": following.rate,
+        "windows": _TABLE(np.array(following.windows)),
+        "reference": float(model.reference[0]),
+        "fade": _TABLE(np.exp(-following.block * model.dt / np.array(following.windows))),
+        "dt": model.dt,
+        "wide": WIDE,
+        "oldest": OLD * following.window,
+        "path": as_comment(model.paths[0]),
+        "axes": as_comment(", ".join(model.axes)),
+        "cost": int(cost),
+        "bytes": 8
+        * (
+            filters * (1 + 2 * len(sections))
+            + (4 + c) * n
+            + len(loop.A)
+            + 4
+            + c
+            + 2 * (3 + 6 + c + 3)
+        ),
+    }
     return {f"{name}{end}": render(f"monitor{end}.j2", values) for end in (".h", ".c")}
 
 
-def write_monitor(directory: str | Path, following: SealMonitor, name: str = "seal_monitor") -> list[Path]:
-    """Generate the code and write it to ``directory`` (made if absent). Returns the files' paths. Raises InvalidInput."""
+def write_monitor(
+    directory: str | Path, following: SealMonitor, name: str = "seal_monitor"
+) -> list[Path]:
+    """Generate the code and write it to ``directory`` (made if absent). Returns the files' paths.
+    Raises InvalidInput.
+    """
     return write_files(directory, generate_monitor(following, name))
 
 
@@ -91,7 +153,11 @@ def _factors(direction: Direction) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rows(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of every row of A (n, n) the entries from its first to its last that is not zero, and where they begin and end (n, 2)."""
+    """Of every row of A (n, n) the entries from its first to its last that is not zero, and where
+    they begin and end (n, 2).
+    """
     at = [np.flatnonzero(row) for row in A]
     ends = np.array([(int(k[0]), int(k[-1]) + 1) if len(k) else (0, 0) for k in at])
-    return np.concatenate([row[first:last] for row, (first, last) in zip(A, ends, strict=True)]), ends
+    return np.concatenate(
+        [row[first:last] for row, (first, last) in zip(A, ends, strict=True)]
+    ), ends

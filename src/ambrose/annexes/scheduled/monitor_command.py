@@ -27,53 +27,125 @@ from ambrose.terminal import (
 @click.argument("record", type=click.Path(path_type=Path))
 @click.option("--seal", default=None, help="The seal to watch; default: the only one.")
 @click.option(
-    "--unknown", multiple=True, type=click.Choice(["pressure", "K", "k", "C", "c"]),
+    "--unknown",
+    multiple=True,
+    type=click.Choice(["pressure", "K", "k", "C", "c"]),
     help="What is found (repeatable); default: the pressure that the seal's forces tell, or k.",
-)  # fmt: skip
-@click.option("--window", type=float, default=2.0, show_default=True, help="Memory of the estimate in seconds.")
-@click.option("--rate", type=float, default=0.01, show_default=True, help="Change per second, as a share of the file's value.")
-@click.option("--current-gain", type=float, default=0.03, show_default=True, help="How well k_i is known.")
-@click.option("--stiffness", type=float, default=0.0, show_default=True, help="How well k_s is known.")
-@click.option("--amplifier", type=float, default=0.05, show_default=True, help="How well the amplifiers' bandwidth is known.")
-@click.option("--bending-modes", type=int, default=3, show_default=True, help="Bending modes per plane of the observer.")
-@click.option("--harmonics", type=int, default=3, show_default=True, help="Multiples of the speed that are taken out.")
-@click.option("--delay-samples", type=int, default=1, show_default=True, help="From measured errors to currents set.")
-@click.option("--csv", "table", type=click.Path(path_type=Path), help="Every estimate as text (*.csv).")
-@click.option("--code", type=click.Path(path_type=Path), help="A folder for this monitor as C code.")
+)
+@click.option(
+    "--window",
+    type=float,
+    default=2.0,
+    show_default=True,
+    help="Memory of the estimate in seconds.",
+)
+@click.option(
+    "--rate",
+    type=float,
+    default=0.01,
+    show_default=True,
+    help="Change per second, as a share of the file's value.",
+)
+@click.option(
+    "--current-gain", type=float, default=0.03, show_default=True, help="How well k_i is known."
+)
+@click.option(
+    "--stiffness", type=float, default=0.0, show_default=True, help="How well k_s is known."
+)
+@click.option(
+    "--amplifier",
+    type=float,
+    default=0.05,
+    show_default=True,
+    help="How well the amplifiers' bandwidth is known.",
+)
+@click.option(
+    "--bending-modes",
+    type=int,
+    default=3,
+    show_default=True,
+    help="Bending modes per plane of the observer.",
+)
+@click.option(
+    "--harmonics",
+    type=int,
+    default=3,
+    show_default=True,
+    help="Multiples of the speed that are taken out.",
+)
+@click.option(
+    "--delay-samples",
+    type=int,
+    default=1,
+    show_default=True,
+    help="From measured errors to currents set.",
+)
+@click.option(
+    "--csv", "table", type=click.Path(path_type=Path), help="Every estimate as text (*.csv)."
+)
+@click.option(
+    "--code", type=click.Path(path_type=Path), help="A folder for this monitor as C code."
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="A page (*.html).")
 @AS_JSON
 def monitor(
-    machine: str, controller: Path, record: Path, seal: str | None, unknown: tuple[str, ...], window: float, rate: float,
-    current_gain: float, stiffness: float, amplifier: float, bending_modes: int, harmonics: int, delay_samples: int,
-    table: Path | None, code: Path | None, output: Path | None, as_json: bool,
-) -> None:  # fmt: skip
+    machine: str,
+    controller: Path,
+    record: Path,
+    seal: str | None,
+    unknown: tuple[str, ...],
+    window: float,
+    rate: float,
+    current_gain: float,
+    stiffness: float,
+    amplifier: float,
+    bending_modes: int,
+    harmonics: int,
+    delay_samples: int,
+    table: Path | None,
+    code: Path | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
     """A seal against time, with 95 % intervals, from the running loop and a small excitation.
 
-    RECORD holds y_<axis>, u_<axis> and the excitation e_<axis> (0.02 A on every axis will do), CONTROLLER is the one that ran.
-    Exit status 1: done, but the seal changes, leaves the range of the machine file's tolerances, contradicts the pressure
-    given, or nothing can be said.
+    RECORD holds y_<axis>, u_<axis> and the excitation e_<axis> (0.02 A on every axis will do),
+    CONTROLLER is the one that ran. Exit status 1: done, but the seal changes, leaves the range of
+    the machine file's tolerances, contradicts the pressure given, or nothing can be said.
     """
+    from ambrose.annexes.scheduled.monitor_page import monitor_report, monitor_table
     from ambrose.annexes.scheduled.seal_monitor.watch import monitor as watched
     from ambrose.annexes.scheduled.seal_monitor.watch import seal_monitor
     from ambrose.machine.atomic_write import write_text
     from ambrose.record.files import read_record
-    from ambrose.annexes.scheduled.monitor_page import monitor_report, monitor_table
 
     description = load(machine)
     law = load_controller(controller, description).controller
     claim(page=output, table=table)
-    doubts = {"force_per_current": current_gain, "negative_stiffness": stiffness, "amplifier": amplifier}
+    doubts = {
+        "force_per_current": current_gain,
+        "negative_stiffness": stiffness,
+        "amplifier": amplifier,
+    }
     measured = read_record(record)
     options = {
-        "seal": seal, "unknown": unknown, "window": window, "rate": rate, "doubts": doubts, "bending_modes": bending_modes,
-        "harmonics": harmonics, "computing_delay": delay_samples,
-    }  # fmt: skip
+        "seal": seal,
+        "unknown": unknown,
+        "window": window,
+        "rate": rate,
+        "doubts": doubts,
+        "bending_modes": bending_modes,
+        "harmonics": harmonics,
+        "computing_delay": delay_samples,
+    }
     with progress_shown(as_json) as progress:
         if code is not None:
             from ambrose.annexes.scheduled.monitor_code import write_monitor
 
             progress("writing the code")
-            write_monitor(code, seal_monitor(description, law, measured.point, measured.dt, **options))  # type: ignore[arg-type]
+            write_monitor(
+                code, seal_monitor(description, law, measured.point, measured.dt, **options)
+            )  # type: ignore[arg-type]
         found = watched(description, law, measured, progress=progress, **options)
         failures = []
         if table is not None:
@@ -82,13 +154,25 @@ def monitor(
             from ambrose.report.page import write
 
             progress("writing the page")
-            failures.append(kept(lambda path: write(monitor_report(description, found), path), output))
+            failures.append(
+                kept(lambda path: write(monitor_report(description, found), path), output)
+            )
     if as_json:
-        say_json({**found.to_dict(), "page": str(output) if output else None, "table": str(table) if table else None,
-                  "code": str(code) if code else None})  # fmt: skip
+        say_json(
+            {
+                **found.to_dict(),
+                "page": str(output) if output else None,
+                "table": str(table) if table else None,
+                "code": str(code) if code else None,
+            }
+        )
     else:
         rows = monitor_table(found)
-        print_table(f"Seal {found.seal}", rows.columns, [tuple(cell.text for cell in row) for row in rows.cells])
+        print_table(
+            f"Seal {found.seal}",
+            rows.columns,
+            [tuple(cell.text for cell in row) for row in rows.cells],
+        )
         for note in found.notes:
             say(note)
         for finding in found.findings:

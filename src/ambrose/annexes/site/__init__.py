@@ -1,0 +1,17 @@
+"""Beside the machine: frequency responses, acceptance, balancing, calibration, bias currents."""
+
+ANNEX = {
+    "command": {
+        "accept": "accept_command:accept",
+        "balance": "balance_command:balance",
+        "bias": "bias_command:bias",
+        "calibrate": "calibrate_command:calibrate",
+        "frf": "frf_command:frf",
+    },
+    "public": {
+        "accept": "acceptance",
+        "Acceptance": "acceptance",
+        "balance": "balancing.correction",
+        "calibrate": "calibration",
+    },
+}

@@ -28,7 +28,13 @@ from ambrose.terminal import (
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
 @DELAY
-@click.option("--harmonics", type=int, default=3, show_default=True, help="Multiples of the speed that are taken out.")
+@click.option(
+    "--harmonics",
+    type=int,
+    default=3,
+    show_default=True,
+    help="Multiples of the speed that are taken out.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="The page to sign (*.html).")
 @ALL
 @AS_JSON
@@ -42,11 +48,13 @@ def accept(
     everything: bool,
     as_json: bool,
 ) -> None:
-    """Measure sensitivity, open and closed loop on the running machine, and hold them against their limits.
+    """Measure sensitivity, open and closed loop on the running machine, and hold them against their
+    limits.
 
-    RECORDS hold the displacements y_<axis> and excitations e_<axis> (or references r_<axis>) on every axis, at standstill or
-    running, at one operating point or several; CONTROLLER is the file of the one that ran, and with u_<axis> it is checked.
-    Limits and zones (ISO 14839-3) judge the outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
+    RECORDS hold the displacements y_<axis> and excitations e_<axis> (or references r_<axis>) on
+    every axis, at standstill or running, at one operating point or several; CONTROLLER is the file
+    of the one that ran, and with u_<axis> it is checked. Limits and zones (ISO 14839-3) judge the
+    outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
     """
     from ambrose.annexes.site.acceptance import accept as accepted
 
@@ -55,7 +63,9 @@ def accept(
     claim(page=output)
     with progress_shown(as_json) as progress:
         progress("measuring the loop")
-        result = accepted(description, law, records, harmonics=harmonics, delay_samples=delay_samples)
+        result = accepted(
+            description, law, records, harmonics=harmonics, delay_samples=delay_samples
+        )
         failure = None
         if output is not None:
             from ambrose.annexes.site.acceptance_page import acceptance_report

@@ -17,32 +17,59 @@ from ambrose.terminal import AS_JSON, MACHINE, load, load_controller, print_tabl
 @MACHINE
 @click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--plane", "planes", multiple=True, required=True, metavar="NAME=RADIUS",
-    help='Where masses go: a bearing, disc, seal or coupling of the machine, and the radius: "impeller=80 mm" (repeatable).',
-)  # fmt: skip
+    "--plane",
+    "planes",
+    multiple=True,
+    required=True,
+    metavar="NAME=RADIUS",
+    help="Where masses go: a bearing, disc, seal or coupling of the machine, and the radius: "
+    '"impeller=80 mm" (repeatable).',
+)
 @click.option(
-    "--trial", "trials", nargs=2, multiple=True, metavar="RECORD WEIGHTS",
-    help='A record with known weights on: "impeller=2 g@30", or several, with commas between; degrees (repeatable).',
-)  # fmt: skip
-@click.option("--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json).")
-@click.option("--settle", type=float, default=0.3, show_default=True, help="Seconds left out at the beginning of every record.")
+    "--trial",
+    "trials",
+    nargs=2,
+    multiple=True,
+    metavar="RECORD WEIGHTS",
+    help='A record with known weights on: "impeller=2 g@30", or several, with commas between; '
+    "degrees (repeatable).",
+)
+@click.option(
+    "--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json)."
+)
+@click.option(
+    "--settle",
+    type=float,
+    default=0.3,
+    show_default=True,
+    help="Seconds left out at the beginning of every record.",
+)
 @AS_JSON
 def balance(
-    machine: str, records: tuple[Path, ...], planes: tuple[str, ...], trials: tuple[tuple[str, str], ...],
-    controller: Path | None, settle: float, as_json: bool,
-) -> None:  # fmt: skip
-    """Correction masses from what turns once with the rotor, in g and degrees, with the residual that they will leave.
+    machine: str,
+    records: tuple[Path, ...],
+    planes: tuple[str, ...],
+    trials: tuple[tuple[str, str], ...],
+    controller: Path | None,
+    settle: float,
+    as_json: bool,
+) -> None:
+    """Correction masses from what turns once with the rotor, in g and degrees, with the residual
+    that they will leave.
 
-    RECORDS hold y_<axis> and u_<axis> (or i_<axis>) at steady speeds, one or several; one at slow roll tells the run-out. With
-    as many trial runs as planes, at the same speed, the influence coefficients are measured; without, they are the model's.
-    Degrees count in the direction of spin from the key mark, which points along x when the signal key rises. Exit status 1:
-    done, but the planes are hardly told apart, run-out is unknown, or the correction may not lower the vibration.
+    RECORDS hold y_<axis> and u_<axis> (or i_<axis>) at steady speeds, one or several; one at slow
+    roll tells the run-out. With as many trial runs as planes, at the same speed, the influence
+    coefficients are measured; without, they are the model's. Degrees count in the direction of spin
+    from the key mark, which points along x when the signal key rises. Exit status 1: done, but the
+    planes are hardly told apart, run-out is unknown, or the correction may not lower the vibration.
     """
     from ambrose.annexes.site.balancing.correction import balance as balanced
     from ambrose.annexes.site.balancing_page import balancing_tables, in_words
 
     description = load(machine)
-    radii = {name: _read(text, "--plane", "length", f"{name}=80 mm") for name, text in map(_pair, planes)}
+    radii = {
+        name: _read(text, "--plane", "length", f"{name}=80 mm") for name, text in map(_pair, planes)
+    }
     weights = [(Path(record), _weights(text, radii)) for record, text in trials]
     law = load_controller(controller, description) if controller else None
     result = balanced(description, records, radii, trials=weights, controller=law, settle=settle)
@@ -90,8 +117,15 @@ def _weights(text: str, radii: dict[str, float]) -> dict[str, complex]:
         except ValueError:
             at = ""
         if not at or name not in radii:
-            raise invalid("--trial", repr(text), "PLANE=MASS@DEGREES with the planes of --plane", 'write "impeller=2 g@30"')
+            raise invalid(
+                "--trial",
+                repr(text),
+                "PLANE=MASS@DEGREES with the planes of --plane",
+                'write "impeller=2 g@30"',
+            )
         found[name] = (
-            _read(mass.strip(), "--trial", "mass", f"{name}=2 g@30") * radii[name] * cmath.exp(1j * angle * cmath.pi / 180)
+            _read(mass.strip(), "--trial", "mass", f"{name}=2 g@30")
+            * radii[name]
+            * cmath.exp(1j * angle * cmath.pi / 180)
         )
     return found

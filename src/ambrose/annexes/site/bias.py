@@ -1,9 +1,11 @@
-"""K_i and K_s against bias current (paper P2): at every bias from closed-loop records, K_i from static loads, into the machine.
+"""K_i and K_s against bias current (paper P2): at every bias from closed-loop records, K_i from
+static loads, into the machine.
 
-    done = identify_over_bias(machine, ["6A.h5", "8A.h5"], {6.0: pid_6, 8.0: pid_8}, loads=["6A-loads.h5"])
-    done.machine, done.rows, done.findings
+    done = identify_over_bias(machine, ["6A.h5", "8A.h5"], {6.0: pid_6, 8.0: pid_8},
+    loads=["6A-loads.h5"]) done.machine, done.rows, done.findings
 
-A bias that the machine file knows nothing of begins at the square law, k_i in proportion to the bias, k_s to its square.
+A bias that the machine file knows nothing of begins at the square law, k_i in proportion to the
+bias, k_s to its square.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ Given = Record | str | Path
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BiasRow:
-    """What was found at one bias current [A]: from closed-loop records, from static loads, or both."""
+    """What was found at one bias current [A]: from closed-loop records, from static loads, or
+    both.
+    """
 
     bias: float
     dynamic: Identification | None
@@ -46,14 +50,20 @@ class BiasRow:
         done = self.static if static else self.dynamic
         if done is None:
             return {}
-        rows = zip(done.result.paths, done.result.values.tolist(), done.result.standard_deviations.tolist(), strict=True)
+        rows = zip(
+            done.result.paths,
+            done.result.values.tolist(),
+            done.result.standard_deviations.tolist(),
+            strict=True,
+        )
         return {path: (value, COVERAGE * deviation) for path, value, deviation in rows}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class BiasCampaign(Presented):
-    """given: the machine as it was; machine: with a row for every bias current; rows by ascending bias; findings: what is
-    doubtful, at which bias; names: of the records."""
+    """given: the machine as it was; machine: with a row for every bias current; rows by ascending
+    bias; findings: what is doubtful, at which bias; names: of the records.
+    """
 
     given: Machine
     machine: Machine
@@ -69,10 +79,16 @@ class BiasCampaign(Presented):
     @property
     def comment(self) -> str:
         """What the file says above the machine."""
-        lines = [f"K_i and K_s over bias current from {', '.join(self.names) or 'records'}; 95 % half-widths in brackets."]
+        lines = [
+            f"K_i and K_s over bias current from {', '.join(self.names) or 'records'}; 95 % "
+            "half-widths in brackets."
+        ]
         for row in self.rows:
             for method, static in (("small motion", False), ("static loads", True)):
-                parts = [f"{path} {value:.5g} ({half:.2g})" for path, (value, half) in row.values(static).items()]
+                parts = [
+                    f"{path} {value:.5g} ({half:.2g})"
+                    for path, (value, half) in row.values(static).items()
+                ]
                 if parts:
                     lines.append(f"  {row.bias:g} A, {method}: {', '.join(parts)}")
         lines += [f"Doubt: {finding}" for finding in self.findings]
@@ -80,7 +96,11 @@ class BiasCampaign(Presented):
 
     def facts(self) -> dict[str, Any]:
         """At which bias currents."""
-        return {"machine": self.given.name, "bias": [f"{row.bias:g} A" for row in self.rows], "findings": len(self.findings)}
+        return {
+            "machine": self.given.name,
+            "bias": [f"{row.bias:g} A" for row in self.rows],
+            "findings": len(self.findings),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Values and intervals at every bias, SI."""
@@ -88,7 +108,10 @@ class BiasCampaign(Presented):
             {
                 "bias": row.bias,
                 **{
-                    name: {path: {"value": v, "half_width_95": h} for path, (v, h) in row.values(static).items()}
+                    name: {
+                        path: {"value": v, "half_width_95": h}
+                        for path, (v, h) in row.values(static).items()
+                    }
                     for name, static in (("small_motion", False), ("static_loads", True))
                 },
             }
@@ -112,14 +135,19 @@ def identify_over_bias(
     progress: Callable[[str], None] = lambda stage: None,
     **options: Any,
 ) -> BiasCampaign:
-    """K_i and K_s of every axis at every bias current of the records (record.point.bias_current; none: the bearings' own).
+    """K_i and K_s of every axis at every bias current of the records (record.point.bias_current;
+    none: the bearings' own).
 
-    records: closed-loop, with excitations; controllers: bias current [A] -> the one that ran, None -> at all others. loads:
-    records of static loads f_<port>, which give K_i alone: written where no closed-loop record tells it, else compared.
-    unknown: what is sought at every bias. options: of the closed-loop fit (``pipeline.identify``). Raises InvalidInput.
+    records: closed-loop, with excitations; controllers: bias current [A] -> the one that ran, None
+    -> at all others. loads: records of static loads f_<port>, which give K_i alone: written where
+    no closed-loop record tells it, else compared. unknown: what is sought at every bias. options:
+    of the closed-loop fit (``pipeline.identify``). Raises InvalidInput.
     """
     if not records and not loads:
-        raise InvalidInput("no record was given; record at several bias currents, with excitation or with static loads")
+        raise InvalidInput(
+            "no record was given; record at several bias currents, with excitation or with static "
+            "loads"
+        )
     own, laws = _own_bias(machine), dict(controllers or {})
     names = tuple(Path(item).name for item in (*records, *loads) if not isinstance(item, Record))
     groups: dict[float, tuple[list[Record], list[Record]]] = {}
@@ -129,11 +157,14 @@ def identify_over_bias(
             bias = own if record.point.bias_current is None else record.point.bias_current
             if bias is None:
                 raise InvalidInput(
-                    "a record does not say its bias current and the bearings have several; state bias_current at its point"
+                    "a record does not say its bias current and the bearings have several; state "
+                    "bias_current at its point"
                 )
             key = next((known for known in groups if abs(known - bias) <= _SAME * bias), bias)
             groups.setdefault(key, ([], []))[place].append(record)
-    rows, findings, known = [], [], machine
+    rows = []
+    findings = []
+    known = machine
     # the bearings' own bias last: its intervals are the tolerances that the file keeps
     for bias in sorted(groups, key=lambda b: (own is not None and abs(b - own) <= _SAME * own, b)):
         known = with_bias(known, bias)
@@ -141,9 +172,16 @@ def identify_over_bias(
         dynamic = static = None
         if moving:
             progress(f"{bias:g} A: {len(moving)} closed-loop record{'s' * (len(moving) > 1)}")
-            law = laws.get(next((b for b in laws if b is not None and abs(b - bias) <= _SAME * bias), None))
+            law = laws.get(
+                next((b for b in laws if b is not None and abs(b - bias) <= _SAME * bias), None)
+            )
             if law is None:
-                raise invalid("the controllers", f"none for {bias:g} A", "the one that ran at every bias", "give it")
+                raise invalid(
+                    "the controllers",
+                    f"none for {bias:g} A",
+                    "the one that ran at every bias",
+                    "give it",
+                )
             dynamic = _identify(bias, known, moving, law, unknown=tuple(unknown), **options)
             known = dynamic.machine
             findings += _at(bias, dynamic)
@@ -155,7 +193,9 @@ def identify_over_bias(
         row = BiasRow(bias, dynamic, static)
         findings += _disagreement(row)
         rows.append(row)
-    return BiasCampaign(machine, known, tuple(sorted(rows, key=lambda row: row.bias)), tuple(findings), names)
+    return BiasCampaign(
+        machine, known, tuple(sorted(rows, key=lambda row: row.bias)), tuple(findings), names
+    )
 
 
 def _identify(bias: float, *given: Any, **options: Any) -> Identification:
@@ -166,15 +206,19 @@ def _identify(bias: float, *given: Any, **options: Any) -> Identification:
 
 
 def with_bias(machine: Machine, bias: float) -> Machine:
-    """The machine whose bearings have coefficients at a bias current [A]: where the file has none there, a row by the square
-    law from the nearest that it has (without iron: k_i in proportion to the bias, k_s to its square)."""
+    """The machine whose bearings have coefficients at a bias current [A]: where the file has none
+    there, a row by the square law from the nearest that it has (without iron: k_i in proportion to
+    the bias, k_s to its square).
+    """
     return replace(machine, bearings=tuple(_begun(item, bias) for item in machine.bearings))
 
 
 def _begun(bearing: MagneticBearing, bias: float) -> MagneticBearing:
     rows = list(bearing.measured)
     if bearing.force_per_current is not None and bearing.negative_stiffness is not None:
-        rows.append(BiasPoint(bearing.bias_current, bearing.force_per_current, bearing.negative_stiffness))
+        rows.append(
+            BiasPoint(bearing.bias_current, bearing.force_per_current, bearing.negative_stiffness)
+        )
     if not rows or (bearing.geometry is not None and not bearing.measured):
         return bearing  # its geometry tells
     currents = [row.bias_current for row in rows]
@@ -185,7 +229,10 @@ def _begun(bearing: MagneticBearing, bias: float) -> MagneticBearing:
     zeta, eta = (share * k for k in near.force_per_current)
     stiff, other = (share**2 * k for k in near.negative_stiffness)
     added = BiasPoint(bias, (zeta, eta), (stiff, other))
-    return replace(bearing, measured=tuple(sorted((*bearing.measured, added), key=lambda row: row.bias_current)))
+    return replace(
+        bearing,
+        measured=tuple(sorted((*bearing.measured, added), key=lambda row: row.bias_current)),
+    )
 
 
 def _own_bias(machine: Machine) -> float | None:
@@ -202,7 +249,10 @@ def _disagreement(row: BiasRow) -> list[Finding]:
     for path, (value, half) in row.values(static=True).items():
         other, other_half = dynamic.get(path, (np.nan, 0.0))
         if abs(value - other) > _AGREE * abs(other) + np.hypot(half, other_half):
-            what = f"at {row.bias:g} A: {path} by static loads is {value / other:.3g} times that of small motion"
+            what = (
+                f"at {row.bias:g} A: {path} by static loads is {value / other:.3g} times that of "
+                "small motion"
+            )
             remedy = "look for another actuator model, a delay, or loads that saturate the iron"
             found.append(Finding(Code.FAR_FROM_FILE, WARNING, what, "more than 10 % apart", remedy))
     return found

@@ -1,4 +1,5 @@
-"""The page of a bias campaign: K_i and K_s of every axis over the bias current, by both methods (P2, Fig. 4 and table 2).
+"""The page of a bias campaign: K_i and K_s of every axis over the bias current, by both methods
+(P2, Fig. 4 and table 2).
 
 write(bias_report(identify_over_bias(machine, records, controllers)), "bias.html")
 """
@@ -10,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
 from ambrose.annexes.site.bias import BiasCampaign
+from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import machine_hash
 from ambrose.model.effects import magnet
 from ambrose.report import theme, units
@@ -23,34 +24,63 @@ _QUANTITIES = (
     ("negative_stiffness", "Negative stiffness K_s", "N/m"),
 )
 _CAPTION = (
-    "Circles: from closed-loop records, small motion at the working point; squares: chord over static loads; 95 % bars. Line: "
-    "the machine file before, where it has coefficients. Without iron K_i grows with the bias and K_s with its square; what "
+    "Circles: from closed-loop records, small motion at the working point; squares: chord over "
+    "static loads; 95 % bars. Line: "
+    "the machine file before, where it has coefficients. Without iron K_i grows with the bias and "
+    "K_s with its square; what "
     "bends down at high bias is iron that saturates."
 )
-_METHODS = (("small motion", False, "circle", "#0072b2"), ("static loads", True, "square-open", "#d55e00"))
+_METHODS = (
+    ("small motion", False, "circle", "#0072b2"),
+    ("static loads", True, "square-open", "#d55e00"),
+)
 _COLUMNS, _HEIGHT = 2, 190
 
 
 def bias_report(done: BiasCampaign, *, date: str = "") -> Report:
     """The page of a bias campaign; date: ISO (today if empty)."""
-    sections = [Section("K_i and K_s over bias current", "", tuple(_figures(done)), tuple(bias_tables(done)))]
+    sections = [
+        Section(
+            "K_i and K_s over bias current", "", tuple(_figures(done)), tuple(bias_tables(done))
+        )
+    ]
     if done.findings:
-        sections.insert(0, Section("What makes this doubtful", "", (), (findings_table(done.findings),)))
+        sections.insert(
+            0, Section("What makes this doubtful", "", (), (findings_table(done.findings),))
+        )
     count = len(done.findings)
-    said = f"{count} finding{'s' * (count > 1)}; see below" if count else "nothing found in records and residuals"
+    said = (
+        f"{count} finding{'s' * (count > 1)}; see below"
+        if count
+        else "nothing found in records and residuals"
+    )
     facts = (
         ("Machine file", f"{done.given.name}, {machine_hash(done.given)[:12]}"),
         ("Records", ", ".join(done.names)),
         ("Bias currents", ", ".join(f"{row.bias:g} A" for row in done.rows)),
     )
-    words = "identified, but to be doubted: see the findings" if count else "identified, and nothing speaks against it"
+    words = (
+        "identified, but to be doubted: see the findings"
+        if count
+        else "identified, and nothing speaks against it"
+    )
     result, verdict = Verdict("Result", not count, words), Verdict("Records", not count, said)
-    return Report("Magnets over bias current", done.given, tuple(sections), (verdict,), facts, date, result=result)
+    return Report(
+        "Magnets over bias current",
+        done.given,
+        tuple(sections),
+        (verdict,),
+        facts,
+        date,
+        result=result,
+    )
 
 
 def _figures(done: BiasCampaign) -> Iterator[Figure]:
     for quantity, name, unit in _QUANTITIES:
-        yield Figure(name, _picture(done, quantity, unit), _CAPTION if quantity == _QUANTITIES[0][0] else "")
+        yield Figure(
+            name, _picture(done, quantity, unit), _CAPTION if quantity == _QUANTITIES[0][0] else ""
+        )
 
 
 def _picture(done: BiasCampaign, quantity: str, unit: str) -> Any:
@@ -69,14 +99,30 @@ def _picture(done: BiasCampaign, quantity: str, unit: str) -> Any:
         line = np.array([_file(bearing, quantity, way, float(bias)) for bias in span])
         if np.isfinite(line).any():
             look = {"color": theme.MUTED, "width": 1.2}
-            theme.scatter(picture, place, span, line * factor, "machine file before", shown=first, line=look)
+            theme.scatter(
+                picture, place, span, line * factor, "machine file before", shown=first, line=look
+            )
         for label, static, symbol, colour in _METHODS:
-            points = [(row.bias, *row.values(static)[path]) for row in done.rows if path in row.values(static)]
+            points = [
+                (row.bias, *row.values(static)[path])
+                for row in done.rows
+                if path in row.values(static)
+            ]
             if points:
                 x, y, half = np.array(points).T
                 error = {"type": "data", "array": half * factor, "thickness": 1.4, "width": 3}
                 marker = {"symbol": symbol, "size": 7, "color": colour}
-                theme.scatter(picture, place, x, y * factor, label, shown=first, mode="markers", marker=marker, error_y=error)
+                theme.scatter(
+                    picture,
+                    place,
+                    x,
+                    y * factor,
+                    label,
+                    shown=first,
+                    mode="markers",
+                    marker=marker,
+                    error_y=error,
+                )
         picture.update_yaxes(title_text=f"[{shown}]", rangemode="tozero", **place)
     theme.dress(picture, _HEIGHT * rows, legend=True)
     picture.update_xaxes(title_text="Bias current [A]", row=rows)
@@ -85,7 +131,9 @@ def _picture(done: BiasCampaign, quantity: str, unit: str) -> Any:
 
 def _file(bearing: Any, quantity: str, way: str, bias: float) -> float:
     try:
-        return float(getattr(magnet.linearised(bearing, bias), quantity)[("zeta", "eta").index(way)])
+        return float(
+            getattr(magnet.linearised(bearing, bias), quantity)[("zeta", "eta").index(way)]
+        )
     except InvalidInput:
         return float("nan")
 
@@ -99,11 +147,21 @@ def bias_tables(done: BiasCampaign) -> Iterator[Table]:
                 cells: list[str | Cell] = []
                 for bearing in done.given.bearings:
                     for way in ("zeta", "eta"):
-                        value, half = row.values(static).get(f"bearing.{bearing.name}.{quantity}.{way}", (np.nan, np.nan))
+                        value, half = row.values(static).get(
+                            f"bearing.{bearing.name}.{quantity}.{way}", (np.nan, np.nan)
+                        )
                         factor, shown = units.scale(unit, value)
-                        cells += numbers("" if np.isnan(value) else plus_minus(value * factor, half * factor, shown))
+                        cells += numbers(
+                            ""
+                            if np.isnan(value)
+                            else plus_minus(value * factor, half * factor, shown)
+                        )
                 if any(not isinstance(cell, Cell) or cell.text for cell in cells):
                     rows.append((f"{row.bias:g} A, {method}", *cells))
         if rows:
-            axes = [units.axis_name(f"{b.name}_{way}") for b in done.given.bearings for way in ("zeta", "eta")]
+            axes = [
+                units.axis_name(f"{b.name}_{way}")
+                for b in done.given.bearings
+                for way in ("zeta", "eta")
+            ]
             yield Table(name, ("Bias", *axes), tuple(rows), "With 95 %.")

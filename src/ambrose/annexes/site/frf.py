@@ -1,8 +1,9 @@
-"""Frequency responses of the running machine, open and closed loop, with their intervals and beside the model's.
+"""Frequency responses of the running machine, open and closed loop, with their intervals and beside
+the model's.
 
-Excitation currents e_<axis> give y/e, and with recorded currents S_i = v/e (v = u + e), hence the open loop 1/S_i - 1 of every
-axis driven by itself, and with all axes driven the plant y/v: no controller need be known. References give y/r and
-S_o = 1 - y/r; forces f_<port> the compliance.
+Excitation currents e_<axis> give y/e, and with recorded currents S_i = v/e (v = u + e), hence the
+open loop 1/S_i - 1 of every axis driven by itself, and with all axes driven the plant y/v: no
+controller need be known. References give y/r and S_o = 1 - y/r; forces f_<port> the compliance.
 
 found = respond(machine, ["chirp.h5"])
 """
@@ -17,26 +18,26 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.annexes.site.acceptance import phase_margin
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, select
-from ambrose.annexes.site.acceptance import phase_margin
-from ambrose.judge.verdict import running_law
 from ambrose.identification.data_quality.signals import signal_findings
 from ambrose.identification.findings import WARNING, Code, Finding, refuse
 from ambrose.identification.frf.measured import IN_WORDS, LoopFrf, measure
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.frf.validity import DISAGREES, Validity, compare, model_response
 from ambrose.identification.validation.operating_load import machine_at_load
+from ambrose.judge.verdict import running_law
+from ambrose.law.loop import closed_loop
+from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
-from ambrose.model.assemble import assemble
-from ambrose.law.loop import closed_loop
-from ambrose.law.timing import Timing, timing_of
 
 _UNSURE = 0.3  # 95 % radius over the largest response, from which a line tells little
 _FEW = 0.1  # of the lines that may do so without a word
@@ -45,8 +46,10 @@ _NEAR_SPEED = 1.0  # [Hz]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """One transfer matrix: measured, and the model's on the same lines (None: nothing to compare with); what: "motion",
-    "plant", "sensitivity" (of each axis driven by itself, 1x1); title: in words."""
+    """One transfer matrix: measured, and the model's on the same lines (None: nothing to compare
+    with); what: "motion", "plant", "sensitivity" (of each axis driven by itself, 1x1); title: in
+    words.
+    """
 
     what: str
     title: str
@@ -78,7 +81,10 @@ class PointResponse:
     @property
     def label(self) -> str:
         """The point's label, else its speed and pressure."""
-        return self.point.label or f"{self.point.speed / TWO_PI:.4g} Hz, {self.point.seal_pressure / 1e5:.4g} bar"
+        return (
+            self.point.label
+            or f"{self.point.speed / TWO_PI:.4g} Hz, {self.point.seal_pressure / 1e5:.4g} bar"
+        )
 
     def of(self, what: str) -> list[Response]:
         """The responses of one kind."""
@@ -87,7 +93,9 @@ class PointResponse:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Responses(Presented):
-    """Frequency responses at every operating point of the records; timing: of the loop that was modelled, in words."""
+    """Frequency responses at every operating point of the records; timing: of the loop that was
+    modelled, in words.
+    """
 
     machine: Machine
     points: tuple[PointResponse, ...]
@@ -103,12 +111,16 @@ class Responses(Presented):
         """How they were measured, and how many lines there are."""
         return {
             "machine": self.machine.name,
-            "points": [f"{p.label}: {len(p.loop.closed.omega)} lines, {p.loop.method}" for p in self.points],
+            "points": [
+                f"{p.label}: {len(p.loop.closed.omega)} lines, {p.loop.method}" for p in self.points
+            ],
             "findings": len(self.findings),
         }
 
     def rows(self) -> Iterator[tuple[str, str, str, str, float, complex, float, float]]:
-        """Operating point, response, input, output, frequency [Hz], value, 95 % radius, coherence of the output; SI."""
+        """Operating point, response, input, output, frequency [Hz], value, 95 % radius, coherence
+        of the output; SI.
+        """
         for point in self.points:
             for item in point.responses:
                 frf, radius = item.measured, item.measured.radius()
@@ -116,9 +128,15 @@ class Responses(Presented):
                     for i, target in enumerate(frf.outputs):
                         for w, omega in enumerate(frf.omega):
                             yield (
-                                point.label, item.what, source, target, float(omega / TWO_PI), complex(frf.values[w, i, j]),
-                                float(radius[w, i, j]), float(frf.coherence[w, i]),
-                            )  # fmt: skip
+                                point.label,
+                                item.what,
+                                source,
+                                target,
+                                float(omega / TWO_PI),
+                                complex(frf.values[w, i, j]),
+                                float(radius[w, i, j]),
+                                float(frf.coherence[w, i]),
+                            )
 
     def to_csv(self) -> str:
         """The rows as text, a line each."""
@@ -133,17 +151,23 @@ class Responses(Presented):
     def to_dict(self) -> dict[str, Any]:
         """Everything measured, SI, ready for JSON."""
         return {
-            "machine": self.machine.name, "timing": self.timing, "records": list(self.records),
+            "machine": self.machine.name,
+            "timing": self.timing,
+            "records": list(self.records),
             "points": [
                 {
-                    "label": p.label, "method": p.loop.method, "periods": p.loop.periods,
-                    "excitations": [list(group) for group in p.loop.together], "notes": list(p.notes),
-                    "findings": [str(finding) for finding in p.findings], "axes": summary(p),
+                    "label": p.label,
+                    "method": p.loop.method,
+                    "periods": p.loop.periods,
+                    "excitations": [list(group) for group in p.loop.together],
+                    "notes": list(p.notes),
+                    "findings": [str(finding) for finding in p.findings],
+                    "axes": summary(p),
                     "responses": [_plain(item) for item in p.responses],
                 }
                 for p in self.points
             ],
-        }  # fmt: skip
+        }
 
 
 def respond(
@@ -157,12 +181,15 @@ def respond(
     settle: float | None = None,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Responses:
-    """The frequency responses that records of the running machine tell, at every operating point among them.
+    """The frequency responses that records of the running machine tell, at every operating point
+    among them.
 
-    records: as they are or their files, with displacements y_<axis> and any of the excitations e_<axis> [A], r_<axis> [m] and
-    f_<port> [N]; chirps, binary sequences, multisines, stepped sines and noise. controller: the one that ran (None: only the
-    plant is compared with the model's). method "sines", "periods" or "polynomials" (None: what suits the excitation); band
-    [rad/s]: kept; harmonics: multiples of the speed taken out; settle [s]: left out of each sine. Raises InvalidInput.
+    records: as they are or their files, with displacements y_<axis> and any of the excitations
+    e_<axis> [A], r_<axis> [m] and f_<port> [N]; chirps, binary sequences, multisines, stepped sines
+    and noise. controller: the one that ran (None: only the plant is compared with the model's).
+    method "sines", "periods" or "polynomials" (None: what suits the excitation); band [rad/s]:
+    kept; harmonics: multiples of the speed taken out; settle [s]: left out of each sine. Raises
+    InvalidInput.
     """
     several = [records] if isinstance(records, Record | str | Path) else list(records)
     if not several:
@@ -174,8 +201,14 @@ def respond(
     for number, record in enumerate(read, 1):
         missing = [f"y_{axis}" for axis in machine.axes if f"y_{axis}" not in record.signals]
         if missing:
-            raise InvalidInput(f"record {number} lacks {', '.join(missing)}; record every displacement together")
-        findings += [one for one in signal_findings(machine, record, number) if one.code != Code.NO_EXCITATION]
+            raise InvalidInput(
+                f"record {number} lacks {', '.join(missing)}; record every displacement together"
+            )
+        findings += [
+            one
+            for one in signal_findings(machine, record, number)
+            if one.code != Code.NO_EXCITATION
+        ]
     refuse(findings)
     groups: dict[OperatingPoint, list[Record]] = {}
     for record in read:
@@ -186,20 +219,32 @@ def respond(
     done = []
     for group in groups.values():
         progress(f"measuring at {group[0].point.label or 'the operating point of the records'}")
-        loop = measure(group, machine.axes, method=method, band=band, harmonics=harmonics, settle=settle)
+        loop = measure(
+            group, machine.axes, method=method, band=band, harmonics=harmonics, settle=settle
+        )
         model = _Model(machine, group, controller, timing)
         found = tuple(_responses(machine, loop, model))
         done.append(
-            PointResponse(group[0].point, loop, found, tuple(_doubts(loop, group[0].point)), tuple(_notes(loop, group[0])))
+            PointResponse(
+                group[0].point,
+                loop,
+                found,
+                tuple(_doubts(loop, group[0].point)),
+                tuple(_notes(loop, group[0])),
+            )
         )
     done[0] = replace(done[0], findings=(*findings, *done[0].findings))
     return Responses(machine, tuple(done), str(timing) if controller is not None else "", names)
 
 
 class _Model:
-    """The machine at the static load of the records: its plant, and its loop where the controller is known, sampled."""
+    """The machine at the static load of the records: its plant, and its loop where the controller
+    is known, sampled.
+    """
 
-    def __init__(self, machine: Machine, records: Sequence[Record], controller: Any, timing: Timing) -> None:
+    def __init__(
+        self, machine: Machine, records: Sequence[Record], controller: Any, timing: Timing
+    ) -> None:
         self.plant = assemble(machine_at_load(machine, records), records[0].point)
         self.loop: StateSpace | None = None
         if controller is not None:
@@ -210,9 +255,13 @@ class _Model:
     def plant_response(self, measured: Frf) -> FrequencyResponse:
         return model_response(measured, self.plant.system)
 
-    def loop_response(self, measured: Frf, together: Sequence[tuple[str, ...]]) -> FrequencyResponse | None:
+    def loop_response(
+        self, measured: Frf, together: Sequence[tuple[str, ...]]
+    ) -> FrequencyResponse | None:
         """From all excitations of each group at once; v is u + e."""
-        if self.loop is None or any(name not in self.loop.inputs for group in together for name in group):
+        if self.loop is None or any(
+            name not in self.loop.inputs for group in together for name in group
+        ):
             return None
         inputs = [name for group in together for name in group]
         outputs = [f"u_{name[2:]}" if name.startswith("v_") else name for name in measured.outputs]
@@ -221,13 +270,20 @@ class _Model:
             for i, target in enumerate(measured.outputs):
                 values[:, i, j] += target.startswith("v_") and source == f"e_{target[2:]}"
         starts = np.cumsum([0, *(len(group) for group in together)])
-        summed = np.stack([values[:, :, a:b].sum(axis=2) for a, b in pairwise(starts.tolist())], axis=2)
+        summed = np.stack(
+            [values[:, :, a:b].sum(axis=2) for a, b in pairwise(starts.tolist())], axis=2
+        )
         return FrequencyResponse(summed, measured.omega, measured.inputs, measured.outputs)
 
 
 def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[Response]:
     motion = loop.motion
-    yield Response("motion", "Closed loop: excitation to displacement", motion, model.loop_response(motion, loop.together))
+    yield Response(
+        "motion",
+        "Closed loop: excitation to displacement",
+        motion,
+        model.loop_response(motion, loop.together),
+    )
     for group in loop.together:
         kind, axis = group[0][:2], group[0][2:]
         if len(group) > 1 or axis not in machine.axes or (kind == "e_" and not loop.commanded):
@@ -236,11 +292,19 @@ def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[Respo
         predicted = model.loop_response(own, [group])
         if kind == "r_":  # S_o = 1 - T_o
             own = replace(own, values=1 - own.values)
-            predicted = None if predicted is None else replace(predicted, values=1 - predicted.values)
-        yield Response("sensitivity", f"Sensitivity of {axis}, the other loops closed", own, predicted)
+            predicted = (
+                None if predicted is None else replace(predicted, values=1 - predicted.values)
+            )
+        yield Response(
+            "sensitivity", f"Sensitivity of {axis}, the other loops closed", own, predicted
+        )
     plant = loop.plant
-    if plant is not None and all(name.startswith("e_") for group in loop.together for name in group):
-        yield Response("plant", "Plant: current command to displacement", plant, model.plant_response(plant))
+    if plant is not None and all(
+        name.startswith("e_") for group in loop.together for name in group
+    ):
+        yield Response(
+            "plant", "Plant: current command to displacement", plant, model.plant_response(plant)
+        )
 
 
 def open_loop(sensitivity: Frf) -> Frf:
@@ -250,8 +314,9 @@ def open_loop(sensitivity: Frf) -> Frf:
 
 
 def summary(point: PointResponse) -> list[dict[str, Any]]:
-    """What an axis driven by itself tells: the largest sensitivity with its 95 % interval and where, the phase margin and the
-    frequency of unit gain, SI; predicted: the model's largest."""
+    """What an axis driven by itself tells: the largest sensitivity with its 95 % interval and
+    where, the phase margin and the frequency of unit gain, SI; predicted: the model's largest.
+    """
     rows = []
     for item in point.of("sensitivity"):
         frf = item.measured
@@ -260,13 +325,15 @@ def summary(point: PointResponse) -> list[dict[str, Any]]:
         k = int(np.argmax(S))
         rows.append(
             {
-                "axis": frf.inputs[0][2:], "peak": float(S[k]),
+                "axis": frf.inputs[0][2:],
+                "peak": float(S[k]),
                 "peak_95": [float((S - radius).max()), float((S + radius).max())],
-                "at": float(frf.omega[k]), "phase_margin": margin if np.isfinite(margin) else None,
+                "at": float(frf.omega[k]),
+                "phase_margin": margin if np.isfinite(margin) else None,
                 "unit_gain_at": at if np.isfinite(at) else None,
                 "predicted": None if item.model is None else float(np.abs(item.model.values).max()),
             }
-        )  # fmt: skip
+        )
     return rows
 
 
@@ -277,8 +344,14 @@ def _doubts(loop: LoopFrf, point: OperatingPoint) -> Iterator[Finding]:
         weak = radius[:, j] > _UNSURE * size[:, j]
         if weak.mean() > _FEW:
             f = motion.omega[weak] / TWO_PI
-            what = f"the response to {' with '.join(group)} is hardly known at {weak.sum()} of {len(weak)} lines"
-            evidence = f"{f.min():.4g} to {f.max():.4g} Hz, 95 % radius over {100 * _UNSURE:g} % of the largest displacement"
+            what = (
+                f"the response to {' with '.join(group)} is hardly known at {weak.sum()} of "
+                f"{len(weak)} lines"
+            )
+            evidence = (
+                f"{f.min():.4g} to {f.max():.4g} Hz, 95 % radius over {100 * _UNSURE:g} % of the "
+                "largest displacement"
+            )
             remedy = "excite more there, record longer, or leave the band out"
             yield Finding(Code.UNCERTAIN_LINES, WARNING, what, evidence, remedy)
     if loop.method == "sines" and point.speed:
@@ -295,15 +368,26 @@ def _notes(loop: LoopFrf, record: Record) -> Iterator[str]:
     yield f"{IN_WORDS[loop.method]}{averaged}: {len(f)} lines from {f[0]:.4g} to {f[-1]:.4g} Hz"
     for group in loop.together:
         if len(group) > 1:
-            yield f"{' and '.join(group)} are driven alike: the response is to both together, per ampere of each"
+            yield (
+                f"{' and '.join(group)} are driven alike: the response is to both together, per "
+                "ampere of each"
+            )
     driven = {name for group in loop.together for name in group}
     axes = [name[2:] for name in loop.closed.outputs if name.startswith("y_")]
     missing = [axis for axis in axes if f"e_{axis}" not in driven]
     if not loop.commanded:
-        yield "no u_<axis> in the records: open loop and plant are not told; record the controller's currents, too"
-    elif any(len(group) > 1 for group in loop.together) or (missing and any(name.startswith("e_") for name in driven)):
+        yield (
+            "no u_<axis> in the records: open loop and plant are not told; record the controller's "
+            "currents, too"
+        )
+    elif any(len(group) > 1 for group in loop.together) or (
+        missing and any(name.startswith("e_") for name in driven)
+    ):
         alone = f"; {', '.join(missing)} not driven" if missing else ""
-        yield f"the plant needs every axis driven by a pattern of its own, in one record or several{alone}"
+        yield (
+            "the plant needs every axis driven by a pattern of its own, in one record or "
+            f"several{alone}"
+        )
     if record.point.speed:
         yield (
             "what turns with the rotor is taken out of every signal"
@@ -315,8 +399,14 @@ def _notes(loop: LoopFrf, record: Record) -> Iterator[str]:
 def _plain(item: Response) -> dict[str, Any]:
     frf, agreement = item.measured, item.agreement
     return {
-        "response": item.what, "title": item.title, "inputs": list(frf.inputs), "outputs": list(frf.outputs),
-        "omega": frf.omega.tolist(), "real": frf.values.real.tolist(), "imag": frf.values.imag.tolist(),
-        "radius_95": frf.radius().tolist(), "coherence": frf.coherence.tolist(),
+        "response": item.what,
+        "title": item.title,
+        "inputs": list(frf.inputs),
+        "outputs": list(frf.outputs),
+        "omega": frf.omega.tolist(),
+        "real": frf.values.real.tolist(),
+        "imag": frf.values.imag.tolist(),
+        "radius_95": frf.radius().tolist(),
+        "coherence": frf.coherence.tolist(),
         "model_agrees": None if agreement is None else agreement.tolist(),
-    }  # fmt: skip
+    }

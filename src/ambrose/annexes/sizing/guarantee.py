@@ -1,4 +1,6 @@
-"""Whether a size can be held to all that is asked: limits that no controller passes first, then a controller tuned to it."""
+"""Whether a size can be held to all that is asked: limits that no controller passes first, then a
+controller tuned to it.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +9,31 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ambrose.annexes.sizing.magnets import Costs, Size, costs, flux_within, need, resized
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.envelope import envelope_of
+from ambrose.judge.result import Synthesis
+from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.static_load import operating_magnets
-from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
-from ambrose.annexes.sizing.magnets import Costs, Size, costs, flux_within, need, resized
-from ambrose.judge.envelope import envelope_of
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare
 from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
 from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import first_settings, pid_controller
-from ambrose.judge.result import Synthesis
 
 RESERVE = 2.0  # of force over static load: two to three are usual; assumed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A size and what became of it. ratio: the largest of all requirements over their limits, on the full plants at all
-    operating points and on the worst corners found of the tolerances; at most 1 where all are met (inf: nothing was tuned).
-    binding: what stands against a smaller one, or against this one. ratios {requirement: over its limit}; sensitivity [-] and
-    gain [A/m] of K S_o that were reached; controller None where none was tuned.
+    """A size and what became of it. ratio: the largest of all requirements over their limits, on
+    the full plants at all operating points and on the worst corners found of the tolerances; at
+    most 1 where all are met (inf: nothing was tuned). binding: what stands against a smaller one,
+    or against this one. ratios {requirement: over its limit}; sensitivity [-] and gain [A/m] of K
+    S_o that were reached; controller None where none was tuned.
     """
 
     size: Size
@@ -52,12 +55,26 @@ class Trial:
         return None if self.synthesis is None else self.synthesis.controller
 
 
-def tuning_job(machine: Machine, options: DesignOptions, time_limit: float, order: int | None = None) -> tuple[Job, Law]:
-    """What is tuned for a machine at all its operating points, and what to begin with; its order does not grow."""
+def tuning_job(
+    machine: Machine, options: DesignOptions, time_limit: float, order: int | None = None
+) -> tuple[Job, Law]:
+    """What is tuned for a machine at all its operating points, and what to begin with; its order
+    does not grow.
+    """
     start = pid_controller(machine.reference or first_settings(machine), machine)
     plants = envelope_of(assemble(machine, machine.operation.design))
     states = options.order if order is None else order
-    job = prepare(plants, start, options.timing(), states, options.structure, options.bending_modes, None, time_limit, None)
+    job = prepare(
+        plants,
+        start,
+        options.timing(),
+        states,
+        options.structure,
+        options.bending_modes,
+        None,
+        time_limit,
+        None,
+    )
     job.most_states = None
     return job, first_law(job, start, states, options.structure)
 
@@ -72,11 +89,12 @@ def attempt(
     time_limit: float = 30.0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Trial:
-    """Try a size of the machine's magnets and amplifiers. near: a trial whose controller is begun with; where that does not
-    lead to one that meets all, the reference controller is.
+    """Try a size of the machine's magnets and amplifiers. near: a trial whose controller is begun
+    with; where that does not lead to one that meets all, the reference controller is.
 
-    reserve [-]: force at the largest control current over static load, at least. time_limit [s] of computing. Raises
-    InvalidInput where the machine file has no magnets to scale, KeyboardInterrupt.
+    reserve [-]: force at the largest control current over static load, at least. time_limit [s] of
+    computing. Raises InvalidInput where the machine file has no magnets to scale,
+    KeyboardInterrupt.
     """
     price = costs(machine, size)
     found = resized(machine, size)
@@ -90,7 +108,10 @@ def attempt(
             best = trial
         if best.met:
             break
-    progress(f"{size.area:.3g} of the area, {size.bias:.3g} of the bias: {best.binding} at {best.ratio:.3g} of its limit")
+    progress(
+        f"{size.area:.3g} of the area, {size.bias:.3g} of the bias: {best.binding} at "
+        f"{best.ratio:.3g} of its limit"
+    )
     return best
 
 
@@ -99,35 +120,69 @@ def _tuned(before: Trial, options: DesignOptions, near: Trial | None, time_limit
     found = before.machine
     try:
         job, law = tuning_job(found, options, time_limit)
-        synthesis = tuned(job, law if near is None else _scaled(near, found), options.structure, again=near is not None)
+        synthesis = tuned(
+            job,
+            law if near is None else _scaled(near, found),
+            options.structure,
+            again=near is not None,
+        )
     except NumericalFailure as error:
         return replace(before, binding=f"no controller was found: {error}")
     if synthesis.stopped_early == INTERRUPTED:
         raise KeyboardInterrupt
-    ratios = {name.removeprefix("ratio_"): v for name, v in synthesis.certificate.margins.items() if name.startswith("ratio_")}
+    ratios = {
+        name.removeprefix("ratio_"): v
+        for name, v in synthesis.certificate.margins.items()
+        if name.startswith("ratio_")
+    }
     binding = max(ratios, key=lambda name: ratios[name])
     return replace(
-        before, ratio=ratios[binding], binding=binding, ratios=ratios, synthesis=synthesis,
-        sensitivity=ratios["sensitivity"] * job.aims.sensitivity, gain=ratios["gain"] * job.aims.gain,
-    )  # fmt: skip
+        before,
+        ratio=ratios[binding],
+        binding=binding,
+        ratios=ratios,
+        synthesis=synthesis,
+        sensitivity=ratios["sensitivity"] * job.aims.sensitivity,
+        gain=ratios["gain"] * job.aims.gain,
+    )
 
 
-def _screened(given: Machine, found: Machine, size: Size, price: Costs, options: DesignOptions, reserve: float) -> str:
+def _screened(
+    given: Machine, found: Machine, size: Size, price: Costs, options: DesignOptions, reserve: float
+) -> str:
     """Why no controller can hold a size; "" where one may."""
     if not flux_within(given, size):
-        return "flux density: the machine file states no iron, and its own largest current is passed"
+        return (
+            "flux density: the machine file states no iron, and its own largest current is passed"
+        )
     if any(item.doubt for item in operating_magnets(found)) or price.reserve < reserve:
-        return f"static load: {price.reserve:.3g} times it are left at the largest current, {reserve:.3g} are asked"
-    limit = demand("maximum singular value of a sensitivity", found.requirements).limit or SENSITIVITY.limits[0].value
+        return (
+            f"static load: {price.reserve:.3g} times it are left at the largest current, "
+            f"{reserve:.3g} are asked"
+        )
+    limit = (
+        demand("maximum singular value of a sensitivity", found.requirements).limit
+        or SENSITIVITY.limits[0].value
+    )
     try:
-        return beyond_reach(*unavoidable_sensitivity(assemble(found, found.operation.design), options.timing(found)), limit)
+        return beyond_reach(
+            *unavoidable_sensitivity(
+                assemble(found, found.operation.design), options.timing(found)
+            ),
+            limit,
+        )
     except (InvalidInput, NumericalFailure) as error:
         return str(error)
 
 
 def _scaled(near: Trial, found: Machine) -> StateSpace:
-    """A neighbour's controller with the gain that gives the same force per displacement, over what the magnets need."""
-    before, after = (np.mean([need(item) for item in operating_magnets(machine)]) for machine in (near.machine, found))
+    """A neighbour's controller with the gain that gives the same force per displacement, over what
+    the magnets need.
+    """
+    before, after = (
+        np.mean([need(item) for item in operating_magnets(machine)])
+        for machine in (near.machine, found)
+    )
     K = near.controller
     assert K is not None
     return StateSpace(K.A, K.B, after / before * K.C, after / before * K.D, K.inputs, K.outputs)

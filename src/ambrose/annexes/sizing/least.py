@@ -1,7 +1,9 @@
-"""The least that still guarantees all that is asked: control action, bias, magnet, amplifier; and what robustness costs.
+"""The least that still guarantees all that is asked: control action, bias, magnet, amplifier; and
+what robustness costs.
 
-Lauridsen 2017, 7.3: synthesis "can be used to find the minimum control action required to guarantee robust performance".
-Control action is taken as the largest gain of K S_o [A/m] over all frequencies: what a micrometre of motion costs in current.
+Lauridsen 2017, 7.3: synthesis "can be used to find the minimum control action required to guarantee
+robust performance". Control action is taken as the largest gain of K S_o [A/m] over all
+frequencies: what a micrometre of motion costs in current.
 """
 
 from __future__ import annotations
@@ -10,21 +12,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ambrose.annexes.sizing.guarantee import RESERVE, Trial, attempt, tuning_job
+from ambrose.annexes.sizing.magnets import Size
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame
+from ambrose.judge.result import Synthesis
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.annexes.sizing.guarantee import RESERVE, Trial, attempt, tuning_job
-from ambrose.annexes.sizing.magnets import Size
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.trade_off import lowest
 from ambrose.synthesis.options import DesignOptions
-from ambrose.judge.result import Synthesis
 
 LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
-_STEP, _CLOSE, _LOWEST = 0.7, 1.05, 0.02  # of one step down; ratio of the last two; share below which nothing is tried
+# of one step down; ratio of the last two; share below which nothing is tried
+_STEP = 0.7
+_CLOSE = 1.05
+_LOWEST = 0.02
 _AIMS = 8
 
 
@@ -32,8 +37,9 @@ _AIMS = 8
 class Least(Presented):
     """The least of a lever that met all, what bound there, and the trials on the way.
 
-    value: gain [A/m] of K S_o, or a share of the machine file's; inf where nothing met all (of the weight, which is as large
-    as may be: 0). refused: the next one that was tried and did not (0: none). synthesis: the controller; None without one.
+    value: gain [A/m] of K S_o, or a share of the machine file's; inf where nothing met all (of the
+    weight, which is as large as may be: 0). refused: the next one that was tried and did not (0:
+    none). synthesis: the controller; None without one.
     """
 
     lever: str
@@ -44,7 +50,12 @@ class Least(Presented):
     machine: Machine | None = None
 
     def facts(self) -> Mapping[str, Any]:
-        return {"lever": self.lever, "least": self.value, "next smaller that failed": self.refused, "binding": self.binding}
+        return {
+            "lever": self.lever,
+            "least": self.value,
+            "next smaller that failed": self.refused,
+            "binding": self.binding,
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -57,11 +68,18 @@ class Price(Presented):
 
     def facts(self) -> Mapping[str, Any]:
         rows = zip(self.widths, self.found, strict=True)
-        return {"parameter": self.parameter, "least": [f"+-{100 * w:.3g} %: {item.value:.4g}" for w, item in rows]}
+        return {
+            "parameter": self.parameter,
+            "least": [f"+-{100 * w:.3g} %: {item.value:.4g}" for w, item in rows],
+        }
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with a row for each width."""
-        columns = {"width": self.widths, "least": [f.value for f in self.found], "binding": [f.binding for f in self.found]}
+        columns = {
+            "width": self.widths,
+            "least": [f.value for f in self.found],
+            "binding": [f.binding for f in self.found],
+        }
         return data_frame(columns)
 
 
@@ -75,21 +93,35 @@ def least(
     time_limit: float = 30.0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Least:
-    """The least of a lever with which a controller of fixed order meets every requirement of the machine file.
+    """The least of a lever with which a controller of fixed order meets every requirement of the
+    machine file.
 
-    lever: "gain" (of K S_o), or "area" of the magnets' poles, "bias" current or amplifier "bandwidth" as shares of the machine
-    file's. What "meets" covers: ``map.size``. Smaller ones may exist: it is the smallest found. "weight" asks in the thesis'
-    own terms: the largest factor on [weights] control_level at which mu of the design at its point is proved to be at most 1,
-    so that performance is robust on the design model. Raises InvalidInput.
+    lever: "gain" (of K S_o), or "area" of the magnets' poles, "bias" current or amplifier
+    "bandwidth" as shares of the machine file's. What "meets" covers: ``map.size``. Smaller ones may
+    exist: it is the smallest found. "weight" asks in the thesis' own terms: the largest factor on
+    [weights] control_level at which mu of the design at its point is proved to be at most 1, so
+    that performance is robust on the design model. Raises InvalidInput.
     """
     options = (options or DesignOptions()).on(machine)
     if lever not in LEVERS:
-        raise invalid("lever", repr(lever), f"one of {', '.join(LEVERS)}", "gain is the thesis' minimum control action")
+        raise invalid(
+            "lever",
+            repr(lever),
+            f"one of {', '.join(LEVERS)}",
+            "gain is the thesis' minimum control action",
+        )
     if options.structure in {"pid", "filters"}:
-        raise invalid("structure", options.structure, "free, plane or axis", "a bank is tuned by the design itself")
+        raise invalid(
+            "structure",
+            options.structure,
+            "free, plane or axis",
+            "a bank is tuned by the design itself",
+        )
     if lever == "gain":
         job, law = tuning_job(machine, options, time_limit)
-        value, met, binding, found = lowest(job, law, options.structure, False, time_limit, progress, "gain", _AIMS)
+        value, met, binding, found = lowest(
+            job, law, options.structure, False, time_limit, progress, "gain", _AIMS
+        )
         return Least("gain", value if met else float("inf"), 0.0, binding, found, machine)
     if lever == "weight":
         return _heaviest(machine, options, progress)
@@ -100,13 +132,21 @@ def _heaviest(machine: Machine, options: DesignOptions, progress: Callable[[str]
     """Bisection over the control weight of mu designs; mu grows with it."""
     weights = machine.weights
     if weights is None or weights.control_level is None or not machine.tolerances:
-        raise InvalidInput("lever weight needs [weights] with control_level, and a [[tolerance]]; add them, or take lever gain")
+        raise InvalidInput(
+            "lever weight needs [weights] with control_level, and a [[tolerance]]; add them, or "
+            "take lever gain"
+        )
     found: dict[float, Synthesis] = {}
 
     def mu(factor: float) -> float:
         level = factor * weights.control_level
-        plant = assemble(replace(machine, weights=replace(weights, control_level=level)), machine.operation.design)
-        found[factor] = design(plant, "mu", replace(options, match_reference=False, structure="free", order=None))
+        plant = assemble(
+            replace(machine, weights=replace(weights, control_level=level)),
+            machine.operation.design,
+        )
+        found[factor] = design(
+            plant, "mu", replace(options, match_reference=False, structure="free", order=None)
+        )
         progress(f"{factor:.3g} of control_level: mu {found[factor].gamma:.4g}")
         return found[factor].gamma
 
@@ -125,7 +165,12 @@ def _heaviest(machine: Machine, options: DesignOptions, progress: Callable[[str]
 
 
 def _stepped(
-    machine: Machine, lever: str, options: DesignOptions, reserve: float, time_limit: float, progress: Callable[[str], None]
+    machine: Machine,
+    lever: str,
+    options: DesignOptions,
+    reserve: float,
+    time_limit: float,
+    progress: Callable[[str], None],
 ) -> Least:
     best: Trial | None = None
     tried: list[Trial] = []
@@ -133,7 +178,15 @@ def _stepped(
     def meets(share: float) -> bool:
         nonlocal best
         size = replace(Size(), **{lever: share})
-        trial = attempt(machine, size, options, reserve=reserve, near=best, time_limit=time_limit, progress=progress)
+        trial = attempt(
+            machine,
+            size,
+            options,
+            reserve=reserve,
+            near=best,
+            time_limit=time_limit,
+            progress=progress,
+        )
         tried.append(trial)
         if trial.met:
             best = trial
@@ -155,7 +208,9 @@ def _stepped(
             low = middle
     assert best is not None
     failed = [trial.binding for trial in tried if getattr(trial.size, lever) == low]
-    return Least(lever, share, low, failed[0] if failed else best.binding, best.synthesis, best.machine)
+    return Least(
+        lever, share, low, failed[0] if failed else best.binding, best.synthesis, best.machine
+    )
 
 
 @names_wrong_types
@@ -170,23 +225,35 @@ def price(
     time_limit: float = 30.0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Price:
-    """The ``least`` of a lever at every width (share of the value) of one tolerance, the others as in the machine file.
+    """The ``least`` of a lever at every width (share of the value) of one tolerance, the others as
+    in the machine file.
 
-    Where a wider range was held with less, that controller and its value stand for the narrower one as well. Ctrl-C keeps the
-    widths that are done. Raises InvalidInput.
+    Where a wider range was held with less, that controller and its value stand for the narrower one
+    as well. Ctrl-C keeps the widths that are done. Raises InvalidInput.
     """
     if not len(widths):
-        raise InvalidInput("no widths of the tolerance were given; give shares of its value, such as 0.5 and 1")
+        raise InvalidInput(
+            "no widths of the tolerance were given; give shares of its value, such as 0.5 and 1"
+        )
     wanted = sorted({check_positive(width, "a width", "1 is +-100 %") for width in widths})
     others = tuple(item for item in machine.tolerances if item.parameter != parameter)
-    stated = next((item for item in machine.tolerances if item.parameter == parameter), Tolerance(parameter, relative=1.0))
+    stated = next(
+        (item for item in machine.tolerances if item.parameter == parameter),
+        Tolerance(parameter, relative=1.0),
+    )
     found: list[Least] = []
     sign = -1 if lever == "weight" else 1
     try:
         for width in wanted:
             progress(f"{parameter} +-{100 * width:.3g} %")
-            own = replace(machine, tolerances=(*others, replace(stated, absolute=None, relative=width)))
-            found.append(least(own, lever, options, reserve=reserve, time_limit=time_limit, progress=progress))
+            own = replace(
+                machine, tolerances=(*others, replace(stated, absolute=None, relative=width))
+            )
+            found.append(
+                least(
+                    own, lever, options, reserve=reserve, time_limit=time_limit, progress=progress
+                )
+            )
     except KeyboardInterrupt:
         if not found:
             raise

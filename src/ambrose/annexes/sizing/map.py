@@ -1,4 +1,6 @@
-"""Magnets over pole area and bias current: which sizes guarantee what is asked, what binds, which is the one to take."""
+"""Magnets over pole area and bias current: which sizes guarantee what is asked, what binds, which
+is the one to take.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.annexes.sizing.guarantee import RESERVE, Trial, attempt
+from ambrose.annexes.sizing.magnets import Size
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.machine.machine import Machine
-from ambrose.annexes.sizing.guarantee import RESERVE, Trial, attempt
-from ambrose.annexes.sizing.magnets import Size
 from ambrose.synthesis.options import DesignOptions
 
 AREAS, BIASES = (0.12, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0), (0.5, 0.7, 1.0)
@@ -22,7 +24,9 @@ _MOST = 400  # cells
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sizing(Presented):
-    """Every size that was tried, by area and bias; reserve: of force over static load, that was asked."""
+    """Every size that was tried, by area and bias; reserve: of force over static load, that was
+    asked.
+    """
 
     machine: Machine
     trials: tuple[Trial, ...]
@@ -30,8 +34,12 @@ class Sizing(Presented):
 
     @property
     def front(self) -> tuple[Trial, ...]:
-        """Those that meet all and of which no other has both less volume and less copper loss, the smallest magnet first."""
-        met = sorted((t for t in self.trials if t.met), key=lambda t: (t.costs.volume, t.costs.copper_loss))
+        """Those that meet all and of which no other has both less volume and less copper loss, the
+        smallest magnet first.
+        """
+        met = sorted(
+            (t for t in self.trials if t.met), key=lambda t: (t.costs.volume, t.costs.copper_loss)
+        )
         kept: list[Trial] = []
         for trial in met:
             if not kept or trial.costs.copper_loss < kept[-1].costs.copper_loss - 1e-12:
@@ -49,9 +57,15 @@ class Sizing(Presented):
         knee = self.knee
         if knee is None:
             return ()
-        areas = [t for t in self.trials if t.size.bias == knee.size.bias and t.size.area < knee.size.area]
-        biases = [t for t in self.trials if t.size.area == knee.size.area and t.size.bias < knee.size.bias]
-        return tuple(max(some, key=lambda t: (t.size.area, t.size.bias)) for some in (areas, biases) if some)
+        areas = [
+            t for t in self.trials if t.size.bias == knee.size.bias and t.size.area < knee.size.area
+        ]
+        biases = [
+            t for t in self.trials if t.size.area == knee.size.area and t.size.bias < knee.size.bias
+        ]
+        return tuple(
+            max(some, key=lambda t: (t.size.area, t.size.bias)) for some in (areas, biases) if some
+        )
 
     @property
     def at_edge(self) -> bool:
@@ -78,10 +92,20 @@ class Sizing(Presented):
     def to_frame(self) -> Any:
         """A pandas.DataFrame with a row for each size."""
         rows = [
-            (t.size.area, t.size.bias, t.met, t.ratio, t.sensitivity, t.gain, t.costs.copper_loss, t.costs.volt_amperes,
-             t.costs.reserve, t.binding)
+            (
+                t.size.area,
+                t.size.bias,
+                t.met,
+                t.ratio,
+                t.sensitivity,
+                t.gain,
+                t.costs.copper_loss,
+                t.costs.volt_amperes,
+                t.costs.reserve,
+                t.binding,
+            )
             for t in self.trials
-        ]  # fmt: skip
+        ]
         names = (
             "area",
             "bias",
@@ -110,23 +134,52 @@ def size(
 ) -> Sizing:
     """Try every pole area with every bias current, both over the machine file's.
 
-    A size counts as sufficient where a controller of fixed order meets every requirement of the machine file at every operating
-    point on the full plants, as the loop runs, and at the worst corners found of the tolerances around each; that none was
-    found is no proof that there is none. reserve [-]: force at the largest control current over static load, at least.
-    time_limit [s] of computing for each. Ctrl-C keeps the sizes that are done. Raises InvalidInput.
+    A size counts as sufficient where a controller of fixed order meets every requirement of the
+    machine file at every operating point on the full plants, as the loop runs, and at the worst
+    corners found of the tolerances around each; that none was found is no proof that there is none.
+    reserve [-]: force at the largest control current over static load, at least. time_limit [s] of
+    computing for each. Ctrl-C keeps the sizes that are done. Raises InvalidInput.
     """
     options = (options or DesignOptions()).on(machine)
     if options.structure in {"pid", "filters"}:
-        raise invalid("structure", options.structure, "free, plane or axis", "a bank is tuned by the design itself")
-    check_positive(reserve, "reserve", "2 is usual: as much force again as the static load takes", zero_allowed=True)
-    sizes = [Size(area, bias) for area in _sorted(areas, "areas") for bias in _sorted(biases, "biases")]
+        raise invalid(
+            "structure",
+            options.structure,
+            "free, plane or axis",
+            "a bank is tuned by the design itself",
+        )
+    check_positive(
+        reserve,
+        "reserve",
+        "2 is usual: as much force again as the static load takes",
+        zero_allowed=True,
+    )
+    sizes = [
+        Size(area, bias) for area in _sorted(areas, "areas") for bias in _sorted(biases, "biases")
+    ]
     if len(sizes) > _MOST:
-        raise invalid("the number of sizes", len(sizes), f"at most {_MOST}", "take fewer areas or biases")
+        raise invalid(
+            "the number of sizes", len(sizes), f"at most {_MOST}", "take fewer areas or biases"
+        )
     done: list[Trial] = []
     try:
         for item in sorted(sizes, key=_distance):
-            near = min((t for t in done if t.controller is not None), key=lambda t: _distance(t.size, item), default=None)
-            done.append(attempt(machine, item, options, reserve=reserve, near=near, time_limit=time_limit, progress=progress))
+            near = min(
+                (t for t in done if t.controller is not None),
+                key=lambda t: _distance(t.size, item),
+                default=None,
+            )
+            done.append(
+                attempt(
+                    machine,
+                    item,
+                    options,
+                    reserve=reserve,
+                    near=near,
+                    time_limit=time_limit,
+                    progress=progress,
+                )
+            )
     except KeyboardInterrupt:
         if not done:
             raise
@@ -135,8 +188,15 @@ def size(
 
 def _sorted(values: Sequence[float], what: str) -> list[float]:
     if not len(values):
-        raise InvalidInput(f"no {what} were given; give shares of the machine file's, such as 0.5 and 1")
-    return sorted({check_positive(value, f"one of the {what}", "give a share of the machine file's") for value in values})
+        raise InvalidInput(
+            f"no {what} were given; give shares of the machine file's, such as 0.5 and 1"
+        )
+    return sorted(
+        {
+            check_positive(value, f"one of the {what}", "give a share of the machine file's")
+            for value in values
+        }
+    )
 
 
 def _distance(one: Size, other: Size | None = None) -> float:

@@ -1,4 +1,6 @@
-"""The block's behaviour in Python, sample by sample: the generated code is compared with it, test vectors come from it."""
+"""The block's behaviour in Python, sample by sample: the generated code is compared with it, test
+vectors come from it.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +9,37 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, check_shape
-from ambrose.core.scheduled import corners
 from ambrose.code.block.block import Block
 from ambrose.code.block.cascade_fixed import FixedCascade
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.fixed_point import FixedBlock
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock, supervised_twin
+from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.core.scheduled import corners
 
-HELD, FAULT, LIMITED = 1, 2, 4  # status bits, as in the header
-CLAMPED, TOLD, BEHIND, TOLD_SECOND = 8, 16, 32, 64  # of a scheduled block besides
-STATE_AT, REASON_AT, LATCHED = 4, 6, 512  # of a supervised block besides: who is in charge, why, and that it stays so
+# status bits, as in the header
+HELD = 1
+FAULT = 2
+LIMITED = 4
+# of a scheduled block besides
+CLAMPED = 8
+TOLD = 16
+BEHIND = 32
+TOLD_SECOND = 64
+# of a supervised block besides: who is in charge, why, and that it stays so
+STATE_AT = 4
+REASON_AT = 6
+LATCHED = 512
 FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denormal numbers linger
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockRun:
-    """currents (k, p) [A] (whole numbers for fixed point), status (k,), the states after the last sample (n,) and the largest
-    magnitude of each on the way (n,); schedule (k,), of two parameters (k, 2): where a scheduled law was taken (fixed:
-    None)."""
+    """currents (k, p) [A] (whole numbers for fixed point), status (k,), the states after the last
+    sample (n,) and the largest magnitude of each on the way (n,); schedule (k,), of two parameters
+    (k, 2): where a scheduled law was taken (fixed: None).
+    """
 
     currents: np.ndarray
     status: np.ndarray
@@ -36,10 +49,15 @@ class BlockRun:
 
 
 def run_block(
-    block: ControlBlock, errors: ArrayLike, valid: ArrayLike | None = None, start: ArrayLike | None = None
+    block: ControlBlock,
+    errors: ArrayLike,
+    valid: ArrayLike | None = None,
+    start: ArrayLike | None = None,
 ) -> BlockRun:
-    """Double precision. errors (k, m) [m]: NaN and infinity allowed; valid (k, m): the channels' flags (None: all true);
-    start (n,): the states before the first sample (None: zero). Raises InvalidInput."""
+    """Double precision. errors (k, m) [m]: NaN and infinity allowed; valid (k, m): the channels'
+    flags (None: all true); start (n,): the states before the first sample (None: zero). Raises
+    InvalidInput.
+    """
     e, status = _plausible_errors(block, errors, valid)
     x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
     carry, largest = np.zeros(block.winding), np.abs(x)
@@ -64,16 +82,19 @@ def run_scheduled(
     start: ArrayLike | None = None,
     single: bool = False,
 ) -> BlockRun:
-    """errors (k, m) [m] and told (k,), speeds [rad/s] or pressures [Pa], or both (k, 2): NaN and infinity allowed; valid (k,
-    m): the errors' flags (None: all true); start (n,): the states before the first sample (None: zero). single: computed in
-    single precision. Raises InvalidInput.
+    """errors (k, m) [m] and told (k,), speeds [rad/s] or pressures [Pa], or both (k, 2): NaN and
+    infinity allowed; valid (k, m): the errors' flags (None: all true); start (n,): the states
+    before the first sample (None: zero). single: computed in single precision. Raises InvalidInput.
     """
     e, status = _plausible_errors(block, errors, valid)
     kind = np.float32 if single else np.float64
     v, d = np.asarray(told, dtype=float), len(block.axes)
     if v.shape != ((len(e),) if d == 1 else (len(e), d)):
         size = f"({len(e)},)" if d == 1 else f"({len(e)}, {d})"
-        raise InvalidInput(f"the shape of {block.along.plural} is {v.shape}, but must be {size}, one for every sample")
+        raise InvalidInput(
+            f"the shape of {block.along.plural} is {v.shape}, but must be {size}, one for every "
+            "sample"
+        )
     schedule, told_status = follow_told(block, v)
     status |= told_status
     index, share = corners(block.axes, schedule.reshape(len(e), d))
@@ -98,14 +119,22 @@ def run_scheduled(
             step += sum(unwind[i] @ (part * cut) for i, part in at)
         x = _add_compensated(x, step, carry, floor)
         largest = np.maximum(largest, np.abs(x))
-    return BlockRun(currents.astype(float), status, x.astype(float), largest.astype(float), schedule)
+    return BlockRun(
+        currents.astype(float), status, x.astype(float), largest.astype(float), schedule
+    )
 
 
 def run_supervised(
-    block: SupervisedBlock, errors: ArrayLike, told: ArrayLike, valid: ArrayLike | None = None, single: bool = False
+    block: SupervisedBlock,
+    errors: ArrayLike,
+    told: ArrayLike,
+    valid: ArrayLike | None = None,
+    single: bool = False,
 ) -> BlockRun:
-    """errors (k, m) [m]; told (k, 3) [Pa]: readings, estimates, their half widths, NaN and infinity allowed; valid (k, m): the
-    errors' flags (None: all true). From the start of the code, without states that the caller set. Raises InvalidInput."""
+    """errors (k, m) [m]; told (k, 3) [Pa]: readings, estimates, their half widths, NaN and infinity
+    allowed; valid (k, m): the errors' flags (None: all true). From the start of the code, without
+    states that the caller set. Raises InvalidInput.
+    """
     e, status = _plausible_errors(block, errors, valid)
     readings = np.asarray(told, dtype=float)
     if readings.shape != (len(e), 3):
@@ -119,14 +148,23 @@ def run_supervised(
         twin.schedule(value)
         currents[k] = twin.step(e[k])
         found = twin.supervisor
-        status[k] |= LIMITED * twin.limited | found.state << STATE_AT | found.fault << REASON_AT | LATCHED * found.latched
+        status[k] |= (
+            LIMITED * twin.limited
+            | found.state << STATE_AT
+            | found.fault << REASON_AT
+            | LATCHED * found.latched
+        )
         schedule[k] = found.value
     states = twin.states.astype(float)
     return BlockRun(currents, status, states, np.abs(states), schedule)
 
 
-def _add_compensated(x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: float) -> np.ndarray:
-    """x + step (n,); ``carry`` keeps what the sums of the first states lost (Kahan 1965) for the next sample."""
+def _add_compensated(
+    x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: float
+) -> np.ndarray:
+    """x + step (n,); ``carry`` keeps what the sums of the first states lost (Kahan 1965) for the
+    next sample.
+    """
     w = len(carry)
     step[:w] += carry
     total = x + step
@@ -136,9 +174,13 @@ def _add_compensated(x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: 
 
 
 def follow_told(block: ScheduledBlock, told: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the schedule stands for values (k,) as measured, or (k, 2) of both, and the status (k,) of them alone."""
+    """Where the schedule stands for values (k,) as measured, or (k, 2) of both, and the status (k,)
+    of them alone.
+    """
     columns = told.reshape(len(told), -1).T
-    each = zip(block.axes, columns, block.told_limits, block.told_steps, (TOLD, TOLD_SECOND), strict=False)
+    each = zip(
+        block.axes, columns, block.told_limits, block.told_steps, (TOLD, TOLD_SECOND), strict=False
+    )
     found = [_follow_one(*item, block.hold_samples) for item in each]
     places, status = (np.array(part) for part in zip(*found, strict=True))
     return places.T.reshape(told.shape), np.bitwise_or.reduce(status)
@@ -171,7 +213,9 @@ def _follow_one(
 
 
 def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = None) -> BlockRun:
-    """Fixed point, bit by bit. errors (k, m): whole numbers of 2^-signal_bits error_limit; currents likewise."""
+    """Fixed point, bit by bit. errors (k, m): whole numbers of 2^-signal_bits error_limit; currents
+    likewise.
+    """
     block, s = fixed.block, fixed.signal_bits
     given, good = _inputs(block, errors, valid)
     e = given.astype(np.int64)
@@ -183,8 +227,12 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
     currents = np.empty((len(e), len(block.outputs)), np.int64)
     driven, direct = e @ fixed.update[:, n:].T, e @ fixed.output[:, n:].T
     A, C = fixed.update[:, :n], fixed.output[:, :n]
-    to_signal, to_output, to_cut = _half(fixed.state_bits - s, n), _half(fixed.output_bits), _half(fixed.cut_bits)
-    to_state, to_unwinding = (_half(bits + s - fixed.state_bits) for bits in (fixed.update_bits, fixed.unwind_bits))
+    to_signal = _half(fixed.state_bits - s, n)
+    to_output = _half(fixed.output_bits)
+    to_cut = _half(fixed.cut_bits)
+    to_state, to_unwinding = (
+        _half(bits + s - fixed.state_bits) for bits in (fixed.update_bits, fixed.unwind_bits)
+    )
     for k in range(len(e)):
         x = _shift(X, *to_signal)
         u = _shift(direct[k] + C @ x, *to_output)
@@ -199,14 +247,25 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
     return BlockRun(currents, status, X, largest)
 
 
-def run_fixed_cascade(fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike | None = None) -> BlockRun:
+def run_fixed_cascade(
+    fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike | None = None
+) -> BlockRun:
     """Fixed point of a cascade, bit by bit: as ``run_fixed``."""
-    block, s, n = fixed.block, fixed.signal_bits, fixed.block.n_states
+    block = fixed.block
+    s = fixed.signal_bits
+    n = fixed.block.n_states
     given, good = _inputs(block, errors, valid)
-    e, one, edge = given.astype(np.int64), 1 << s, 1 << fixed.state_bits
+    e = given.astype(np.int64)
+    one = 1 << s
+    edge = 1 << fixed.state_bits
     e, status = _hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
-    X, rest, largest = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
-    kept, currents = np.zeros(len(block.into), np.int64), np.empty((len(e), len(block.outputs)), np.int64)
+    X = np.zeros(n, np.int64)
+    rest = np.zeros(n, np.int64)
+    largest = np.zeros(n, np.int64)
+    kept, currents = (
+        np.zeros(len(block.into), np.int64),
+        np.empty((len(e), len(block.outputs)), np.int64),
+    )
     to_signal, to_output, to_cut, to_input = (
         _half(bits, count)
         for bits, count in (
@@ -219,7 +278,9 @@ def run_fixed_cascade(fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike |
     to_section, to_state = _half(fixed.section_bits), _half(fixed.update_shift)
     to_unwinding = _half(fixed.unwind_bits + s - fixed.state_bits)
     for k in range(len(e)):
-        v, sums, i = e[k], np.empty(n, np.int64), 0
+        v = e[k]
+        sums = np.empty(n, np.int64)
+        i = 0
         if block.mixes:
             total = fixed.into @ e[k] + kept
             v = _shift(total, *to_input)
@@ -228,7 +289,9 @@ def run_fixed_cascade(fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike |
         x = _shift(X, *to_signal)
         at = v.copy()
         for j, stage in enumerate(block.stages):
-            local = np.array([at[stage.channel], *x[i : i + stage.order], *[0] * (2 - stage.order)], np.int64)
+            local = np.array(
+                [at[stage.channel], *x[i : i + stage.order], *[0] * (2 - stage.order)], np.int64
+            )
             y, *added = fixed.sections[j] @ local
             sums[i : i + stage.order] = added[: stage.order]
             y = _shift(np.array([y]), to_section[0][j, :1], to_section[1][j, :1])[0]
@@ -259,27 +322,38 @@ def _shift(value: np.ndarray, bits: np.ndarray, half: np.ndarray) -> np.ndarray:
     return np.sign(value) * ((np.abs(value) + half) >> bits)
 
 
-def _plausible_errors(block: Block, errors: ArrayLike, valid: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
+def _plausible_errors(
+    block: Block, errors: ArrayLike, valid: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray]:
     """The errors (k, m) [m] that are used, and the status (k,) so far."""
     e, good = _inputs(block, np.asarray(errors, dtype=float), valid)
     with np.errstate(invalid="ignore"):
         return _hold_last(e, good & (np.abs(e) <= block.error_limit), block.hold_samples)
 
 
-def _inputs(block: Block, errors: ArrayLike, valid: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
+def _inputs(
+    block: Block, errors: ArrayLike, valid: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray]:
     e = np.asarray(errors)
     if e.ndim != 2 or e.shape[1] != len(block.inputs):
-        raise InvalidInput(f"the shape of errors is {e.shape}, but must be (k, {len(block.inputs)}); give one column per axis")
+        raise InvalidInput(
+            f"the shape of errors is {e.shape}, but must be (k, {len(block.inputs)}); give one "
+            "column per axis"
+        )
     if valid is None:
         return e, np.ones(e.shape, bool)
     return e, check_shape(valid, "valid", "(k, m)", k=len(e), m=e.shape[1]) != 0
 
 
 def _hold_last(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bad samples replaced by the channel's last good one (zero before the first), and the status (k,) without limiting."""
+    """Bad samples replaced by the channel's last good one (zero before the first), and the status
+    (k,) without limiting.
+    """
     row = np.arange(len(e))[:, None]
     last = np.maximum.accumulate(np.where(good, row, -1), axis=0)
     filled = np.where(last >= 0, np.take_along_axis(e, np.maximum(last, 0), axis=0), 0)
     missing = row - last  # before the first good sample counted from the start
-    status = np.where((~good).any(axis=1), HELD, 0) | np.where((missing > hold).any(axis=1), FAULT, 0)
+    status = np.where((~good).any(axis=1), HELD, 0) | np.where(
+        (missing > hold).any(axis=1), FAULT, 0
+    )
     return filled, status

@@ -1,8 +1,9 @@
 """The generated C code, compiled and running here: software in the loop.
 
-``CompiledBlock`` runs in the virtual rig in place of a controller (``law.program``), ``CompiledSchedule`` in
-place of a scheduled one, given speed or pressure at every sample. ``read_law`` reads the law back out of the running code, so
-that the same verification can be made of what the compiler made.
+``CompiledBlock`` runs in the virtual rig in place of a controller (``law.program``),
+``CompiledSchedule`` in place of a scheduled one, given speed or pressure at every sample.
+``read_law`` reads the law back out of the running code, so that the same verification can be made
+of what the compiler made.
 """
 
 from __future__ import annotations
@@ -14,8 +15,6 @@ from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_shape
-from ambrose.core.statespace import StateSpace
 from ambrose.code.block.cost import padding_of
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.run import REASON_AT
@@ -23,6 +22,8 @@ from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock
 from ambrose.code.c.code import Arithmetic, Precision, generate, in_words
 from ambrose.code.c.compiler import COMPILERS, build_library, find_compiler, load_library
+from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.core.statespace import StateSpace
 from ambrose.law.supervision import Fault
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
@@ -47,18 +48,23 @@ int {name}_call(void *running, const double *errors, const double *told, double 
 }}
 """
 _ESTIMATE = (2, 3)  # places of an estimate and its half width among what is told
-_COUNTED = "fmin(fmax(rint(errors[i] / metre[i]), {least:.0f}.0), {most:.0f}.0)"  # as a converter does at its ends
+# as a converter does at its ends
+_COUNTED = "fmin(fmax(rint(errors[i] / metre[i]), {least:.0f}.0), {most:.0f}.0)"
 
 
 class _Running(ctypes.Structure):
-    """What the C function gets first: its block, and where it leaves what it was told and the status of the last step."""
+    """What the C function gets first: its block, and where it leaves what it was told and the
+    status of the last step.
+    """
 
     _fields_ = (("block", ctypes.c_void_p), ("told", ctypes.c_double * 4), ("status", ctypes.c_int))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Words:
-    """The code's numbers: dtype of signals and states, and what one count is: error (m,) [m], current (p,) [A], state [-]."""
+    """The code's numbers: dtype of signals and states, and what one count is: error (m,) [m],
+    current (p,) [A], state [-].
+    """
 
     signal: type
     stored: type
@@ -71,7 +77,9 @@ class _Words:
     def of(cls, block: ControlBlock | ScheduledBlock, arithmetic: Arithmetic) -> _Words:
         if arithmetic in {"double", "float"}:
             real = np.float64 if arithmetic == "double" else np.float32
-            return cls(real, real, np.ones(len(block.inputs)), np.ones(len(block.outputs)), 1.0, False)
+            return cls(
+                real, real, np.ones(len(block.inputs)), np.ones(len(block.outputs)), 1.0, False
+            )
         word = int(arithmetic.removeprefix("fixed"))
         fixed = in_words(cast(ControlBlock, block), word)
         one = 2.0**fixed.signal_bits
@@ -90,7 +98,9 @@ class _Words:
         return np.rint(scaled) if self.whole else scaled
 
     def call(self, block: ControlBlock | ScheduledBlock) -> str:
-        """C that calls a step with errors [m] and currents [A] as numbers, whatever the code's words."""
+        """C that calls a step with errors [m] and currents [A] as numbers, whatever the code's
+        words.
+        """
         types = {"float64": "double", "float32": "float", "int32": "int32_t", "int16": "int16_t"}
         word, counted = types[np.dtype(self.signal).name], "(errors[i] / metre[i])"
         if self.whole:
@@ -100,11 +110,20 @@ class _Words:
         told = "".join(f"({word})told[{i}], " for i in range(d))
         if isinstance(block, SupervisedBlock):
             told += "".join(f"({word})self->told[{i}], " for i in _ESTIMATE)
-        error, current = (", ".join(map(repr, values.tolist())) for values in (self.error, self.current))
+        error, current = (
+            ", ".join(map(repr, values.tolist())) for values in (self.error, self.current)
+        )
         return _CALL.format(
-            name=block.name, error=error, current=current, word=word, counted=counted, told=told, d=d,
-            m=len(block.inputs), p=len(block.outputs),
-        )  # fmt: skip
+            name=block.name,
+            error=error,
+            current=current,
+            word=word,
+            counted=counted,
+            told=told,
+            d=d,
+            m=len(block.inputs),
+            p=len(block.outputs),
+        )
 
 
 B = TypeVar("B", ControlBlock, ScheduledBlock)
@@ -113,7 +132,9 @@ B = TypeVar("B", ControlBlock, ScheduledBlock)
 class _Compiled(Generic[B]):
     """What compiled fixed and scheduled blocks share."""
 
-    def __init__(self, block: B, arithmetic: Arithmetic = "double", compiler: str | None = None) -> None:
+    def __init__(
+        self, block: B, arithmetic: Arithmetic = "double", compiler: str | None = None
+    ) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
         self.block: B = block
         self.arithmetic = arithmetic
@@ -144,7 +165,9 @@ class _Compiled(Generic[B]):
     @property
     def entry(self) -> tuple[int, int]:
         """As the rig asks of a native program."""
-        return cast(int, ctypes.cast(self._step, ctypes.c_void_p).value), ctypes.addressof(self._running)
+        return cast(int, ctypes.cast(self._step, ctypes.c_void_p).value), ctypes.addressof(
+            self._running
+        )
 
     def begin(self, states: np.ndarray) -> None:
         """Everything as after its first call, then the states (n,)."""
@@ -152,9 +175,14 @@ class _Compiled(Generic[B]):
         self.set_states(states)
 
     def track(self, errors: np.ndarray, currents: np.ndarray) -> None:
-        """Bumpless transfer to errors (m,) [m] and currents (p,) [A]. Raises InvalidInput for a block that cannot."""
+        """Bumpless transfer to errors (m,) [m] and currents (p,) [A]. Raises InvalidInput for a
+        block that cannot.
+        """
         if not self.block.transfers:
-            raise InvalidInput("this block has no bumpless transfer: its states do not reach every output; begin it at rest")
+            raise InvalidInput(
+                "this block has no bumpless transfer: its states do not reach every output; begin "
+                "it at rest"
+            )
         kind = np.dtype(self._words.signal)
         given = self._words.counts(errors, self._words.error).astype(kind)
         meant = self._words.counts(currents, self._words.current).astype(kind)
@@ -165,7 +193,9 @@ class _Compiled(Generic[B]):
         given, currents = np.empty(len(self.block.inputs)), np.empty(len(self.block.outputs))
         given[:] = errors
         told = np.array(self._running.told)
-        self._step(ctypes.addressof(self._running), _pointer(given), _pointer(told), _pointer(currents))
+        self._step(
+            ctypes.addressof(self._running), _pointer(given), _pointer(told), _pointer(currents)
+        )
         return currents
 
     def states(self) -> np.ndarray:
@@ -177,10 +207,14 @@ class _Compiled(Generic[B]):
         self._state_memory()[:] = self._words.counts(states, self._words.state)
 
     def _state_memory(self) -> np.ndarray:
-        """The states where the code keeps them: first in the block, after the zeros that its diagonals reach into."""
+        """The states where the code keeps them: first in the block, after the zeros that its
+        diagonals reach into.
+        """
         before = padding_of(self.block)[0]
         kind = np.dtype(self._words.stored)
-        return np.frombuffer(memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize)
+        return np.frombuffer(
+            memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize
+        )
 
     def _told_argument(self) -> tuple[Any, ...]:
         return ()
@@ -190,9 +224,11 @@ class _Compiled(Generic[B]):
 
 
 class CompiledBlock(_Compiled[ControlBlock]):
-    """A block's C code in this process. errors [m] and currents [A], whatever the code's arithmetic.
+    """A block's C code in this process. errors [m] and currents [A], whatever the code's
+    arithmetic.
 
-    sample_time [s], delay [samples], system, entry: as the rig asks of a native program; status: the bits of the last step.
+    sample_time [s], delay [samples], system, entry: as the rig asks of a native program; status:
+    the bits of the last step.
     """
 
     @property
@@ -206,12 +242,16 @@ class CompiledBlock(_Compiled[ControlBlock]):
 
 
 class CompiledSchedule(_Compiled[ScheduledBlock]):
-    """A scheduled block's C code in this process: errors [m] and speeds [rad/s] or pressures [Pa] to currents [A].
+    """A scheduled block's C code in this process: errors [m] and speeds [rad/s] or pressures [Pa]
+    to currents [A].
 
-    As ``CompiledBlock``, and schedule, parameter: as the rig asks of a program; called with a value: the law there, frozen.
+    As ``CompiledBlock``, and schedule, parameter: as the rig asks of a program; called with a
+    value: the law there, frozen.
     """
 
-    def __init__(self, block: ScheduledBlock, arithmetic: Precision = "double", compiler: str | None = None) -> None:
+    def __init__(
+        self, block: ScheduledBlock, arithmetic: Precision = "double", compiler: str | None = None
+    ) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
         super().__init__(block, arithmetic, compiler)
         self.schedule(block.range[0])
@@ -230,14 +270,18 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
     def system(self) -> StateSpace:
         """The law of the next step."""
         supervised = isinstance(self.block, SupervisedBlock)  # to be told nothing is no error there
-        return self.block.at(self.block.range[0] if supervised and math.isnan(self.told) else self.told)
+        return self.block.at(
+            self.block.range[0] if supervised and math.isnan(self.told) else self.told
+        )
 
     def __call__(self, value: Any) -> StateSpace:
         return self.block.at(value)
 
     @property
     def estimate(self) -> tuple[float, float]:
-        """Of a supervised block: a monitor's pressure and its half width [Pa] from the next step on; NaN, infinity: none."""
+        """Of a supervised block: a monitor's pressure and its half width [Pa] from the next step
+        on; NaN, infinity: none.
+        """
         value, half_width = (self._running.told[i] for i in _ESTIMATE)
         return value, half_width
 
@@ -257,7 +301,9 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
             self._running.told[i] = one
 
     def run(self, errors: np.ndarray, told: np.ndarray) -> np.ndarray:
-        """currents (k, p) [A] over errors (k, m) [m] and speeds or pressures (k,), or both (k, 2), from the present state."""
+        """currents (k, p) [A] over errors (k, m) [m] and speeds or pressures (k,), or both (k, 2),
+        from the present state.
+        """
         e = check_shape(errors, "errors", "(k, m)", m=len(self.block.inputs))
         currents = np.empty((len(e), len(self.block.outputs)))
         for k, value in enumerate(np.asarray(told, float).tolist()):
@@ -275,10 +321,12 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
 
 
 def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpace:
-    """The law that the running code follows: its states are set one by one, its inputs too, and one step is taken from each.
+    """The law that the running code follows: its states are set one by one, its inputs too, and one
+    step is taken from each.
 
-    at: the value at which a schedule is frozen. Every column is what the compiled code made of it, rounding of its words
-    included. Raises InvalidInput where a current stays limited, or the schedule clamped, however small the step.
+    at: the value at which a schedule is frozen. Every column is what the compiled code made of it,
+    rounding of its words included. Raises InvalidInput where a current stays limited, or the
+    schedule clamped, however small the step.
     """
     if isinstance(code, CompiledSchedule) and at is not None:
         code.schedule(at)
@@ -290,12 +338,22 @@ def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpa
     table[:, :n] /= block.state_range
     table[:, n:] /= block.error_limit
     return StateSpace(
-        table[:n, :n], table[:n, n:], table[n:, :n], table[n:, n:], block.inputs, block.outputs, block.sample_time
-    )  # fmt: skip
+        table[:n, :n],
+        table[:n, n:],
+        table[n:, :n],
+        table[n:, n:],
+        block.inputs,
+        block.outputs,
+        block.sample_time,
+    )
 
 
-def _response(code: CompiledBlock | CompiledSchedule, state: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Next states and currents (n + p,) from a state and errors, taken so small that nothing is limited, and scaled back."""
+def _response(
+    code: CompiledBlock | CompiledSchedule, state: np.ndarray, errors: np.ndarray
+) -> np.ndarray:
+    """Next states and currents (n + p,) from a state and errors, taken so small that nothing is
+    limited, and scaled back.
+    """
     for power in range(1, 40):
         size = 0.5**power
         code.begin(size * state)
@@ -303,7 +361,8 @@ def _response(code: CompiledBlock | CompiledSchedule, state: np.ndarray, errors:
         if not code.status:
             return np.concatenate([code.states(), currents]) / size
     raise InvalidInput(
-        "the code limits its currents (or clamps what it is told) however small the step; give larger limits, stay in its range"
+        "the code limits its currents (or clamps what it is told) however small the step; give "
+        "larger limits, stay in its range"
     )
 
 
@@ -316,6 +375,11 @@ def _load(name: str, files: dict[str, str], compiler: str | None) -> Any:
     remedy = "install one to run the C code here"
     chosen = find_compiler(compiler)
     if chosen is None:
-        raise InvalidInput(f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; {remedy}")
-    code = build_library(chosen, files, [f"{name}.c", "call.c"], _FLAGS, "give another compiler", libraries="-lm")
+        raise InvalidInput(
+            f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; "
+            f"{remedy}"
+        )
+    code = build_library(
+        chosen, files, [f"{name}.c", "call.c"], _FLAGS, "give another compiler", libraries="-lm"
+    )
     return load_library(code)

@@ -39,7 +39,11 @@ def _initialiser(x: np.ndarray, form: Callable[[float], str], indent: str = "   
     if x.ndim > 1:
         rows = ",\n".join(f"{indent}{_initialiser(row, form, indent + '    ')}" for row in x)
         return "{\n" + rows + "\n" + indent[4:] + "}"
-    return "{" + f"\n{indent}    ".join(lines_of([form(value) for value in x], _WIDTH - len(indent))) + "}"
+    return (
+        "{"
+        + f"\n{indent}    ".join(lines_of([form(value) for value in x], _WIDTH - len(indent)))
+        + "}"
+    )
 
 
 def lines_of(items: Sequence[str], width: int = _WIDTH) -> list[str]:
@@ -55,17 +59,24 @@ def lines_of(items: Sequence[str], width: int = _WIDTH) -> list[str]:
 
 
 def diagonals(x: np.ndarray, pattern: np.ndarray) -> list[dict[str, Any]]:
-    """The diagonals of x (n, n) that are not zero in ``pattern`` (n, n): offset k, name, how they index the states (i + k), and
-    the entries x[i, i + k] row by row, zero outside the rows first..last that they reach."""
+    """The diagonals of x (n, n) that are not zero in ``pattern`` (n, n): offset k, name, how they
+    index the states (i + k), and the entries x[i, i + k] row by row, zero outside the rows
+    first..last that they reach.
+    """
     n = len(x)
     listed = []
     for k in diagonals_of(pattern):
         entries = np.zeros(n, x.dtype)
         rows = np.arange(max(0, -k), min(n, n - k))
         entries[rows] = x[rows, rows + k]
-        listed.append({
-            "offset": k, "name": f"{'below' if k < 0 else 'above'}_{abs(k)}" if k else "own",
-            "shift": f" {'-' if k < 0 else '+'} {abs(k)}" if k else "", "entries": entries,
-            "first": int(rows[0]), "last": int(rows[-1]),
-        })  # fmt: skip
+        listed.append(
+            {
+                "offset": k,
+                "name": f"{'below' if k < 0 else 'above'}_{abs(k)}" if k else "own",
+                "shift": f" {'-' if k < 0 else '+'} {abs(k)}" if k else "",
+                "entries": entries,
+                "first": int(rows[0]),
+                "last": int(rows[-1]),
+            }
+        )
     return listed

@@ -1,6 +1,8 @@
-"""The model description of an FMU (FMI 2.0.4 sections 2.2 and 4.3, FMI 3.0.2 sections 2.4 and 4.4): variables, units, step.
+"""The model description of an FMU (FMI 2.0.4 sections 2.2 and 4.3, FMI 3.0.2 sections 2.4 and 4.4):
+variables, units, step.
 
-Value references count from 0 in the order of ``variables``; the C of templates/fmu_memory.h.j2 uses the same.
+Value references count from 0 in the order of ``variables``; the C of templates/fmu_memory.h.j2 uses
+the same.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ AnyBlock = ControlBlock | ScheduledBlock
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One variable of an FMU. limit: of an output, the largest magnitude; nominal: what is a usual size."""
+    """One variable of an FMU. limit: of an output, the largest magnitude; nominal: what is a usual
+    size.
+    """
 
     name: str
     kind: Literal["real", "boolean"]
@@ -49,24 +53,34 @@ def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
         return FLAGS
     name = block.along.name
     return (
-        *FLAGS, ("clamped", f"the {name} is outside the range; the law is that of the nearer end"),
+        *FLAGS,
+        ("clamped", f"the {name} is outside the range; the law is that of the nearer end"),
         (f"{name}_held", f"the {name} is among what was replaced"),
         ("behind", f"the schedule has not reached the {name}: it moves at its largest rate"),
-    )  # fmt: skip
+    )
 
 
 def variables(block: AnyBlock) -> tuple[Variable, ...]:
-    """Time, errors, their flags, [speed or pressure], [tracking, given currents], currents, status flags, in the order of value
-    references."""
+    """Time, errors, their flags, [speed or pressure], [tracking, given currents], currents, status
+    flags, in the order of value references.
+    """
     found = [Variable("time", "real", "independent", "s", "simulation time")]
     for name, limit in zip(block.inputs, block.error_limit.tolist(), strict=True):
         text = f"reference - displacement, plausible within +-{limit:.9g} m"
         found.append(Variable(name, "real", "input", "m", text, "0", nominal=limit))
-    found += [Variable(f"valid_{name}", "boolean", "input", "", f"{name} may be used", "true") for name in block.inputs]
+    found += [
+        Variable(f"valid_{name}", "boolean", "input", "", f"{name} may be used", "true")
+        for name in block.inputs
+    ]
     if isinstance(block, ScheduledBlock):
         (low, high), along = block.grid[[0, -1]].tolist(), block.along
-        text = f"what the controller is scheduled over, from {low:.9g} to {high:.9g}, plausible within +-{block.told_limit:.9g}"
-        found.append(Variable(along.name, "real", "input", along.unit, text, repr(low), nominal=high))
+        text = (
+            f"what the controller is scheduled over, from {low:.9g} to {high:.9g}, plausible "
+            f"within +-{block.told_limit:.9g}"
+        )
+        found.append(
+            Variable(along.name, "real", "input", along.unit, text, repr(low), nominal=high)
+        )
     if block.transfers:
         text = "follow the given currents (bumpless transfer) instead of controlling"
         found.append(Variable("tracking", "boolean", "input", "", text, "false"))
@@ -74,7 +88,9 @@ def variables(block: AnyBlock) -> tuple[Variable, ...]:
             text = f"{name} as another controller sets it; used while tracking"
             found.append(Variable(f"given_{name}", "real", "input", "A", text, "0", nominal=limit))
     for name, limit in zip(block.outputs, block.current_limit.tolist(), strict=True):
-        found.append(Variable(name, "real", "output", "A", "control current", limit=limit, nominal=limit))
+        found.append(
+            Variable(name, "real", "output", "A", "control current", limit=limit, nominal=limit)
+        )
     found += [Variable(name, "boolean", "output", "", text) for name, text in flags(block)]
     return tuple(found)
 
@@ -92,15 +108,32 @@ def references(block: AnyBlock) -> dict[str, int]:
 
 
 def model_description(block: AnyBlock, version: Version, token: str, text: str) -> str:
-    """modelDescription.xml. token: the GUID (2.0) or instantiation token (3.0); text: the model in one line."""
+    """modelDescription.xml. token: the GUID (2.0) or instantiation token (3.0); text: the model in
+    one line.
+    """
     three, step = version == "3.0", repr(block.sample_time)
     root = ET.Element(
         "fmiModelDescription",
-        {"fmiVersion": version, "modelName": block.name, "instantiationToken" if three else "guid": token},
-        description=text, generationTool=f"ambrose {__version__}", variableNamingConvention="flat",
-    )  # fmt: skip
-    simulation = ET.SubElement(root, "CoSimulation", modelIdentifier=block.name, canHandleVariableCommunicationStepSize="false")
-    state = ("canGetAndSetFMUState", "canSerializeFMUState") if three else ("canGetAndSetFMUstate", "canSerializeFMUstate")
+        {
+            "fmiVersion": version,
+            "modelName": block.name,
+            "instantiationToken" if three else "guid": token,
+        },
+        description=text,
+        generationTool=f"ambrose {__version__}",
+        variableNamingConvention="flat",
+    )
+    simulation = ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=block.name,
+        canHandleVariableCommunicationStepSize="false",
+    )
+    state = (
+        ("canGetAndSetFMUState", "canSerializeFMUState")
+        if three
+        else ("canGetAndSetFMUstate", "canSerializeFMUstate")
+    )
     for name in state:
         simulation.set(name, "true")
     if three:
@@ -111,7 +144,9 @@ def model_description(block: AnyBlock, version: Version, token: str, text: str) 
             ET.SubElement(files, "File", name=name)
     _units(root, block)
     categories = ET.SubElement(root, "LogCategories")
-    ET.SubElement(categories, "Category", name="logStatusError", description="what was refused, and why")
+    ET.SubElement(
+        categories, "Category", name="logStatusError", description="what was refused, and why"
+    )
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=step)
     _variables(root, block, three=three)
     _structure(root, block, three=three)
@@ -143,23 +178,36 @@ def _units(root: ET.Element, block: AnyBlock) -> None:
 
 
 def _variables(root: ET.Element, block: AnyBlock, *, three: bool) -> None:
-    """The variables with their types: attributes of one element in FMI 3.0, a child element in FMI 2.0."""
+    """The variables with their types: attributes of one element in FMI 3.0, a child element in FMI
+    2.0.
+    """
     listed = ET.SubElement(root, "ModelVariables")
     for reference, v in enumerate(variables(block)):
         common = {
-            "name": v.name, "valueReference": str(reference), "causality": v.causality,
-            "variability": _variability(v), "description": v.description,
-        }  # fmt: skip
+            "name": v.name,
+            "valueReference": str(reference),
+            "causality": v.causality,
+            "variability": _variability(v),
+            "description": v.description,
+        }
         if three:
-            ET.SubElement(listed, "Float64" if v.kind == "real" else "Boolean", {**_attributes(v), **common})
+            ET.SubElement(
+                listed, "Float64" if v.kind == "real" else "Boolean", {**_attributes(v), **common}
+            )
         else:
             scalar = ET.SubElement(listed, "ScalarVariable", common)
             ET.SubElement(scalar, "Real" if v.kind == "real" else "Boolean", _attributes(v))
 
 
 def _variability(v: Variable) -> str:
-    """Errors, speed and pressure are sampled from continuous signals; currents and flags change at samples."""
-    return "continuous" if v.causality == "independent" or v.unit in {"m", "rad/s", "Pa"} else "discrete"
+    """Errors, speed and pressure are sampled from continuous signals; currents and flags change at
+    samples.
+    """
+    return (
+        "continuous"
+        if v.causality == "independent" or v.unit in {"m", "rad/s", "Pa"}
+        else "discrete"
+    )
 
 
 def _attributes(v: Variable) -> dict[str, str]:
@@ -176,7 +224,9 @@ def _attributes(v: Variable) -> dict[str, str]:
 
 
 def _structure(root: ET.Element, block: AnyBlock, *, three: bool) -> None:
-    """Outputs depend on inputs at the same instant only where the design assumes that currents are set at once."""
+    """Outputs depend on inputs at the same instant only where the design assumes that currents are
+    set at once.
+    """
     listed = variables(block)
     direct = [i for i, v in enumerate(listed) if v.causality == "input"] if block.delay == 0 else []
     outputs = [i for i, v in enumerate(listed) if v.causality == "output"]
@@ -184,12 +234,19 @@ def _structure(root: ET.Element, block: AnyBlock, *, three: bool) -> None:
     if three:
         for tag in ("Output", "InitialUnknown"):
             for i in outputs:
-                ET.SubElement(structure, tag, valueReference=str(i), dependencies=" ".join(map(str, direct)))
+                ET.SubElement(
+                    structure, tag, valueReference=str(i), dependencies=" ".join(map(str, direct))
+                )
         return
     for tag in ("Outputs", "InitialUnknowns"):
         group = ET.SubElement(structure, tag)
         for i in outputs:
-            ET.SubElement(group, "Unknown", index=str(i + 1), dependencies=" ".join(str(j + 1) for j in direct))
+            ET.SubElement(
+                group,
+                "Unknown",
+                index=str(i + 1),
+                dependencies=" ".join(str(j + 1) for j in direct),
+            )
 
 
 def _text(root: ET.Element) -> str:

@@ -1,14 +1,16 @@
-"""H-infinity control by linear matrix inequalities, for plants that violate the assumptions of the Riccati equations.
+"""H-infinity control by linear matrix inequalities, for plants that violate the assumptions of the
+Riccati equations.
 
-A controller with norm below gamma exists exactly when symmetric R and S (n, n) satisfy, with N_R spanning the null space of
-[B2^T D12^T] and N_S that of [C2 D21],
+A controller with norm below gamma exists exactly when symmetric R and S (n, n) satisfy, with N_R
+spanning the null space of [B2^T D12^T] and N_S that of [C2 D21],
 
     N^T [A R + R A^T  R C1^T   B1 ] N        N^T [A^T S + S A  S B1    C1^T ] N         [R  I]
         [C1 R        -gamma I  D11]   < 0        [B1^T S     -gamma I  D11^T]   < 0     [I  S] >= 0
         [B1^T         D11^T  -gamma I]           [C1           D11   -gamma I]
 
-where N is diag(N_R, I) and diag(N_S, I). The controller then solves one more inequality, in closed form. Sources: Gahinet &
-Apkarian 1994, Int. J. Robust Nonlinear Control 4; Iwasaki & Skelton 1994, Automatica 30 (theorem 1). Solver: Clarabel.
+where N is diag(N_R, I) and diag(N_S, I). The controller then solves one more inequality, in closed
+form. Sources: Gahinet & Apkarian 1994, Int. J. Robust Nonlinear Control 4; Iwasaki & Skelton 1994,
+Automatica 30 (theorem 1). Solver: Clarabel.
 """
 
 from __future__ import annotations
@@ -21,17 +23,20 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.core.matrix_inequalities.semidefinite import side, smat, svec
 from ambrose.core.hinf.scaling import Matrices, ScaledPlant
+from ambrose.core.matrix_inequalities.semidefinite import side, smat, svec
 
-_MARGINS = ((1e-3, 1e3), (1e-4, 1e4), (1e-6, 1e6))  # (strictness of the inequalities, largest R and S) when designing
+# (strictness of the inequalities, largest R and S) when designing
+_MARGINS = ((1e-3, 1e3), (1e-4, 1e4), (1e-6, 1e6))
 _ROUNDS = 4  # solved again in coordinates and units in which R, S and gamma are close to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
-    """gamma: the smallest of the inequalities (any larger one satisfies them strictly); plant: the scaled plant in states in
-    which the optimal R and S are equal and diagonal, with time measured in 1/rate, rate in [rad/s]."""
+    """gamma: the smallest of the inequalities (any larger one satisfies them strictly); plant: the
+    scaled plant in states in which the optimal R and S are equal and diagonal, with time measured
+    in 1/rate, rate in [rad/s].
+    """
 
     gamma: float
     plant: ScaledPlant
@@ -39,7 +44,8 @@ class Prepared:
 
 
 def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepared:
-    """The smallest gamma, and the plant made ready for ``lmi_controller``; time_left() [s] bounds each call of the solver.
+    """The smallest gamma, and the plant made ready for ``lmi_controller``; time_left() [s] bounds
+    each call of the solver.
 
     Raises NumericalFailure when the solver fails, InvalidInput without the solver.
     """
@@ -51,7 +57,10 @@ def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepar
         R, S, value = _solve(plant.in_units(gamma), None, 0.0, np.inf, time_left())
         last, gamma = gamma, gamma * value
         if not gamma > 0:
-            raise NumericalFailure(f"the matrix inequalities give gamma = {gamma:.3g}; w has no effect on z that matters")
+            raise NumericalFailure(
+                f"the matrix inequalities give gamma = {gamma:.3g}; w has no effect on z that "
+                "matters"
+            )
         plant = _balanced(plant, R, S)
         if abs(gamma / last - 1) < 5e-4:
             break
@@ -59,7 +68,8 @@ def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepar
 
 
 def lmi_controller(prepared: Prepared, gamma: float, time_left: Callable[[], float]) -> Matrices:
-    """(A, B, C, D) of a controller of the plant's order with norm below ``gamma``, R S far from I so that its poles stay slow.
+    """(A, B, C, D) of a controller of the plant's order with norm below ``gamma``, R S far from I
+    so that its poles stay slow.
 
     Raises NumericalFailure when the solver finds none, InvalidInput without the solver.
     """
@@ -74,11 +84,15 @@ def lmi_controller(prepared: Prepared, gamma: float, time_left: Callable[[], flo
             continue
         root = np.sqrt(prepared.rate)
         return A * prepared.rate, B * root, C * root, D
-    raise NumericalFailure(f"no controller from the matrix inequalities at gamma = {gamma:.6g}: {reasons[-1]}")
+    raise NumericalFailure(
+        f"no controller from the matrix inequalities at gamma = {gamma:.6g}: {reasons[-1]}"
+    )
 
 
 def _balanced(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> ScaledPlant:
-    """States x = T x' in which R and S are equal and diagonal; unchanged when they are not definite."""
+    """States x = T x' in which R and S are equal and diagonal; unchanged when they are not
+    definite.
+    """
     try:
         L = np.linalg.cholesky(R)
         values, U = np.linalg.eigh(L.T @ S @ L)
@@ -93,7 +107,8 @@ def _balanced(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> ScaledPlant:
 def _solve(
     plant: ScaledPlant, gamma: float | None, strict: float, largest: float, time_limit: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """R, S and the least gamma; or at a given gamma the largest t in [R tI; tI S] >= 0 under ``strict`` and ``largest``.
+    """R, S and the least gamma; or at a given gamma the largest t in [R tI; tI S] >= 0 under
+    ``strict`` and ``largest``.
 
     Raises NumericalFailure.
     """
@@ -107,7 +122,9 @@ def _solve(
         rows[:, place * count : (place + 1) * count] = of_matrix
         rows[:, -1] = free_gamma * of_gamma
         identity = svec(np.eye(side(len(constant))))
-        blocks.append((rows, constant + (0.0 if gamma is None else gamma) * of_gamma - strict * identity))
+        blocks.append(
+            (rows, constant + (0.0 if gamma is None else gamma) * of_gamma - strict * identity)
+        )
     of_R, of_S, off = coupling(n)
     blocks.append((np.column_stack([of_R, of_S, (1 - free_gamma) * off]), free_gamma * off))
     if np.isfinite(largest):
@@ -124,11 +141,14 @@ def _solve(
 
 
 def existence(plant: ScaledPlant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """svec of minus the first inequality above: coefficients of svec(R) (k, n(n+1)/2), of gamma (k,), and the constant (k,).
+    """svec of minus the first inequality above: coefficients of svec(R) (k, n(n+1)/2), of gamma
+    (k,), and the constant (k,).
 
     The second one is the first one of the dual plant.
     """
-    n, r, q = len(plant.A), len(plant.C1), plant.B1.shape[1]
+    n = len(plant.A)
+    r = len(plant.C1)
+    q = plant.B1.shape[1]
     null = sla.null_space(np.hstack([plant.B2.T, plant.D12.T]), rcond=1e-12)
     N = sla.block_diag(null, np.eye(q))
     left = N.T @ np.vstack([plant.A, plant.C1, np.zeros((q, n))])
@@ -144,7 +164,9 @@ def existence(plant: ScaledPlant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def coupling(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """svec of [R tI; tI S]: coefficients of svec(R) and of svec(S) (n(2n+1), n(n+1)/2), and of t (n(2n+1),)."""
+    """svec of [R tI; tI S]: coefficients of svec(R) and of svec(S) (n(2n+1), n(n+1)/2), and of t
+    (n(2n+1),).
+    """
     zero = np.zeros((n, n))
     up = np.array([svec(sla.block_diag(M, zero)) for M in symmetric_basis(n)]).T
     low = np.array([svec(sla.block_diag(zero, M)) for M in symmetric_basis(n)]).T
@@ -156,14 +178,20 @@ def symmetric_basis(n: int) -> np.ndarray:
     return smat(np.eye(n * (n + 1) // 2)).reshape(-1, n, n)
 
 
-def _clarabel(cost: np.ndarray, blocks: list[tuple[np.ndarray, np.ndarray]], time_limit: float) -> np.ndarray:
-    """Minimise cost x subject to smat(rows x + constant) >= 0 for every block. Raises NumericalFailure, InvalidInput."""
+def _clarabel(
+    cost: np.ndarray, blocks: list[tuple[np.ndarray, np.ndarray]], time_limit: float
+) -> np.ndarray:
+    """Minimise cost x subject to smat(rows x + constant) >= 0 for every block. Raises
+    NumericalFailure, InvalidInput.
+    """
     from scipy import sparse
 
     try:
         import clarabel
     except ImportError as error:
-        raise InvalidInput('method "lmi" needs the solver Clarabel; install it with: pip install "ambrose[lmi]"') from error
+        raise InvalidInput(
+            'method "lmi" needs the solver Clarabel; install it with: pip install "ambrose[lmi]"'
+        ) from error
     blocks = [block for block in blocks if len(block[1])]
     rows = sparse.csc_matrix(-np.vstack([block[0] for block in blocks]))
     constant = np.concatenate([block[1] for block in blocks])
@@ -173,20 +201,28 @@ def _clarabel(cost: np.ndarray, blocks: list[tuple[np.ndarray, np.ndarray]], tim
     settings.max_iter = 200
     settings.time_limit = max(time_limit, 1e-3)
     no_curvature = sparse.csc_matrix((len(cost), len(cost)))
-    solve: Callable[[], Any] = clarabel.DefaultSolver(no_curvature, cost, rows, constant, cones, settings).solve
+    solve: Callable[[], Any] = clarabel.DefaultSolver(
+        no_curvature, cost, rows, constant, cones, settings
+    ).solve
     solution = solve()
     status = str(solution.status)
     if status not in ("Solved", "AlmostSolved", "InsufficientProgress"):
-        raise NumericalFailure(f"the solver of the matrix inequalities ended with {status} after {solution.iterations} steps")
+        raise NumericalFailure(
+            f"the solver of the matrix inequalities ended with {status} after "
+            f"{solution.iterations} steps"
+        )
     return np.array(solution.x)
 
 
 def _controller(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> Matrices:
     """The controller at gamma = 1 in closed form, from strictly feasible R and S.
 
-    The closed loop's matrix inequality is Psi + P^T K Q + Q^T K^T P < 0 with its certificate [S W; W W], W = S - R^-1.
+    The closed loop's matrix inequality is Psi + P^T K Q + Q^T K^T P < 0 with its certificate [S W;
+    W W], W = S - R^-1.
     """
-    n, m, p = len(plant.A), plant.B2.shape[1], len(plant.C2)
+    n = len(plant.A)
+    m = plant.B2.shape[1]
+    p = len(plant.C2)
     r, q = len(plant.C1), plant.B1.shape[1]
     W = S - np.linalg.inv(R)
     W = (W + W.T) / 2
@@ -197,7 +233,9 @@ def _controller(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> Matrices:
     B_u = np.block([[zero, plant.B2], [np.eye(n), np.zeros((n, m))]])
     C_y = np.block([[zero, np.eye(n)], [plant.C2, np.zeros((p, n))]])
     XA = X @ A
-    Psi = np.block([[XA + XA.T, X @ B, C.T], [B.T @ X, -np.eye(q), plant.D11.T], [C, plant.D11, -np.eye(r)]])
+    Psi = np.block(
+        [[XA + XA.T, X @ B, C.T], [B.T @ X, -np.eye(q), plant.D11.T], [C, plant.D11, -np.eye(r)]]
+    )
     P = np.hstack([B_u.T @ X, np.zeros((n + m, q)), np.vstack([np.zeros((n, r)), plant.D12.T])])
     Q = np.hstack([C_y, np.vstack([np.zeros((n, q)), plant.D21]), np.zeros((n + p, r))])
     K = _iwasaki_skelton(Psi, P.T, Q)
@@ -205,14 +243,17 @@ def _controller(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> Matrices:
 
 
 def _iwasaki_skelton(Psi: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """K with Psi + B K C + (B K C)^T < 0: K = -w B^T Phi C^T (C Phi C^T)^-1, Phi = (w B B^T - Psi)^-1 > 0, B orthonormal.
+    """K with Psi + B K C + (B K C)^T < 0: K = -w B^T Phi C^T (C Phi C^T)^-1, Phi = (w B B^T -
+    Psi)^-1 > 0, B orthonormal.
 
-    Phi is put together from its blocks along B and across it, for w may be many decades above the rest. Raises
-    NumericalFailure when there is none to working precision.
+    Phi is put together from its blocks along B and across it, for w may be many decades above the
+    rest. Raises NumericalFailure when there is none to working precision.
     """
     U, s, Vt = np.linalg.svd(B)
     k = int((s > 1e-12 * s[0]).sum())
-    along, across, back = U[:, :k], U[:, k:], Vt[:k].T / s[:k]
+    along = U[:, :k]
+    across = U[:, k:]
+    back = Vt[:k].T / s[:k]
     V, s, Wt = np.linalg.svd(C, full_matrices=False)
     keep = s > 1e-12 * s[0]
     C_full, C_back = Wt[keep], (V[:, keep] / s[keep]).T

@@ -1,7 +1,9 @@
-"""Families over a box of tolerances: worst-case unbalance by search and by bound, and pulse responses of its members.
+"""Families over a box of tolerances: worst-case unbalance by search and by bound, and pulse
+responses of its members.
 
-The loop is closed once with the uncertain parameters pulled out; every member of the family is then a small correction to it
-(``core.box``). The plant may be full, or reduced, or the members be those of many speeds, one after the other.
+The loop is closed once with the uncertain parameters pulled out; every member of the family is then
+a small correction to it (``core.box``). The plant may be full, or reduced, or the members be those
+of many speeds, one after the other.
 """
 
 from __future__ import annotations
@@ -18,8 +20,8 @@ from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case.bounds import gain_bound
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, box_points, gains, perturbed_matrix
 from ambrose.core.worst_case.search import worst_gain_at
-from ambrose.machine.description import Tolerance
 from ambrose.law.loop import Law, match_controller
+from ambrose.machine.description import Tolerance
 from ambrose.model.plant import Plant
 from ambrose.model.unbalance import Unbalance, residual_unbalance
 from ambrose.model.uncertainty import uncertain
@@ -35,14 +37,20 @@ def loop_over_box(
     outputs: Sequence[str],
     tolerances: Sequence[Tolerance] | None = None,
 ) -> BoxLoop:
-    """The closed loop from inputs (f_<port> [N]) to outputs (q_, qdot_, y_, i_ of the plant), its tolerances pulled out.
+    """The closed loop from inputs (f_<port> [N]) to outputs (q_, qdot_, y_, i_ of the plant), its
+    tolerances pulled out.
 
-    controller: err -> u, continuous. tolerances: default the machine's. Raises InvalidInput for unknown signals or a sampled
-    controller, UnstableSystem where the nominal loop is unstable.
+    controller: err -> u, continuous. tolerances: default the machine's. Raises InvalidInput for
+    unknown signals or a sampled controller, UnstableSystem where the nominal loop is unstable.
     """
     K = match_controller(controller, plant)
     if K.dt is not None:
-        raise invalid("the controller", repr(K), "continuous", "give the one that the sampled controller was made from")
+        raise invalid(
+            "the controller",
+            repr(K),
+            "continuous",
+            "give the one that the sampled controller was made from",
+        )
     model = uncertain(plant, tolerances)
     w, z = model.w[: model.n_w_blocks], model.z[: model.n_z_blocks]
     u, y = list(plant.named("u")), list(plant.named("y"))
@@ -57,9 +65,11 @@ def loop_over_box(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxUnbalance:
-    """Unbalance orbits over a box [m], all (w,): nominal, the largest found by search, and an upper bound by mixed mu.
+    """Unbalance orbits over a box [m], all (w,): nominal, the largest found by search, and an upper
+    bound by mixed mu.
 
-    speeds (w,) [rad/s]; delta (w, k): where each largest one was found. The bound is NaN where it was not asked for.
+    speeds (w,) [rad/s]; delta (w, k): where each largest one was found. The bound is NaN where it
+    was not asked for.
     """
 
     speeds: np.ndarray
@@ -78,10 +88,12 @@ def unbalance_over_box(
     tolerances: Sequence[Tolerance] | None = None,
     bound: bool = True,
 ) -> BoxUnbalance:
-    """Largest singular value of the compliance between the bearings times the unbalance force, the worst over the box.
+    """Largest singular value of the compliance between the bearings times the unbalance force, the
+    worst over the box.
 
-    plant: frozen at its own speed, or speed [rad/s] -> Plant. speeds (w,) [rad/s]: of rotation, ascending. residual: default
-    that of the machine's balance grade. Source: Lauridsen 2017, paper P3, (14). Raises InvalidInput and UnstableSystem.
+    plant: frozen at its own speed, or speed [rad/s] -> Plant. speeds (w,) [rad/s]: of rotation,
+    ascending. residual: default that of the machine's balance grade. Source: Lauridsen 2017, paper
+    P3, (14). Raises InvalidInput and UnstableSystem.
     """
     speeds = check_shape(speeds, "speeds", "(w,)").astype(float)
     if not callable(plant):
@@ -102,23 +114,31 @@ def unbalance_over_box(
         limit = gain_bound(loop, here, least) if bound else np.nan
         rows.append((nominal * force, least * force, limit * force, worst.delta))
     nominal, found, limits, delta = zip(*rows, strict=True)
-    return BoxUnbalance(speeds, np.array(nominal), np.array(found), np.array(limits), np.array(delta))
+    return BoxUnbalance(
+        speeds, np.array(nominal), np.array(found), np.array(limits), np.array(delta)
+    )
 
 
 def _compliance(plant: Plant, controller: Law, tolerances: Sequence[Tolerance] | None) -> BoxLoop:
-    return loop_over_box(plant, controller, plant.bearing_named("f"), plant.bearing_named("q"), tolerances)
+    return loop_over_box(
+        plant, controller, plant.bearing_named("f"), plant.bearing_named("q"), tolerances
+    )
 
 
 def _residual(plant: Plant, residual: Unbalance | None) -> Unbalance:
     found = residual_unbalance(plant.machine) if residual is None else residual
     if found is None:
-        raise InvalidInput("no balancing speed is known; give requirements.balance_speed or a speed range")
+        raise InvalidInput(
+            "no balancing speed is known; give requirements.balance_speed or a speed range"
+        )
     return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PulseFamily:
-    """time (t,) [s]; responses (d, p, t) of the members delta (d, k) at the named outputs; stable (d,)."""
+    """time (t,) [s]; responses (d, p, t) of the members delta (d, k) at the named outputs; stable
+    (d,).
+    """
 
     time: np.ndarray
     responses: np.ndarray
@@ -127,7 +147,9 @@ class PulseFamily:
     outputs: tuple[str, ...]
 
     def settling(self, band: float = 0.02, outputs: Sequence[str] | None = None) -> np.ndarray:
-        """Time (d,) [s] after which the outputs stay within ``band`` [-] of the member's largest value; infinite if never."""
+        """Time (d,) [s] after which the outputs stay within ``band`` [-] of the member's largest
+        value; infinite if never.
+        """
         keep = [self.outputs.index(name) for name in (self.outputs if outputs is None else outputs)]
         size = np.abs(self.responses[:, keep]).max(axis=1)
         outside = size > band * size.max(axis=1, keepdims=True)
@@ -151,19 +173,29 @@ def pulse_family(
     step: float = 1e-4,
     tolerances: Sequence[Tolerance] | None = None,
 ) -> PulseFamily:
-    """Responses to a rectangular force pulse at a port, of every member delta (d, k) of the box (default: ``box_points``).
+    """Responses to a rectangular force pulse at a port, of every member delta (d, k) of the box
+    (default: ``box_points``).
 
-    force [N], width [s] (infinite: a step). The pulse's edges and the samples, ``step`` [s] apart, are met exactly (matrix
-    exponentials). Raises InvalidInput, UnstableSystem.
+    force [N], width [s] (infinite: a step). The pulse's edges and the samples, ``step`` [s] apart,
+    are met exactly (matrix exponentials). Raises InvalidInput, UnstableSystem.
     """
     from scipy.linalg import expm
 
     loop = loop_over_box(plant, controller, [f"f_{port}"], outputs, tolerances)
-    members = box_points(loop.parameters) if delta is None else check_shape(delta, "delta", "(d, k)", k=loop.parameters)
+    members = (
+        box_points(loop.parameters)
+        if delta is None
+        else check_shape(delta, "delta", "(d, k)", k=loop.parameters)
+    )
     n, s = len(loop.owner), loop.system
     on = round(min(width, 2 * duration) / step)
     if width < duration and abs(on * step - width) > 1e-6 * step:
-        raise invalid("the width of the pulse [s]", width, f"a multiple of the step, {step:g} s", "change the step")
+        raise invalid(
+            "the width of the pulse [s]",
+            width,
+            f"a multiple of the step, {step:g} s",
+            "change the step",
+        )
     time = np.arange(round(duration / step) + 1) * step
     found = np.empty((len(members), len(outputs), len(time)))
     stable = np.empty(len(members), bool)

@@ -1,14 +1,16 @@
-"""Annular gas seals from geometry and operating condition: leakage and K, k, C, c against whirl frequency.
+"""Annular gas seals from geometry and operating condition: leakage and K, k, C, c against whirl
+frequency.
 
-The two-control-volume bulk-flow model of Kleynhans & Childs (1997, ASME J. Eng. Gas Turbines Power 119, 949-956) and of
-Ha & Childs (1994), isothermal; with holes of zero depth it is a smooth seal (Nelson 1985). ``bulkflow_static`` has the
-zeroth-order flow, ``bulkflow_whirl`` the first-order one. For the whirl x + j y = r e^{j w t} the clearance changes by
--r e^{j(w t - theta)} and the force on the rotor is
+The two-control-volume bulk-flow model of Kleynhans & Childs (1997, ASME J. Eng. Gas Turbines Power
+119, 949-956) and of Ha & Childs (1994), isothermal; with holes of zero depth it is a smooth seal
+(Nelson 1985). ``bulkflow_static`` has the zeroth-order flow, ``bulkflow_whirl`` the first-order
+one. For the whirl x + j y = r e^{j w t} the clearance changes by -r e^{j(w t - theta)} and the
+force on the rotor is
 
     f_x + j f_y = -pi R int p dz = -Z(w) r e^{j w t},   Z(w) = K + c w + j (C w - k),
 
-so that forward and backward whirl, Z(w) and Z(-w), give the four coefficients. The shear on the rotor is left out: it is
-smaller by the clearance over the radius.
+so that forward and backward whirl, Z(w) and Z(-w), give the four coefficients. The shear on the
+rotor is left out: it is smaller by the clearance over the radius.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ _GRID_ERROR = 1e-3  # between the grid and half of it
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """Blasius' law of a wall: Fanning factor f = coefficient Re^exponent, Re = 2 rho H V/mu, tau = f rho V^2/2."""
+    """Blasius' law of a wall: Fanning factor f = coefficient Re^exponent, Re = 2 rho H V/mu, tau =
+    f rho V^2/2.
+    """
 
     coefficient: float = 0.079
     exponent: float = -0.25
@@ -39,10 +43,12 @@ class Friction:
 
 @dataclass(frozen=True, slots=True)
 class SealGeometry:
-    """An annular seal: length, rotor diameter, radial clearances, hole_depth [m], hole_area_ratio of holes to stator wall [-].
+    """An annular seal: length, rotor diameter, radial clearances, hole_depth [m], hole_area_ratio
+    of holes to stator wall [-].
 
-    Friction of the walls (Blasius' smooth wall by default), inlet_loss [-] in p_in - p(0) = (1 + inlet_loss) rho W^2/2 and
-    exit_recovery [-], the share of rho W^2/2 that becomes pressure again behind the exit.
+    Friction of the walls (Blasius' smooth wall by default), inlet_loss [-] in p_in - p(0) = (1 +
+    inlet_loss) rho W^2/2 and exit_recovery [-], the share of rho W^2/2 that becomes pressure again
+    behind the exit.
     """
 
     length: float
@@ -58,27 +64,55 @@ class SealGeometry:
 
     def __post_init__(self) -> None:
         for name in ("length", "diameter", "inlet_clearance", "exit_clearance"):
-            check_positive(getattr(self, name), f"the {name} [m] of the seal", "give it in metres; clearances are radial")
+            check_positive(
+                getattr(self, name),
+                f"the {name} [m] of the seal",
+                "give it in metres; clearances are radial",
+            )
         for name in ("hole_depth", "hole_area_ratio", "inlet_loss", "exit_recovery"):
-            check_positive(getattr(self, name), f"the {name} of the seal", "0 stands for none", zero_allowed=True)
+            check_positive(
+                getattr(self, name),
+                f"the {name} of the seal",
+                "0 stands for none",
+                zero_allowed=True,
+            )
         for name in ("hole_area_ratio", "exit_recovery"):
             if getattr(self, name) > 1:
-                raise invalid(f"the {name} of the seal", getattr(self, name), "between 0 and 1", "it is a share")
+                raise invalid(
+                    f"the {name} of the seal",
+                    getattr(self, name),
+                    "between 0 and 1",
+                    "it is a share",
+                )
         if 2 * max(self.inlet_clearance, self.exit_clearance) > 0.1 * self.diameter:
             clearance = max(self.inlet_clearance, self.exit_clearance)
             raise invalid(
-                "the clearance [m] of the seal", clearance, "below 5 % of its diameter", "check its unit; it is radial"
+                "the clearance [m] of the seal",
+                clearance,
+                "below 5 % of its diameter",
+                "check its unit; it is radial",
             )
         for wall in ("rotor_friction", "stator_friction"):
             friction = getattr(self, wall)
-            check_positive(friction.coefficient, f"the coefficient of the seal's {wall}", "Blasius' smooth wall has 0.079")
+            check_positive(
+                friction.coefficient,
+                f"the coefficient of the seal's {wall}",
+                "Blasius' smooth wall has 0.079",
+            )
             if not -1 <= friction.exponent <= 1:
-                raise invalid(f"the exponent of the seal's {wall}", friction.exponent, "within -1 to 1", "-0.25 is Blasius'")
+                raise invalid(
+                    f"the exponent of the seal's {wall}",
+                    friction.exponent,
+                    "within -1 to 1",
+                    "-0.25 is Blasius'",
+                )
 
 
 @dataclass(frozen=True, slots=True)
 class Gas:
-    """gas_constant [J/(kg K)], viscosity [Pa s], compressibility Z [-]: p = Z gas_constant T rho."""
+    """gas_constant [J/(kg K)], viscosity [Pa s], compressibility Z [-]: p = Z gas_constant T
+    rho.
+    """
 
     gas_constant: float
     viscosity: float
@@ -90,16 +124,22 @@ class Gas:
 
 
 def air(temperature: float, compressibility: float = 1.0) -> Gas:
-    """Dry air at a temperature [K], viscosity by Sutherland's law (1.716e-5 Pa s at 273.15 K, constant 110.4 K)."""
+    """Dry air at a temperature [K], viscosity by Sutherland's law (1.716e-5 Pa s at 273.15 K,
+    constant 110.4 K).
+    """
     T = check_positive(temperature, "the temperature [K] of the air", "give it in kelvin")
-    return Gas(287.05, 1.716e-5 * (T / 273.15) ** 1.5 * (273.15 + 110.4) / (T + 110.4), compressibility)
+    return Gas(
+        287.05, 1.716e-5 * (T / 273.15) ** 1.5 * (273.15 + 110.4) / (T + 110.4), compressibility
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class SealCondition:
-    """Absolute pressures before and behind the seal [Pa], temperature [K], speed [rad/s], and the gas.
+    """Absolute pressures before and behind the seal [Pa], temperature [K], speed [rad/s], and the
+    gas.
 
-    preswirl [-]: circumferential velocity of the gas at the inlet over the rotor's surface speed, positive with the spin.
+    preswirl [-]: circumferential velocity of the gas at the inlet over the rotor's surface speed,
+    positive with the spin.
     """
 
     inlet_pressure: float
@@ -111,31 +151,49 @@ class SealCondition:
 
     def __post_init__(self) -> None:
         for name in ("inlet_pressure", "exit_pressure", "temperature"):
-            check_positive(getattr(self, name), f"the {name} of the seal", "give an absolute value in SI units")
+            check_positive(
+                getattr(self, name), f"the {name} of the seal", "give an absolute value in SI units"
+            )
         check_positive(
-            self.speed, "the speed [rad/s] at the seal", "turn the frame so that the spin is positive", zero_allowed=True
+            self.speed,
+            "the speed [rad/s] at the seal",
+            "turn the frame so that the spin is positive",
+            zero_allowed=True,
         )
         if not self.exit_pressure < self.inlet_pressure:
             required = f"below the inlet pressure {self.inlet_pressure:g}"
             raise invalid(
-                "the exit_pressure [Pa] of the seal", self.exit_pressure, required, "swap the sides; the flow would reverse"
+                "the exit_pressure [Pa] of the seal",
+                self.exit_pressure,
+                required,
+                "swap the sides; the flow would reverse",
             )
         if not abs(self.preswirl) <= _PRESWIRL:
             required = f"within {-_PRESWIRL:g} to {_PRESWIRL:g}"
             raise invalid(
-                "the preswirl [-] of the seal", self.preswirl, required, "divide the inlet swirl by the surface speed"
+                "the preswirl [-] of the seal",
+                self.preswirl,
+                required,
+                "divide the inlet swirl by the surface speed",
             )
         if self.preswirl and not self.speed:
-            raise invalid("the preswirl [-] of the seal", self.preswirl, "0 at rest", "it is a share of the surface speed")
+            raise invalid(
+                "the preswirl [-] of the seal",
+                self.preswirl,
+                "0 at rest",
+                "it is a share of the surface speed",
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BulkFlow:
-    """Coefficients (w,) at the frequencies (w,) [rad/s], K, k [N/m], C, c [N s/m], and the flow they belong to.
+    """Coefficients (w,) at the frequencies (w,) [rad/s], K, k [N/m], C, c [N s/m], and the flow
+    they belong to.
 
-    f = -([[K, k], [-k, K]] x + [[C, c], [-c, C]] x'). leakage [kg/s]; profiles along z [m]: pressure [Pa], swirl and axial
-    velocity [m/s], (s,). exit_mach [-]: isothermal Mach number at the exit. reynolds [-]: axial, 2 rho H W/mu. grid_error [-]:
-    largest change of Z(w) from half as many cells, relative; the error itself is about a fifteenth of it.
+    f = -([[K, k], [-k, K]] x + [[C, c], [-c, C]] x'). leakage [kg/s]; profiles along z [m]:
+    pressure [Pa], swirl and axial velocity [m/s], (s,). exit_mach [-]: isothermal Mach number at
+    the exit. reynolds [-]: axial, 2 rho H W/mu. grid_error [-]: largest change of Z(w) from half as
+    many cells, relative; the error itself is about a fifteenth of it.
     """
 
     frequencies: np.ndarray
@@ -163,17 +221,23 @@ class BulkFlow:
         return self.K + 1j * self.frequencies * self.C, self.k + 1j * self.frequencies * self.c
 
 
-def bulk_flow(geometry: SealGeometry, condition: SealCondition, frequencies: ArrayLike, cells: int = 100) -> BulkFlow:
+def bulk_flow(
+    geometry: SealGeometry, condition: SealCondition, frequencies: ArrayLike, cells: int = 100
+) -> BulkFlow:
     """Leakage and frequency-dependent coefficients of an annular gas seal.
 
-    frequencies (w,) [rad/s]: whirl frequencies, positive. cells: of the axial grid, even; the result is checked against half of
-    them. Raises InvalidInput (reverse or choked flow among others), NumericalFailure (no flow found, or the grid too coarse).
+    frequencies (w,) [rad/s]: whirl frequencies, positive. cells: of the axial grid, even; the
+    result is checked against half of them. Raises InvalidInput (reverse or choked flow among
+    others), NumericalFailure (no flow found, or the grid too coarse).
     """
     omega = check_shape(np.atleast_1d(frequencies), "frequencies", "(w,)").astype(float)
     if omega.size == 0 or omega.min() <= 0:
         value = omega.min() if omega.size else "empty"
         raise invalid(
-            "the lowest whirl frequency [rad/s]", value, "positive", "take the limit from a low frequency, 1 rad/s say"
+            "the lowest whirl frequency [rad/s]",
+            value,
+            "positive",
+            "take the limit from a low frequency, 1 rad/s say",
         )
     if cells < 4 or cells % 2:
         raise invalid("the number of cells", cells, "even and at least 4", "100 is the default")
@@ -183,7 +247,8 @@ def bulk_flow(geometry: SealGeometry, condition: SealCondition, frequencies: Arr
     error = float(np.max(np.abs(Z - coarse) / np.abs(Z)))
     if not error < _GRID_ERROR:
         raise NumericalFailure(
-            f"Z(w) of the seal changes by {error:.1e} from {cells // 2} to {cells} cells, more than {_GRID_ERROR:g}; "
+            f"Z(w) of the seal changes by {error:.1e} from {cells // 2} to {cells} cells, more "
+            f"than {_GRID_ERROR:g}; "
             f"use more cells, or stay away from choking (exit Mach number {_mach(walls, flow):.3f})"
         )
     forward, backward = Z
@@ -211,10 +276,11 @@ def seal_table(
     speeds: Sequence[float] | None = None,
     pressures: Sequence[float] | None = None,
 ) -> SealTable:
-    """K, k, C, c over whirl frequencies [rad/s] and, where given, speeds [rad/s] and pressure drops [Pa], for a machine's seal.
+    """K, k, C, c over whirl frequencies [rad/s] and, where given, speeds [rad/s] and pressure drops
+    [Pa], for a machine's seal.
 
-    All ascending. A pressure drop is reached by the inlet pressure; the exit pressure stays the condition's.
-    Raises as ``bulk_flow``.
+    All ascending. A pressure drop is reached by the inlet pressure; the exit pressure stays the
+    condition's. Raises as ``bulk_flow``.
     """
     axes: list[tuple[str, tuple[float, ...]]] = []
     for name, given in (("pressure", pressures), ("speed", speeds), ("frequency", frequencies)):
@@ -222,7 +288,12 @@ def seal_table(
             continue
         grid = check_shape(given, f"the {name} axis of the seal table", "(n,)").astype(float)
         if grid.size == 0 or (np.diff(grid) <= 0).any():
-            raise invalid(f"the {name} axis of the seal table", grid.tolist(), "ascending", "sort it and drop repeated values")
+            raise invalid(
+                f"the {name} axis of the seal table",
+                grid.tolist(),
+                "ascending",
+                "sort it and drop repeated values",
+            )
         axes.append((name, tuple(grid.tolist())))
     drops = [condition.inlet_pressure - condition.exit_pressure] if pressures is None else pressures
     grids: dict[str, list] = {name: [] for name in "KkCc"}
@@ -233,7 +304,10 @@ def seal_table(
             for name, values in grids.items():
                 values.append(getattr(result, name))
     shape = tuple(len(grid) for _, grid in axes)
-    return SealTable(tuple(axes), tuple((name, np.reshape(values, shape).tolist()) for name, values in grids.items()))
+    return SealTable(
+        tuple(axes),
+        tuple((name, np.reshape(values, shape).tolist()) for name, values in grids.items()),
+    )
 
 
 def _walls(geometry: SealGeometry, condition: SealCondition) -> Walls:

@@ -1,8 +1,9 @@
 """The free rotor: finite elements of a stepped shaft with rigid discs, and its modes.
 
-Coordinates per node: [x, y, alpha, beta], alpha and beta the rotations about x and y, so that x' = beta and y' = -alpha where
-there is no shear. M q'' + Omega G q' + K q = f, spin positive from x to y, G skew. Attachments need not lie on nodes: the
-elements' shape functions interpolate. The planes decouple at standstill; ``plane_*`` matrices act on [w, theta] per node.
+Coordinates per node: [x, y, alpha, beta], alpha and beta the rotations about x and y, so that x' =
+beta and y' = -alpha where there is no shear. M q'' + Omega G q' + K q = f, spin positive from x to
+y, G skew. Attachments need not lie on nodes: the elements' shape functions interpolate. The planes
+decouple at standstill; ``plane_*`` matrices act on [w, theta] per node.
 """
 
 from __future__ import annotations
@@ -23,26 +24,29 @@ from ambrose.model.effects.beam import BeamElement, beam_element, conical_elemen
 
 STANDARD_GRAVITY = 9.80665  # [m/s2]
 
-# plane -> index of the deflection and of the rotation within a node, sign of the rotation (y' = -alpha)
+# plane -> index of the deflection and of the rotation within a node, sign of the rotation (y' =
+# -alpha)
 _PLANES = {"x": (0, 3, 1.0), "y": (1, 2, -1.0)}
 _RESIDUAL_SHIFT = 0.01  # of the first bending mode's square
 _DEPENDENT = 1e-8  # of a load's own part of the residual displacements, below which it has none
-_CHORD = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0]])  # rotations at both ends, of their difference and their sum
+# rotations at both ends, of their difference and their sum
+_CHORD = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rotor(Presented):
     """A rotor of N nodes without bearings.
 
-    positions (N,) [m]: the nodes. plane_mass, plane_gyroscopic, plane_stiffness (2N, 2N), all symmetric, in [w, theta] per
-    node: with z = w_x + j w_y they give M z'' - j Omega G z' + K z = f. shear (N-1,) [-]: phi of the elements' shape functions
-    (beam.shape). bending (N-1, 2, 2) [N m]: the elements' stiffness against the difference and the sum of the rotations at
-    their ends, as seen from their chords. corrected (2N, m), correction (m,) [1/s2]: M phi of the m bending modes of which the
-    machine states a measured frequency, and by how much its square is above that of shaft and discs; plane_stiffness has
-    it, so that the modes keep their shapes.
+    positions (N,) [m]: the nodes. plane_mass, plane_gyroscopic, plane_stiffness (2N, 2N), all
+    symmetric, in [w, theta] per node: with z = w_x + j w_y they give M z'' - j Omega G z' + K z =
+    f. shear (N-1,) [-]: phi of the elements' shape functions (beam.shape). bending (N-1, 2, 2) [N
+    m]: the elements' stiffness against the difference and the sum of the rotations at their ends,
+    as seen from their chords. corrected (2N, m), correction (m,) [1/s2]: M phi of the m bending
+    modes of which the machine states a measured frequency, and by how much its square is above that
+    of shaft and discs; plane_stiffness has it, so that the modes keep their shapes.
 
-    mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node are made anew at every reading: nothing but tests
-    needs them.
+    mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node are made anew at every
+    reading: nothing but tests needs them.
     """
 
     positions: np.ndarray
@@ -77,9 +81,11 @@ class Rotor(Presented):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class MassProperties(Presented):
-    """mass [kg], centre [m] axial coordinate of the centre of mass, diametral_inertia about it and polar_inertia [kg m2].
+    """mass [kg], centre [m] axial coordinate of the centre of mass, diametral_inertia about it and
+    polar_inertia [kg m2].
 
-    As the rotor's matrices have them: "bernoulli-euler" leaves the rotary inertia of the shaft out of diametral_inertia.
+    As the rotor's matrices have them: "bernoulli-euler" leaves the rotary inertia of the shaft out
+    of diametral_inertia.
     """
 
     mass: float
@@ -92,9 +98,9 @@ class MassProperties(Presented):
 class FreeModes:
     """Modes of the free rotor at standstill, real and mass-orthonormal.
 
-    shapes (4N, 4 + 2 n): translation along x and y, tilting of the x and y planes about the centre of mass (exact; the right
-    end moves in the positive direction), then the n bending shapes by ascending frequency, each in x and in y (the left end
-    moves in the positive direction).
+    shapes (4N, 4 + 2 n): translation along x and y, tilting of the x and y planes about the centre
+    of mass (exact; the right end moves in the positive direction), then the n bending shapes by
+    ascending frequency, each in x and in y (the left end moves in the positive direction).
     frequencies (4 + 2 n,) [rad/s]: zeros for the rigid modes.
     """
 
@@ -111,20 +117,28 @@ class FreeModes:
 
 
 def finite_element_rotor(machine: MachineDescription) -> Rotor:
-    """Assemble the shaft (``elements`` equal elements per section) and the discs of a machine; N = all elements + 1.
+    """Assemble the shaft (``elements`` equal elements per section) and the discs of a machine; N =
+    all elements + 1.
 
-    Discs may lie between nodes: their inertia is spread by the shape functions. Bending modes of which the machine states a
-    measured frequency have it. Assembled once: machines of the same shaft and discs share one rotor, whose arrays are
-    read-only. Raises InvalidInput where a measured frequency would change the order of the modes.
+    Discs may lie between nodes: their inertia is spread by the shape functions. Bending modes of
+    which the machine states a measured frequency have it. Assembled once: machines of the same
+    shaft and discs share one rotor, whose arrays are read-only. Raises InvalidInput where a
+    measured frequency would change the order of the modes.
     """
     rotor = _rotor(machine.shaft, machine.discs, machine.beam_theory)
-    measured = tuple((mode.number, mode.frequency) for mode in machine.bending_modes if mode.frequency is not None)
+    measured = tuple(
+        (mode.number, mode.frequency)
+        for mode in machine.bending_modes
+        if mode.frequency is not None
+    )
     return _with_frequencies(rotor, tuple(sorted(measured))) if measured else rotor
 
 
 @lru_cache(maxsize=8)
 def _with_frequencies(rotor: Rotor, measured: tuple[tuple[int, float], ...]) -> Rotor:
-    """The rotor with bending modes (number, frequency [rad/s]) as measured: K + sum (w^2 - w_0^2) M phi phi' M."""
+    """The rotor with bending modes (number, frequency [rad/s]) as measured: K + sum (w^2 - w_0^2) M
+    phi phi' M.
+    """
     numbers = [number for number, _ in measured]
     own, shapes = _plane_bending(rotor, min(max(numbers) + 1, 2 * rotor.n_nodes - 2))
     found = own.copy()
@@ -135,12 +149,17 @@ def _with_frequencies(rotor: Rotor, measured: tuple[tuple[int, float], ...]) -> 
         low = found[number - 2] if number > 1 else 0.0
         high = found[number] if number < len(found) else np.inf
         raise invalid(
-            f"the frequency of [[bending_mode]] {number}", f"{frequency / (2 * np.pi):g} Hz",
-            f"between those of its neighbours, {low / (2 * np.pi):.4g} and {high / (2 * np.pi):.4g} Hz",
+            f"the frequency of [[bending_mode]] {number}",
+            f"{frequency / (2 * np.pi):g} Hz",
+            f"between those of its neighbours, {low / (2 * np.pi):.4g} and "
+            f"{high / (2 * np.pi):.4g} Hz",
             "check which mode was measured, or correct the shaft",
-        )  # fmt: skip
+        )
     places = [number - 1 for number in numbers]
-    corrected, correction = rotor.plane_mass @ shapes[:, places], found[places] ** 2 - own[places] ** 2
+    corrected, correction = (
+        rotor.plane_mass @ shapes[:, places],
+        found[places] ** 2 - own[places] ** 2,
+    )
     stiffness = rotor.plane_stiffness + (corrected * correction) @ corrected.T
     for array in (corrected, correction, stiffness):
         array.flags.writeable = False
@@ -153,16 +172,21 @@ def _rotor(shaft: tuple[ShaftSection, ...], discs: tuple[Disc, ...], theory: str
     mass, gyroscopic = _add_discs(element, positions, discs)
     bending = _CHORD.T @ element.stiffness[:, 1::2, 1::2] @ _CHORD
     arrays = (
-        positions, *(_assemble(part) for part in (mass, gyroscopic, element.stiffness)), element.shear, bending,
-        np.zeros((2 * len(positions), 0)), np.zeros(0),
-    )  # fmt: skip
+        positions,
+        *(_assemble(part) for part in (mass, gyroscopic, element.stiffness)),
+        element.shear,
+        bending,
+        np.zeros((2 * len(positions), 0)),
+        np.zeros(0),
+    )
     for array in arrays:
         array.flags.writeable = False
     return Rotor(*arrays)
 
 
 def displacement_row(rotor: Rotor, position: float, direction_angle: float) -> np.ndarray:
-    """The row (4N,) that reads the displacement [m] at an axial position [m] along a direction; transposed, it applies a force.
+    """The row (4N,) that reads the displacement [m] at an axial position [m] along a direction;
+    transposed, it applies a force.
 
     direction_angle [rad] from x towards y. Raises InvalidInput off the shaft.
     """
@@ -171,7 +195,8 @@ def displacement_row(rotor: Rotor, position: float, direction_angle: float) -> n
 
 
 def plane_rows(rotor: Rotor, positions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Rows that read deflection w (p, 2N) and cross-section rotation theta (p, 2N) from [w, theta] per node, anywhere.
+    """Rows that read deflection w (p, 2N) and cross-section rotation theta (p, 2N) from [w, theta]
+    per node, anywhere.
 
     positions (p,) [m]. Raises InvalidInput off the shaft.
     """
@@ -182,22 +207,30 @@ def plane_rows(rotor: Rotor, positions: ArrayLike) -> tuple[np.ndarray, np.ndarr
     return w, theta
 
 
-def _local_rows(nodes: np.ndarray, shear: np.ndarray, positions: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The element (p,) in which each axial position [m] lies, and its rows w (p, 4) and theta (p, 4) there."""
+def _local_rows(
+    nodes: np.ndarray, shear: np.ndarray, positions: ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The element (p,) in which each axial position [m] lies, and its rows w (p, 4) and theta (p,
+    4) there.
+    """
     at = np.atleast_1d(check_finite(positions, "the axial position [m]")).astype(float)
     start, end = nodes[0], nodes[-1]
     slack = 1e-9 * (end - start)
     off = (at < start - slack) | (at > end + slack)
     if off.any():
         found, span = f"{at[off][0]:g} m", f"on the shaft, from {start:g} to {end:g} m"
-        raise invalid("the axial position", found, span, "move the attachment or lengthen the shaft")
+        raise invalid(
+            "the axial position", found, span, "move the attachment or lengthen the shaft"
+        )
     e = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
     length = np.diff(nodes)[e]
     return e, *shape(np.clip((at - nodes[e]) / length, 0.0, 1.0), length, shear[e])
 
 
 def to_plane(vector: np.ndarray, plane: str) -> np.ndarray:
-    """Coordinates (2N, ...) in [w, theta] per node of the "x" or "y" plane, as coordinates (4N, ...) of the whole rotor."""
+    """Coordinates (2N, ...) in [w, theta] per node of the "x" or "y" plane, as coordinates (4N,
+    ...) of the whole rotor.
+    """
     whole = np.zeros((2 * vector.shape[0], *vector.shape[1:]))
     deflection, rotation, sign = _PLANES[plane]
     whole[deflection::4] = vector[0::2]
@@ -219,10 +252,14 @@ def mass_properties(rotor: Rotor) -> MassProperties:
     )
 
 
-def gravity_load(rotor: Rotor, direction: float | None, acceleration: float = STANDARD_GRAVITY) -> np.ndarray:
-    """The rotor's weight (4N,) [N, N m] on its coordinates: M times the acceleration of free fall [m/s2].
+def gravity_load(
+    rotor: Rotor, direction: float | None, acceleration: float = STANDARD_GRAVITY
+) -> np.ndarray:
+    """The rotor's weight (4N,) [N, N m] on its coordinates: M times the acceleration of free fall
+    [m/s2].
 
-    direction [rad] from x towards y, -pi/2 for down along y; None: no weight. In modes: shapes.T times it.
+    direction [rad] from x towards y, -pi/2 for down along y; None: no weight. In modes: shapes.T
+    times it.
     """
     load = np.zeros(4 * rotor.n_nodes)
     if direction is not None:
@@ -233,7 +270,8 @@ def gravity_load(rotor: Rotor, direction: float | None, acceleration: float = ST
 
 
 def free_bending_frequencies(rotor: Rotor, count: int) -> np.ndarray:
-    """The lowest ``count`` free-free bending frequencies at standstill (count,) [rad/s], each once though both planes have it.
+    """The lowest ``count`` free-free bending frequencies at standstill (count,) [rad/s], each once
+    though both planes have it.
 
     Raises InvalidInput when ``count`` exceeds what the mesh has (2N - 2).
     """
@@ -242,15 +280,20 @@ def free_bending_frequencies(rotor: Rotor, count: int) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
-    """Rigid modes (exact) and the lowest ``n_bending`` bending modes of each plane of the free rotor at standstill.
+    """Rigid modes (exact) and the lowest ``n_bending`` bending modes of each plane of the free
+    rotor at standstill.
 
-    Computed once for a rotor; the arrays are read-only. Raises InvalidInput when ``n_bending`` exceeds what the mesh has
-    (2N - 2).
+    Computed once for a rotor; the arrays are read-only. Raises InvalidInput when ``n_bending``
+    exceeds what the mesh has (2N - 2).
     """
     rigid = _rigid_modes(rotor)
-    frequencies, bending = _plane_bending(rotor, n_bending) if n_bending else (np.zeros(0), np.zeros((len(rigid), 0)))
+    frequencies, bending = (
+        _plane_bending(rotor, n_bending) if n_bending else (np.zeros(0), np.zeros((len(rigid), 0)))
+    )
     plane = np.hstack([rigid, bending])
-    shapes = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(2 * len(plane), -1)
+    shapes = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(
+        2 * len(plane), -1
+    )
     both = np.repeat(np.concatenate([np.zeros(2), frequencies]), 2)
     for array in (shapes, both):
         array.flags.writeable = False
@@ -259,18 +302,25 @@ def free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
 
 @named_failure("the residual compliance of the rotor")
 def residual_modes(rotor: Rotor, kept: int, loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What all bending modes of one plane but the lowest ``kept`` yield to loads, as modes: frequencies (r,) [rad/s] among
-    themselves, ascending, and mass-orthonormal shapes (2N, r), r <= l.
+    """What all bending modes of one plane but the lowest ``kept`` yield to loads, as modes:
+    frequencies (r,) [rad/s] among themselves, ascending, and mass-orthonormal shapes (2N, r), r <=
+    l.
 
-    loads (l, 2N): rows as of ``plane_rows``, a load each. The static displacement X that they leave in those modes solves
-    K X = L - M Phi Phi^T L, Phi the rigid and the kept modes, within the complement of Phi, where K is regular; a shift far
-    below the kept modes makes the factorised matrix definite everywhere, and two corrections take it out again.
+    loads (l, 2N): rows as of ``plane_rows``, a load each. The static displacement X that they leave
+    in those modes solves K X = L - M Phi Phi^T L, Phi the rigid and the kept modes, within the
+    complement of Phi, where K is regular; a shift far below the kept modes makes the factorised
+    matrix definite everywhere, and two corrections take it out again.
     """
-    M, K = rotor.plane_mass, rotor.plane_stiffness - (rotor.corrected * rotor.correction) @ rotor.corrected.T
+    M, K = (
+        rotor.plane_mass,
+        rotor.plane_stiffness - (rotor.corrected * rotor.correction) @ rotor.corrected.T,
+    )
     frequencies, bending = _plane_bending(rotor, kept)
     Phi = np.hstack([_rigid_modes(rotor), bending])
     shifted = K + _RESIDUAL_SHIFT * frequencies[0] ** 2 * M
-    factor = sla.cholesky_banded([np.append(np.diag(shifted, -i), np.zeros(i)) for i in range(4)], lower=True)
+    factor = sla.cholesky_banded(
+        [np.append(np.diag(shifted, -i), np.zeros(i)) for i in range(4)], lower=True
+    )
     left = loads.T - M @ (Phi @ (Phi.T @ loads.T))
     X = np.zeros_like(left)
     for _ in range(3):
@@ -283,10 +333,17 @@ def residual_modes(rotor: Rotor, kept: int, loads: np.ndarray) -> tuple[np.ndarr
 
 
 def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (count,) [rad/s] and mass-orthonormal shapes (2N, count) of the bending modes of one plane."""
+    """Frequencies (count,) [rad/s] and mass-orthonormal shapes (2N, count) of the bending modes of
+    one plane.
+    """
     available = 2 * rotor.n_nodes - 2
     if not 0 < count <= available:
-        raise invalid("the number of bending modes", count, f"between 1 and {available}", "refine the mesh or ask for fewer")
+        raise invalid(
+            "the number of bending modes",
+            count,
+            f"between 1 and {available}",
+            "refine the mesh or ask for fewer",
+        )
     # once, however few are asked for
     frequencies, shapes = _lowest_bending(rotor, max(count, min(available, FINE_MESH_MODES)))
     return frequencies[:count], shapes[:, :count]
@@ -295,11 +352,15 @@ def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
 @lru_cache(maxsize=16)
 def _lowest_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
     M, K = rotor.plane_mass, rotor.plane_stiffness
-    # Rounding of K moves the rigid modes off zero, to either side; a shift far below the bending modes keeps them positive.
+    # Rounding of K moves the rigid modes off zero, to either side; a shift far below the bending
+    # modes keeps them positive.
     shift = 1e-10 * np.max(np.diag(K) / np.diag(M))
     _, shapes = undamped_modes(M, K + shift * M, count + 2)
-    known, shapes, frequencies = _rigid_modes(rotor), shapes[:, 2:], np.zeros(0)
-    if count > FINE_MESH_MODES:  # all 156 at once round the first by 3e-8, where 10, 26 and 64 agree to 2e-10
+    known = _rigid_modes(rotor)
+    shapes = shapes[:, 2:]
+    frequencies = np.zeros(0)
+    # all 156 at once round the first by 3e-8, where 10, 26 and 64 agree to 2e-10
+    if count > FINE_MESH_MODES:
         frequencies, lowest = _lowest_bending(rotor, FINE_MESH_MODES)
         known, shapes = np.hstack([known, lowest]), shapes[:, FINE_MESH_MODES:]
     shapes = shapes - known @ (known.T @ (M @ shapes))
@@ -309,19 +370,29 @@ def _lowest_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _strain_energy(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
-    """shapes^T K shapes (k, k), element by element: K itself has rounding errors that many short elements make large."""
-    w, theta, length = shapes[0::2], shapes[1::2], np.diff(rotor.positions)[:, None]
+    """shapes^T K shapes (k, k), element by element: K itself has rounding errors that many short
+    elements make large.
+    """
+    w = shapes[0::2]
+    theta = shapes[1::2]
+    length = np.diff(rotor.positions)[:, None]
     left, right = theta[:-1], theta[1:]
     e = np.stack([right - left, right + left - 2 * np.diff(w, axis=0) / length], axis=1)
     seen = rotor.corrected.T @ shapes
-    return np.asarray(np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1])) + seen.T @ (rotor.correction[:, None] * seen))
+    return np.asarray(
+        np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1]))
+        + seen.T @ (rotor.correction[:, None] * seen)
+    )
 
 
 def _rigid_modes(rotor: Rotor) -> np.ndarray:
     """Mass-orthonormal translation and tilting (2N, 2) of one plane."""
     properties = mass_properties(rotor)
     translation, tilt = _rigid_motions(rotor.positions, properties.centre)
-    return np.stack([translation / np.sqrt(properties.mass), tilt / np.sqrt(properties.diametral_inertia)], axis=1)
+    return np.stack(
+        [translation / np.sqrt(properties.mass), tilt / np.sqrt(properties.diametral_inertia)],
+        axis=1,
+    )
 
 
 def _rigid_motions(positions: np.ndarray, about: float) -> tuple[np.ndarray, np.ndarray]:
@@ -336,7 +407,11 @@ def _mesh(sections: tuple[ShaftSection, ...], theory: str) -> tuple[np.ndarray, 
     """Node positions (N,) [m] and the matrices of all elements."""
     count = [section.elements for section in sections]
     lengths = np.repeat([section.length / section.elements for section in sections], count)
-    middle = [section.diameters((i + 0.5) / section.elements) for section in sections for i in range(section.elements)]
+    middle = [
+        section.diameters((i + 0.5) / section.elements)
+        for section in sections
+        for i in range(section.elements)
+    ]
     outer, inner, heavy = np.array(middle).T
     element = beam_element(
         lengths,
@@ -361,22 +436,28 @@ def _make_conical(element: BeamElement, sections: tuple[ShaftSection, ...], theo
             for i in range(n):
                 ends = zip(section.diameters(i / n), section.diameters((i + 1) / n), strict=True)
                 cone = conical_element(
-                    section.length / n, *ends, density=material.density, youngs_modulus=material.youngs_modulus,
-                    poisson_ratio=material.poisson_ratio, theory=theory,
-                )  # fmt: skip
+                    section.length / n,
+                    *ends,
+                    density=material.density,
+                    youngs_modulus=material.youngs_modulus,
+                    poisson_ratio=material.poisson_ratio,
+                    theory=theory,
+                )
                 for name in ("translational", "rotary", "gyroscopic", "stiffness", "shear"):
                     getattr(element, name)[first + i] = getattr(cone, name)
         first += n
 
 
-def _add_discs(element: BeamElement, positions: np.ndarray, discs: tuple[Disc, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _add_discs(
+    element: BeamElement, positions: np.ndarray, discs: tuple[Disc, ...]
+) -> tuple[np.ndarray, np.ndarray]:
     """Mass and gyroscopic matrices (e, 4, 4) of the elements with the discs spread onto them."""
     mass, gyroscopic = element.mass, element.gyroscopic.copy()
     if discs:
         at, w, theta = _local_rows(positions, element.shear, [disc.position for disc in discs])
-        kilograms, diametral, polar = np.array([[d.mass, d.diametral_inertia, d.polar_inertia] for d in discs]).T[
-            ..., None, None
-        ]
+        kilograms, diametral, polar = np.array(
+            [[d.mass, d.diametral_inertia, d.polar_inertia] for d in discs]
+        ).T[..., None, None]
         tilting = theta[:, :, None] * theta[:, None, :]
         np.add.at(mass, at, kilograms * (w[:, :, None] * w[:, None, :]) + diametral * tilting)
         np.add.at(gyroscopic, at, polar * tilting)
@@ -384,7 +465,9 @@ def _add_discs(element: BeamElement, positions: np.ndarray, discs: tuple[Disc, .
 
 
 def _assemble(blocks: np.ndarray) -> np.ndarray:
-    """The chain of element matrices (e, 2k, 2k), k coordinates per node, as one matrix (k (e + 1), k (e + 1))."""
+    """The chain of element matrices (e, 2k, 2k), k coordinates per node, as one matrix (k (e + 1),
+    k (e + 1)).
+    """
     e, k = len(blocks), blocks.shape[1] // 2
     whole = np.zeros((e + 1, k, e + 1, k))
     left = np.arange(e)

@@ -1,4 +1,6 @@
-"""Units, scales and visible ranges of the axes that a set of curves shares. Data are never changed, only the view is chosen."""
+"""Units, scales and visible ranges of the axes that a set of curves shares. Data are never changed,
+only the view is chosen.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +11,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.report import theme, units
 from ambrose.judge.checks import Curve
+from ambrose.report import theme, units
 
-_DECADES, _OVERLAY_DECADES = 4.0, 7.0  # of a logarithmic view below its top; models differ where they are small
-_BELOW_LIMITS = 2.0  # decades below the lowest limit: what is read against limits needs the room around them
-_RUNAWAY = 8.0  # a time response this much larger than all others (an unstable loop's) does not set the view
+# of a logarithmic view below its top; models differ where they are small
+_DECADES, _OVERLAY_DECADES = 4.0, 7.0
+# decades below the lowest limit: what is read against limits needs the room around them
+_BELOW_LIMITS = 2.0
+# a time response this much larger than all others (an unstable loop's) does not set the view
+_RUNAWAY = 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """How x and y are shown: factors from SI, texts, logarithmic or not, and the visible ranges (shown units)."""
+    """How x and y are shown: factors from SI, texts, logarithmic or not, and the visible ranges
+    (shown units).
+    """
 
     x_factor: float
     x_text: str
@@ -33,7 +40,9 @@ class Axes:
 
 
 def drawn(values: ArrayLike) -> np.ndarray:
-    """Coordinates as the page carries them: every point, to seven digits (half the weight of sixteen)."""
+    """Coordinates as the page carries them: every point, to seven digits (half the weight of
+    sixteen).
+    """
     return np.asarray(values, dtype=np.float32)
 
 
@@ -42,8 +51,15 @@ def is_map(curve: Curve) -> bool:
     return curve.kind == "speed" and curve.y_unit == "rad/s"
 
 
-def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False, view: Sequence[tuple[str, Curve]] = ()) -> Axes:
-    """The common axes of curves of one kind and unit; ``view``: those that choose the range of y (default: all)."""
+def axes_of(
+    curves: Sequence[tuple[str, Curve]],
+    *,
+    overlay: bool = False,
+    view: Sequence[tuple[str, Curve]] = (),
+) -> Axes:
+    """The common axes of curves of one kind and unit; ``view``: those that choose the range of y
+    (default: all).
+    """
     first = curves[0][1]
     x = np.concatenate([curve.x for _, curve in curves])
     everything = _finite(curves)
@@ -66,8 +82,12 @@ def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False, view:
 
 def set_ranges(figure: Any, axes: Axes) -> None:
     """Show these ranges, logarithmic or not, in every panel."""
-    figure.update_xaxes(**(theme.decades(*axes.x_range) if axes.log_x else {"range": list(axes.x_range)}))
-    figure.update_yaxes(**(theme.decades(*axes.y_range) if axes.log_y else {"range": list(axes.y_range)}))
+    figure.update_xaxes(
+        **(theme.decades(*axes.x_range) if axes.log_x else {"range": list(axes.x_range)})
+    )
+    figure.update_yaxes(
+        **(theme.decades(*axes.y_range) if axes.log_y else {"range": list(axes.y_range)})
+    )
 
 
 def _finite(curves: Sequence[tuple[str, Curve]]) -> list[np.ndarray]:

@@ -1,4 +1,6 @@
-"""Loops as they were measured: moduli with their bands, and open loops about the critical point, a panel for each axis."""
+"""Loops as they were measured: moduli with their bands, and open loops about the critical point, a
+panel for each axis.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.judge.checks import Curve
 from ambrose.machine.criteria import SENSITIVITY
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import axes_of, drawn, set_ranges
 from ambrose.report.figures.limits import draw_limits, limit_levels
-from ambrose.judge.checks import Curve
 
 _MEASURED, _BAND = "#0072b2", "rgba(0,114,178,0.25)"
-_LOOKS = (theme.Style(theme.INK, "solid", "x-thin", 1.3), theme.Style("#d55e00", "7px,3px", "x-thin", 1.6))  # of the models
+# of the models
+_LOOKS = (
+    theme.Style(theme.INK, "solid", "x-thin", 1.3),
+    theme.Style("#d55e00", "7px,3px", "x-thin", 1.6),
+)
 _COLUMNS, _HEIGHT = 2, 230  # panels side by side, [px] of one
 _NYQUIST = 2.6  # from the critical point to the edge of the picture
 
@@ -23,26 +29,68 @@ def _grid(count: int, titles: Sequence[str]) -> tuple[Any, list[dict[str, int]]]
     rows = -(-count // _COLUMNS)
     words = [f"<b>{theme.plain(title)}</b>" for title in titles]
     figure = theme.subplots(
-        rows=rows, cols=_COLUMNS, horizontal_spacing=0.09, vertical_spacing=min(0.28 / rows, 0.2), subplot_titles=words
+        rows=rows,
+        cols=_COLUMNS,
+        horizontal_spacing=0.09,
+        vertical_spacing=min(0.28 / rows, 0.2),
+        subplot_titles=words,
     )
     return figure, [{"row": i // _COLUMNS + 1, "col": i % _COLUMNS + 1} for i in range(count)]
 
 
 def panels(
-    titles: Sequence[str], omega: np.ndarray, value: np.ndarray, low: np.ndarray, high: np.ndarray,
-    models: dict[str, np.ndarray], limits: Sequence[tuple[str, float]],
-) -> Any:  # fmt: skip
+    titles: Sequence[str],
+    omega: np.ndarray,
+    value: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    models: dict[str, np.ndarray],
+    limits: Sequence[tuple[str, float]],
+) -> Any:
     """Moduli (w, n) with their intervals over frequency, a panel each, models (w, n) over them."""
     figure, places = _grid(len(titles), titles)
     f, looks = omega / units.TWO_PI, dict(zip(models, _LOOKS, strict=False))
-    curves = [("measured", Curve("acceptance", "", "frequency", omega, value.T, tuple(titles), "rad/s", "-", tuple(limits)))]
+    curves = [
+        (
+            "measured",
+            Curve(
+                "acceptance",
+                "",
+                "frequency",
+                omega,
+                value.T,
+                tuple(titles),
+                "rad/s",
+                "-",
+                tuple(limits),
+            ),
+        )
+    ]
     axes = axes_of(curves)
     levels, line = limit_levels(curves, axes), {"color": _MEASURED, "width": 1.8}
     for i, place in enumerate(places):
-        theme.band(figure, place, f, np.maximum(low[:, i], axes.y_range[0] / 10), high[:, i], _BAND, "95 %" if i == 0 else "")
-        theme.scatter(figure, place, drawn(f), drawn(value[:, i]), "measured", shown=i == 0, line=line)
+        theme.band(
+            figure,
+            place,
+            f,
+            np.maximum(low[:, i], axes.y_range[0] / 10),
+            high[:, i],
+            _BAND,
+            "95 %" if i == 0 else "",
+        )
+        theme.scatter(
+            figure, place, drawn(f), drawn(value[:, i]), "measured", shown=i == 0, line=line
+        )
         for label, rows in models.items():
-            theme.scatter(figure, place, drawn(f), drawn(rows[:, i]), label, shown=i == 0, line=looks[label].line)
+            theme.scatter(
+                figure,
+                place,
+                drawn(f),
+                drawn(rows[:, i]),
+                label,
+                shown=i == 0,
+                line=looks[label].line,
+            )
         draw_limits(figure, place, levels, axes, size=(410, _HEIGHT - 60), named=i == 0)
     theme.dress(figure, _HEIGHT * places[-1]["row"], legend=True)
     set_ranges(figure, axes)
@@ -50,8 +98,12 @@ def panels(
     return figure
 
 
-def nyquist(titles: Sequence[str], omega: np.ndarray, loops: np.ndarray, models: dict[str, np.ndarray]) -> Any:
-    """Open loops (w, n) about the critical point, a panel each, the models' over them; around it the borders of the zones."""
+def nyquist(
+    titles: Sequence[str], omega: np.ndarray, loops: np.ndarray, models: dict[str, np.ndarray]
+) -> Any:
+    """Open loops (w, n) about the critical point, a panel each, the models' over them; around it
+    the borders of the zones.
+    """
     figure, places = _grid(len(titles), titles)
     turn = np.linspace(0, 2 * np.pi, 90)
     for i, place in enumerate(places):
@@ -62,7 +114,17 @@ def nyquist(titles: Sequence[str], omega: np.ndarray, loops: np.ndarray, models:
         look = {"color": _MEASURED, "width": 1.8}
         hover = "%{customdata:.4g} Hz<extra>measured</extra>"
         at = omega / units.TWO_PI
-        theme.scatter(figure, place, L.real, L.imag, "measured", shown=i == 0, line=look, customdata=at, hovertemplate=hover)
+        theme.scatter(
+            figure,
+            place,
+            L.real,
+            L.imag,
+            "measured",
+            shown=i == 0,
+            line=look,
+            customdata=at,
+            hovertemplate=hover,
+        )
         for (label, model), style in zip(models.items(), _LOOKS, strict=False):
             own = model[:, i]
             theme.scatter(figure, place, own.real, own.imag, label, shown=i == 0, line=style.line)

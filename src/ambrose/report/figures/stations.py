@@ -1,4 +1,6 @@
-"""Where a record knows the rotor's motion: places along the shaft with their orbits in the global x, y."""
+"""Where a record knows the rotor's motion: places along the shaft with their orbits in the global
+x, y.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,8 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.machine import Machine
-from ambrose.record.record import Record
 from ambrose.model.ports import Port, measured_ports, ports
+from ambrose.record.record import Record
 from ambrose.report import theme, units
 from ambrose.rig.scenario import Scenario
 
@@ -20,9 +22,11 @@ NEAR = 2.2  # a touchdown circle up to this many times the largest orbit is draw
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Station:
-    """name of the bearing, seal, disc or coupling; position [m] along the rotor; x, y (k,) [m]; angle [rad] of its own axes.
+    """name of the bearing, seal, disc or coupling; position [m] along the rotor; x, y (k,) [m];
+    angle [rad] of its own axes.
 
-    gap [m]: radius of the touchdown bearing there. at_sensor: measured at the bearing's sensor, not in the bearing.
+    gap [m]: radius of the touchdown bearing there. at_sensor: measured at the bearing's sensor, not
+    in the bearing.
     """
 
     name: str
@@ -36,7 +40,9 @@ class Station:
 
     @property
     def title(self) -> str:
-        """The name as it stands above a picture: "bearing A", "sensor B", a disc's own; for plotly."""
+        """The name as it stands above a picture: "bearing A", "sensor B", a disc's own; for
+        plotly.
+        """
         where = "sensor" if self.at_sensor else "bearing" if self.bearing else ""
         return theme.plain(" ".join(filter(None, (where, units.axis_name(self.name)))))
 
@@ -47,13 +53,16 @@ class Station:
 
 
 def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
-    """The stations whose two directions the record holds, bearings first: rotor displacements q_, else the sensors' y_.
+    """The stations whose two directions the record holds, bearings first: rotor displacements q_,
+    else the sensors' y_.
 
     Raises InvalidInput where the record has neither.
     """
     gaps = {bearing.name: bearing.touchdown_gap for bearing in machine.bearings}
     places = [(pair, "q", False) for pair in _pairs(ports(machine))]
-    if not any(f"q_{port.name}" in record.signals for (port, _), _, _ in places if _name(port) in gaps):
+    if not any(
+        f"q_{port.name}" in record.signals for (port, _), _, _ in places if _name(port) in gaps
+    ):
         places = [(pair, "y", True) for pair in _pairs(measured_ports(machine))] + places
     result = []
     for (first, second), kind, sensor in places:
@@ -64,16 +73,30 @@ def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
         c, s = np.cos(first.direction), np.sin(first.direction)
         name = _name(first)
         result.append(
-            Station(name, first.position, c * u - s * v, s * u + c * v, first.direction, gaps.get(name), name in gaps, sensor)
+            Station(
+                name,
+                first.position,
+                c * u - s * v,
+                s * u + c * v,
+                first.direction,
+                gaps.get(name),
+                name in gaps,
+                sensor,
+            )
         )
     if not result:
         wanted = f"y_{machine.axes[0]} and y_{machine.axes[1]}"
-        raise InvalidInput(f"the record of {record.machine} holds no displacements in two directions; it needs {wanted}")
+        raise InvalidInput(
+            f"the record of {record.machine} holds no displacements in two directions; it needs "
+            f"{wanted}"
+        )
     return tuple(result)
 
 
 def rotor_speed(record: Record, scenario: Scenario | None = None) -> np.ndarray:
-    """Rotor speed at every sample (k,) [rad/s]: from a signal "speed...", else the scenario, else the operating point."""
+    """Rotor speed at every sample (k,) [rad/s]: from a signal "speed...", else the scenario, else
+    the operating point.
+    """
     names = [name for name in record.signals if name.partition("_")[0] == "speed"]
     if names:
         return record[names[0]]
@@ -83,18 +106,24 @@ def rotor_speed(record: Record, scenario: Scenario | None = None) -> np.ndarray:
 
 
 def window(record: Record, places: tuple[Station, ...], speed: np.ndarray, centre: int) -> slice:
-    """The samples of three revolutions (at standstill: of three periods of the strongest motion) around a sample."""
+    """The samples of three revolutions (at standstill: of three periods of the strongest motion)
+    around a sample.
+    """
     k = len(speed)
     frequency = abs(float(speed[centre])) / (2 * np.pi)
     if frequency <= 0:
         frequency = _strongest(record, places, centre)
-    length = int(np.clip(_PERIODS * record.sample_rate_hz / max(frequency, 1e-9), min(_FEWEST, k), k))
+    length = int(
+        np.clip(_PERIODS * record.sample_rate_hz / max(frequency, 1e-9), min(_FEWEST, k), k)
+    )
     start = int(np.clip(centre - length // 2, 0, k - length))
     return slice(start, start + length)
 
 
 def largest(places: tuple[Station, ...]) -> tuple[Station, int]:
-    """The station and the sample of the largest displacement in a bearing (anywhere, where no bearing is known)."""
+    """The station and the sample of the largest displacement in a bearing (anywhere, where no
+    bearing is known).
+    """
     known = [station for station in places if station.bearing] or list(places)
     station = max(known, key=lambda item: float(item.radius.max()))
     return station, int(station.radius.argmax())

@@ -1,4 +1,6 @@
-"""An identification as tables: parameters with their intervals, fit per signal, residual tests, findings, repeats."""
+"""An identification as tables: parameters with their intervals, fit per signal, residual tests,
+findings, repeats.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,18 @@ def parameters_table(result: ParameterEstimate) -> Table:
         relative = half / abs(value) if value else math.inf
         change = f"{fixed(100 * (value / start - 1), 100 * half / abs(start))} %" if start else ""
         spread = f"{units.number(100 * float(deviation) / abs(value), 2)} %" if value else ""
-        cells = numbers(units.quantity(start, unit, 4), _value(value, half, unit), _interval(value, half, unit), spread)
+        cells = numbers(
+            units.quantity(start, unit, 4),
+            _value(value, half, unit),
+            _interval(value, half, unit),
+            spread,
+        )
         rows.append((path, *cells, Cell(change, "fail" if relative > 1 else "number")))
     note = (
-        "95 % interval: 1.96 standard deviations from the colour of the residuals (sandwich covariance); it covers noise, not "
-        "what was taken as known: mass +1 % moves K_i and K_s by +0.9 %, controller gain +1 % moves K_s by +2 %."
+        "95 % interval: 1.96 standard deviations from the colour of the residuals (sandwich "
+        "covariance); it covers noise, not "
+        "what was taken as known: mass +1 % moves K_i and K_s by +0.9 %, controller gain +1 % "
+        "moves K_s by +2 %."
     )
     columns = ("Parameter", "Start", "Value", "95 % interval", "Std. dev.", "Change")
     return Table("Parameters", columns, tuple(rows), note)
@@ -42,10 +51,17 @@ def parameters_table(result: ParameterEstimate) -> Table:
 def fit_table(result: ParameterEstimate) -> Table:
     """Goodness of fit per record and signal."""
     rows = [
-        (str(number), units.axis_name(signal), Cell(f"{percent:.2f} %", "fail" if percent < 50 else "number"))
+        (
+            str(number),
+            units.axis_name(signal),
+            Cell(f"{percent:.2f} %", "fail" if percent < 50 else "number"),
+        )
         for number, signal, percent in result.fit
     ]
-    note = "100 % (1 − |residual|/|signal − mean|). A wrong delay can still read 95 %: the residual tests decide."
+    note = (
+        "100 % (1 − |residual|/|signal − mean|). A wrong delay can still read 95 %: the residual "
+        "tests decide."
+    )
     return Table("Fit per signal", ("Record", "Signal", "Fit"), tuple(rows), note)
 
 
@@ -64,10 +80,16 @@ def turning_table(result: ParameterEstimate) -> Table:
         for scale, unit in ((1e6, "µm") if one.signal.startswith("y_") else (1.0, "A"),)
     ]
     note = (
-        "Amplitude and phase (cosine, from the first sample) beside all that follows the excitation, ± 95 %. Motion that "
+        "Amplitude and phase (cosine, from the first sample) beside all that follows the "
+        "excitation, ± 95 %. Motion that "
         "unbalance makes and run-out of the sensor's surface are one number here."
     )
-    return Table("Turns with the rotor", ("Record", "Signal", "Order", "Frequency", "Amplitude", "Phase"), tuple(rows), note)
+    return Table(
+        "Turns with the rotor",
+        ("Record", "Signal", "Order", "Frequency", "Amplitude", "Phase"),
+        tuple(rows),
+        note,
+    )
 
 
 def residual_tests_table(result: ParameterEstimate) -> Table:
@@ -84,10 +106,20 @@ def residual_tests_table(result: ParameterEstimate) -> Table:
         for test in ordered
     ]
     note = (
-        "Largest correlation of the residual with the excitation over the lags, against its 99 % limit over all pairs. "
-        "Sees from: share of the signal's response to this excitation above which one that the model lacks fails the test."
+        "Largest correlation of the residual with the excitation over the lags, against its 99 % "
+        "limit over all pairs. "
+        "Sees from: share of the signal's response to this excitation above which one that the "
+        "model lacks fails the test."
     )
-    columns = ("Residual of", "Excitation", "Correlation", "Limit", "Lag [samples]", "Sees from", "")
+    columns = (
+        "Residual of",
+        "Excitation",
+        "Correlation",
+        "Limit",
+        "Lag [samples]",
+        "Sees from",
+        "",
+    )
     return Table("Residual tests", columns, tuple(rows), note)
 
 
@@ -105,16 +137,24 @@ def findings_table(findings: Sequence[Finding]) -> Table:
 
 
 def repeats_table(repeats: Repeats) -> Table:
-    """Mean, interval of the mean and scatter over repeated experiments, beside the scatter that each one states."""
+    """Mean, interval of the mean and scatter over repeated experiments, beside the scatter that
+    each one states.
+    """
     rows: list[Row] = []
     for i, path in enumerate(repeats.paths):
-        unit, mean, half = unit_of(path), float(repeats.mean[i]), float(repeats.half_width[i])
+        unit = unit_of(path)
+        mean = float(repeats.mean[i])
+        half = float(repeats.half_width[i])
         stated = 100 * float(repeats.predicted[i]) / abs(mean) if mean else math.nan
         scatter = (f"{units.number(share, 2)} %" for share in (float(repeats.rsd[i]), stated))
-        rows.append((path, *numbers(_value(mean, half, unit), _interval(mean, half, unit), *scatter)))
+        rows.append(
+            (path, *numbers(_value(mean, half, unit), _interval(mean, half, unit), *scatter))
+        )
     note = (
-        f"{repeats.count} records, each identified alone. Interval of the mean: Student's t. RSD: scatter of one record over "
-        "the mean; where it is far above what the single records state, something else than noise changes between them."
+        f"{repeats.count} records, each identified alone. Interval of the mean: Student's t. RSD: "
+        "scatter of one record over "
+        "the mean; where it is far above what the single records state, something else than noise "
+        "changes between them."
     )
     columns = ("Parameter", "Mean", f"{100 * repeats.level:g} % interval", "RSD", "RSD stated")
     return Table("Repeats", columns, tuple(rows), note)
@@ -130,7 +170,10 @@ def seal_table(fit: SealFit) -> Table:
             half = COVERAGE * float(fit.deviations[i, j]) * factor
             cells += numbers(plus_minus(float(fit.values[i, j]) * factor, half, unit))
         rows.append(tuple(cells))
-    note = "95 % interval of what noise leaves open, all else as identified. K and c, and k and C, act alike at one frequency."
+    note = (
+        "95 % interval of what noise leaves open, all else as identified. K and c, and k and C, "
+        "act alike at one frequency."
+    )
     columns = ("Pressure", *COEFFICIENTS)
     return Table(f"Seal {units.axis_name(fit.seal)} by pressure", columns, tuple(rows), note)
 
@@ -147,14 +190,28 @@ def seal_lines_table(fit: SealFit) -> Table:
         width = float(max(one.prediction(0.0), one.prediction(top))) * factor
         intercept = plus_minus(one.intercept * factor, half * factor, unit)
         rise = plus_minus(one.slope / bar * factor, slope, f"{unit} per {units.scale('Pa')[1]}")
-        rows.append((letter, *numbers(intercept, rise, f"{units.number(width, 2)} {unit}", units.number(one.scatter, 2))))
+        rows.append(
+            (
+                letter,
+                *numbers(
+                    intercept,
+                    rise,
+                    f"{units.number(width, 2)} {unit}",
+                    units.number(one.scatter, 2),
+                ),
+            )
+        )
     note = (
-        "95 % by Student's t. Next: half-width of the band for a further measurement, at its widest up to the highest pressure "
-        "measured; the machine file's tolerance is this band over all operating points. Scatter: of the points about the line "
+        "95 % by Student's t. Next: half-width of the band for a further measurement, at its "
+        "widest up to the highest pressure "
+        "measured; the machine file's tolerance is this band over all operating points. Scatter: "
+        "of the points about the line "
         "over what each states; above 1 the bands are widened by it."
     )
     columns = ("Coefficient", "At zero pressure", "Slope", "Next", "Scatter")
-    return Table(f"Seal {units.axis_name(fit.seal)}: lines over pressure", columns, tuple(rows), note)
+    return Table(
+        f"Seal {units.axis_name(fit.seal)}: lines over pressure", columns, tuple(rows), note
+    )
 
 
 def plus_minus(value: float, half: float, unit: str) -> str:
@@ -167,12 +224,24 @@ def compared_table(rows: Sequence[Agreement]) -> Table:
     cells: list[Row] = []
     for row in rows:
         unit = unit_of(row.path)
-        difference = f"{units.number(row.difference, 2)} ± {units.number(row.difference_half_width, 2)} %" if row.other else ""
-        pair = (_value(row.value, row.half_width, unit), _value(row.other, row.other_half_width, unit))
-        why = ("noise" if row.agree else "more than noise") if row.other_half_width else "the other states no interval"
+        difference = (
+            f"{units.number(row.difference, 2)} ± {units.number(row.difference_half_width, 2)} %"
+            if row.other
+            else ""
+        )
+        pair = (
+            _value(row.value, row.half_width, unit),
+            _value(row.other, row.other_half_width, unit),
+        )
+        why = (
+            ("noise" if row.agree else "more than noise")
+            if row.other_half_width
+            else "the other states no interval"
+        )
         cells.append((row.path, *numbers(*pair, difference), why))
     note = (
-        "Difference with its 95 % half-width from both intervals. Beyond noise it is one of methods: chord over loads against "
+        "Difference with its 95 % half-width from both intervals. Beyond noise it is one of "
+        "methods: chord over loads against "
         "tangent at small motion, or a model that is wrong in one of them."
     )
     columns = ("Parameter", "Found", "Other file", "Difference", "Explained by")

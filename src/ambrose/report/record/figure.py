@@ -1,4 +1,6 @@
-"""A record at a glance: its signals over time, grouped by what they are, and the orbits where both axes were measured."""
+"""A record at a glance: its signals over time, grouped by what they are, and the orbits where both
+axes were measured.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,18 @@ _GROUPS = (  # what is shown, the first of them that the record holds
     ("Seal pressure", ("p",)),
 )
 _SIDES = {"zeta": "eta", "x": "y"}
-_ROW, _ORBIT, _GAP = 130, 230, 62  # [px]
+# [px]
+_ROW = 130
+_ORBIT = 230
+_GAP = 62
 _MOST_ORBITS, _MOST_LINES = 4, 8
 _ORBIT_POINTS = 4000
 
 
 def record_figure(record: Record) -> Any:
-    """Displacements, currents and what was driven over time, thinned without losing a peak; beneath, one orbit per station."""
+    """Displacements, currents and what was driven over time, thinned without losing a peak;
+    beneath, one orbit per station.
+    """
     groups = _grouped(record)
     orbits = _orbits(groups[0][1]) if groups and groups[0][0] == "Displacement" else []
     columns = max(len(orbits), 1)
@@ -38,9 +45,13 @@ def record_figure(record: Record) -> Any:
         heights.append(_ORBIT)
     total = sum(heights) + _GAP * (len(heights) - 1)
     figure = theme.subplots(
-        rows=len(heights), cols=columns, specs=specs, row_heights=[height / sum(heights) for height in heights],
-        vertical_spacing=_GAP / total, horizontal_spacing=0.08,
-    )  # fmt: skip
+        rows=len(heights),
+        cols=columns,
+        specs=specs,
+        row_heights=[height / sum(heights) for height in heights],
+        vertical_spacing=_GAP / total,
+        horizontal_spacing=0.08,
+    )
     axes = list(dict.fromkeys(_axis(name) for _, names in groups for name in names))
     style = theme.styles(axes)
     seconds, second = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
@@ -53,18 +64,27 @@ def record_figure(record: Record) -> Any:
     for row in range(1, len(groups) + 1):
         last = row == len(groups)
         figure.update_xaxes(
-            matches="x" if row > 1 else None, showticklabels=last, title_text=f"Time [{second}]" if last else None,
-            range=[float(record.time[0]) * seconds, float(record.time[-1]) * seconds], row=row, col=1,
-        )  # fmt: skip
+            matches="x" if row > 1 else None,
+            showticklabels=last,
+            title_text=f"Time [{second}]" if last else None,
+            range=[float(record.time[0]) * seconds, float(record.time[-1]) * seconds],
+            row=row,
+            col=1,
+        )
     _square(figure, len(heights), len(orbits))
     return figure
 
 
 def _grouped(record: Record) -> list[tuple[str, list[str]]]:
-    """(title, signals) of every group that the record holds; constant ones are left out where others move."""
+    """(title, signals) of every group that the record holds; constant ones are left out where
+    others move.
+    """
     groups = []
     for title, kinds in _GROUPS:
-        chosen = next((names for kind in kinds if (names := [n for n in record.signals if _kind(n) == kind])), [])
+        chosen = next(
+            (names for kind in kinds if (names := [n for n in record.signals if _kind(n) == kind])),
+            [],
+        )
         moving = [name for name in chosen if np.ptp(record[name]) > 0]
         if title in {"Displacement", "Current"}:
             moving = chosen
@@ -83,9 +103,15 @@ def _axis(name: str) -> str:
 
 
 def _signals(
-    figure: Any, record: Record, row: int, title: str, names: list[str], style: dict[str, theme.Style], seconds: float,
+    figure: Any,
+    record: Record,
+    row: int,
+    title: str,
+    names: list[str],
+    style: dict[str, theme.Style],
+    seconds: float,
     named: set[str],
-) -> None:  # fmt: skip
+) -> None:
     unit = record.units[record.signals.index(names[0])]
     time, values = thinned(record.time, record.select(names).values)
     factor, shown = units.scale(unit, float(np.abs(values).max()))
@@ -93,10 +119,16 @@ def _signals(
         axis = _axis(name)
         look, label = style[axis], units.axis_name(axis)
         theme.scatter(
-            figure, {"row": row, "col": 1}, drawn(time * seconds), drawn(line * factor), label, shown=label not in named,
+            figure,
+            {"row": row, "col": 1},
+            drawn(time * seconds),
+            drawn(line * factor),
+            label,
+            shown=label not in named,
             line={"color": look.colour, "dash": look.dash, "width": 1.4},
-            hovertemplate=f"{theme.plain(units.axis_name(name))}<br>%{{x:.4g}} · %{{y:.4g}} {shown}<extra></extra>",
-        )  # fmt: skip
+            hovertemplate=f"{theme.plain(units.axis_name(name))}<br>%{{x:.4g}} · %{{y:.4g}} "
+            f"{shown}<extra></extra>",
+        )
         named.add(label)
     theme.heading(figure, {"row": row, "col": 1}, f"<b>{title}</b> [{shown}]")
 
@@ -112,15 +144,21 @@ def _orbits(names: list[str]) -> list[tuple[str, tuple[str, str]]]:
     return pairs[:_MOST_ORBITS]
 
 
-def _orbit(figure: Any, record: Record, row: int, column: int, station: str, pair: tuple[str, str]) -> None:
+def _orbit(
+    figure: Any, record: Record, row: int, column: int, station: str, pair: tuple[str, str]
+) -> None:
     place = {"row": row, "col": column}
     x, y = record[pair[0]], record[pair[1]]
     step = max(1, len(x) // _ORBIT_POINTS)
     factor, unit = units.scale("m", float(max(np.abs(x).max(), np.abs(y).max())))
     theme.scatter(
-        figure, place, drawn(x[::step] * factor), drawn(y[::step] * factor), line={"color": theme.INK, "width": 0.8},
+        figure,
+        place,
+        drawn(x[::step] * factor),
+        drawn(y[::step] * factor),
+        line={"color": theme.INK, "width": 0.8},
         hovertemplate=f"%{{x:.4g}} · %{{y:.4g}} {unit}<extra></extra>",
-    )  # fmt: skip
+    )
     first, second = (units.axis_name(name.rpartition("_")[2]) for name in pair)
     words = f"<b>{theme.plain(units.axis_name(station))}</b>, {second} over {first} [{unit}]"
     theme.heading(figure, place, words)

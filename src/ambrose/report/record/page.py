@@ -1,4 +1,5 @@
-"""One page from one record: what happened, judged against the machine's limits, and the pictures to see why.
+"""One page from one record: what happened, judged against the machine's limits, and the pictures to
+see why.
 
 write(record_report(trace, machine), "run.html")           a simulation
 write(record_report(read_record("run.h5"), machine), ...)  a measurement, or a record from a file
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ambrose.judge.checks import Curve
 from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
 from ambrose.report import units
@@ -21,46 +23,60 @@ from ambrose.report.record.curves import radius_curve, signal_curves, zoomed_cur
 from ambrose.report.record.verdicts import record_verdicts, signals_table
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trace import Trace
-from ambrose.judge.checks import Curve
 
 _CAPTIONS = {
-    "radius": "The decisive picture: how near the shaft comes to the touchdown bearings, and whether the motion dies out, "
+    "radius": "The decisive picture: how near the shaft comes to the touchdown bearings, and "
+    "whether the motion dies out, "
     "stays or grows.",
-    "u": "What the controller asks for, after its limit. Flat tops at the limit mean that the loop is open there.",
+    "u": "What the controller asks for, after its limit. Flat tops at the limit mean that the "
+    "loop is open there.",
     "i": "What flows in the coils beside the bias.",
-    "f_magnet": "Force of every magnet pair on the rotor; its mean carries the weight and the static loads.",
+    "f_magnet": "Force of every magnet pair on the rotor; its mean carries the weight and the "
+    "static loads.",
     "y": "As measured, with noise and run-out.",
     "p": "Pressure across the seals.",
     "speed": "As driven.",
 }
 _DRIVEN = "What was done to the machine."
 _ORBITS = (
-    "Path of the shaft's centre, all panels to one scale: pale all samples, orange the largest motion, blue the end of the "
-    "record. An orbit that opens from orange to blue grows; a circle is whirl, a line is vibration in one direction."
+    "Path of the shaft's centre, all panels to one scale: pale all samples, orange the largest "
+    "motion, blue the end of the "
+    "record. An orbit that opens from orange to blue grows; a circle is whirl, a line is "
+    "vibration in one direction."
 )
 _WATERFALL = (
-    "Amplitude of the whirl over time: above zero it turns with the rotor (forward), below against it. Dashed are once and, "
-    "dotted, twice the speed: ridges on them are forced by unbalance, ridges that keep their frequency are natural modes. A "
+    "Amplitude of the whirl over time: above zero it turns with the rotor (forward), below "
+    "against it. Dashed are once and, "
+    "dotted, twice the speed: ridges on them are forced by unbalance, ridges that keep their "
+    "frequency are natural modes. A "
     "forward ridge below 1× that darkens is the sign of seal whirl."
 )
 _NEAR = (
-    "The same three revolutions (at standstill: periods) as in the moving picture. Flat tops are the limit of the controller's "
+    "The same three revolutions (at standstill: periods) as in the moving picture. Flat tops are "
+    "the limit of the controller's "
     "output; a coil current with straight flanks, or one that lags behind, shows the amplifier."
 )
 _MOTION = (
-    "Press play: the axis of the rotor over three revolutions (at standstill: three periods) around the largest motion, seen "
+    "Press play: the axis of the rotor over three revolutions (at standstill: three periods) "
+    "around the largest motion, seen "
     "obliquely from the front; between the known places it is drawn straight. Blue are bearings."
 )
 
 
 def record_report(
-    source: Record | Trace, machine: Machine, *, scenario: Scenario | None = None, title: str = "", date: str = ""
+    source: Record | Trace,
+    machine: Machine,
+    *,
+    scenario: Scenario | None = None,
+    title: str = "",
+    date: str = "",
 ) -> Report:
     """The report of one record of this machine.
 
-    source: a Record, or a Trace whose outcome then leads the page. scenario: gives the speed of a run-up that the record does
-    not hold as a signal. Curves of long records are thinned to the extremes of every thousandth of the time, so no peak is
-    lost. Raises InvalidInput where the record holds no displacements.
+    source: a Record, or a Trace whose outcome then leads the page. scenario: gives the speed of a
+    run-up that the record does not hold as a signal. Curves of long records are thinned to the
+    extremes of every thousandth of the time, so no peak is lost. Raises InvalidInput where the
+    record holds no displacements.
     """
     trace = source if isinstance(source, Trace) else None
     record = source.record if isinstance(source, Trace) else source
@@ -74,7 +90,9 @@ def record_report(
     if spectra is not None:
         motion.append(Figure("Waterfall: whirl over time and frequency", spectra, _WATERFALL))
     if len(places) > 1:
-        motion.append(Figure("The rotor in motion", rotor_animation(record, places, machine, speed), _MOTION))
+        motion.append(
+            Figure("The rotor in motion", rotor_animation(record, places, machine, speed), _MOTION)
+        )
     curves = {curve.name: _over_time(curve, label) for curve in signal_curves(record, machine)}
     first = "record.u" if "record.u" in curves else "record.i"
     effort = [curves.pop(name) for name in (first, "record.f_magnet") if name in curves]
@@ -104,7 +122,11 @@ def _result(verdicts: tuple[Verdict, ...]) -> Verdict | None:
     failed = [verdict.label.lower() for verdict in known if not verdict.passed]
     if not known:
         return None
-    words = f"the run fails in: {', '.join(failed)}" if failed else "the run stays within all limits of the machine"
+    words = (
+        f"the run fails in: {', '.join(failed)}"
+        if failed
+        else "the run stays within all limits of the machine"
+    )
     return Verdict("Result", not failed, words)
 
 
@@ -114,8 +136,12 @@ def _over_time(curve: Curve, label: str) -> Figure:
 
 
 def _pressure(record: Record) -> str:
-    """That of the operating point, or from the lowest to the highest where the record holds one that changes."""
-    found = record["p_seal"] if "p_seal" in record.signals else np.array([record.point.seal_pressure])
+    """That of the operating point, or from the lowest to the highest where the record holds one
+    that changes.
+    """
+    found = (
+        record["p_seal"] if "p_seal" in record.signals else np.array([record.point.seal_pressure])
+    )
     ends = [units.quantity(float(value), "Pa") for value in (found.min(), found.max())]
     return " to ".join(dict.fromkeys(ends))
 
@@ -127,9 +153,17 @@ def _facts(record: Record, speed: np.ndarray) -> tuple[tuple[str, str], ...]:
     changes = float(np.ptp(speed)) > 0
     rate = units.number(record.sample_rate_hz, 6)
     return (
-        ("Record", f"{units.number((k - 1) / record.sample_rate_hz, 4)} s at {rate} Hz, {len(record.signals)} signals"),
+        (
+            "Record",
+            f"{units.number((k - 1) / record.sample_rate_hz, 4)} s at {rate} Hz, "
+            f"{len(record.signals)} signals",
+        ),
         ("Operating point", record.point.label),
         ("Speed", f"{rpm[0]} to {rpm[1]} rpm" if changes else f"{rpm[0]} rpm"),
         ("Seal pressure", _pressure(record)),
-        *((key.replace("_", " "), text) for key, text in record.notes if key not in {"outcome", "complete", "scenario"}),
+        *(
+            (key.replace("_", " "), text)
+            for key, text in record.notes
+            if key not in {"outcome", "complete", "scenario"}
+        ),
     )

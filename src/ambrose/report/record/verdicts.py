@@ -1,4 +1,6 @@
-"""What a record says against the machine's limits: touchdown, currents and forces as verdicts, all signals as a table."""
+"""What a record says against the machine's limits: touchdown, currents and forces as verdicts, all
+signals as a table.
+"""
 
 from __future__ import annotations
 
@@ -17,32 +19,59 @@ from ambrose.rig.trace import Trace
 _AT_LIMIT = 0.999
 _CLEAR = 0.05  # [s] without contact after which a rotor that starts in contact counts as lifted
 _KINDS = (
-    ("y", "Displacements at the sensors"), ("q", "Displacements of the rotor"), ("u", "Controller outputs"),
-    ("i", "Control currents in the coils"), ("f_magnet", "Magnet forces"), ("", "Other signals"),
-)  # fmt: skip
+    ("y", "Displacements at the sensors"),
+    ("q", "Displacements of the rotor"),
+    ("u", "Controller outputs"),
+    ("i", "Control currents in the coils"),
+    ("f_magnet", "Magnet forces"),
+    ("", "Other signals"),
+)
 
 
-def record_verdicts(record: Record, machine: Machine, places: Sequence[Station], trace: Trace | None) -> tuple[Verdict, ...]:
-    """The outcome of a simulation, the clearance, currents and forces against their limits; those that can be judged."""
+def record_verdicts(
+    record: Record, machine: Machine, places: Sequence[Station], trace: Trace | None
+) -> tuple[Verdict, ...]:
+    """The outcome of a simulation, the clearance, currents and forces against their limits; those
+    that can be judged.
+    """
     verdicts = []
     if trace is not None:
         verdicts.append(Verdict("Outcome", trace.outcome == "completed", units.prose(trace.text)))
     elif outcome := dict(record.notes).get("outcome"):
         verdicts.append(Verdict("Outcome", None, units.prose(outcome)))
     if dict(record.notes).get("complete") == "false":
-        verdicts.append(Verdict("Record", None, "the run was interrupted; the record ends before its time"))
+        verdicts.append(
+            Verdict("Record", None, "the run was interrupted; the record ends before its time")
+        )
     judged = [station for station in places if station.gap is not None]
     starts = [lifted(station, record.sample_rate_hz) for station in judged]
-    first = None if None in starts else max((start or 0 for start in starts), default=0)  # None: never free of all of them
+    # None: never free of all of them
+    first = None if None in starts else max((start or 0 for start in starts), default=0)
     verdicts += _clearance(record, judged, first)
-    kind, title = ("u", "Controller output") if f"u_{machine.axes[0]}" in record.signals else ("i", "Control current")
-    verdicts += _against(record, machine, kind, title, "A", [b.max_current for b in machine.bearings], first or 0)
-    verdicts += _against(record, machine, "f_magnet", "Magnet forces", "N", [b.max_force for b in machine.bearings], first or 0)
+    kind, title = (
+        ("u", "Controller output")
+        if f"u_{machine.axes[0]}" in record.signals
+        else ("i", "Control current")
+    )
+    verdicts += _against(
+        record, machine, kind, title, "A", [b.max_current for b in machine.bearings], first or 0
+    )
+    verdicts += _against(
+        record,
+        machine,
+        "f_magnet",
+        "Magnet forces",
+        "N",
+        [b.max_force for b in machine.bearings],
+        first or 0,
+    )
     return tuple(verdicts)
 
 
 def lifted(station: Station, rate: float) -> int | None:
-    """The first sample from which the rotor is free of its touchdown bearing: 0 unless it starts in contact; None: never."""
+    """The first sample from which the rotor is free of its touchdown bearing: 0 unless it starts in
+    contact; None: never.
+    """
     if station.gap is None or station.radius[0] < _AT_LIMIT * station.gap:
         return 0
     free = station.radius < station.gap
@@ -56,22 +85,36 @@ def _clearance(record: Record, judged: Sequence[Station], first: int | None) -> 
         return []
     if first is None:
         return [Verdict("Touchdown", False, "the rotor never gets free of the touchdown bearings")]
-    worst = max(judged, key=lambda station: float(station.radius[first:].max()) / (station.gap or 1.0))
+    worst = max(
+        judged, key=lambda station: float(station.radius[first:].max()) / (station.gap or 1.0)
+    )
     gap, radius = worst.gap or 1.0, worst.radius[first:]
     share, end = float(radius.max()) / gap, float(radius[-max(1, len(radius) // 20) :].max())
     place = f"sensor {worst.name}" if worst.at_sensor else f"bearing {worst.name}"
     value, limit = units.pair(float(radius.max()), gap, "m")
-    words = f"largest distance {value} at {place} at t = {_moment(record, first + int(radius.argmax()))}, "
+    words = (
+        f"largest distance {value} at {place} at t = "
+        f"{_moment(record, first + int(radius.argmax()))}, "
+    )
     words += f"{percent(share)} of the gap of {limit}; at the end {units.quantity(end, 'm')}"
     if first:
-        words = f"free of the touchdown bearings since t = {_moment(record, first)}; from then on {words}"
+        words = (
+            f"free of the touchdown bearings since t = {_moment(record, first)}; from then on "
+            f"{words}"
+        )
     if share >= 1:
         words += f"; beyond the gap for {np.mean(radius >= gap):.1%} of the time"
     return [Verdict("Touchdown", share < 1, words)]
 
 
 def _against(
-    record: Record, machine: Machine, kind: str, title: str, unit: str, limits: Sequence[float | None], first: int
+    record: Record,
+    machine: Machine,
+    kind: str,
+    title: str,
+    unit: str,
+    limits: Sequence[float | None],
+    first: int,
 ) -> list[Verdict]:
     """The signal that comes closest to its bearing's limit, from the sample ``first`` on."""
     by_axis = dict(zip(machine.axes, np.repeat(np.array(limits, dtype=float), 2), strict=True))
@@ -86,11 +129,16 @@ def _against(
     share = shares[axis]
     peak, limit = units.pair(float(share.max() * by_axis[axis]), float(by_axis[axis]), unit)
     words = "once lifted, " if first else ""
-    words += f"largest {peak} at {units.axis_name(axis)} at t = {_moment(record, first + int(share.argmax()))}, "
+    words += (
+        f"largest {peak} at {units.axis_name(axis)} at t = "
+        f"{_moment(record, first + int(share.argmax()))}, "
+    )
     words += f"{percent(float(share.max()))} of {limit}"
     if share.max() >= _AT_LIMIT:
         full = {name: float(np.mean(row >= _AT_LIMIT)) for name, row in shares.items()}
-        words += "; at the limit " + ", ".join(f"{units.axis_name(n)} {part:.1%}" for n, part in full.items() if part > 0)
+        words += "; at the limit " + ", ".join(
+            f"{units.axis_name(n)} {part:.1%}" for n, part in full.items() if part > 0
+        )
         words += " of the time"
     return [Verdict(title, bool(share.max() < _AT_LIMIT), words)]
 
@@ -112,6 +160,12 @@ def signals_table(record: Record) -> Table:
             unit, values = record.units[record.signals.index(name)], record[name]
             factor, shown = units.scale(unit, float(np.abs(values).max()))
             figures = (values.mean(), values.std(), values.min(), values.max())
-            rows.append((units.axis_name(name), shown, *numbers(*(units.number(float(value) * factor) for value in figures))))
+            rows.append(
+                (
+                    units.axis_name(name),
+                    shown,
+                    *numbers(*(units.number(float(value) * factor) for value in figures)),
+                )
+            )
     columns = ("Signal", "Unit", "Mean", "Standard deviation", "Lowest", "Highest")
     return Table("Signals", columns, tuple(rows), "", (28, 10, 14, 20, 14, 14))

@@ -1,4 +1,6 @@
-"""The controller as it runs on the rig: sampled, delayed by its computing time, limited; and the change to another one."""
+"""The controller as it runs on the rig: sampled, delayed by its computing time, limited; and the
+change to another one.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +13,12 @@ import numpy as np
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, as_statespace
-from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine
-from ambrose.law.program import ControlProgram, NativeProgram, ScheduledProgram
 from ambrose.law.loop import Law, axis_order, law_at, match_axes
+from ambrose.law.program import ControlProgram, NativeProgram, ScheduledProgram
 from ambrose.law.scheduling import SPEED, scheduling_of
 from ambrose.law.timing import DEFAULT, machine_timing
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 
 _TOLD = 2  # at most: speed and pressure
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
@@ -24,7 +26,9 @@ _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, _DOUBLES, _DOUBLES, 
 
 
 class SampledLaw(NamedTuple):
-    """x+ = A x + B e, u = C x + D e within +-limit (a,) [A], which acts ``delay`` samples later (0 or 1)."""
+    """x+ = A x + B e, u = C x + D e within +-limit (a,) [A], which acts ``delay`` samples later (0
+    or 1).
+    """
 
     A: np.ndarray
     B: np.ndarray
@@ -37,9 +41,9 @@ class SampledLaw(NamedTuple):
 class Program(NamedTuple):
     """A program as the compiled rig calls it; address 0: none.
 
-    address, first: of a ``NativeProgram``; signals (2a + 2,): errors and currents in its order, what it is told; place: their
-    address; into, out
-    (a,): the rig's axis of each error, and where each axis' current is.
+    address, first: of a ``NativeProgram``; signals (2a + 2,): errors and currents in its order,
+    what it is told; place: their address; into, out (a,): the rig's axis of each error, and where
+    each axis' current is.
     """
 
     address: int
@@ -60,7 +64,11 @@ class RunningProgram:
 
     def __init__(self, program: ControlProgram, axes: tuple[str, ...]) -> None:
         self.failure: BaseException | None = None
-        self._callback = None if isinstance(program, NativeProgram) else _CALLBACK(self._step_of(program, len(axes)))
+        self._callback = (
+            None
+            if isinstance(program, NativeProgram)
+            else _CALLBACK(self._step_of(program, len(axes)))
+        )
         if self._callback is None:
             address, first = cast(NativeProgram, program).entry
         else:
@@ -68,7 +76,14 @@ class RunningProgram:
         into = np.argsort(axis_order(program.system, "inputs", axes))
         out = np.asarray(axis_order(program.system, "outputs", axes))
         signals = np.zeros(2 * len(axes) + _TOLD)
-        self.called = Program(address, first, signals, signals.ctypes.data, into.astype(np.int64), out.astype(np.int64))
+        self.called = Program(
+            address,
+            first,
+            signals,
+            signals.ctypes.data,
+            into.astype(np.int64),
+            out.astype(np.int64),
+        )
 
     def _step_of(self, program: ControlProgram, m: int) -> Callable[..., int]:
         scheduled = program if isinstance(program, ScheduledProgram) else None
@@ -78,9 +93,13 @@ class RunningProgram:
             try:
                 if scheduled is not None:
                     scheduled.schedule((told[0], told[1]) if along.parts else told[0])
-                for a, value in enumerate(np.asarray(program.step(np.array(errors[:m])), float).tolist()):
+                for a, value in enumerate(
+                    np.asarray(program.step(np.array(errors[:m])), float).tolist()
+                ):
                     currents[a] = value
-            except BaseException as error:  # told by who called the rig: nothing gets through compiled code
+            except (
+                BaseException
+            ) as error:  # told by who called the rig: nothing gets through compiled code
                 self.failure = error
                 return -1
             return 0
@@ -89,7 +108,9 @@ class RunningProgram:
 
 
 def sample_time(controller: Law, machine: Machine, wanted: float | None) -> float:
-    """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms. Raises InvalidInput."""
+    """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms.
+    Raises InvalidInput.
+    """
     if isinstance(controller, ControlProgram):
         own: float | None = controller.sample_time
     elif scheduling_of(controller) is not None:
@@ -98,33 +119,49 @@ def sample_time(controller: Law, machine: Machine, wanted: float | None) -> floa
         own = as_statespace(controller).dt
     if own is not None:
         if wanted is not None and abs(own - wanted) > 1e-9 * own:
-            raise invalid("the sample time", f"{wanted:g} s", f"the controller's own {own:g} s", "leave it out")
+            raise invalid(
+                "the sample time",
+                f"{wanted:g} s",
+                f"the controller's own {own:g} s",
+                "leave it out",
+            )
         return own
     if wanted is not None:
         return check_positive(wanted, "the sample time", "give it in seconds")
     return (machine_timing(machine) or DEFAULT).sample_time
 
 
-def sampled_law(controller: Law, machine: Machine, dt: float, point: OperatingPoint, delay: int) -> SampledLaw:
-    """The law at a sample time [s] and operating point: Tustin's map of a continuous controller, a sampled one as it is.
+def sampled_law(
+    controller: Law, machine: Machine, dt: float, point: OperatingPoint, delay: int
+) -> SampledLaw:
+    """The law at a sample time [s] and operating point: Tustin's map of a continuous controller, a
+    sampled one as it is.
 
-    Its signals are matched by ``law.loop.match_axes``. Raises InvalidInput where sizes or axes differ.
+    Its signals are matched by ``law.loop.match_axes``. Raises InvalidInput where sizes or axes
+    differ.
     """
     system = match_axes(law_at(controller, point), machine.axes, repr(machine.name))
     if system.dt is None:
         system = c2d(system, dt, method="tustin")
     if delay > 1:  # the rig holds one sample back itself
         system = delayed(system, delay - 1)
-    limits = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
-    A, B, C, D = (np.ascontiguousarray(X, dtype=float) for X in (system.A, system.B, system.C, system.D))
+    limits = [
+        np.inf if b.max_current is None else b.max_current
+        for b in machine.bearings
+        for _ in range(2)
+    ]
+    A, B, C, D = (
+        np.ascontiguousarray(X, dtype=float) for X in (system.A, system.B, system.C, system.D)
+    )
     return SampledLaw(A, B, C, D, np.array(limits, dtype=float), min(delay, 1))
 
 
 def take_over(law: SampledLaw, errors: np.ndarray, outputs: np.ndarray) -> np.ndarray:
-    """The state x (n,) with which a law continues what another one did: it would have given the same last outputs.
+    """The state x (n,) with which a law continues what another one did: it would have given the
+    same last outputs.
 
-    errors (a, k) [m] and outputs (a, k) [A] of the last k samples. The least-squares state k samples ago, of smallest size in
-    what the samples do not tell, followed to the present.
+    errors (a, k) [m] and outputs (a, k) [A] of the last k samples. The least-squares state k
+    samples ago, of smallest size in what the samples do not tell, followed to the present.
     """
     n, k = len(law.A), errors.shape[1]
     if n == 0 or k == 0:
@@ -143,11 +180,17 @@ def take_over(law: SampledLaw, errors: np.ndarray, outputs: np.ndarray) -> np.nd
     return free + power @ start
 
 
-def closed_loop_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, law: SampledLaw, dt: float) -> np.ndarray:
+def closed_loop_poles(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, law: SampledLaw, dt: float
+) -> np.ndarray:
     """Poles [rad/s] of the linear loop around z' = A z + B u, y = C z with the law as it runs."""
     a = B.shape[1]
     sampled = c2d(StateSpace(A, B, C, np.zeros((len(C), a))), dt)
-    Ad, Bd, Cd, n, m = sampled.A, sampled.B, sampled.C, len(A), len(law.A)
+    Ad = sampled.A
+    Bd = sampled.B
+    Cd = sampled.C
+    n = len(A)
+    m = len(law.A)
     loop = np.zeros((n + m + a, n + m + a))
     loop[:n, :n] = Ad
     loop[n : n + m, :n], loop[n : n + m, n : n + m] = -law.B @ Cd, law.A

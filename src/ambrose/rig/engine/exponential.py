@@ -1,8 +1,10 @@
-"""The virtual rig's fast step: an exponential Runge-Kutta method of third order, exact in all that is linear.
+"""The virtual rig's fast step: an exponential Runge-Kutta method of third order, exact in all that
+is linear.
 
-z' = L z + B_u u + w + B F(y, t), y = C z + D u: the propagator (rig/propagator.py) moves the linear part exactly;
-F is what the magnets' force is beyond its linear part, and what a change of speed or pressure within the stretch adds. Weight,
-driven forces and unbalance at the propagator's speed are exact as well. This module imports numba: import it only in functions.
+z' = L z + B_u u + w + B F(y, t), y = C z + D u: the propagator (rig/propagator.py) moves the linear
+part exactly; F is what the magnets' force is beyond its linear part, and what a change of speed or
+pressure within the stretch adds. Weight, driven forces and unbalance at the propagator's speed are
+exact as well. This module imports numba: import it only in functions.
 """
 
 from __future__ import annotations
@@ -24,17 +26,23 @@ _OFF = 1e-7  # rad
 
 @compiled
 def settled(rig: Any, work: Any, drive: Any, k: int, z: Any) -> bool:
-    """Whether no amplifier can come to one of its limits within sample k, and the bias stays as it is.
+    """Whether no amplifier can come to one of its limits within sample k, and the bias stays as it
+    is.
 
-    Without limits a command is approached with u - s_1 (and (u - s_1)^2 + s_2^2 of order "second") falling all the time,
-    and neither state moves farther than at its largest slope.
+    Without limits a command is approached with u - s_1 (and (u - s_1)^2 + s_2^2 of order "second")
+    falling all the time, and neither state moves farther than at its largest slope.
     """
     count = rig.amplifier.shape[0]
     amp = 2 * coordinates(rig)
     bias = amp + 2 * count
     for a in range(count):
-        p, s_1, s_2 = rig.amplifier[a], z[amp + 2 * a], z[amp + 2 * a + 1]
-        if drive.powered[a, k] == 0.0 or abs(z[bias + a] - rig.magnet[a // 2, 0]) > 1e-13 * rig.magnet[a // 2, 0]:
+        p = rig.amplifier[a]
+        s_1 = z[amp + 2 * a]
+        s_2 = z[amp + 2 * a + 1]
+        if (
+            drive.powered[a, k] == 0.0
+            or abs(z[bias + a] - rig.magnet[a // 2, 0]) > 1e-13 * rig.magnet[a // 2, 0]
+        ):
             return False
         u = min(max(work.command[a], -p[4]), p[4])
         if p[0] == 3.0:
@@ -51,21 +59,32 @@ def settled(rig: Any, work: Any, drive: Any, k: int, z: Any) -> bool:
 
 @compiled
 def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: Any) -> None:
-    """F (nF,) at the outputs P.y and the fraction tau of sample k; start: unbalance at its speed, turned to tau."""
+    """F (nF,) at the outputs P.y and the fraction tau of sample k; start: unbalance at its speed,
+    turned to tau.
+    """
     b, y = rig.magnet.shape[0], P.y
     for i in range(b):
-        c, s, p, x = rig.direction[i, 0], rig.direction[i, 1], rig.magnet[i], y[2 * i : 2 * i + 2]
+        c = rig.direction[i, 0]
+        s = rig.direction[i, 1]
+        p = rig.magnet[i]
+        x = y[2 * i : 2 * i + 2]
         first, second = y[2 * b + 2 * i], y[2 * b + 2 * i + 1]
         known = (p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
         f, g = magnet_force(first, second, c * x[0] + s * x[1], c * x[1] - s * x[0], known)
         by = P.magnet[i]
-        F[2 * i] = c * f - s * g - by[0, 0] * x[0] - by[0, 1] * x[1] - by[0, 2] * first - by[0, 3] * second
-        F[2 * i + 1] = s * f + c * g - by[1, 0] * x[0] - by[1, 1] * x[1] - by[1, 2] * first - by[1, 3] * second
+        F[2 * i] = (
+            c * f - s * g - by[0, 0] * x[0] - by[0, 1] * x[1] - by[0, 2] * first - by[0, 3] * second
+        )
+        F[2 * i + 1] = (
+            s * f + c * g - by[1, 0] * x[0] - by[1, 1] * x[1] - by[1, 2] * first - by[1, 3] * second
+        )
     at, out = 2 * b, 4 * b
     speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])
     if drive.unbalance.shape[0] and P.turns:
         angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
-        fx, fy = turning_force(angle, speed, (drive.speed[k + 1] - drive.speed[k]) / drive.dt, (1.0, 0.0))
+        fx, fy = turning_force(
+            angle, speed, (drive.speed[k + 1] - drive.speed[k]) / drive.dt, (1.0, 0.0)
+        )
         F[at], F[at + 1] = fx - start[0], fy - start[1]
         at += 2
     if P.turns:
@@ -82,14 +101,19 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
         for i in range(drive.seal.shape[1]):
             row, ref = P.seal[1, i], P.seal[0, i]
             for m in range(row.shape[0]):
-                here, next_ = drive.seal[k if long else 0, i, m], drive.seal[k + 1 if long else 0, i, m]
+                here, next_ = (
+                    drive.seal[k if long else 0, i, m],
+                    drive.seal[k + 1 if long else 0, i, m],
+                )
                 row[m] = here + tau * (next_ - here) - ref[m]
             more = (row[0], row[1], row[2], row[3], 0.0)
             fx, fy = seal_force(y[out], y[out + 1], y[out + 2], y[out + 3], 0.0, 0.0, more)
             out += 4
             for m in range(lags):
                 gx, gy = state_force(y[out], y[out + 1], row[5 + 2 * m], row[6 + 2 * m])
-                fx, fy, out = fx + gx, fy + gy, out + 2
+                fx = fx + gx
+                fy = fy + gy
+                out = out + 2
             F[at], F[at + 1], at = fx, fy, at + 2
 
 
@@ -97,7 +121,8 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
 def _show_runout(rig: Any, drive: Any, k: int, tau: float, step: float, z: Any) -> None:
     """What the run-out adds to the sensors' lagged signals within a step [s] from tau on.
 
-    Exact at constant speed; else in pieces so short that a harmonic at their mean speed is off by _OFF [rad] at most.
+    Exact at constant speed; else in pieces so short that a harmonic at their mean speed is off by
+    _OFF [rad] at most.
     """
     start = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0]
     rise = (drive.speed[k + 1] - drive.speed[k]) / drive.dt
@@ -111,7 +136,9 @@ def _show_runout(rig: Any, drive: Any, k: int, tau: float, step: float, z: Any) 
                 pieces = 1 + int(step * math.sqrt(order * abs(rise) / (8.0 * _OFF)))
                 piece = step / pieces
                 left, total = math.exp(-w * piece), 0.0
-                phase = order * (angle - rig.sensor_angle[a // 2] - rig.sensor[a, 5]) + rig.runout[h, 2]
+                phase = (
+                    order * (angle - rig.sensor_angle[a // 2] - rig.sensor[a, 5]) + rig.runout[h, 2]
+                )
                 for i in range(pieces):
                     turn = order * (before + rise * piece * (i + 0.5))
                     ahead = phase + turn * piece
@@ -134,8 +161,12 @@ def _combine(out: Any, first: int, y: Any, matrix: Any, F: Any) -> None:
 
 @compiled
 def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) -> None:
-    """P.known: states in use, commands within their limits, 1, unbalance, driven forces' derivatives over the step."""
-    known, n, a = P.known, P.states.shape[0], work.command.shape[0]
+    """P.known: states in use, commands within their limits, 1, unbalance, driven forces'
+    derivatives over the step.
+    """
+    known = P.known
+    n = P.states.shape[0]
+    a = work.command.shape[0]
     for i in range(n):
         known[i] = z[P.states[i]]
     for i in range(a):
@@ -145,7 +176,9 @@ def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) 
     if drive.unbalance.shape[0]:
         speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])
         angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
-        known[at], known[at + 1] = turning_force(angle, speed, (drive.speed[k + 1] - drive.speed[k]) / drive.dt, (1.0, 0.0))
+        known[at], known[at + 1] = turning_force(
+            angle, speed, (drive.speed[k + 1] - drive.speed[k]) / drive.dt, (1.0, 0.0)
+        )
         at += 2
     for m in range(drive.force_at.shape[0]):
         c = drive.force[:, m, k]

@@ -1,4 +1,5 @@
-"""What the compiled parts of the virtual rig have in common: numba's options, and the forces of ``physics`` made to be inlined.
+"""What the compiled parts of the virtual rig have in common: numba's options, and the forces of
+``physics`` made to be inlined.
 
 This module imports numba: import it only inside functions.
 """
@@ -13,21 +14,29 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from ambrose.model.effects import amplifier
-from ambrose.model.effects import coupling
-from ambrose.model.effects import magnet
-from ambrose.model.effects import seal
-from ambrose.model.effects import seal_rational
-from ambrose.model.effects import sensor
-from ambrose.model.effects import touchdown
-from ambrose.model.effects import unbalance
+from ambrose.model.effects import (
+    amplifier,
+    coupling,
+    magnet,
+    seal,
+    seal_rational,
+    sensor,
+    touchdown,
+    unbalance,
+)
 
-# Sums may be vectorised, but NaN and infinity stay what they are; nothing here allocates an array, so none is counted. Stages
-# that were called instead of inlined would copy the descriptions of some forty arrays every time: ten times slower.
-OPTIONS: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz", "arcp"}, "error_model": "numpy", "_nrt": False}
+# Sums may be vectorised, but NaN and infinity stay what they are; nothing here allocates an array,
+# so none is counted. Stages that were called instead of inlined would copy the descriptions of some
+# forty arrays every time: ten times slower.
+OPTIONS: dict[str, Any] = {
+    "fastmath": {"reassoc", "contract", "nsz", "arcp"},
+    "error_model": "numpy",
+    "_nrt": False,
+}
 
 
-_INNER: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # never called by Python
+# never called by Python
+_INNER: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -53,7 +62,9 @@ converted = compiled(sensor.sampled)
 
 @intrinsic
 def _call(context: Any, address: Any, first: Any, errors: Any, told: Any, currents: Any) -> Any:
-    """int f(void *, const double *, const double *, double *) at an address; the pointers are integers, too."""
+    """int f(void *, const double *, const double *, double *) at an address; the pointers are
+    integers, too.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         byte = ir.IntType(8).as_pointer()
@@ -70,5 +81,7 @@ by_address: Any = _call  # whose first argument, the compiler's context, is numb
 
 @compiled
 def coordinates(rig: Any) -> int:
-    """How many displacements the state has: of the rotor's modes in both planes and of the supports."""
+    """How many displacements the state has: of the rotor's modes in both planes and of the
+    supports.
+    """
     return 2 * rig.stiffness.shape[0] + rig.support.shape[0]

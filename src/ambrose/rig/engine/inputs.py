@@ -1,4 +1,6 @@
-"""What a scenario does to the virtual rig, one stretch of control samples after the other, so that memory does not grow."""
+"""What a scenario does to the virtual rig, one stretch of control samples after the other, so that
+memory does not grow.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ambrose.core.checks import invalid
+from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling
 from ambrose.machine.description import Seal
 from ambrose.machine.messages import meant, suggestion
-from ambrose.model.effects import seal
-from ambrose.model.effects import seal_rational
 from ambrose.model.assemble import seal_poles
-from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling
+from ambrose.model.effects import seal, seal_rational
 from ambrose.rig.disturbances import sensed
 from ambrose.rig.engine.state import Rig
 from ambrose.rig.scenario import Scenario
@@ -28,24 +29,30 @@ class Drive(NamedTuple):
     dt: float  # control sample time [s]
     speed: np.ndarray  # (K + 1,) [rad/s]
     angle: np.ndarray  # (K + 1,) [rad]
-    seal: np.ndarray  # (K + 1 or 1, seals, 5 + 2 l) K, k, C, c, M, then direct and cross of every state
-    mass_inverse: np.ndarray  # (K or 1, p, p) with the seals' added mass, (0, p, p) where there is none
-    unbalance: np.ndarray  # (p, 2) modal, along x and y at angle zero [kg m/sqrt(kg)]; (0, 2) where there is none
+    # (K + 1 or 1, seals, 5 + 2 l) K, k, C, c, M, then direct and cross of every state
+    seal: np.ndarray
+    # (K or 1, p, p) with the seals' added mass, (0, p, p) where there is none
+    mass_inverse: np.ndarray
+    # (p, 2) modal, along x and y at angle zero [kg m/sqrt(kg)]; (0, 2) where there is none
+    unbalance: np.ndarray
     force: np.ndarray  # (4, m, K) cubics of the driven forces [N]
     force_at: np.ndarray  # (m, 2) station and axis of each
     powered: np.ndarray  # (a, K) 1 with power, 0 without
     excitation: np.ndarray  # (a, K) [A]
     reference: np.ndarray  # (a, K) [m]
     disturbance: np.ndarray  # (a, K) of the measurement [m]
-    noise: np.ndarray  # (c, K) at the single sensors [m], with the disturbance that they would have to see
+    # (c, K) at the single sensors [m], with the disturbance that they would have to see
+    noise: np.ndarray
     pressure: np.ndarray  # (K,) as its sensor tells it [Pa], the last one where it is lost
-    told: np.ndarray  # (K, d) what a program is told, speed [rad/s], that pressure or both, NaN where it is lost
+    # (K, d) what a program is told, speed [rad/s], that pressure or both, NaN where it is lost
+    told: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A scenario on a rig: dt [s] of the control samples, how many of them, the sources of noise (of position and of pressure
-    sensors), what a program is told."""
+    """A scenario on a rig: dt [s] of the control samples, how many of them, the sources of noise
+    (of position and of pressure sensors), what a program is told.
+    """
 
     rig: Rig
     scenario: Scenario
@@ -58,7 +65,9 @@ class Plan:
     @property
     def inputs(self) -> list[str]:
         """All signals that a scenario may drive."""
-        return [f"{kind}_{a}" for kind in "edr" for a in self.rig.axes] + [f"f_{p}" for p in self.rig.port_names]
+        return [f"{kind}_{a}" for kind in "edr" for a in self.rig.axes] + [
+            f"f_{p}" for p in self.rig.port_names
+        ]
 
     @property
     def driven(self) -> list[str]:
@@ -86,7 +95,11 @@ class Plan:
     @property
     def _speed_knots(self) -> tuple[np.ndarray, np.ndarray]:
         times, speeds = self.scenario.speed_knots
-        return (np.array(times), np.array(speeds)) if times else (np.zeros(1), np.array([self.rig.point.speed]))
+        return (
+            (np.array(times), np.array(speeds))
+            if times
+            else (np.zeros(1), np.array([self.rig.point.speed]))
+        )
 
     def pressures(self, time: np.ndarray) -> np.ndarray:
         """Seal pressure [Pa] at times (n,) [s]; a change without ramp takes one sample."""
@@ -97,7 +110,9 @@ class Plan:
         return self.scenario.pressure_knots(self.rig.point.seal_pressure, self.dt)
 
     def measured(self, first: int, count: int) -> np.ndarray:
-        """The pressure as its sensor tells it (count,) [Pa] at the samples from ``first`` on; in order, for its noise."""
+        """The pressure as its sensor tells it (count,) [Pa] at the samples from ``first`` on; in
+        order, for its noise.
+        """
         time = (first + np.arange(count)) * self.dt
         sensors = self.scenario.pressure_sensors
         if not sensors:
@@ -110,61 +125,116 @@ class Plan:
 
     def lost(self, first: int, count: int) -> np.ndarray:
         """Whether the pressure's sensor tells nothing (count,)."""
-        faults = np.array([False, *(item.fault == "lost" for item in self.scenario.pressure_sensors)])
+        faults = np.array(
+            [False, *(item.fault == "lost" for item in self.scenario.pressure_sensors)]
+        )
         return np.asarray(faults[self._sensor((first + np.arange(count)) * self.dt)])
 
     def _sensor(self, time: np.ndarray) -> np.ndarray:
         """Which sensor tells the pressure (n,): 0 before the first."""
-        return np.searchsorted([item.time for item in self.scenario.pressure_sensors], time, side="right")
+        return np.searchsorted(
+            [item.time for item in self.scenario.pressure_sensors], time, side="right"
+        )
 
 
 def plan(rig: Rig, scenario: Scenario, dt: float, seed: int, along: Scheduling = SPEED) -> Plan:
-    """The scenario on the rig at a control sample time [s]. Raises InvalidInput for signals, ports or axes it has not."""
+    """The scenario on the rig at a control sample time [s]. Raises InvalidInput for signals, ports
+    or axes it has not.
+    """
     count = int(min(scenario.duration / dt, 1e15) + 1e-6) + 1
-    result = Plan(rig, scenario, dt, count, np.random.default_rng(seed), np.random.default_rng([seed, 1]), along)
+    result = Plan(
+        rig,
+        scenario,
+        dt,
+        count,
+        np.random.default_rng(seed),
+        np.random.default_rng([seed, 1]),
+        along,
+    )
     for item in scenario.all_windows:
         if item.signal not in result.inputs:
-            alike = [name for name in result.inputs if name.partition("_")[0] == item.signal.partition("_")[0]]
+            alike = [
+                name
+                for name in result.inputs
+                if name.partition("_")[0] == item.signal.partition("_")[0]
+            ]
             known = f"one of the inputs {', '.join(alike or result.inputs)}"
             close = meant(item.signal, result.inputs)
             remedy = f'did you mean "{close}"?' if close else "correct its name"
             raise invalid(f"the signal {item.signal!r}", "unknown", known, remedy)
     for failure in scenario.failures:
         if failure.axis is not None and failure.axis not in rig.axes:
-            raise invalid("the axis of a failure", repr(failure.axis), "a control axis", suggestion(failure.axis, rig.axes))
+            raise invalid(
+                "the axis of a failure",
+                repr(failure.axis),
+                "a control axis",
+                suggestion(failure.axis, rig.axes),
+            )
     return result
 
 
 def stretch(plan: Plan, first: int, count: int) -> Drive:
-    """The control samples first .. first + count - 1; call them in order, for the noise's sake. Raises InvalidInput."""
-    rig, scenario, dt = plan.rig, plan.scenario, plan.dt
+    """The control samples first .. first + count - 1; call them in order, for the noise's sake.
+    Raises InvalidInput.
+    """
+    rig = plan.rig
+    scenario = plan.scenario
+    dt = plan.dt
     nodes = np.arange(first, first + count + 1) * dt
     speed = plan.speeds(nodes)
     names, c = waveforms(replace(scenario, unbalances=()), plan.inputs, dt, count, first=first)
     rows = {name: c[:, i] for i, name in enumerate(names)}
 
     def held(kind: str) -> np.ndarray:
-        return np.array([rows[f"{kind}_{axis}"][0] if f"{kind}_{axis}" in rows else np.zeros(count) for axis in rig.axes])
+        return np.array(
+            [
+                rows[f"{kind}_{axis}"][0] if f"{kind}_{axis}" in rows else np.zeros(count)
+                for axis in rig.axes
+            ]
+        )
 
     forces = [i for i, port in enumerate(rig.port_names) if f"f_{port}" in rows]
     sigma, disturbance = rig.constants.sensor[:, 4], held("d")
-    noise = plan.noise.standard_normal((count, len(sigma))).T * sigma[:, None] if sigma.any() else np.zeros((len(sigma), count))
+    noise = (
+        plan.noise.standard_normal((count, len(sigma))).T * sigma[:, None]
+        if sigma.any()
+        else np.zeros((len(sigma), count))
+    )
     noise += _spread(rig.constants.mean) @ disturbance
     coefficients, pressure = _seals(plan, first, nodes, speed), plan.measured(first, count)
     return Drive(
-        dt, speed, plan.angles(nodes), coefficients, _mass_inverse(rig, coefficients), _unbalance(plan),
+        dt,
+        speed,
+        plan.angles(nodes),
+        coefficients,
+        _mass_inverse(rig, coefficients),
+        _unbalance(plan),
         np.ascontiguousarray(np.stack([rows[f"f_{rig.port_names[i]}"] for i in forces], axis=1))
-        if forces else np.zeros((4, 0, count)),
+        if forces
+        else np.zeros((4, 0, count)),
         np.array([divmod(i, 2) for i in forces], dtype=np.int64).reshape(-1, 2),
-        _powered(plan, first, count), held("e"), held("r"), disturbance, np.ascontiguousarray(noise),
-        pressure, np.stack([
-            np.where(plan.lost(first, count), np.nan, pressure) if one is PRESSURE else speed[:-1] for one in plan.along.each
-        ], axis=1),
-    )  # fmt: skip
+        _powered(plan, first, count),
+        held("e"),
+        held("r"),
+        disturbance,
+        np.ascontiguousarray(noise),
+        pressure,
+        np.stack(
+            [
+                np.where(plan.lost(first, count), np.nan, pressure)
+                if one is PRESSURE
+                else speed[:-1]
+                for one in plan.along.each
+            ],
+            axis=1,
+        ),
+    )
 
 
 def _spread(mean: np.ndarray) -> np.ndarray:
-    """(c, a): what every sensor sees of a disturbance of the measurement, so that the mean sees it whole."""
+    """(c, a): what every sensor sees of a disturbance of the measurement, so that the mean sees it
+    whole.
+    """
     weight = np.linalg.norm(mean, axis=0)
     return np.asarray((mean / np.where(weight > 0, weight, 1.0)).T)
 
@@ -173,7 +243,9 @@ def _powered(plan: Plan, first: int, count: int) -> np.ndarray:
     powered = np.ones((len(plan.rig.axes), count))
     for failure in plan.scenario.failures:
         since = max(sample_of(failure.time, plan.dt, "the time of a failure") - first, 0)
-        powered[slice(None) if failure.axis is None else plan.rig.axes.index(failure.axis), since:] = 0.0
+        powered[
+            slice(None) if failure.axis is None else plan.rig.axes.index(failure.axis), since:
+        ] = 0.0
     return powered
 
 
@@ -183,7 +255,9 @@ def _unbalance(plan: Plan) -> np.ndarray:
         return np.zeros((0, 2))
     total = np.zeros((rig.modes, 2))
     for item in plan.scenario.unbalances:
-        station = rig.port_names.index(directions(item.port, plan.inputs)[0].removeprefix("f_")) // 2
+        station = (
+            rig.port_names.index(directions(item.port, plan.inputs)[0].removeprefix("f_")) // 2
+        )
         phase = item.phase + rig.constants.angle[station]
         amount = item.mass_times_radius(rig.mass)
         total += amount * np.outer(rig.constants.shape[station], [np.cos(phase), np.sin(phase)])
@@ -191,9 +265,12 @@ def _unbalance(plan: Plan) -> np.ndarray:
 
 
 def _seals(plan: Plan, first: int, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Coefficients (nodes or 1, seals, 5 + 2 l) from sample ``first`` on, looked up at every so many-th sample since the start,
-    where the pressure bends, and linear between."""
-    machine, lags, whirl = plan.rig.machine, plan.rig.constants.seal_lags.shape[1], plan.rig.point.whirl_frequency
+    """Coefficients (nodes or 1, seals, 5 + 2 l) from sample ``first`` on, looked up at every so
+    many-th sample since the start, where the pressure bends, and linear between.
+    """
+    machine = plan.rig.machine
+    lags = plan.rig.constants.seal_lags.shape[1]
+    whirl = plan.rig.point.whirl_frequency
     seals = machine.seals
     poles = [seal_poles(machine, s) if seal_rational.has_states(s) else np.zeros(0) for s in seals]
     pressure = plan.pressures(nodes)
@@ -201,7 +278,10 @@ def _seals(plan: Plan, first: int, nodes: np.ndarray, speed: np.ndarray) -> np.n
         np.ptp(speed) == 0 or all(item.table is None and item.geometry is None for item in seals)
     )
     if constant or not seals:
-        at = [_coefficients(s, p, float(pressure[0]), float(speed[0]), whirl, lags) for s, p in zip(seals, poles, strict=True)]
+        at = [
+            _coefficients(s, p, float(pressure[0]), float(speed[0]), whirl, lags)
+            for s, p in zip(seals, poles, strict=True)
+        ]
         return np.array(at, dtype=float).reshape(1, len(seals), 5 + 2 * lags)
     before, after = first % _SEAL_GRID, -(first + len(nodes) - 1) % _SEAL_GRID
     time = np.arange(first - before, first + len(nodes) + after) * plan.dt
@@ -210,14 +290,23 @@ def _seals(plan: Plan, first: int, nodes: np.ndarray, speed: np.ndarray) -> np.n
     grid = np.unique([*range(0, len(time), _SEAL_GRID), *kinks])
     result = np.empty((len(nodes), len(seals), 5 + 2 * lags))
     for i, item in enumerate(seals):
-        rows = np.array([_coefficients(item, poles[i], float(pressure[g]), float(speed[g]), whirl, lags) for g in grid])
+        rows = np.array(
+            [
+                _coefficients(item, poles[i], float(pressure[g]), float(speed[g]), whirl, lags)
+                for g in grid
+            ]
+        )
         for j in range(rows.shape[1]):
             result[:, i, j] = np.interp(np.arange(before, before + len(nodes)), grid, rows[:, j])
     return result
 
 
-def _coefficients(item: Seal, poles: np.ndarray, pressure: float, speed: float, whirl: float | None, lags: int) -> list[float]:
-    """One row: coefficients at the whirl frequency, or the model of a seal with states on given poles."""
+def _coefficients(
+    item: Seal, poles: np.ndarray, pressure: float, speed: float, whirl: float | None, lags: int
+) -> list[float]:
+    """One row: coefficients at the whirl frequency, or the model of a seal with states on given
+    poles.
+    """
     row = np.zeros(5 + 2 * lags)
     if seal_rational.has_states(item):
         model = seal_rational.rational(item, pressure, speed, poles)
@@ -242,7 +331,11 @@ def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
     middle = added if len(added) == 1 else (added[1:] + added[:-1]) / 2
     on = rig.constants.support_shape[first : first + added.shape[1]]
     if on[added.any(axis=0)].any():
-        rows = np.concatenate([np.einsum("sp,de->sdpe", shape, np.eye(2)).reshape(len(shape), 2, 2 * p), -on], axis=2)
+        rows = np.concatenate(
+            [np.einsum("sp,de->sdpe", shape, np.eye(2)).reshape(len(shape), 2, 2 * p), -on], axis=2
+        )
         whole = np.einsum("ks,sdi,sdj->kij", middle, rows, rows)
         return np.ascontiguousarray(np.linalg.inv(np.eye(rows.shape[2]) + whole))
-    return np.ascontiguousarray(np.linalg.inv(np.eye(p) + np.einsum("ks,sp,sq->kpq", middle, shape, shape)))
+    return np.ascontiguousarray(
+        np.linalg.inv(np.eye(p) + np.einsum("ks,sp,sq->kpq", middle, shape, shape))
+    )

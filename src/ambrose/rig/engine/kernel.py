@@ -1,9 +1,11 @@
-"""The virtual rig's compiled part: one function per stage of the machine, and a fixed-step Runge-Kutta method around them.
+"""The virtual rig's compiled part: one function per stage of the machine, and a fixed-step
+Runge-Kutta method around them.
 
-State z (n,): displacements - the rotor's modal ones, x and y in turn (q_1x, q_1y, q_2x, ...), then those of the supports -,
-their velocities, then two amplifier states [A] per axis, the bias currents [A], the sensors' lagged signals [m], the seals'
-lagged displacements x, y [m]. The forces are those of ``physics``, compiled as they stand. This module imports numba: import
-it only inside functions. What the arrays hold is said in rig/state.py and rig/inputs.py.
+State z (n,): displacements - the rotor's modal ones, x and y in turn (q_1x, q_1y, q_2x, ...), then
+those of the supports -, their velocities, then two amplifier states [A] per axis, the bias currents
+[A], the sensors' lagged signals [m], the seals' lagged displacements x, y [m]. The forces are those
+of ``physics``, compiled as they stand. This module imports numba: import it only inside functions.
+What the arrays hold is said in rig/state.py and rig/inputs.py.
 """
 
 from __future__ import annotations
@@ -41,9 +43,11 @@ from ambrose.rig.engine.sampled import command, control, run_program
 
 _FAR_OUT = 0.4  # of the clearance: where magnets bend much
 _DENSE = 32  # integration steps far out and near contact for each of the others
-_PARTS = 32  # of a step in which a contact begins or ends or a stop is reached, and of the part in which it is
+# of a step in which a contact begins or ends or a stop is reached, and of the part in which it is
+_PARTS = 32
 _STOPPED = 1 - 1e-12  # of a stop: from where on it is reached
-_BEND = 0.25  # of a depth and the rounding of the damping's onset: by how much a step may change that depth
+# of a depth and the rounding of the damping's onset: by how much a step may change that depth
+_BEND = 0.25
 
 _ROOM = 16 << 20  # bytes free where compiled code is kept, or it is compiled anew in every run
 
@@ -78,8 +82,12 @@ def _magnetise(rig: Any, work: Any, z: Any) -> None:
         c, s, p = rig.direction[b, 0], rig.direction[b, 1], rig.magnet[b]
         x, y = work.place[b, 0], work.place[b, 1]
         i, j = 2 * b, 2 * b + 1
-        first = effective_current(work.command[i], z[amp + 2 * i], z[amp + 2 * i + 1], rig.amplifier[i])
-        second = effective_current(work.command[j], z[amp + 2 * j], z[amp + 2 * j + 1], rig.amplifier[j])
+        first = effective_current(
+            work.command[i], z[amp + 2 * i], z[amp + 2 * i + 1], rig.amplifier[i]
+        )
+        second = effective_current(
+            work.command[j], z[amp + 2 * j], z[amp + 2 * j + 1], rig.amplifier[j]
+        )
         known = (z[bias + i], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
         f_zeta, f_eta = magnet_force(first, second, c * x + s * y, c * y - s * x, known)
         if z[bias + j] != z[bias + i]:  # one of the axes has failed
@@ -96,7 +104,9 @@ def _touch(rig: Any, work: Any, speed: float) -> None:
     for b in range(rig.touchdown.shape[0]):
         gap, x, y = rig.touchdown[b, 0], work.place[b, 0], work.place[b, 1]
         if x * x + y * y > gap * gap:
-            fx, fy, _, _ = contact_force(x, y, work.velocity[b, 0], work.velocity[b, 1], speed, rig.touchdown[b])
+            fx, fy, _, _ = contact_force(
+                x, y, work.velocity[b, 0], work.velocity[b, 1], speed, rig.touchdown[b]
+            )
             work.force[b, 0] += fx
             work.force[b, 1] += fy
 
@@ -109,14 +119,18 @@ def _couple(rig: Any, work: Any) -> None:
         c, s = rig.direction[first + i, 0], rig.direction[first + i, 1]
         x, y = work.place[first + i, 0], work.place[first + i, 1]
         vx, vy = work.velocity[first + i, 0], work.velocity[first + i, 1]
-        f, g = coupling_force(c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, rig.coupling[i])
+        f, g = coupling_force(
+            c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, rig.coupling[i]
+        )
         work.force[first + i, 0] += c * f - s * g
         work.force[first + i, 1] += s * f + c * g
 
 
 @compiled
 def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any) -> None:
-    """Seals and their lags, coefficients linear within a sample; their added mass is in the mass matrix."""
+    """Seals and their lags, coefficients linear within a sample; their added mass is in the mass
+    matrix.
+    """
     lag = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0] + rig.sensor.shape[0]
     first = rig.magnet.shape[0] + rig.coupling.shape[0]
     varying = drive.seal.shape[0] > 1
@@ -149,7 +163,9 @@ def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) 
     for j in range(rig.weight.shape[0]):
         work.modal[j] = rig.weight[j]
     for m in range(drive.force_at.shape[0]):
-        value = drive.force[0, m, k] + tau * (drive.force[1, m, k] + tau * (drive.force[2, m, k] + tau * drive.force[3, m, k]))
+        value = drive.force[0, m, k] + tau * (
+            drive.force[1, m, k] + tau * (drive.force[2, m, k] + tau * drive.force[3, m, k])
+        )
         s, axis = drive.force_at[m, 0], drive.force_at[m, 1]
         c, d = rig.direction[s, 0], rig.direction[s, 1]
         fx, fy = value * (c if axis == 0 else -d), value * (d if axis == 0 else c)
@@ -168,7 +184,9 @@ def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) 
 
 @compiled
 def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, dz: Any) -> None:
-    """Rotor and supports: accelerations from modal and station forces, gyroscopic moments, added mass."""
+    """Rotor and supports: accelerations from modal and station forces, gyroscopic moments, added
+    mass.
+    """
     p, n = rig.stiffness.shape[0], coordinates(rig)
     for j in range(p):
         fx, fy = work.modal[2 * j], work.modal[2 * j + 1]
@@ -182,7 +200,10 @@ def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, d
     for i in range(rig.support.shape[0]):
         f, v = 0.0, z[n + 2 * p + i]
         for s in range(work.force.shape[0]):
-            f -= rig.support_shape[s, 0, i] * work.force[s, 0] + rig.support_shape[s, 1, i] * work.force[s, 1]
+            f -= (
+                rig.support_shape[s, 0, i] * work.force[s, 0]
+                + rig.support_shape[s, 1, i] * work.force[s, 1]
+            )
         dz[2 * p + i] = v
         dz[n + 2 * p + i] = f - rig.support[i, 0] * z[2 * p + i] - rig.support[i, 1] * v
     if speed != 0.0:
@@ -271,18 +292,25 @@ def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz:
 
 @compiled
 def _farthest(rig: Any, work: Any, dt: float) -> float:
-    """How far the rotor may get within dt [s], as it moves now, of a touchdown bearing's clearance."""
+    """How far the rotor may get within dt [s], as it moves now, of a touchdown bearing's
+    clearance.
+    """
     farthest = 0.0
     for b in range(rig.touchdown.shape[0]):
         x, y, vx, vy = work.place[b, 0], work.place[b, 1], work.velocity[b, 0], work.velocity[b, 1]
-        farthest = max(farthest, (np.sqrt(x * x + y * y) + np.sqrt(vx * vx + vy * vy) * dt) / rig.touchdown[b, 0])
+        farthest = max(
+            farthest,
+            (np.sqrt(x * x + y * y) + np.sqrt(vx * vx + vy * vy) * dt) / rig.touchdown[b, 0],
+        )
     return farthest
 
 
 @compiled
 def _regime(rig: Any, work: Any, z: Any, depth: Any) -> int:
-    """A number that changes where a contact begins, ends, pushes or no longer does, and where an amplifier of order two reaches
-    or leaves a stop; depth (b,) [m]: how far the rotor is in its touchdown bearings, 0 where it is free."""
+    """A number that changes where a contact begins, ends, pushes or no longer does, and where an
+    amplifier of order two reaches or leaves a stop; depth (b,) [m]: how far the rotor is in its
+    touchdown bearings, 0 where it is free.
+    """
     _move(rig, work, z)
     amp, number = 2 * coordinates(rig), 0
     for b in range(rig.touchdown.shape[0]):
@@ -293,14 +321,19 @@ def _regime(rig: Any, work: Any, z: Any, depth: Any) -> int:
         number = 5 * number + kind
     for a in range(rig.amplifier.shape[0]):
         first, second = stops(rig.amplifier[a])
-        at, slope_at = abs(z[amp + 2 * a]) >= first * _STOPPED, abs(z[amp + 2 * a + 1]) >= second * _STOPPED
+        at, slope_at = (
+            abs(z[amp + 2 * a]) >= first * _STOPPED,
+            abs(z[amp + 2 * a + 1]) >= second * _STOPPED,
+        )
         number = 5 * number + at + 2 * slope_at
     return number
 
 
 @compiled
 def _followed(rig: Any, work: Any, regime: int, z: Any) -> bool:
-    """Whether the step to z resolves what it passes: one regime, and where damping sets in depths that change by little."""
+    """Whether the step to z resolves what it passes: one regime, and where damping sets in depths
+    that change by little.
+    """
     same = _regime(rig, work, z, work.depth[1]) == regime
     for b in range(rig.touchdown.shape[0]):
         old, new = work.depth[0, b], work.depth[1, b]
@@ -310,8 +343,9 @@ def _followed(rig: Any, work: Any, regime: int, z: Any) -> bool:
 
 @compiled
 def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: Any) -> None:
-    """One step of the classical fourth-order Runge-Kutta method from the fraction tau of sample k on, a fraction ``width``
-    long, into work.slopes[1]."""
+    """One step of the classical fourth-order Runge-Kutta method from the fraction tau of sample k
+    on, a fraction ``width`` long, into work.slopes[1].
+    """
     n, h = z.shape[0], width * drive.dt
     dz, total, trial = work.slopes[0], work.slopes[1], work.slopes[2]
     for i in range(n):
@@ -326,16 +360,19 @@ def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: 
             trial[i] = z[i] + ahead * dz[i]
     for a in range(rig.amplifier.shape[0]):
         i, (first, second) = 2 * coordinates(rig) + 2 * a, stops(rig.amplifier[a])
-        total[i], total[i + 1] = min(max(total[i], -first), first), min(max(total[i + 1], -second), second)
+        total[i], total[i + 1] = (
+            min(max(total[i], -first), first),
+            min(max(total[i + 1], -second), second),
+        )
 
 
 @compiled
 def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> None:
     """One control sample in ``steps`` steps.
 
-    The order is lost in a step in which a contact begins or ends, an amplifier reaches or leaves a stop, or that is too long
-    for the damping's onset: such a step is done again in parts, and parts like it once more, so that what changes there does
-    so within nanoseconds of where it should.
+    The order is lost in a step in which a contact begins or ends, an amplifier reaches or leaves a
+    stop, or that is too long for the damping's onset: such a step is done again in parts, and parts
+    like it once more, so that what changes there does so within nanoseconds of where it should.
     """
     total = work.slopes[1]
     regime = _regime(rig, work, z, work.depth[0])
@@ -351,7 +388,15 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
                 _accept(work, z)
                 continue
             for piece in range(_PARTS):
-                _step(rig, work, drive, k, tau + (part + piece / _PARTS) * width / _PARTS, width / _PARTS**2, z)
+                _step(
+                    rig,
+                    work,
+                    drive,
+                    k,
+                    tau + (part + piece / _PARTS) * width / _PARTS,
+                    width / _PARTS**2,
+                    z,
+                )
                 _accept(work, z)
             regime = _regime(rig, work, z, work.depth[0])
 
@@ -380,14 +425,18 @@ def _measure(rig: Any, drive: Any, k: int, z: Any, y: Any) -> None:
 
 @compiled
 def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
-    """One row: y, u, coil currents, magnet forces (axes), displacements of the stations in their axes."""
+    """One row: y, u, coil currents, magnet forces (axes), displacements of the stations in their
+    axes.
+    """
     count = y.shape[0]
     amp = 2 * coordinates(rig)
     _move(rig, work, z)
     _magnetise(rig, work, z)
     for a in range(count):
         row[a], row[count + a], row[3 * count + a] = y[a], u[a], work.magnet[a]
-        row[2 * count + a] = coil_current(work.command[a], z[amp + 2 * a], z[amp + 2 * a + 1], rig.amplifier[a])
+        row[2 * count + a] = coil_current(
+            work.command[a], z[amp + 2 * a], z[amp + 2 * a + 1], rig.amplifier[a]
+        )
     for s in range(work.place.shape[0]):
         c, d = rig.direction[s, 0], rig.direction[s, 1]
         row[4 * count + 2 * s] = c * work.place[s, 0] + d * work.place[s, 1]
@@ -395,20 +444,34 @@ def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
 
 
 def entry_points(fingerprint: int) -> tuple[Any, Any]:
-    """``advance`` and ``slope``, compiled; kept on disk for the next process under a fingerprint of all that they contain.
+    """``advance`` and ``slope``, compiled; kept on disk for the next process under a fingerprint of
+    all that they contain.
 
-    Numba's own cache sees changes of this file only, and not of the force functions that are compiled into it.
+    Numba's own cache sees changes of this file only, and not of the force functions that are
+    compiled into it.
     """
 
     def advance(
-        rig: Any, law: Any, code: Any, drive: Any, P: Any, steps: int, z: Any, x: Any, held: Any, work: Any, log: Any, seen: Any
+        rig: Any,
+        law: Any,
+        code: Any,
+        drive: Any,
+        P: Any,
+        steps: int,
+        z: Any,
+        x: Any,
+        held: Any,
+        work: Any,
+        log: Any,
+        seen: Any,
     ) -> int:
         """A stretch of K control samples; z, x and held (a,) end as the state after it.
 
-        code: what runs in place of the law, address 0: nothing. P: the propagator; samples that it cannot do (contact near,
-        an amplifier at its limits, a bias that moves) take ``steps`` Runge-Kutta steps, more far out. log (K, columns): see
-        ``_log``. seen (K, a) [m]: what the controller saw. Returns how many samples were done: fewer than K where the
-        state overflowed or the code gave up.
+        code: what runs in place of the law, address 0: nothing. P: the propagator; samples that it
+        cannot do (contact near, an amplifier at its limits, a bias that moves) take ``steps``
+        Runge-Kutta steps, more far out. log (K, columns): see ``_log``. seen (K, a) [m]: what the
+        controller saw. Returns how many samples were done: fewer than K where the state overflowed
+        or the code gave up.
         """
         assert fingerprint  # part of the cached function's identity
         y, u = work.sampled[0], work.sampled[1]

@@ -1,4 +1,6 @@
-"""What a run of the virtual rig leaves: its signals collected in memory and, while it runs, in a file."""
+"""What a run of the virtual rig leaves: its signals collected in memory and, while it runs, in a
+file.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ _LARGEST = 100_000_000  # numbers in one record: 0.8 GB
 
 
 class Recorder:
-    """Takes the logs of one stretch after the other, keeps each ``every``-th sample; a context manager for the file's sake.
+    """Takes the logs of one stretch after the other, keeps each ``every``-th sample; a context
+    manager for the file's sake.
 
     Raises InvalidInput for ``every`` below 1 or so small that the record would be too large.
     """
@@ -48,11 +51,18 @@ class Recorder:
             from ambrose.record.writer import RecordWriter
 
             name = self.task.rig.machine.name
-            writer = RecordWriter(self.path, name, self.rate, self.names, self.units, self.point, notes=self.notes)
+            writer = RecordWriter(
+                self.path, name, self.rate, self.names, self.units, self.point, notes=self.notes
+            )
             self._writer = self._stack.enter_context(writer)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._stack.__exit__(kind, error, trace)
 
     def add(self, number: int, drive: Drive, log: np.ndarray) -> None:
@@ -67,16 +77,30 @@ class Recorder:
         """The record, with the outcome in words among its notes."""
         if self._writer is not None:
             self._writer.note("outcome", outcome)
-        values = self.values if self.filled == self.values.shape[1] else self.values[:, : self.filled].copy()
+        values = (
+            self.values
+            if self.filled == self.values.shape[1]
+            else self.values[:, : self.filled].copy()
+        )
         values.flags.writeable = False  # a Record then takes it as it is
         notes = (*self.notes, ("outcome", outcome))
-        return Record(self.task.rig.machine.name, self.rate, self.names, self.units, values, self.point, notes=notes)
+        return Record(
+            self.task.rig.machine.name,
+            self.rate,
+            self.names,
+            self.units,
+            values,
+            self.point,
+            notes=notes,
+        )
 
 
 def _names(task: Plan) -> tuple[str, ...]:
     """The names of the signals in a record."""
     axes, scenario = task.rig.axes, task.scenario
-    names = [f"{kind}_{a}" for kind in ("y", "u", "i", "f_magnet") for a in axes] + [f"q_{p}" for p in task.rig.port_names]
+    names = [f"{kind}_{a}" for kind in ("y", "u", "i", "f_magnet") for a in axes] + [
+        f"q_{p}" for p in task.rig.port_names
+    ]
     varying = ["speed"] * scenario.runs_up + ["p_seal"] * bool(scenario.pressures)
     varying += ["p_measured"] * bool(scenario.pressure_sensors)
     return (*names, *task.driven, *varying)
@@ -84,13 +108,19 @@ def _names(task: Plan) -> tuple[str, ...]:
 
 def _block(task: Plan, drive: Drive, log: np.ndarray, number: int) -> np.ndarray:
     """All recorded signals (s, k) of a stretch."""
-    k, rig, scenario = len(log), task.rig, task.scenario
+    k = len(log)
+    rig = task.rig
+    scenario = task.scenario
     sources = {"e": drive.excitation, "r": drive.reference, "d": drive.disturbance}
     rows = [log.T]
     forces = [port for port in rig.port_names if f"f_{port}" in task.driven]
     for name in task.driven:
         kind, _, rest = name.partition("_")
-        row = drive.force[0, forces.index(rest)] if kind == "f" else sources[kind][rig.axes.index(rest)]
+        row = (
+            drive.force[0, forces.index(rest)]
+            if kind == "f"
+            else sources[kind][rig.axes.index(rest)]
+        )
         rows.append(row[None, :k])
     if scenario.runs_up:
         rows.append(drive.speed[None, :k])

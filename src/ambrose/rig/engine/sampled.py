@@ -1,4 +1,5 @@
-"""What happens once a control sample, compiled: the controller or a program in its place, and what the amplifiers are told.
+"""What happens once a control sample, compiled: the controller or a program in its place, and what
+the amplifiers are told.
 
 This module imports numba: import it only inside functions.
 """
@@ -11,8 +12,12 @@ from ambrose.rig.engine.inlined import by_address, compiled
 
 
 @compiled
-def control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err: Any, ahead: Any) -> None:
-    """One sample of the controller: err = r - y, u (a,) what acts now, held (a,) what acts later; ahead (m,) is scratch."""
+def control(
+    law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err: Any, ahead: Any
+) -> None:
+    """One sample of the controller: err = r - y, u (a,) what acts now, held (a,) what acts later;
+    ahead (m,) is scratch.
+    """
     n, m = x.shape[0], y.shape[0]
     for a in range(m):
         u[a] = held[a]
@@ -39,8 +44,12 @@ def control(law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err
 
 
 @compiled
-def run_program(law: Any, program: Any, drive: Any, k: int, y: Any, held: Any, u: Any, err: Any) -> int:
-    """One sample of a program at an address: what it computes acts at the next one. Negative where it gave up."""
+def run_program(
+    law: Any, program: Any, drive: Any, k: int, y: Any, held: Any, u: Any, err: Any
+) -> int:
+    """One sample of a program at an address: what it computes acts at the next one. Negative where
+    it gave up.
+    """
     m = y.shape[0]
     for a in range(m):
         u[a] = held[a]

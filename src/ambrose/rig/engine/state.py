@@ -1,7 +1,8 @@
 """The virtual rig as arrays: what does not change during a run, and its state.
 
-The rotor is that of plant/assemble.py in its free modes (p per plane), without the bearings' linear negative stiffness, seals
-and couplings: those act as forces at S stations, in the order bearings, couplings, seals, discs, each with two axes.
+The rotor is that of plant/assemble.py in its free modes (p per plane), without the bearings' linear
+negative stiffness, seals and couplings: those act as forces at S stations, in the order bearings,
+couplings, seals, discs, each with two axes.
 """
 
 from __future__ import annotations
@@ -17,18 +18,26 @@ import numpy as np
 from ambrose.core.checks import invalid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.model.effects import amplifier
-from ambrose.model.effects import coupling
-from ambrose.model.effects import magnet
-from ambrose.model.effects import seal
-from ambrose.model.effects import seal_rational
-from ambrose.model.effects import sensor
-from ambrose.model.effects import touchdown
-from ambrose.model.effects import unbalance
-from ambrose.model.effects.rotor import Rotor, displacement_row, finite_element_rotor, free_modes, gravity_load
-from ambrose.model.effects.support import foundation
 from ambrose.model.assemble import seal_model
 from ambrose.model.basis import bending_modes_of, gyroscopic_of
+from ambrose.model.effects import (
+    amplifier,
+    coupling,
+    magnet,
+    seal,
+    seal_rational,
+    sensor,
+    touchdown,
+    unbalance,
+)
+from ambrose.model.effects.rotor import (
+    Rotor,
+    displacement_row,
+    finite_element_rotor,
+    free_modes,
+    gravity_load,
+)
+from ambrose.model.effects.support import foundation
 from ambrose.model.ports import ports, sensor_ports
 from ambrose.model.static_load import operating_magnets
 
@@ -44,7 +53,8 @@ class Constants(NamedTuple):
     gyroscopic: np.ndarray  # (p, p) g in G = g (x) [[0, 1], [-1, 0]] [-]
     shape: np.ndarray  # (S, p) modal deflection at the stations [1/sqrt(kg)]
     sensor_shape: np.ndarray  # (c / 2, p) of every sensor pair; c sensors
-    sensor_direction: np.ndarray  # (c / 2, 2) cosine and sine of the angle from x to its first sensor
+    # (c / 2, 2) cosine and sine of the angle from x to its first sensor
+    sensor_direction: np.ndarray
     sensor_angle: np.ndarray  # (c / 2,) that angle [rad]
     mean: np.ndarray  # (a, c) measurement from the single sensors
     direction: np.ndarray  # (S, 2) cosine and sine of the angle from x to a station's first axis
@@ -57,15 +67,20 @@ class Constants(NamedTuple):
     sensor: np.ndarray  # (c, 6) physics.sensor.parameters
     runout: np.ndarray  # (h, 3) physics.sensor.harmonics, pair after pair
     runout_start: np.ndarray  # (c / 2 + 1,)
-    seal_lags: np.ndarray  # (seals, l, l + 1) A with b beside it of the seals with states; idle where a seal has fewer
+    # (seals, l, l + 1) A with b beside it of the seals with states; idle where a seal has fewer
+    seal_lags: np.ndarray
     weight: np.ndarray  # (2 p,) modal force
-    support: np.ndarray  # (m, 2) squared frequency [rad2/s2] and damping [rad/s] of every coordinate of the supports
-    support_shape: np.ndarray  # (S, 2, m) how far in x and y what a station acts against moves with it [1/sqrt(kg)]
+    # (m, 2) squared frequency [rad2/s2] and damping [rad/s] of every coordinate of the supports
+    support: np.ndarray
+    # (S, 2, m) how far in x and y what a station acts against moves with it [1/sqrt(kg)]
+    support_shape: np.ndarray
     sensor_support: np.ndarray  # (c / 2, 2, m) the same of the sensors
 
 
 class Work(NamedTuple):
-    """Scratch arrays, so that the compiled code allocates nothing; n states, m of the controller."""
+    """Scratch arrays, so that the compiled code allocates nothing; n states, m of the
+    controller.
+    """
 
     place: np.ndarray  # (S, 2) displacement of the stations in x and y [m]
     velocity: np.ndarray  # (S, 2) [m/s]
@@ -81,7 +96,9 @@ class Work(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """A machine ready to run: its constants, the names of its stations' axes (ports) in their order, the rotor's mass [kg]."""
+    """A machine ready to run: its constants, the names of its stations' axes (ports) in their
+    order, the rotor's mass [kg].
+    """
 
     machine: Machine
     point: OperatingPoint
@@ -105,7 +122,9 @@ class Rig:
 
     @property
     def states(self) -> int:
-        """Length of the state: displacements and velocities, amplifiers, bias currents, sensors, seals."""
+        """Length of the state: displacements and velocities, amplifiers, bias currents, sensors,
+        seals.
+        """
         return self.sensed.stop + 2 * self.constants.seal_lags[..., 0].size
 
     @property
@@ -122,26 +141,48 @@ class Rig:
     def work(self, controller_states: int = 0) -> Work:
         """Fresh scratch arrays."""
         stations, a = len(self.constants.shape), len(self.axes)
-        shapes: list[tuple[int, ...]] = [(stations, 2)] * 3 + [(self.coordinates,), (a,), (a,), (3, self.states), (2, a)]
-        return Work(*(np.zeros(shape) for shape in [*shapes, (controller_states,), (2, len(self.constants.touchdown))]))
+        shapes: list[tuple[int, ...]] = [(stations, 2)] * 3 + [
+            (self.coordinates,),
+            (a,),
+            (a,),
+            (3, self.states),
+            (2, a),
+        ]
+        return Work(
+            *(
+                np.zeros(shape)
+                for shape in [*shapes, (controller_states,), (2, len(self.constants.touchdown))]
+            )
+        )
 
 
-def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: int | None = None) -> Rig:
-    """The rig of a machine with rigid-body and ``bending_modes`` modes per plane (None: 3, fewer where the mesh has not so
-    many), at a bias current and seals of ``point``. Raises InvalidInput.
+def build(
+    machine: Machine, point: OperatingPoint | None = None, bending_modes: int | None = None
+) -> Rig:
+    """The rig of a machine with rigid-body and ``bending_modes`` modes per plane (None: 3, fewer
+    where the mesh has not so many), at a bias current and seals of ``point``. Raises InvalidInput.
     """
     point = machine.operation.nominal if point is None else point
     rotor = finite_element_rotor(machine)
     available = bending_modes_of(rotor)
     bending_modes = min(_MODES, available) if bending_modes is None else bending_modes
     if not 0 <= bending_modes <= available:
-        raise invalid("bending_modes", bending_modes, f"between 0 and {available}", "refine the mesh or keep fewer modes")
+        raise invalid(
+            "bending_modes",
+            bending_modes,
+            f"between 0 and {available}",
+            "refine the mesh or keep fewer modes",
+        )
     modes = free_modes(rotor, bending_modes)
     frequencies = modes.frequencies[0::2]
     places, sensed = ports(machine), sensor_ports(machine)
     angles = np.array([port.direction for port in places[0::2]])
     bearings = machine.bearings
-    rates = [w for w in (machine.amplifier.bandwidth, machine.amplifier.natural_frequency) if w is not None]
+    rates = [
+        w
+        for w in (machine.amplifier.bandwidth, machine.amplifier.natural_frequency)
+        if w is not None
+    ]
     single = sensor.channels(machine.sensor_pairs, machine.axes)
     tracks = [sensor.harmonics(pair) for pair in machine.sensor_pairs]
     base = foundation(machine)
@@ -151,7 +192,9 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
         gyroscopic=np.ascontiguousarray(gyroscopic_of(rotor, modes)[0::2, 1::2]),
         shape=_deflections(rotor, [port.position for port in places[0::2]], modes.shapes),
         sensor_shape=_deflections(rotor, [port.position for port in sensed[0::2]], modes.shapes),
-        sensor_direction=np.array([[np.cos(port.direction), np.sin(port.direction)] for port in sensed[0::2]]),
+        sensor_direction=np.array(
+            [[np.cos(port.direction), np.sin(port.direction)] for port in sensed[0::2]]
+        ),
         sensor_angle=np.array([port.direction for port in sensed[0::2]]),
         mean=sensor.means(machine.sensor_pairs, machine.axes),
         direction=np.column_stack([np.cos(angles), np.sin(angles)]),
@@ -159,7 +202,9 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
         magnet=np.array([item.of_force for item in operating_magnets(machine, point.bias_current)]),
         touchdown=np.array([touchdown.parameters(machine, b) for b in bearings]),
         coupling=np.array([coupling.parameters(c) for c in machine.couplings]).reshape(-1, 4),
-        amplifier=np.array([amplifier.parameters(machine.amplifier, b.max_current) for b in bearings for _ in "zh"]),
+        amplifier=np.array(
+            [amplifier.parameters(machine.amplifier, b.max_current) for b in bearings for _ in "zh"]
+        ),
         bias_rate=rates[0] if machine.amplifier.order != "none" and rates else _NO_BIAS_LAG,
         sensor=np.array([sensor.parameters(pair, way) for _, pair, way in single], dtype=float),
         runout=np.vstack(tracks),
@@ -171,18 +216,30 @@ def build(machine: Machine, point: OperatingPoint | None = None, bending_modes: 
         sensor_support=base.sensor_rows([port.name.rpartition("_")[0] for port in sensed[0::2]]),
     )
     translation = modes.shapes[:, 0]
-    return Rig(machine, point, constants, tuple(port.name for port in places), float(1 / np.abs(translation).max() ** 2))
+    return Rig(
+        machine,
+        point,
+        constants,
+        tuple(port.name for port in places),
+        float(1 / np.abs(translation).max() ** 2),
+    )
 
 
 def _deflections(rotor: Rotor, positions: list[float], shapes: np.ndarray) -> np.ndarray:
     """Modal deflection (S, p) at axial positions [m]."""
-    return np.array([displacement_row(rotor, position, 0.0) @ shapes[:, 0::2] for position in positions])
+    return np.array(
+        [displacement_row(rotor, position, 0.0) @ shapes[:, 0::2] for position in positions]
+    )
 
 
 def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
-    """The dynamics (seals, l, l + 1) of the seals' states, the same during the whole run; padded with states that stay zero."""
+    """The dynamics (seals, l, l + 1) of the seals' states, the same during the whole run; padded
+    with states that stay zero.
+    """
     held = [seal_rational.has_states(item) for item in machine.seals]
-    most = max((item.poles for item, states in zip(machine.seals, held, strict=True) if states), default=0)
+    most = max(
+        (item.poles for item, states in zip(machine.seals, held, strict=True) if states), default=0
+    )
     result = np.tile(np.column_stack([-np.eye(most), np.zeros(most)]), (len(held), 1, 1))
     for lags, item, states in zip(result, machine.seals, held, strict=True):
         if states:
@@ -194,10 +251,10 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
 
 @cache
 def compiled() -> tuple[Any, Any]:
-    """The compiled functions ``advance`` and ``slope`` of rig/kernel.py; half a minute on a machine that never ran them."""
-    from ambrose.rig.engine import exponential
-    from ambrose.rig.engine import inlined
-    from ambrose.rig.engine import sampled
+    """The compiled functions ``advance`` and ``slope`` of rig/kernel.py; half a minute on a machine
+    that never ran them.
+    """
+    from ambrose.rig.engine import exponential, inlined, sampled
     from ambrose.rig.engine import kernel as rig_kernel
 
     physics = (amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance)

@@ -1,4 +1,6 @@
-"""The seal monitor against simulations of the loop in which the seal is known: exact without noise, honest with it."""
+"""The seal monitor against simulations of the loop in which the seal is known: exact without noise,
+honest with it.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -7,21 +9,21 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.core.checks import InvalidInput
-from ambrose.core.response import simulate, simulate_piecewise
-from ambrose.core.sampling import c2d
-from ambrose.core.statespace import select
 from ambrose.annexes.scheduled.seal_monitor.estimator import students_t
 from ambrose.annexes.scheduled.seal_monitor.model import seal_model
 from ambrose.annexes.scheduled.seal_monitor.signals import NOTCH, measuring_filter
 from ambrose.annexes.scheduled.seal_monitor.watch import SealMonitor, monitor
+from ambrose.core.checks import InvalidInput
+from ambrose.core.response import simulate, simulate_piecewise
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import select
+from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
-from ambrose.record.record import Record
 from ambrose.machine.seals import SealTable
 from ambrose.model.assemble import assemble
-from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.uncertainty import perturbed
+from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
 
 DT, LENGTH = 1e-4, 16_000
@@ -41,10 +43,14 @@ def excitation(amplitude, axes=4):
 
 @cache
 def loop(share, modes=3, moved=()):
-    """The sampled loop of the rig at a share of the nominal pressure, parameters moved relative to their values."""
+    """The sampled loop of the rig at a share of the nominal pressure, parameters moved relative to
+    their values.
+    """
     machine, law = setting()
     nominal = machine.operation.nominal
-    plant = free_mode_reduction(assemble(machine, replace(nominal, seal_pressure=share * nominal.seal_pressure)), modes)
+    plant = free_mode_reduction(
+        assemble(machine, replace(nominal, seal_pressure=share * nominal.seal_pressure)), modes
+    )
     tolerances = [Tolerance(path, relative=abs(value)) for path, value in moved]
     if moved:
         plant = perturbed(plant, {path: float(np.sign(value)) for path, value in moved}, tolerances)
@@ -55,16 +61,27 @@ def recorded(share, e, modes=3, moved=(), noise=0.0, seed=0):
     """A record of the linear loop; the noise of the sensors runs through the controller."""
     machine = setting()[0]
     d = noise * np.random.default_rng(seed).standard_normal(e.shape)
-    driven, seen = ([f"{kind}_{axis}" for kind in kinds for axis in machine.axes] for kinds in ("ed", "yu"))
+    driven, seen = (
+        [f"{kind}_{axis}" for kind in kinds for axis in machine.axes] for kinds in ("ed", "yu")
+    )
     y = simulate(select(loop(share, modes, moved), driven, seen), np.vstack([e, d]))
     names = (*seen, *driven[:4])
     units = ("m",) * 4 + ("A",) * 8
-    return Record(machine.name, 1 / DT, names, units, np.vstack([y, e]), replace(machine.operation.nominal, label=""))
+    return Record(
+        machine.name,
+        1 / DT,
+        names,
+        units,
+        np.vstack([y, e]),
+        replace(machine.operation.nominal, label=""),
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_without_noise_the_seal_is_found_at_every_pressure(share):
-    """Whatever pressure the record claims; what is left is the third power of theta (measured: 2e-4 at 0.5, 8e-4 at 1)."""
+    """Whatever pressure the record claims; what is left is the third power of theta (measured: 2e-4
+    at 0.5, 8e-4 at 1).
+    """
     machine, law = setting()
     found = monitor(machine, law, recorded(share, excitation(0.02)), doubts={}, rate=0.0)
     values = found.values[found.known_at, 0] / found.reference[0]
@@ -75,26 +92,41 @@ def test_without_noise_the_seal_is_found_at_every_pressure(share):
 def test_one_bending_mode_in_the_observer_is_enough_and_none_is_not():
     machine, law = setting()
     record = recorded(1.0, excitation(0.02))
-    one, none = (monitor(machine, law, record, doubts={}, bending_modes=k).values[-1, 0] for k in (1, 0))
+    one, none = (
+        monitor(machine, law, record, doubts={}, bending_modes=k).values[-1, 0] for k in (1, 0)
+    )
     true = machine.operation.nominal.seal_pressure
     assert abs(one / true - 1) < 3e-3 < abs(none / true - 1)
 
 
 def test_stiffness_and_damping_apart():
     machine, law = setting()
-    found = monitor(machine, law, recorded(0.5, excitation(0.02)), unknown=("K", "k", "C", "c"), doubts={}, rate=0.0)
+    found = monitor(
+        machine,
+        law,
+        recorded(0.5, excitation(0.02)),
+        unknown=("K", "k", "C", "c"),
+        doubts={},
+        rate=0.0,
+    )
     seal = machine.seals[0]
-    assert found.values[-1] == pytest.approx(0.5 * np.array([seal.K, seal.k, seal.C, seal.c]), rel=3e-3)
+    assert found.values[-1] == pytest.approx(
+        0.5 * np.array([seal.K, seal.k, seal.C, seal.c]), rel=3e-3
+    )
 
 
 @pytest.mark.parametrize(
     ("path", "kind"),
-    [("bearing.A.force_per_current.zeta", "force_per_current"), ("bearing.B.negative_stiffness.eta", "negative_stiffness"),
-     ("amplifier.natural_frequency", "amplifier")],
-)  # fmt: skip
+    [
+        ("bearing.A.force_per_current.zeta", "force_per_current"),
+        ("bearing.B.negative_stiffness.eta", "negative_stiffness"),
+        ("amplifier.natural_frequency", "amplifier"),
+    ],
+)
 def test_the_effect_of_what_is_taken_as_known_is_exact(path, kind):
-    """Against the same loop with the parameter moved: the estimate shifts by as much as is said (of the seal only to
-    first order: the loop is without pressure)."""
+    """Against the same loop with the parameter moved: the estimate shifts by as much as is said (of
+    the seal only to first order: the loop is without pressure).
+    """
     machine, law = setting()
     e, step = excitation(0.02), 1e-3
     shift = [
@@ -115,7 +147,11 @@ def test_the_effect_of_what_is_taken_as_known_is_exact(path, kind):
 def general_paths(machine, kind):
     if kind == "amplifier":
         return ["amplifier.natural_frequency"]
-    return [f"bearing.{item.name}.{kind}.{axis}" for item in machine.bearings for axis in ("zeta", "eta")]
+    return [
+        f"bearing.{item.name}.{kind}.{axis}"
+        for item in machine.bearings
+        for axis in ("zeta", "eta")
+    ]
 
 
 def test_pieces_of_a_record_give_the_same_as_the_whole():
@@ -131,17 +167,26 @@ def test_pieces_of_a_record_give_the_same_as_the_whole():
         one_by_one += pieces.follow(y[:, part], (u + e)[:, part], e[:, part])
     assert len(at_once) == len(one_by_one) > 50
     for a, b in zip(at_once[6:], one_by_one[6:], strict=True):
-        assert a.theta == pytest.approx(b.theta, rel=1e-9) and a.half_width == pytest.approx(b.half_width, rel=1e-7)
+        assert a.theta == pytest.approx(b.theta, rel=1e-9) and a.half_width == pytest.approx(
+            b.half_width, rel=1e-7
+        )
 
 
 def test_noise_widens_the_interval_as_it_scatters_the_estimate():
-    """40 records of the loop with white noise: the noise part holds at least 36, and is no more than 6 times too wide."""
+    """40 records of the loop with white noise: the noise part holds at least 36, and is no more
+    than 6 times too wide.
+    """
     machine, law = setting()
     e = excitation(0.02)
     runs = [
-        monitor(machine, law, recorded(0.0, e, noise=1e-7, seed=k), bending_modes=1, doubts={}, rate=0.0) for k in range(40)
+        monitor(
+            machine, law, recorded(0.0, e, noise=1e-7, seed=k), bending_modes=1, doubts={}, rate=0.0
+        )
+        for k in range(40)
     ]
-    errors, noise = (np.array([getattr(one, name)[-1, 0] for one in runs]) for name in ("values", "noise"))
+    errors, noise = (
+        np.array([getattr(one, name)[-1, 0] for one in runs]) for name in ("values", "noise")
+    )
     assert (np.abs(errors) <= noise).sum() >= 36
     assert np.median(noise) < 6 * 2 * errors.std()
 
@@ -154,21 +199,33 @@ def test_without_excitation_it_says_so():
     assert np.isnan(found.values).all() and "nan" not in found.to_csv()
     ends = e * (np.arange(LENGTH) < 6000)
     found = monitor(machine, law, recorded(1.0, ends, noise=1e-7), window=0.1)
-    assert found.known_at.any() and not found.known_at[-1] and any("the excitation ended" in x for x in found.findings)
+    assert (
+        found.known_at.any()
+        and not found.known_at[-1]
+        and any("the excitation ended" in x for x in found.findings)
+    )
 
 
 def test_a_step_of_the_seal_begins_the_estimate_anew():
-    """The loop at two pressures, one after the other, from the states it has: a step of 30 % half way."""
+    """The loop at two pressures, one after the other, from the states it has: a step of 30 % half
+    way.
+    """
     machine, law = setting()
     e = excitation(0.05)
     first, second = loop(1.0), loop(0.7)
     names = [[f"{k}_{axis}" for k in kinds for axis in machine.axes] for kinds in ("e", "yu")]
     half = LENGTH // 2
-    y = simulate_piecewise([select(first, *names), select(second, *names)], [e[:, :half], e[:, half:]])
+    y = simulate_piecewise(
+        [select(first, *names), select(second, *names)], [e[:, :half], e[:, half:]]
+    )
     y[:4] += 1e-8 * np.random.default_rng(0).standard_normal(y[:4].shape)
     record = replace(recorded(1.0, e), values=np.vstack([y, e]))
     found = monitor(machine, law, record)
-    assert len(found.restarts) == 1 and 0.8 < found.restarts[0] < 1.35 and "began anew" in found.findings[0]
+    assert (
+        len(found.restarts) == 1
+        and 0.8 < found.restarts[0] < 1.35
+        and "began anew" in found.findings[0]
+    )
     late = found.known_at & (found.time > 1.4)
     assert np.abs(found.values[late, 0] / found.reference[0] - 0.7).max() < 0.02
     assert any("outside the estimate" in text for text in found.findings)
@@ -184,7 +241,10 @@ def test_the_notch_takes_out_what_turns_and_leaves_the_rest():
         return np.prod([abs(row[:3] @ z / (np.r_[1, row[3:]] @ z)) for row in filters.sections])
 
     assert all(gain(k * speed) < 1e-9 for k in (1, 2, 3)) and gain(1e-6) < 1e-9
-    assert gain(speed + 0.5 * NOTCH) == pytest.approx(np.sqrt(0.5), rel=0.05) and gain(2 * np.pi * 75) > 0.98
+    assert (
+        gain(speed + 0.5 * NOTCH) == pytest.approx(np.sqrt(0.5), rel=0.05)
+        and gain(2 * np.pi * 75) > 0.98
+    )
     assert filters.settling < 0.8
 
 
@@ -202,7 +262,9 @@ def test_refusals():
         monitor(machine, law, record, seal="other")
     with pytest.raises(InvalidInput, match=r"no \[\[seal\]\]"):
         monitor(replace(machine, seals=(), tolerances=()), law, record)
-    twice = replace(machine, seals=(*machine.seals, replace(machine.seals[0], name="second", position=0.4)))
+    twice = replace(
+        machine, seals=(*machine.seals, replace(machine.seals[0], name="second", position=0.4))
+    )
     with pytest.raises(InvalidInput, match="name the one to watch"):
         monitor(twice, law, record)
     with pytest.raises(InvalidInput, match="the machine of the record is 'another'"):
@@ -224,7 +286,13 @@ def test_refusals():
 
 def test_of_two_seals_one_is_watched_and_the_other_is_at_its_pressure():
     machine, law = setting()
-    two = replace(machine, seals=(*machine.seals, replace(machine.seals[0], name="second", position=0.35, k=5e5, K=0.0)))
+    two = replace(
+        machine,
+        seals=(
+            *machine.seals,
+            replace(machine.seals[0], name="second", position=0.35, k=5e5, K=0.0),
+        ),
+    )
     plant = free_mode_reduction(assemble(two), 3)
     system = closed_loop(plant, c2d(match_controller(law, plant), DT, "tustin", delay=DT))
     assert np.abs(np.linalg.eigvals(system.A)).max() < 1
@@ -243,9 +311,13 @@ def test_a_seal_with_states_is_watched_by_its_pressure_and_refused_without():
         for name, slope in (("K", 1.0), ("k", -0.3), ("C", -0.4), ("c", -0.2))
     )
     table = SealTable((("frequency", grid),), rows)
-    seal = replace(machine.seals[0], K=0.0, k=0.0, C=0.0, c=0.0, table=table, frequency_dependence="states")
+    seal = replace(
+        machine.seals[0], K=0.0, k=0.0, C=0.0, c=0.0, table=table, frequency_dependence="states"
+    )
     rig, point = replace(machine, seals=(seal,)), machine.operation.nominal
-    plant = free_mode_reduction(assemble(rig, replace(point, seal_pressure=0.5 * point.seal_pressure)), 3)
+    plant = free_mode_reduction(
+        assemble(rig, replace(point, seal_pressure=0.5 * point.seal_pressure)), 3
+    )
     system = closed_loop(plant, c2d(match_controller(law, plant), DT, "tustin", delay=DT))
     e = excitation(0.02)
     names = [[f"{k}_{axis}" for k in kinds for axis in machine.axes] for kinds in ("e", "yu")]

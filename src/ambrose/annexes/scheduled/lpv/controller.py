@@ -1,8 +1,10 @@
-"""The controller at one point of the parameters from R and S there: explicit, thus as smooth in the parameter as they are.
+"""The controller at one point of the parameters from R and S there: explicit, thus as smooth in the
+parameter as they are.
 
-With N M^T = I - S R the controller's states are common to all values, and no rate of the parameter enters, when M does not
-depend on it (R constant) or N does not (S constant): the terms S R' + N M'^T cancel. Sources: Gahinet 1996, Automatica 32
-(explicit formulas); Apkarian & Adams 1998, IEEE Trans. Control Systems Technology 6, sec. III ("practically valid" choices).
+With N M^T = I - S R the controller's states are common to all values, and no rate of the parameter
+enters, when M does not depend on it (R constant) or N does not (S constant): the terms S R' + N
+M'^T cancel. Sources: Gahinet 1996, Automatica 32 (explicit formulas); Apkarian & Adams 1998, IEEE
+Trans. Control Systems Technology 6, sec. III ("practically valid" choices).
 """
 
 from __future__ import annotations
@@ -11,15 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.annexes.scheduled.lpv.inequalities import Lyapunov, Varying
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.hinf.riccati import normal_form
 from ambrose.core.hinf.scaling import Matrices, ScaledPlant
-from ambrose.annexes.scheduled.lpv.inequalities import Lyapunov, Varying
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Factors:
-    """M (n, n) for a constant R, or N for a constant S; the other one follows from N M^T = I - S R."""
+    """M (n, n) for a constant R, or N for a constant S; the other one follows from N M^T = I - S
+    R.
+    """
 
     lyapunov: Lyapunov
     varying: Varying
@@ -47,30 +51,40 @@ class Factors:
         N, M = self.at(p)
         dE = -(dS @ R + S @ dR)
         zero = np.zeros_like(dE)
-        dN, dM = (zero, np.linalg.solve(N, dE).T) if self.varying == "R" else (np.linalg.solve(M, dE.T).T, zero)
+        dN, dM = (
+            (zero, np.linalg.solve(N, dE).T)
+            if self.varying == "R"
+            else (np.linalg.solve(M, dE.T).T, zero)
+        )
         lower = -np.linalg.solve(M, R @ N).T
         slope = -np.linalg.solve(M, dR @ N + R @ dN).T - np.linalg.solve(M, dM @ lower.T).T
         return np.block([[dS, dN], [dN.T, (slope + slope.T) / 2]])
 
 
 def factors(lyapunov: Lyapunov, varying: Varying) -> Factors:
-    """N and M share the singular values evenly at mid-range. Raises NumericalFailure when I - S R is singular there."""
+    """N and M share the singular values evenly at mid-range. Raises NumericalFailure when I - S R
+    is singular there.
+    """
     R, S = lyapunov.at(np.zeros(len(lyapunov.shape.largest)))
     U, s, Vt = np.linalg.svd(np.eye(len(R)) - S @ R)
     if len(s) and not s[-1] > 1e-12 * s[0]:
-        raise NumericalFailure("R S is I in some direction: the controller would need infinitely fast poles")
+        raise NumericalFailure(
+            "R S is I in some direction: the controller would need infinitely fast poles"
+        )
     return Factors(lyapunov, varying, U * np.sqrt(s) if varying == "R" else Vt.T * np.sqrt(s))
 
 
 def controller(plant: ScaledPlant, point: Factors, p: np.ndarray) -> Matrices:
-    """(A, B, C, D) at gamma = 1 for a scaled plant at the relative parameters p (d,). Raises NumericalFailure.
+    """(A, B, C, D) at gamma = 1 for a scaled plant at the relative parameters p (d,). Raises
+    NumericalFailure.
 
-    With D first put into the plant (A + B2 D C2 for A, and so on) and hats for what the inequalities determine,
+    With D first put into the plant (A + B2 D C2 for A, and so on) and hats for what the
+    inequalities determine,
 
         A_k = N^-1 (A_hat - S A R - B_hat C2 R - S B2 C_hat) M^-T,    B_k = N^-1 B_hat,    C_k = C_hat M^-T,
 
-    where B_hat and C_hat solve the two bordered systems of linear equations and A_hat makes the off-diagonal block vanish
-    (Apkarian & Adams 1998, whose X and Y are S and R here; Gahinet 1996).
+    where B_hat and C_hat solve the two bordered systems of linear equations and A_hat makes the
+    off-diagonal block vanish (Apkarian & Adams 1998, whose X and Y are S and R here; Gahinet 1996).
     """
     R, S = point.lyapunov.at(p)
     N, M = point.at(p)
@@ -95,19 +109,26 @@ def controller(plant: ScaledPlant, point: Factors, p: np.ndarray) -> Matrices:
 
 
 def _direct(plant: ScaledPlant) -> np.ndarray:
-    """D with |D11 + D12 D D21| < 1: the central one of Parrott's theorem. Raises NumericalFailure."""
+    """D with |D11 + D12 D D21| < 1: the central one of Parrott's theorem. Raises
+    NumericalFailure.
+    """
     normal, T_u, T_y = normal_form(plant)
     k, j = len(plant.C1) - plant.B2.shape[1], plant.B1.shape[1] - len(plant.C2)
     D = normal.D11
     for part in (D[:k], D[:, :j]):
         if part.size and np.linalg.norm(part, 2) >= 1:
-            raise NumericalFailure("gamma is below what the plant lets through at infinite frequency; increase the back-off")
+            raise NumericalFailure(
+                "gamma is below what the plant lets through at infinite frequency; increase the "
+                "back-off"
+            )
     core = np.eye(k) - D[:k, :j] @ D[:k, :j].T
     central = -D[k:, :j] @ D[:k, :j].T @ np.linalg.solve(core, D[:k, j:]) - D[k:, j:]
     return T_u @ central @ T_y
 
 
-def _bordered(corner: np.ndarray, inner: np.ndarray, first: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def _bordered(
+    corner: np.ndarray, inner: np.ndarray, first: np.ndarray, rest: np.ndarray
+) -> np.ndarray:
     """X (p, n) of [0 [corner 0]; [corner 0]^T -inner] [X; *] = -[first; rest], corner (p, q)."""
     p, k = len(corner), len(inner)
     edge = np.hstack([corner, np.zeros((p, k - corner.shape[1]))])

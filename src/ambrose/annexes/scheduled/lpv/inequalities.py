@@ -1,12 +1,13 @@
-"""The linear matrix inequalities of gridded LPV synthesis: R and S common to all points, or one of them a polynomial in every
-parameter whose rate is bounded.
+"""The linear matrix inequalities of gridded LPV synthesis: R and S common to all points, or one of
+them a polynomial in every parameter whose rate is bounded.
 
-They are those of hinf/lmi.py at every grid point and for all signs of the largest rates, with A R + R A^T - R' and
-A^T S + S A + S' in the corners. R' and S' are the time derivatives, zero for constant matrices, which therefore allow any
-rate. Two passes: gamma is made as
-small as it gets; then, a little above it, R S is driven away from I while R, S and the slack stay bounded, which keeps the
-controller's poles slow. Sources: Apkarian & Adams 1998, IEEE Trans. Control Systems Technology 6 (projected form);
-Wu, Yang, Packard & Becker 1996, Int. J. Robust Nonlinear Control 6 (rate bounds).
+They are those of hinf/lmi.py at every grid point and for all signs of the largest rates, with A R +
+R A^T - R' and A^T S + S A + S' in the corners. R' and S' are the time derivatives, zero for
+constant matrices, which therefore allow any rate. Two passes: gamma is made as small as it gets;
+then, a little above it, R S is driven away from I while R, S and the slack stay bounded, which
+keeps the controller's poles slow. Sources: Apkarian & Adams 1998, IEEE Trans. Control Systems
+Technology 6 (projected form); Wu, Yang, Packard & Becker 1996, Int. J. Robust Nonlinear Control 6
+(rate bounds).
 """
 
 from __future__ import annotations
@@ -17,23 +18,25 @@ from typing import Literal
 
 import numpy as np
 
+from ambrose.annexes.scheduled.lpv.family import Family
 from ambrose.core.checks import NumericalFailure
-from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, side, smat, svec
 from ambrose.core.hinf.lmi import coupling, existence
 from ambrose.core.hinf.scaling import ScaledPlant
-from ambrose.annexes.scheduled.lpv.family import Family
+from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, side, smat, svec
 
 Varying = Literal["none", "R", "S"]
 _LARGEST = 1e6  # R and S while gamma is minimised, in balanced states
 _TOLERANCE = 1e-5  # of gamma
 _TIGHT = 1e-4  # residual of an iterate that is looked at although the method ended early
-_MARGINS = ((1e-4, 1e3), (1e-4, 1e4), (1e-5, 1e5), (1e-6, 1e6))  # (slack, largest R and S) of the second pass
+# (slack, largest R and S) of the second pass
+_MARGINS = ((1e-4, 1e3), (1e-4, 1e4), (1e-5, 1e5), (1e-6, 1e6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lyapunov:
-    """R(p) = sum_j f_j(p) R_j and S(p) = sum_j f_j(p) S_j of the relative parameters p (d,), with the functions f_j of the
-    ``shape``; R (a, n, n), S (b, n, n), of a constant one term."""
+    """R(p) = sum_j f_j(p) R_j and S(p) = sum_j f_j(p) S_j of the relative parameters p (d,), with
+    the functions f_j of the ``shape``; R (a, n, n), S (b, n, n), of a constant one term.
+    """
 
     R: np.ndarray
     S: np.ndarray
@@ -54,8 +57,9 @@ class Lyapunov:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """Which matrix varies, as a polynomial of which degree in every parameter by itself, and at which relative rates at most;
-    None: at any, so that it does not vary with that parameter."""
+    """Which matrix varies, as a polynomial of which degree in every parameter by itself, and at
+    which relative rates at most; None: at any, so that it does not vary with that parameter.
+    """
 
     varying: Varying
     degree: int
@@ -64,7 +68,12 @@ class Shape:
     @property
     def powers(self) -> list[tuple[int, int]]:
         """(parameter, power) of every function but the first, which is 1."""
-        return [(i, j) for i, rate in enumerate(self.largest) if rate is not None for j in range(1, self.degree + 1)]
+        return [
+            (i, j)
+            for i, rate in enumerate(self.largest)
+            if rate is not None
+            for j in range(1, self.degree + 1)
+        ]
 
     def functions(self, p: np.ndarray) -> np.ndarray:
         """1, p_1, p_1^2 .., p_2 .. (f,) at the relative parameters (d,)."""
@@ -84,16 +93,25 @@ class Shape:
         return [np.array(corner) for corner in product(*ends)]
 
 
-def smallest_gamma(family: Family, shape: Shape, time_limit: float) -> tuple[float, float, Lyapunov]:
-    """The smallest gamma in the family's units, a lower bound of it, and R and S there. Raises NumericalFailure."""
+def smallest_gamma(
+    family: Family, shape: Shape, time_limit: float
+) -> tuple[float, float, Lyapunov]:
+    """The smallest gamma in the family's units, a lower bound of it, and R and S there. Raises
+    NumericalFailure.
+    """
     cost, items = program(family, shape)
     found = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
     inexact = found.status == "inexact" and found.primal_error < _TIGHT and found.value > 0
-    if not (found.status == "optimal" or inexact):  # an inexact end will do: everything is recomputed at the end
+    # an inexact end will do: everything is recomputed at the end
+    if not (found.status == "optimal" or inexact):
         what = f"gamma cannot be minimised over the {len(family.plants)} grid points"
         if found.status == "time limit":
-            raise NumericalFailure(f"{what} within {time_limit:.3g} s; raise time_limit or take fewer grid points")
-        raise NumericalFailure(f"{what} (the solver ended {found.status} with a residual of {found.primal_error:.2g})")
+            raise NumericalFailure(
+                f"{what} within {time_limit:.3g} s; raise time_limit or take fewer grid points"
+            )
+        raise NumericalFailure(
+            f"{what} (the solver ended {found.status} with a residual of {found.primal_error:.2g})"
+        )
     bound = found.bound if found.dual_error < _TIGHT else float("nan")
     return found.value, bound, _lyapunov(found.x, family.n, shape)
 
@@ -104,11 +122,15 @@ def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapuno
     for strict, largest in _MARGINS:
         cost, items = program(family, shape, 1.0, strict, largest)
         found = minimise(cost, items, tolerance=1e-3, time_limit=time_limit, hopeless=-1.0)
-        reason = f"slack {strict:g}, R and S up to {largest:g}: {found.status}, t = {-found.value:.4g}"
+        reason = (
+            f"slack {strict:g}, R and S up to {largest:g}: {found.status}, t = {-found.value:.4g}"
+        )
         if found.primal_error < 1e-8 and -found.value > 1:
             return _lyapunov(found.x, family.n, shape)
         reasons.append(reason)
-    raise NumericalFailure(f"no well-conditioned solution at this gamma ({reasons[-1]}); increase the back-off")
+    raise NumericalFailure(
+        f"no well-conditioned solution at this gamma ({reasons[-1]}); increase the back-off"
+    )
 
 
 def _lyapunov(x: np.ndarray, n: int, shape: Shape) -> Lyapunov:
@@ -118,11 +140,19 @@ def _lyapunov(x: np.ndarray, n: int, shape: Shape) -> Lyapunov:
 
 
 def program(
-    family: Family, shape: Shape, gamma: float | None = None, strict: float = 0.0, largest: float = _LARGEST
+    family: Family,
+    shape: Shape,
+    gamma: float | None = None,
+    strict: float = 0.0,
+    largest: float = _LARGEST,
 ) -> tuple[np.ndarray, list[Inequality]]:
-    """Cost and inequalities of the first pass (gamma None), or the second; variables svec(R_j), svec(S_j), then gamma or t."""
+    """Cost and inequalities of the first pass (gamma None), or the second; variables svec(R_j),
+    svec(S_j), then gamma or t.
+    """
     n = family.n
-    count, a, b = n * (n + 1) // 2, shape.terms("R"), shape.terms("S")
+    count = n * (n + 1) // 2
+    a = shape.terms("R")
+    b = shape.terms("S")
     last = np.array([(a + b) * count])
     of_R, of_S = np.arange(a * count), np.arange(a * count, (a + b) * count)
     items = []
@@ -130,10 +160,18 @@ def program(
         for dual, columns, terms in ((False, of_R, a), (True, of_S, b)):
             of_matrix, of_gamma, constant, of_rate = _existence(plant, dual)
             for rates in shape.rates if terms > 1 else (np.zeros(len(p)),):
-                factors = zip(shape.functions(p)[:terms], shape.moved(p, rates)[:terms], strict=True)
-                rows = np.hstack([f * of_matrix + (moved * of_rate if moved else 0.0) for f, moved in factors])
+                factors = zip(
+                    shape.functions(p)[:terms], shape.moved(p, rates)[:terms], strict=True
+                )
+                rows = np.hstack(
+                    [f * of_matrix + (moved * of_rate if moved else 0.0) for f, moved in factors]
+                )
                 if gamma is None:
-                    items.append(Inequality(np.column_stack([rows, of_gamma]), constant, np.append(columns, last)))
+                    items.append(
+                        Inequality(
+                            np.column_stack([rows, of_gamma]), constant, np.append(columns, last)
+                        )
+                    )
                 else:
                     slack = strict * svec(np.eye(side(len(constant))))
                     items.append(Inequality(rows, constant + gamma * of_gamma - slack, columns))
@@ -141,7 +179,9 @@ def program(
     return cost, items + _coupling(family, shape, gamma, largest, (of_R, of_S, last))
 
 
-def _existence(plant: ScaledPlant, dual: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _existence(
+    plant: ScaledPlant, dual: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """``existence`` for R, or for S; and what the derivative of the matrix adds, (k, n(n+1)/2)."""
     P = plant.dual() if dual else plant
     half = (1 if dual else -1) / 2 * np.eye(len(P.A))
@@ -150,25 +190,41 @@ def _existence(plant: ScaledPlant, dual: bool) -> tuple[np.ndarray, np.ndarray, 
 
 
 def _coupling(
-    family: Family, shape: Shape, gamma: float | None, largest: float, columns: tuple[np.ndarray, np.ndarray, np.ndarray]
+    family: Family,
+    shape: Shape,
+    gamma: float | None,
+    largest: float,
+    columns: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> list[Inequality]:
-    """[R I; I S] >= 0 or [R tI; tI S] >= 0, and R and S at most ``largest``, at every point where that is needed.
+    """[R I; I S] >= 0 or [R tI; tI S] >= 0, and R and S at most ``largest``, at every point where
+    that is needed.
 
-    Both are affine in R and S: for polynomials of degree 1 they hold everywhere when they hold at the corners of the range.
+    Both are affine in R and S: for polynomials of degree 1 they hold everywhere when they hold at
+    the corners of the range.
     """
     n = family.n
     of_R, of_S, last = columns
     up, low, off = coupling(n)
     bound, items = largest * svec(np.eye(n)), []
     every = family.relative
-    where = every[:1] if shape.varying == "none" else every[(np.abs(every) == 1).all(axis=1)] if shape.degree == 1 else every
+    where = (
+        every[:1]
+        if shape.varying == "none"
+        else every[(np.abs(every) == 1).all(axis=1)]
+        if shape.degree == 1
+        else every
+    )
     for p in where:
         powers_R, powers_S = (shape.functions(p)[: shape.terms(name)] for name in "RS")
         rows = np.hstack([np.kron(powers_R, up), np.kron(powers_S, low)])
         if gamma is None:
             items.append(Inequality(rows, off, np.concatenate([of_R, of_S])))
         else:
-            items.append(Inequality(np.column_stack([rows, off]), 0 * off, np.concatenate([of_R, of_S, last])))
+            items.append(
+                Inequality(
+                    np.column_stack([rows, off]), 0 * off, np.concatenate([of_R, of_S, last])
+                )
+            )
         items += [
             Inequality(-np.kron(powers, np.eye(len(bound))), bound, variables)
             for powers, variables in ((powers_R, of_R), (powers_S, of_S))

@@ -1,15 +1,17 @@
 """What is recomputed for a scheduled controller on the original plants before it is returned.
 
-At every grid point and at frozen points between: stability and H-infinity norm of the closed loop; and the inequality that
-holds along every trajectory of the parameter, with the Lyapunov matrix X(p) that the synthesis found (bounded real lemma),
+At every grid point and at frozen points between: stability and H-infinity norm of the closed loop;
+and the inequality that holds along every trajectory of the parameter, with the Lyapunov matrix X(p)
+that the synthesis found (bounded real lemma),
 
     [A^T X + X A + X'   X B      C^T   ]
     [B^T X             -gamma I  D^T   ]  < 0     with A, B, C, D of the closed loop as it will run.
     [C                  D       -gamma I]
 
-Where the plant and the controller are linear in the parameter (in each of several) between neighbouring points, B2, C2, D12,
-D21 constant and X constant, it holds in between when it holds at these points, for it is affine in A, B, C and D, which are the
-same mean of theirs; a plant that bends between its grid points is checked at the points in between.
+Where the plant and the controller are linear in the parameter (in each of several) between
+neighbouring points, B2, C2, D12, D21 constant and X constant, it holds in between when it holds at
+these points, for it is affine in A, B, C and D, which are the same mean of theirs; a plant that
+bends between its grid points is checked at the points in between.
 """
 
 from __future__ import annotations
@@ -20,13 +22,13 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.annexes.scheduled.lpv.controller import Factors
+from ambrose.annexes.scheduled.lpv.family import Family, named
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.certificate import generalized_certificate
-from ambrose.annexes.scheduled.lpv.controller import Factors
-from ambrose.annexes.scheduled.lpv.family import Family, named
 
 _RAISED = 1.5  # how far above the designed gamma a guarantee between grid points is looked for
 _STEPS = 20
@@ -36,8 +38,9 @@ _STEPS = 20
 class Frozen:
     """The closed loop held at one point of the parameters.
 
-    guaranteed: smallest gamma, at least the designed one, for which the inequality holds there; inf where none does. slack:
-    largest eigenvalue of the inequality at the designed gamma, with X = I and time in the family's units (negative: it holds).
+    guaranteed: smallest gamma, at least the designed one, for which the inequality holds there; inf
+    where none does. slack: largest eigenvalue of the inequality at the designed gamma, with X = I
+    and time in the family's units (negative: it holds).
     """
 
     value: Any
@@ -55,7 +58,11 @@ class Frozen:
         where = {"parameter": self.value}
         if isinstance(self.value, tuple):
             where = {f"parameter_{i}": part for i, part in enumerate(self.value, start=1)}
-        return {**where, "on_grid": float(self.on_grid), **{name: getattr(self, name) for name in names}}
+        return {
+            **where,
+            "on_grid": float(self.on_grid),
+            **{name: getattr(self, name) for name in names},
+        }
 
 
 def frozen(
@@ -66,7 +73,9 @@ def frozen(
     values: Sequence[Any],
     relative_rates: Sequence[np.ndarray],
 ) -> tuple[Frozen, ...]:
-    """The closed loop at every one of the points ``values``; the family's unit is the designed gamma."""
+    """The closed loop at every one of the points ``values``; the family's unit is the designed
+    gamma.
+    """
     result = []
     for value in values:
         plant, K = plant_at(value), controller.at(value)
@@ -76,17 +85,27 @@ def frozen(
         worst = max(slacks, key=lambda item: item.largest(1.0))
         result.append(
             Frozen(
-                value, family.on_grid(value), found.stable, found.spectral_abscissa,
-                found.closed_loop_norm, found.fastest_pole, worst.largest(1.0), worst.smallest() * family.unit,
+                value,
+                family.on_grid(value),
+                found.stable,
+                found.spectral_abscissa,
+                found.closed_loop_norm,
+                found.fastest_pole,
+                worst.largest(1.0),
+                worst.smallest() * family.unit,
             )
-        )  # fmt: skip
+        )
     return tuple(result)
 
 
 class _BoundedReal:
-    """The inequality at one point, in states in which X is I, gamma in units of the designed one."""
+    """The inequality at one point, in states in which X is I, gamma in units of the designed
+    one.
+    """
 
-    def __init__(self, loop: StateSpace, family: Family, point: Factors, p: np.ndarray, rates: np.ndarray) -> None:
+    def __init__(
+        self, loop: StateSpace, family: Family, point: Factors, p: np.ndarray, rates: np.ndarray
+    ) -> None:
         n = family.n
         X = point.certificate(p)
         try:
@@ -105,7 +124,9 @@ class _BoundedReal:
         q, r = B.shape[1], len(C)
         D = loop.D / family.unit
         self.n = 2 * n
-        self.matrix = np.block([[A + A.T + moved, B, C.T], [B.T, np.zeros((q, q)), D.T], [C, D, np.zeros((r, r))]])
+        self.matrix = np.block(
+            [[A + A.T + moved, B, C.T], [B.T, np.zeros((q, q)), D.T], [C, D, np.zeros((r, r))]]
+        )
 
     def largest(self, gamma: float) -> float:
         """The largest eigenvalue at a relative gamma."""
@@ -115,7 +136,9 @@ class _BoundedReal:
         return float(np.linalg.eigvalsh(matrix)[-1])
 
     def smallest(self) -> float:
-        """The smallest relative gamma from 1 to _RAISED, where the inequality holds; inf when there is none."""
+        """The smallest relative gamma from 1 to _RAISED, where the inequality holds; inf when there
+        is none.
+        """
         if self.largest(1.0) < 0:
             return 1.0
         low, high = 1.0, _RAISED
@@ -133,4 +156,6 @@ def between(
     """The plants with matrices linear between the grid points, for want of others."""
     schedule = ScheduledSystem(axes, [plant.system for plant in plants], parameter, unit)
     first = plants[0]
-    return lambda value: GeneralizedPlant(schedule.at(value), first.w, first.u, first.z, first.y, first.blocks)
+    return lambda value: GeneralizedPlant(
+        schedule.at(value), first.w, first.u, first.z, first.y, first.blocks
+    )

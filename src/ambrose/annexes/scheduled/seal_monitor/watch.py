@@ -1,4 +1,6 @@
-"""The seal monitor: a seal's coefficients against time from the running loop, with intervals, and what they say."""
+"""The seal monitor: a seal's coefficients against time from the running loop, with intervals, and
+what they say.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +10,24 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.annexes.scheduled.seal_monitor.estimator import BLOCK, Estimate, Window, block_sums
+from ambrose.annexes.scheduled.seal_monitor.history import SealHistory, findings_of
+from ambrose.annexes.scheduled.seal_monitor.model import SealModel, seal_model
+from ambrose.annexes.scheduled.seal_monitor.signals import Filter, Signals, measuring_filter
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.parameters import nominal_values, reduced_plant
-from ambrose.annexes.scheduled.seal_monitor.estimator import BLOCK, Estimate, Window, block_sums
-from ambrose.annexes.scheduled.seal_monitor.history import SealHistory, findings_of
-from ambrose.annexes.scheduled.seal_monitor.model import SealModel, seal_model
-from ambrose.annexes.scheduled.seal_monitor.signals import Filter, Signals, measuring_filter
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.record.record import Record
 from ambrose.machine.seals import Seal, not_straight
+from ambrose.record.record import Record
 
-WINDOW, SHORT, RATE = 2.0, 0.25, 0.01  # [s], [s], [reference/s]
+# [s], [s], [reference/s]
+WINDOW = 2.0
+SHORT = 0.25
+RATE = 0.01
 _STRETCH = 1.0  # [s] of the record worked on at once
 OLD = 2.0  # windows: mean age of what an estimate rests on, beyond which nothing is said
 WIDE = 1.0  # noise part of a half width, in units of the reference, beyond which nothing is said
@@ -30,7 +35,9 @@ WIDE = 1.0  # noise part of a half width, in units of the reference, beyond whic
 
 @dataclass(slots=True)
 class SealMonitor:
-    """Follows a loop: two fading windows over the same signals; both begin anew where they disagree."""
+    """Follows a loop: two fading windows over the same signals; both begin anew where they
+    disagree.
+    """
 
     model: SealModel
     window: float = WINDOW
@@ -52,7 +59,9 @@ class SealMonitor:
 
     def restart(self) -> None:
         """What was seen is forgotten; the filters go on."""
-        q, c, step = len(self.model.unknown), len(self.model.doubts), self.block * self.model.dt
+        q = len(self.model.unknown)
+        c = len(self.model.doubts)
+        step = self.block * self.model.dt
         self._long, self._short = (Window(q, c, size, step) for size in self.windows)
 
     @property
@@ -71,17 +80,23 @@ class SealMonitor:
         return max(1, round(BLOCK / self.model.dt))
 
     def follow(self, y: np.ndarray, v: np.ndarray, e: np.ndarray) -> list[Estimate]:
-        """One estimate per block of the next stretch: y (p, k) [m], command v = u + e (m, k) [A], excitation e (m, k) [A]."""
+        """One estimate per block of the next stretch: y (p, k) [m], command v = u + e (m, k) [A],
+        excitation e (m, k) [A].
+        """
         signals = self._signals.follow(y, v, e)
         skipped = min(self._wait, y.shape[1])
         self._wait -= skipped
         signals = {name: x[..., skipped:] for name, x in signals.items()}
         if self._left is not None:
-            signals = {name: np.concatenate([self._left[name], x], axis=-1) for name, x in signals.items()}
+            signals = {
+                name: np.concatenate([self._left[name], x], axis=-1) for name, x in signals.items()
+            }
         whole = signals["error"].shape[-1] // self.block * self.block
         self._left = {name: x[..., whole:] for name, x in signals.items()}
         sums = block_sums(signals, self.block)
-        return [self._next({name: x[i] for name, x in sums.items()}) for i in range(len(sums["ze"]))]
+        return [
+            self._next({name: x[i] for name, x in sums.items()}) for i in range(len(sums["ze"]))
+        ]
 
     def _next(self, block: Mapping[str, np.ndarray]) -> Estimate:
         kinds = np.unique(self.model.kinds, return_inverse=True)[1]
@@ -100,7 +115,9 @@ class SealMonitor:
 
 def said(item: Estimate, window: float) -> bool:
     """Whether an estimate says anything: fresh, and sharper than the reference."""
-    return bool(item.age < OLD * window and (item.noise < WIDE).all() and np.isfinite(item.half_width).all())
+    return bool(
+        item.age < OLD * window and (item.noise < WIDE).all() and np.isfinite(item.half_width).all()
+    )
 
 
 @names_wrong_types
@@ -121,19 +138,30 @@ def seal_monitor(
 ) -> SealMonitor:
     """A monitor for samples every dt [s] at an operating point.
 
-    seal: which one is watched (None: the only one); the others stay as the file has them at the point's pressure. unknown:
-    "pressure" (the pressure that its forces tell), or some of K, k, C, c, the others as the file has them (none: the pressure
-    where the seal's forces are a straight line over it, else k). window [s]: memory of the estimate; rate [1/s]: how fast the
-    seal may change, in units of the reference; faster changes restart the window. doubts: relative half widths of
-    "force_per_current", "negative_stiffness" and "amplifier" (None: 3 %, 0, 5 %). Raises InvalidInput.
+    seal: which one is watched (None: the only one); the others stay as the file has them at the
+    point's pressure. unknown: "pressure" (the pressure that its forces tell), or some of K, k, C,
+    c, the others as the file has them (none: the pressure where the seal's forces are a straight
+    line over it, else k). window [s]: memory of the estimate; rate [1/s]: how fast the seal may
+    change, in units of the reference; faster changes restart the window. doubts: relative half
+    widths of "force_per_current", "negative_stiffness" and "amplifier" (None: 3 %, 0, 5 %). Raises
+    InvalidInput.
     """
     check_positive(window, "window", "give the estimate's memory in seconds, such as 2")
-    check_positive(rate, "rate", "say how fast the seal may change per second, such as 0.01", zero_allowed=True)
+    check_positive(
+        rate, "rate", "say how fast the seal may change per second, such as 0.01", zero_allowed=True
+    )
     watched = _watched(machine, seal)
     names = (unknown,) if isinstance(unknown, str) else unknown
     paths = [f"seal.{watched.name}.{quantity}" for quantity in names or _usual(watched)]
     model = seal_model(
-        machine, controller, point, paths, dt, bending_modes=bending_modes, computing_delay=computing_delay, doubts=doubts
+        machine,
+        controller,
+        point,
+        paths,
+        dt,
+        bending_modes=bending_modes,
+        computing_delay=computing_delay,
+        doubts=doubts,
     )
     return SealMonitor(model, window, rate, harmonics)
 
@@ -147,13 +175,18 @@ def monitor(
     progress: Callable[[str], None] = lambda stage: None,
     **options: Any,
 ) -> SealHistory:
-    """A seal's parameters against time from one record of the loop, with y_<axis>, u_<axis> and a small excitation e_<axis>.
+    """A seal's parameters against time from one record of the loop, with y_<axis>, u_<axis> and a
+    small excitation e_<axis>.
 
     options: those of ``seal_monitor``. Raises InvalidInput.
     """
     check_machine(machine, record, "the record")
     watched = _watched(machine, options.get("seal"))
-    missing = [name for name in (f"{kind}_{axis}" for kind in "yu" for axis in machine.axes) if name not in record.signals]
+    missing = [
+        name
+        for name in (f"{kind}_{axis}" for kind in "yu" for axis in machine.axes)
+        if name not in record.signals
+    ]
     if missing:
         needs = "the monitor needs every displacement and command of the loop; record them"
         raise InvalidInput(f"the record has no {', '.join(missing)}; {needs}")
@@ -162,9 +195,11 @@ def monitor(
     total = record.values.shape[1]
     if following.settling + 10 * BLOCK > total * record.dt:
         raise invalid(
-            "the record's length", f"{total * record.dt:g} s", f"more than {following.settling + 10 * BLOCK:.2g} s",
+            "the record's length",
+            f"{total * record.dt:g} s",
+            f"more than {following.settling + 10 * BLOCK:.2g} s",
             "the filters settle first; record longer",
-        )  # fmt: skip
+        )
     y, u = (np.stack([record[f"{kind}_{axis}"] for axis in machine.axes]) for kind in "yu")
     e = np.stack(signal_rows(record, [f"e_{axis}" for axis in machine.axes]))
     found: list[Estimate] = []
@@ -179,9 +214,15 @@ def monitor(
 def _watched(machine: Machine, name: str | None) -> Seal:
     names = [item.name for item in machine.seals]
     if not names:
-        raise InvalidInput(f"machine {machine.name!r} has no [[seal]], and nothing to watch; add the seal to the machine file")
+        raise InvalidInput(
+            f"machine {machine.name!r} has no [[seal]], and nothing to watch; add the seal to the "
+            "machine file"
+        )
     if name is None and len(names) > 1:
-        raise InvalidInput(f"machine {machine.name!r} has the seals {', '.join(names)}; name the one to watch (--seal)")
+        raise InvalidInput(
+            f"machine {machine.name!r} has the seals {', '.join(names)}; name the one to watch "
+            "(--seal)"
+        )
     if name is not None and name not in names:
         raise invalid("seal", repr(name), f"one of {', '.join(names)}", "correct the name")
     return next(item for item in machine.seals if name in {None, item.name})
@@ -192,24 +233,48 @@ def _usual(seal: Seal) -> tuple[str, ...]:
 
 
 def _limits(machine: Machine, record: Record, path: str) -> tuple[float, float] | None:
-    """From the lowest to the highest value that the file's operating points at the record's speed have with their tolerances,
-    SI; the tolerance of k stands for the pressure's. None: no such point."""
+    """From the lowest to the highest value that the file's operating points at the record's speed
+    have with their tolerances, SI; the tolerance of k stands for the pressure's. None: no such
+    point.
+    """
     seal, quantity = path.rsplit(".", 1)
-    near = [item for item in machine.operation.envelope if abs(item.speed - record.point.speed) <= 0.01 * item.speed]
+    near = [
+        item
+        for item in machine.operation.envelope
+        if abs(item.speed - record.point.speed) <= 0.01 * item.speed
+    ]
     ends: list[float] = []
     for point in near:
         if quantity == "pressure":
             value, wanted = point.seal_pressure, {path, f"{seal}.k"}
         else:
-            value, wanted = float(nominal_values(reduced_plant(machine, point, 0), [path])[0]), {path}
-        here = [t for t in machine.tolerances if t.parameter in wanted and (not t.around or point.label in t.around)]
-        width = max((abs(value) * (t.relative or 0.0) + (t.absolute or 0.0) * (t.parameter == path) for t in here), default=0.0)
+            value, wanted = (
+                float(nominal_values(reduced_plant(machine, point, 0), [path])[0]),
+                {path},
+            )
+        here = [
+            t
+            for t in machine.tolerances
+            if t.parameter in wanted and (not t.around or point.label in t.around)
+        ]
+        width = max(
+            (
+                abs(value) * (t.relative or 0.0) + (t.absolute or 0.0) * (t.parameter == path)
+                for t in here
+            ),
+            default=0.0,
+        )
         ends += [value - width, value + width]
     return (min(ends), max(ends)) if ends and min(ends) < max(ends) else None
 
 
 def _history(
-    machine: Machine, seal: Seal, model: SealModel, following: SealMonitor, record: Record, found: Sequence[Estimate]
+    machine: Machine,
+    seal: Seal,
+    model: SealModel,
+    following: SealMonitor,
+    record: Record,
+    found: Sequence[Estimate],
 ) -> SealHistory:
     step, q = following.block * model.dt, len(model.paths)
     time = record.start_time + following.settling + step * np.arange(1, len(found) + 1)
@@ -217,19 +282,44 @@ def _history(
     def rows(name: str) -> np.ndarray:
         return np.array([getattr(item, name) for item in found]).reshape(-1, q) * model.reference
 
-    values, half, noise = rows("theta"), rows("half_width"), rows("noise")
+    values = rows("theta")
+    half = rows("half_width")
+    noise = rows("noise")
     ages = np.array([item.age for item in found])
-    silent = ~((ages < OLD * following.window) & (noise < WIDE * model.reference).all(axis=1) & np.isfinite(half).all(axis=1))
+    silent = ~(
+        (ages < OLD * following.window)
+        & (noise < WIDE * model.reference).all(axis=1)
+        & np.isfinite(half).all(axis=1)
+    )
     values[silent], half[silent] = np.nan, np.nan
     measured = None
     if "p_seal" in record.signals:
-        at = np.clip(np.round((time - record.start_time) / model.dt).astype(int) - 1, 0, record.values.shape[1] - 1)
+        at = np.clip(
+            np.round((time - record.start_time) / model.dt).astype(int) - 1,
+            0,
+            record.values.shape[1] - 1,
+        )
         measured = record["p_seal"][at]
     history = SealHistory(
-        machine.name, seal.name, model.paths, time, values, half, noise, rows("known"), rows("change"),
-        _apart(time[[item.restarted for item in found]].tolist(), following.window), model.reference, following.rate,
-        following.window, following.settling, tuple(_limits(machine, record, path) for path in model.paths), measured, (), (),
-    )  # fmt: skip
+        machine.name,
+        seal.name,
+        model.paths,
+        time,
+        values,
+        half,
+        noise,
+        rows("known"),
+        rows("change"),
+        _apart(time[[item.restarted for item in found]].tolist(), following.window),
+        model.reference,
+        following.rate,
+        following.window,
+        following.settling,
+        tuple(_limits(machine, record, path) for path in model.paths),
+        measured,
+        (),
+        (),
+    )
     findings, notes = findings_of(history, record.point.seal_pressure)
     return replace(history, findings=findings, notes=notes)
 

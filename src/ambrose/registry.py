@@ -1,0 +1,50 @@
+"""What the annexes add to the house: commands, public names, methods, proofs of motion.
+
+Every package below ``ambrose.annexes`` states in its ``__init__`` one table of plain data,
+
+    ANNEX = {"command": {"accept": "accept_command:accept"}, "public": {"accept": "acceptance"}},
+
+that is {kind: {name: place}} with a place relative to the annex. The rooms ask here for a kind, and
+import no annex: one that is taken off the tree takes with it what it has registered, nothing else.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Any
+
+ANNEXES = "ambrose.annexes"
+
+
+@cache
+def annexes() -> tuple[str, ...]:
+    """The names of the annexes that this installation holds, sorted."""
+    return tuple(
+        sorted(item.name for item in iter_modules(import_module(ANNEXES).__path__) if item.ispkg)
+    )
+
+
+@cache
+def registered(kind: str) -> dict[str, str]:
+    """{name: place} of all that the annexes registered of a kind; a place is "module:attribute".
+
+    kind: "command", "public", "method", "moving_proof" or "companion". Raises RuntimeError where
+    two annexes register one name: that is a defect of the installation, not of the input.
+    """
+    places: dict[str, str] = {}
+    for annex in annexes():
+        table = import_module(f"{ANNEXES}.{annex}").ANNEX
+        for name, place in table.get(kind, {}).items():
+            if name in places:
+                raise RuntimeError(f"the {kind} {name!r} is registered twice; take one of them off")
+            places[name] = f"{ANNEXES}.{annex}.{place}"
+    return places
+
+
+def resolve(place: str) -> Any:
+    """The object at "module:attribute", or the module itself at "module"; imported on first use."""
+    module, _, attribute = place.partition(":")
+    item = import_module(module)
+    return getattr(item, attribute) if attribute else item
