@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulation.test_pressure_schedule import PID, RIG, SCHEDULE, SURGE, ZERO, Y, stiffer
+from rig.test_pressure_schedule import PID, RIG, SCHEDULE, SURGE, ZERO, Y, stiffer
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem

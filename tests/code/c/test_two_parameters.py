@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
-from simulation.test_two_parameters import TURNING, WEIGHTLESS, ZERO, apart, product
+from rig.test_two_parameters import TURNING, WEIGHTLESS, ZERO, apart, product
 
 import code_driver as driver
 from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, TOLD, TOLD_SECOND, run_scheduled
