@@ -23,7 +23,6 @@ from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 from ambrose.synthesis.pid import pid_controller
-
 from judge.conftest import PID, make_rig
 
 TIMING = Timing(1e-4, 1)
