@@ -11,20 +11,18 @@ import pytest
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import connect, poles, rename, select
-from ambrose.machine.description import Tolerance
-from ambrose.law.loop import closed_loop
-from ambrose.model.reduce import reduce
-from ambrose.rig import linear
-from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Pulse
-from ambrose.rig.scenario import Scenario
-from ambrose.judge.certificate import certify, generalized_certificate
-from ambrose.synthesis.pid import pid_controller
-from ambrose.judge import nominal
-from ambrose.judge import robust
+from ambrose.judge import nominal, robust
 from ambrose.judge.campbell import speed_stability_check
+from ambrose.judge.certificate import certify, generalized_certificate
 from ambrose.judge.family.responses import loop_over_box
 from ambrose.judge.loop_response import loop_at, loop_evaluator
+from ambrose.law.loop import closed_loop
+from ambrose.machine.description import Tolerance
+from ambrose.model.reduce import reduce
+from ambrose.rig import linear, virtual_rig
+from ambrose.rig.disturbances import Pulse
+from ambrose.rig.scenario import Scenario
+from ambrose.synthesis.pid import pid_controller
 
 TOLERANCES = (Tolerance("seal.center.k", relative=0.5),)
 

@@ -20,23 +20,21 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import to_statespace
 from ambrose.core.statespace import static_gain
-from ambrose.rig.trial import simulate_linear
-from ambrose.machine.description import ShaftSection
+from ambrose.law.loop import closed_loop
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
+from ambrose.machine.rotor_model import ShaftSection
 from ambrose.machine.seals import SealTable
-from ambrose.model.effects import amplifier
-from ambrose.model.effects import magnet
-from ambrose.model.effects import sensor
-from ambrose.model.effects.rotor import finite_element_rotor
 from ambrose.model.assemble import assemble, attached_rotor, wire
-from ambrose.law.loop import closed_loop
+from ambrose.model.effects import amplifier, magnet, sensor
+from ambrose.model.effects.rotor import finite_element_rotor
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import free_mode_reduction, reduce
 from ambrose.rig import linear
 from ambrose.rig.disturbances import Pulse, Unbalance
 from ambrose.rig.run_up import spin_up
 from ambrose.rig.scenario import Scenario
+from ambrose.rig.trial import simulate_linear
 from ambrose.synthesis.pid import pid_controller
 
 pytestmark = pytest.mark.campaign  # minutes

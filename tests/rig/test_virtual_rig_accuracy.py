@@ -7,13 +7,14 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.sampling import c2d
-from ambrose.machine.description import Amplifier, CasingMode, Coupling, OperatingPoint, PidSettings, Support
-from ambrose.model.effects import magnet
-from ambrose.model.assemble import assemble
 from ambrose.law.loop import closed_loop
+from ambrose.machine.controller import PidSettings
+from ambrose.machine.description import Amplifier, Coupling, OperatingPoint
+from ambrose.machine.stator import CasingMode, Support
+from ambrose.model.assemble import assemble
+from ambrose.model.effects import magnet
 from ambrose.model.reduce import free_mode_reduction
-from ambrose.rig import linear
-from ambrose.rig import virtual_rig
+from ambrose.rig import linear, virtual_rig
 from ambrose.rig.disturbances import Prbs, Pulse, Unbalance
 from ambrose.rig.engine.controller import NO_PROGRAM, sampled_law
 from ambrose.rig.engine.equilibrium import state_at_rest

@@ -9,14 +9,14 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
+from ambrose.annexes.site.calibration import calibrate
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.annexes.site.calibration import calibrate
-from ambrose.machine.description import OperatingPoint, Runout
-from ambrose.record.record import Record
-from ambrose.model.effects import magnet
-from ambrose.model.effects import sensor
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.stator import Runout
+from ambrose.model.effects import magnet, sensor
 from ambrose.model.static_load import static_sag
+from ambrose.record.record import Record
 from ambrose.rig.disturbances import Sine
 from ambrose.rig.scenario import Scenario
 

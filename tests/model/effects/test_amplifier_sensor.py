@@ -6,9 +6,9 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
-from ambrose.machine.description import Amplifier, Sensor
-from ambrose.model.effects import amplifier
-from ambrose.model.effects import sensor
+from ambrose.machine.description import Amplifier
+from ambrose.machine.stator import Sensor
+from ambrose.model.effects import amplifier, sensor
 
 AXES = ("A_zeta", "A_eta", "B_zeta")
 OMEGA = np.geomspace(1.0, 1e5, 40)

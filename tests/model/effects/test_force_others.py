@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from ambrose.machine.description import Coupling, Runout, SealTable, Sensor
+from ambrose.machine.description import Coupling
 from ambrose.machine.file.toml import load_machine
-from ambrose.model.effects import coupling
-from ambrose.model.effects import seal
-from ambrose.model.effects import sensor
-from ambrose.model.effects import unbalance
-from ambrose.model.effects.rotor import finite_element_rotor, free_modes, gravity_load, mass_properties
+from ambrose.machine.seals import SealTable
+from ambrose.machine.stator import Runout, Sensor
+from ambrose.model.effects import coupling, seal, sensor, unbalance
+from ambrose.model.effects.rotor import (
+    finite_element_rotor,
+    free_modes,
+    gravity_load,
+    mass_properties,
+)
 from physical_numbers import physical
 
 RIG = load_machine("seal-rig")
@@ -128,9 +132,7 @@ class TestWeight:
 def test_every_force_function_compiles_as_it_stands():
     """The contract with the virtual rig: scalars, tuples and arrays only; compiled and plain give the same."""
     numba = pytest.importorskip("numba")
-    from ambrose.model.effects import amplifier
-    from ambrose.model.effects import magnet
-    from ambrose.model.effects import touchdown
+    from ambrose.model.effects import amplifier, magnet, touchdown
 
     bearing = replace(RIG.bearings[0], cross_coupling=0.02)
     item = TestSensor.ITEM

@@ -12,8 +12,10 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.rig.candidate import SCENARIOS, Candidate, points_of
-from ambrose.rig.trial import simulate_linear
+from ambrose.judge import nominal, robust
+from ambrose.judge.checks import Check, Checks, Curve
+from ambrose.judge.result import Certificate, Synthesis
+from ambrose.law.design_problem import design_plant
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
@@ -24,14 +26,11 @@ from ambrose.report.comparison import tables as comparison_tables
 from ambrose.report.comparison.page import comparison_report
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Cell, Report, Section, Table
+from ambrose.rig.candidate import SCENARIOS, Candidate, points_of
+from ambrose.rig.trial import simulate_linear
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.law.design_problem import design_plant
-from ambrose.judge.result import Certificate, Synthesis
-from ambrose.judge import nominal
-from ambrose.judge import robust
-from ambrose.judge.checks import Check, Checks, Curve
 
 pytestmark = pytest.mark.campaign  # minutes
 
