@@ -24,8 +24,9 @@ from benchmarks import fuzz_files
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import read_controller
 from ambrose.machine import limits
-from ambrose.machine.description import OperatingPoint, ShaftSection
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import loads_machine
+from ambrose.machine.rotor_model import ShaftSection
 from ambrose.record import apart, csv_file, hdf5_file
 from ambrose.record.column_map import Column, ColumnMap, load_columns
 from ambrose.record.files import read_record, write_record

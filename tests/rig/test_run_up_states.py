@@ -22,9 +22,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import to_statespace
 from ambrose.core.statespace import static_gain
 from ambrose.law.loop import closed_loop
-from ambrose.machine.description import ShaftSection
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
+from ambrose.machine.rotor_model import ShaftSection
 from ambrose.machine.seals import SealTable
 from ambrose.model.assemble import assemble, attached_rotor, wire
 from ambrose.model.effects import amplifier, magnet, sensor

@@ -10,14 +10,9 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.sampling import c2d
 from ambrose.law.loop import closed_loop
-from ambrose.machine.description import (
-    Amplifier,
-    CasingMode,
-    Coupling,
-    OperatingPoint,
-    PidSettings,
-    Support,
-)
+from ambrose.machine.controller import PidSettings
+from ambrose.machine.description import Amplifier, Coupling, OperatingPoint
+from ambrose.machine.stator import CasingMode, Support
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.reduce import free_mode_reduction

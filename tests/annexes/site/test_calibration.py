@@ -14,7 +14,8 @@ import ambrose as amb
 from ambrose.annexes.site.calibration import calibrate
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import OperatingPoint, Runout
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.stator import Runout
 from ambrose.model.effects import magnet, sensor
 from ambrose.model.static_load import static_sag
 from ambrose.record.record import Record

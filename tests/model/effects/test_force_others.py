@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from ambrose.machine.description import Coupling, Runout, SealTable, Sensor
+from ambrose.machine.description import Coupling
 from ambrose.machine.file.toml import load_machine
+from ambrose.machine.seals import SealTable
+from ambrose.machine.stator import Runout, Sensor
 from ambrose.model.effects import coupling, seal, sensor, unbalance
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
