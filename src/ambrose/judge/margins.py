@@ -186,7 +186,9 @@ def _solve(crossings: list[_Crossing], evaluator: Evaluator) -> None:
                 c.low, c.f_low = c.high, c.f_high
             else:
                 c.f_low *= 0.5
-            c.high, c.f_high, c.value = float(points[i]), f, value
+            c.high = float(points[i])
+            c.f_high = f
+            c.value = value
         active = [
             c
             for c in active

@@ -222,7 +222,9 @@ def box_loops(
 
 def _sensitivity_loops(closed: StateSpace, unit: GeneralizedPlant) -> tuple[BoxLoop, BoxLoop]:
     """(w_delta, w2) -> (z_delta, -S_o w2), and (w_delta, w1) -> (z_delta, S_i w1): v = u + w1."""
-    n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
+    n_w = unit.n_w_blocks
+    n_z = unit.n_z_blocks
+    a = len(unit.u)
     model = chords(closed)  # of both, once
 
     def part(inputs: np.ndarray, outputs: np.ndarray, direct: float) -> BoxLoop:

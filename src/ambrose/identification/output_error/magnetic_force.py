@@ -409,7 +409,9 @@ def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
     if not all(largest):
         moved[:] = 0.0
         return moved
-    bias, (i, x), made = _bias(plant, j), moved, []
+    bias = _bias(plant, j)
+    i, x = moved
+    made = []
     p = operating_magnets(plant.machine, plant.point.bias_current)[j // 2].of_force
     for load, power in ((_LOAD * bias, 2), (0.0, 3)):
         terms, chosen = _terms(p, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
