@@ -140,7 +140,7 @@ class Map:
                 continue
             best = min(
                 best, (self.worst(lambda *_: law, speeds, top), law), key=lambda item: item[0]
-            )  # noqa: B023
+            )
         return best
 
     def scheduled(self, speeds, top):

@@ -321,7 +321,7 @@ def test_rank_one_closed_form(blocks):
         # real axis leaves the set
         support = lambda s, a=a, radius=radius: (
             np.abs(a.real + s * a.imag).sum() + radius * np.hypot(1, s)
-        )  # noqa: E731
+        )
         truth = minimize_scalar(support, bracket=(-1, 1), tol=1e-12).fun
         assert result.upper[k] == pytest.approx(truth, rel=1e-4)
         assert result.upper[k] >= truth * (1 - 1e-9)

@@ -7,10 +7,10 @@ alpha/2)/(1 - alpha/2), phase 2 arctan(alpha/2).
 
 | check | what | unit |
 |---|---|---|
-| margin.gain.<where>.<axis> | smallest factor by which the gain may grow, or be divided, before instability | - |
+| margin.gain.<where>.<axis> | smallest factor on the gain, or its inverse, before instability | - |
 | margin.phase.<where>.<axis> | smallest phase that may be added or taken | rad |
 | margin.delay.<where>.<axis> | smallest delay that may be added | s |
-| margin.disk.<where> | gain factor all channels tolerate together, with any phase mix (a guarantee) | - |
+| margin.disk.<where> | gain factor all channels bear together, with any phase (a guarantee) | - |
 
 <where> is "output" (loop opened at the sensors) or "input" (at the currents). Each loop is also a
 curve: margin.loop.output.

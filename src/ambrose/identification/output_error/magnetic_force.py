@@ -155,7 +155,8 @@ def magnetic_force(
                 )
             )
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
-    except AmbroseError:  # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
+    # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
+    except AmbroseError:
         return None
     step, covariance, widening, gained = _step(
         *_normal(experiment, result.values, waves), len(result.values)
