@@ -23,8 +23,9 @@ from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity, una
 from ambrose.law.loop import closed_loop
 from ambrose.law.timing import machine_timing
 from ambrose.machine.criteria import demand
-from ambrose.machine.description import MagneticBearing, Seal
+from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
+from ambrose.machine.seals import Seal
 from ambrose.model.assemble import assemble, attached_rotor
 from ambrose.model.basis import bending_modes_of
 from ambrose.model.effects.rotor import (

@@ -18,12 +18,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Disc, Material, ShaftSection
 from ambrose.machine.file.ross import GIVE, merged, parse_ross, rotor_of_ross
 from ambrose.machine.limits import NAME, TOML_BYTES
 from ambrose.machine.messages import one_line, suggestion
 from ambrose.machine.ordinary_file import read_text
-from ambrose.machine.rotor_model import RotorModel
+from ambrose.machine.rotor_model import Disc, Material, RotorModel, ShaftSection
 from ambrose.machine.units import DIMENSIONS, read_quantity
 
 _COLUMNS = {  # name -> (dimension, other names)
