@@ -29,6 +29,7 @@ from ambrose.judge.controller_file import read_controller
 from ambrose.judge.plants import Progress, full_plants
 from ambrose.judge.result import Status, Synthesis
 from ambrose.law.design_problem import design_tolerances
+from ambrose.law.law import LawLike
 from ambrose.law.timing import DEFAULT, Timing, machine_timing
 from ambrose.machine.atomic_write import make_folder, write_text
 from ambrose.machine.file.update import machine_text
@@ -180,7 +181,7 @@ def commission(
     return Commissioning(identification, reference, candidate, cycle, deployment, files, apart)
 
 
-def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> Any:
+def recorded(plant: Plant, controller: LawLike, path: Path, progress: Progress) -> Any:
     """Two seconds of the rig at an operating point, a binary sequence added to every current."""
     progress(f"recording {_RECORDED:g} s on the virtual rig at {plant.point.label}")
     scenario = replace(load_scenario(EXCITATION), duration=_RECORDED)
@@ -191,7 +192,7 @@ def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> A
 
 
 def identified(
-    machine: Machine, record: Any, controller: Any, directory: Path, progress: Progress
+    machine: Machine, record: Any, controller: LawLike, directory: Path, progress: Progress
 ) -> LoopIdentification:
     """The identification of the recorded machine; leaves identified.toml and identified.html.
 

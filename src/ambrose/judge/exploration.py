@@ -26,9 +26,9 @@ from ambrose.judge.family.responses import (
 )
 from ambrose.judge.plants import campbell_map, chosen_point
 from ambrose.judge.robust import stability
-from ambrose.judge.verdict import running_law
-from ambrose.law.loop import closed_loop, law_at, match_controller
-from ambrose.law.scheduling import SPEED, follows
+from ambrose.law.law import Law, LawAt, LawLike, law_of
+from ambrose.law.loop import closed_loop, match_controller, running_law
+from ambrose.law.scheduling import SPEED
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
@@ -140,7 +140,7 @@ class Exploration(Presented):
 
 def explore(
     machine: Machine,
-    controller: Any,
+    controller: LawLike,
     *,
     parts: Sequence[str] = PARTS,
     point: str | OperatingPoint | None = None,
@@ -172,10 +172,8 @@ def explore(
                 "ascending, of speed or pressure",
                 remedy,
             )
-    law, timing = (
-        getattr(controller, "law", controller),
-        timing_of(machine, controller, rate, delay_samples),
-    )
+    law = law_of(controller)
+    timing = timing_of(machine, law, rate, delay_samples)
     at = chosen_point(machine, point) or machine.operation.design
     plant = assemble(machine, at)
     notes: list[str] = []
@@ -196,13 +194,13 @@ def explore(
     return replace(done, notes=tuple(notes))
 
 
-def _along_speed(law: Any, timing: Timing | None, at: OperatingPoint) -> Any:
+def _along_speed(law: Law, timing: Timing | None, at: OperatingPoint) -> StateSpace | LawAt:
     """The law as it runs for a map over speed: a function of it where it changes with it."""
 
-    def running_at(point: OperatingPoint) -> Any:
-        return law_at(law, point) if timing is None else timing.in_loop(law_at(law, point))
+    def running_at(point: OperatingPoint) -> StateSpace:
+        return law.at(point) if timing is None else timing.in_loop(law.at(point))
 
-    if follows(law, SPEED):
+    if law.follows(SPEED):
         return lambda speed: running_at(replace(at, speed=speed))
     return running_at(at)
 
@@ -214,7 +212,7 @@ def _largest(machine: Machine, over: str) -> float:
 
 def _maps(
     machine: Machine,
-    law: Any,
+    law: Law,
     timing: Timing | None,
     at: OperatingPoint,
     reach: dict[str, tuple[float, float]],
@@ -260,7 +258,7 @@ def _maps(
 def _over_tolerances(
     done: Exploration,
     plant: Plant,
-    law: Any,
+    law: Law,
     timing: Timing | None,
     parts: Sequence[str],
     bound: bool,

@@ -152,7 +152,7 @@ def _map(
             machine, areas or AREAS, biases or BIASES, options, reserve=reserve, progress=progress
         )
         knee = result.knee
-        if knee is not None and not unverified:
+        if knee is not None and knee.synthesis is not None and not unverified:
             progress("verifying the size that is taken")
             timing = options.timing(knee.machine)
             when = (

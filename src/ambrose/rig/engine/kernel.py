@@ -11,7 +11,7 @@ What the arrays hold is said in rig/state.py and rig/inputs.py.
 from __future__ import annotations
 
 import shutil
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
@@ -40,6 +40,9 @@ from ambrose.rig.engine.inlined import (
     lag as sensor_lag,
 )
 from ambrose.rig.engine.sampled import command, control, run_program
+
+if TYPE_CHECKING:
+    from ambrose.rig.engine.controller import SampledLaw
 
 _FAR_OUT = 0.4  # of the clearance: where magnets bend much
 _DENSE = 32  # integration steps far out and near contact for each of the others
@@ -472,7 +475,7 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
 
     def advance(
         rig: Any,
-        law: Any,
+        law: SampledLaw,
         code: Any,
         drive: Any,
         P: Any,
