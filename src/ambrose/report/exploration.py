@@ -13,6 +13,7 @@ import numpy as np
 from ambrose.judge.exploration import Exploration
 from ambrose.judge.family.poles import PoleMap
 from ambrose.judge.family.responses import BoxUnbalance, PulseFamily
+from ambrose.judge.stability import Stability, describe
 from ambrose.machine.file.toml import machine_hash
 from ambrose.report import theme, units
 from ambrose.report.figures.axes import drawn
@@ -82,7 +83,7 @@ def family_report(found: Exploration, *, date: str = "") -> Report:
         Verdict(
             f"Stable over {item.over}",
             None,
-            "everywhere on the map" if not item.ends else _words(item),
+            _words(item),
         )
         for item in found.maps
     ]
@@ -95,10 +96,11 @@ def family_report(found: Exploration, *, date: str = "") -> Report:
         ("Loop", found.timing),
         ("How", units.prose(". ".join(f"{note[:1].upper()}{note[1:]}" for note in found.notes))),
     )
+    verdicts.insert(0, Verdict("Operating points", _all(found.standing), describe(found.standing)))
     words = (
-        "stable over the machine's own range"
+        "stable wherever it was examined"
         if found.stable
-        else "not stable everywhere in the machine's own range"
+        else "not stable everywhere that was examined"
     )
     result = Verdict("Result", found.stable, words)
     return Report(
@@ -116,7 +118,13 @@ def _members(family: PulseFamily) -> str:
     return f"{int(family.stable.sum())} of {len(family.stable)} members are stable"
 
 
+def _all(standing: tuple[Stability, ...]) -> bool:
+    return bool(standing) and all(item.stable for item in standing)
+
+
 def _words(item: PoleMap) -> str:
+    if not item.ends:
+        return f"{'everywhere' if item.stable.all() else 'nowhere'} on the map"
     parts = [
         f"{'gains' if above else 'loses'} stability at {units.quantity(at, item.unit, 4)}"
         for at, above in item.ends
