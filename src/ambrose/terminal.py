@@ -21,11 +21,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
 from ambrose.machine.messages import one_line
+
+if TYPE_CHECKING:
+    from ambrose.judge.result import Synthesis
+    from ambrose.machine.machine import Machine
 
 ALL = click.option(
     "--all", "everything", is_flag=True, help="Show the quantities without a limit as well."
@@ -242,13 +246,13 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
     return value
 
 
-def load(machine: str) -> Any:
+def load(machine: str) -> Machine:
     from ambrose.machine.file.toml import load_machine
 
     return load_machine(machine)
 
 
-def load_controller(path: Path, machine: Any) -> Any:
+def load_controller(path: Path, machine: Machine) -> Synthesis:
     """A controller file; that it was made for another machine, or before the machine file was
     changed, is noted.
     """

@@ -167,6 +167,6 @@ class TestMatching:
 
     def test_other_things_are_refused(self, plant):
         with pytest.raises(
-            InvalidInput, match="the system is 'pid', but must be something with matrices"
+            InvalidInput, match="the controller is 'pid', but must be a StateSpace or a Synthesis"
         ):
             match_controller("pid", plant)

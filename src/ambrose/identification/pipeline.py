@@ -132,7 +132,7 @@ def identify(
             raise InvalidInput(
                 f"the method {method} needs the controller that ran; give a StateSpace or a Synthesis"
             )
-        law = law_of(controller)
+        law = law_of(controller, functions=False)
         stated = law.delay_samples
         how = FitOptions(**({} if stated is None else {"computing_delay": stated}) | options)
         # delays and "bending" alone: beside what is usual

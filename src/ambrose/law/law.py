@@ -250,11 +250,11 @@ class ProgramLaw(Law):
         return cast(ScheduledProgram, self.running)(self.along.of(point))
 
 
-def law_of(given: LawLike) -> Law:
+def law_of(given: LawLike, *, functions: bool = True) -> Law:
     """The law that something is: itself, a system with A, B, C, D (of python-control, too), a
     schedule, a program, or a function of the speed.
 
-    Raises InvalidInput for anything else.
+    functions: whether a function is taken for one. Raises InvalidInput for anything else.
     """
     if isinstance(given, Law):
         return given
@@ -264,7 +264,7 @@ def law_of(given: LawLike) -> Law:
         return ScheduledLaw(given)
     if isinstance(given, ControlProgram):
         return _program_law(given)
-    if callable(given):
+    if functions and callable(given):
         # a function may say what it is one of, and at which rate
         parameter = getattr(given, "parameter", SPEED.name)
         return FunctionLaw(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,6 +23,9 @@ from ambrose.terminal import (
     say,
     say_json,
 )
+
+if TYPE_CHECKING:
+    from ambrose.machine.machine import Machine
 
 _LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
 
@@ -130,7 +133,7 @@ def size(
 
 
 def _map(
-    machine: Any,
+    machine: Machine,
     areas: list[float],
     biases: list[float],
     options: Any,
@@ -225,7 +228,7 @@ def _map(
 
 
 def _least(
-    machine: Any,
+    machine: Machine,
     lever: str,
     options: Any,
     tolerance: str | None,
