@@ -24,8 +24,7 @@ from ambrose.machine.seals import SealTable
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 from ambrose.synthesis.pid import pid_controller
-
-from .conftest import PID, make_rig
+from judge.conftest import PID, make_rig
 
 TIMING = Timing(1e-4, 1)
 

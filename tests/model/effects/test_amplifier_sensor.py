@@ -62,7 +62,10 @@ def test_incomplete_amplifiers_are_refused(description, message):
 
 
 def test_sensors_have_gain_and_lag_in_the_order_of_the_axes():
-    sensors = [Sensor("B", 0.7, gain=(1.1, 0.9), bandwidth=5000.0), Sensor("A", 0.1, gain=(1.0, 1.2))]
+    sensors = [
+        Sensor("B", 0.7, gain=(1.1, 0.9), bandwidth=5000.0),
+        Sensor("A", 0.1, gain=(1.0, 1.2)),
+    ]
     axes = ("A_zeta", "A_eta", "B_zeta", "B_eta")
     system = sensor.linearised(sensors, axes)
     assert system.inputs == tuple(f"s_{axis}" for axis in axes)
