@@ -266,9 +266,7 @@ def _compliance(plant: amb.Plant, w: float) -> complex:
 def test_a_tolerance_moves_the_plant_as_a_new_machine_does(machine):
     plant = free_mode_reduction(assemble(machine), 1)
     moved = perturbed(plant, {"lagged_spring.wedge.stiffness": 0.7})
-    other = replace(
-        machine, effects=(replace(machine.effects[0], stiffness=(1.14 * K, 1.14 * K)),)
-    )
+    other = replace(machine, effects=(replace(machine.effects[0], stiffness=(1.14 * K, 1.14 * K)),))
     expected = free_mode_reduction(assemble(other), 1)
     assert np.sort_complex(poles(moved.system)) == pytest.approx(
         np.sort_complex(poles(expected.system)), rel=1e-8, abs=1e-6
@@ -289,13 +287,16 @@ def test_the_rig_is_the_plant_around_its_centre(machine):
     kept = np.r_[: rig.bias.start, rig.bias.stop : rig.states]
     used = [i for i in kept if A[i].any()]
     plant = free_mode_reduction(assemble(machine), 2)
-    expected, found = (np.sort_complex(p) for p in (poles(plant.system), _eigenvalues(A, used)))
-    assert len(found) == len(expected)
-    assert found == pytest.approx(expected, rel=1e-5, abs=1e-3)
+    expected, found = (
+        _upper(p) for p in (poles(plant.system), np.linalg.eigvals(A[np.ix_(used, used)]))
+    )
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-3)
 
 
-def _eigenvalues(A: np.ndarray, used: list[int]) -> np.ndarray:
-    return np.linalg.eigvals(A[np.ix_(used, used)])
+def _upper(values: np.ndarray) -> np.ndarray:
+    """One of each conjugate pair, by size; real ones by value."""
+    kept = values[values.imag > -1e-6 * np.abs(values)]
+    return kept[np.lexsort((kept.real, np.abs(kept).round(3)))]
 
 
 def test_the_rig_runs_as_the_linear_loop_does(machine, controller):
@@ -356,7 +357,7 @@ def test_a_force_that_is_not_linear_acts_on_the_rig(machine, controller, _hard):
     law = controller.controller
     one, two = virtual_rig.run(hard, law, push), virtual_rig.run(soft, law, along)
     expected, found = two.record["q_hard_zeta"], one.record["q_hard_x"]
-    assert np.abs(expected).max() > 1e-5
+    assert np.abs(expected).max() > 5e-6
     assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
 
     harder = replace(hard, effects=(HardSpring("hard", 0.2, K, 1e15),))

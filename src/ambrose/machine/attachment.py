@@ -101,7 +101,7 @@ def attached(machine: MachineDescription) -> Iterator[tuple[Any, Any]]:
         yield attachment_of(part), part
 
 
-def by_table(parts: tuple[Part, ...]) -> dict[str, list[Part]]:
+def by_table(parts: tuple[Part, ...]) -> dict[str, list[Any]]:
     """Parts of registered effects by their tables, in the order of ``attachments``; empty tables
     are left out.
     """

@@ -32,7 +32,8 @@ def ports(machine: Machine) -> tuple[Port, ...]:
     stations = [Station(b.name, b.position, b.angle, TILTED) for b in machine.bearings]
     for effect, part in attached(machine):
         stations += effect.stations(part)
-    stations += [Station(part.name, part.position) for part in (*machine.seals, *machine.discs)]
+    stations += [Station(s.name, s.position) for s in machine.seals]
+    stations += [Station(d.name, d.position) for d in machine.discs]
     return tuple(
         Port(f"{station.name}_{axis}", station.position, station.angle + turn)
         for station in stations

@@ -8,5 +8,6 @@ else.
 ROOM = {
     "effect": {
         "coupling": "coupling:COUPLING",
+        "journal_bearing": "journal_bearing:JOURNAL_BEARING",
     },
 }

@@ -303,7 +303,7 @@ def _over_time(
     plan: Plan,
     first: int,
     count: int,
-    row: Callable[[float, float], Sequence[float]],
+    row: Callable[[float, float], Sequence[float] | np.ndarray],
 ) -> np.ndarray:
     """``row`` of pressure [Pa] and speed [rad/s] (count, len(row)) at the nodes from sample
     ``first`` on: looked up at every so many-th sample since the start, where the pressure bends,

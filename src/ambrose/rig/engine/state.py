@@ -163,16 +163,17 @@ class Rig:
     def work(self, controller_states: int = 0) -> Work:
         """Fresh scratch arrays."""
         stations, a = len(self.constants.shape), len(self.axes)
-        shapes: list[tuple[int, ...]] = [(stations, 2)] * 3 + [
-            (self.coordinates,),
-            (a,),
-            (a,),
-            (3, self.states),
-            (2, a),
-        ]
         asked = np.zeros(7)
         return Work(
-            *(np.zeros(shape) for shape in [*shapes, (controller_states,)]),
+            place=np.zeros((stations, 2)),
+            velocity=np.zeros((stations, 2)),
+            force=np.zeros((stations, 2)),
+            modal=np.zeros(self.coordinates),
+            command=np.zeros(a),
+            magnet=np.zeros(a),
+            slopes=np.zeros((3, self.states)),
+            sampled=np.zeros((2, a)),
+            ahead=np.zeros(controller_states),
             attached=np.zeros(self.constants.reaction.shape[1]),
             pull=np.zeros(2 * self.attached_stations),
             asked=asked,
@@ -296,7 +297,7 @@ def _address(force: Any, count: int) -> int:
 
 @cache
 def _callback(force: Any, count: int) -> Any:
-    from numba import carray, cfunc, njit, types
+    from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
 
     inner = njit(force)
 
@@ -307,7 +308,7 @@ def _callback(force: Any, count: int) -> Any:
         out[0], out[1] = fx, fy
         return 0
 
-    numbers = types.CPointer(types.float64)
+    numbers = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
     return cfunc(types.int32(numbers, numbers, numbers, numbers))(asked)
 
 
