@@ -47,6 +47,10 @@ _HOME = {
     "Verification": "judge.verification",
     "Trace": "rig.trace",
     "Identification": "identification.result",
+    **{
+        name: f"synthesis.methods.{name.lower()}"
+        for name in ("Tuned", "Pid", "Hinf", "Mu", "Polish")
+    },
     "ExportOptions": "code.pipeline",
     "Study": "chain.study",
     "hinf_synthesis": "synthesis.hinf.synthesis",
@@ -61,7 +65,7 @@ _HOME = {
         ("coprime_factors", "injection_gain", "observer_controller", "residual_system"),
         "core.realisation.coprime",
     ),
-    "trade_off": "synthesis.fixed_order.trade_off",
+    "trade_off": "synthesis.trade_off",
     "minimal": "core.realisation.zeros",
     "delayed": "core.sampling",
     "lft": "core.lft",

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from ambrose.machine.machine import Machine
     from ambrose.model.plant import Plant
     from ambrose.rig.trace import Trace
+    from ambrose.synthesis.methods.method import Method
 
 Progress = Callable[[str], None]
 
@@ -80,7 +81,7 @@ def reduce(plant: Plant, bending_modes: int | None = None) -> Plant:
 
 def design(
     machine: Machine | Plant | str,
-    method: str = "tuned",
+    method: Method | str = "tuned",
     *,
     point: OperatingPoint | str | None = None,
     progress: Progress = _quiet,
@@ -89,15 +90,14 @@ def design(
     """A controller: for the whole envelope, or by the thesis' methods for one operating point;
     certified on the full plants.
 
-    method: "tuned" (to the machine's requirements at all its operating points and over the
-    tolerances around each); made for one point are "pid" (the machine's reference controller),
-    "hinf", "mu" (D-K iteration over the tolerances), "polish" (mu refined at fixed order) and "lpv"
-    (scheduled over speed, pressure or both). point: of the machine (None: the one that designs are
-    made for). options, see ``synthesis.options.DesignOptions``: rate [Hz] and delay_samples of the
-    sampled loop that it is for; order of the polished or tuned controller; loss, with a rate: lower
-    the order until the worst sampled sensitivity has risen by this share; bending_modes;
-    match_reference; structure; speeds [rad/s] or pressures [Pa], lowest and highest. A controller
-    that does not hold the full plant comes back with status "unstable". Raises InvalidInput.
+    method: ``Tuned`` (to the machine's requirements at all its operating points and over the
+    tolerances around each); made for one point are ``Pid`` (the machine's reference controller),
+    ``Hinf``, ``Mu`` (D-K iteration over the tolerances), ``Polish`` (mu refined at fixed order) and
+    ``Lpv`` (scheduled over speed, pressure or both); or the name of one, "tuned", its options then
+    by name: ``amb.design(machine, amb.Tuned(order=12))`` is ``amb.design(machine, "tuned",
+    order=12)``. What each has stands with it, help(amb.Tuned). point: of the machine (None: the one
+    that designs are made for). A controller that does not hold the full plant comes back with
+    status "unstable". Raises InvalidInput.
     """
     from ambrose.model.plant import Plant as PlantType
     from ambrose.synthesis.design import design as designed

@@ -2,8 +2,8 @@
 
 ANNEX = {
     "command": {"monitor": "monitor_command:monitor"},
-    "public": {"monitor": "front_door", "lpv_synthesis": "lpv.synthesis"},
-    "method": {"lpv": "lpv.method"},
+    "public": {"monitor": "front_door", "lpv_synthesis": "lpv.synthesis", "Lpv": "lpv.method"},
+    "method": {"lpv": "lpv.method:Lpv"},
     "moving_proof": {"pressure and speed": "moving.proofs"},
     "companion": {"seal monitor": "watched:watched"},
 }
