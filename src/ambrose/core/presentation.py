@@ -44,10 +44,9 @@ class Presented:
 
     def to_dict(self) -> dict[str, Any]:
         """All fields of the dataclass, ready for JSON (``to_plain``)."""
-        fields: dict[str, Any] = to_plain(
-            {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        )  # type: ignore[arg-type]
-        return fields
+        names = (field.name for field in dataclasses.fields(self))  # type: ignore[arg-type]
+        plain: dict[str, Any] = to_plain({name: getattr(self, name) for name in names})
+        return plain
 
     def __repr__(self) -> str:
         words = ", ".join(f"{name}={in_words(value)}" for name, value in self.facts().items())
