@@ -266,7 +266,7 @@ BAD = {
     ),
     "pressures exchanged": (
         ["synthesize", RIG, "--method", "lpv", "--pressures-bar", "4", "0"],
-        "--pressures-bar is 4 0, but must be the lower",
+        "--pressures-bar is 4 and 0, but must be the lower",
     ),
     "pressures without lpv": (
         ["synthesize", RIG, "--method", "mu", "--pressures-bar", "0", "4"],
@@ -310,7 +310,7 @@ BAD = {
     ),
     "an order without a method for it": (
         ["synthesize", RIG, "--order", "4", "--method", "mu"],
-        "it goes with polish or tuned",
+        "it goes with tuned or polish",
     ),
     "another ending of a machine file": (["new", "{tmp}/x.json"], 'x.toml"'),
     "a machine file as controller": (
