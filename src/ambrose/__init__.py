@@ -51,7 +51,7 @@ _HOME = {
         name: f"synthesis.methods.{name.lower()}"
         for name in ("Tuned", "Pid", "Hinf", "Mu", "Polish")
     },
-    "ExportOptions": "code.pipeline",
+    **dict.fromkeys(("C", "Mat", "Fmu", "St"), "code.targets"),
     "Study": "chain.study",
     "hinf_synthesis": "synthesis.hinf.synthesis",
     "mu_synthesis": "synthesis.mu.synthesis",

@@ -25,7 +25,8 @@ from ambrose.core.checks import InvalidInput, invalid
 
 if TYPE_CHECKING:
     from ambrose.chain.study import Study
-    from ambrose.code.pipeline import Delivery, ExportOptions, Target
+    from ambrose.code.pipeline import Delivery
+    from ambrose.code.targets import Target
     from ambrose.identification.result import Identification
     from ambrose.judge.result import Synthesis
     from ambrose.judge.verification import Verification
@@ -209,15 +210,16 @@ def export(
     controller: Any,
     directory: str | os.PathLike[str],
     *,
-    to: Target,
+    to: Target | str,
     machine: Machine | str | None = None,
-    options: ExportOptions | None = None,
     fallback: Any = None,
+    **options: Any,
 ) -> Delivery:
-    """The controller as files for a target, verified as it will run: "c" (C99), "mat", "fmu" (FMI 2
-    and 3), "st" (IEC 61131-3).
+    """The controller as files for a target, verified as it will run.
 
-    machine: the one it is for; None: the bundled machine that it was made for. fallback: the fixed
+    to: ``C`` (C99), ``Mat`` (MATLAB, Octave), ``Fmu`` (FMI 2 and 3), ``St`` (IEC 61131-3), each
+    with its options, ``amb.C(arithmetic="float")``; or the name of one, "c", its options then by
+    name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the fixed
     controller that takes over from one scheduled over pressure where the reading cannot be trusted
     (C only). Raises InvalidInput, and UnstableSystem where the sampled loop does not hold the
     machine.
@@ -231,7 +233,7 @@ def export(
     )
     description = None if machine is None else machine_of(machine)
     return exported(
-        controller, Path(directory), to=to, machine=description, options=options, fallback=fallback
+        controller, Path(directory), to=to, machine=description, fallback=fallback, **options
     )
 
 

@@ -9,9 +9,9 @@ Nothing here needs numpy before a value is checked, so that the command line's h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 from ambrose.machine.messages import suggestion
 
@@ -50,8 +50,6 @@ class Options:
 
     Raises InvalidInput.
     """
-
-    name: ClassVar[str]  # the word it is chosen by
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -101,7 +99,7 @@ def choose(
     spelled = spelled or {}
     if isinstance(kind, Options):
         given = {item.name: getattr(kind, item.name) for item in fields(kind)} | dict(given)
-        kind = kind.name
+        kind = next((key for key, other in kinds.items() if other is type(kind)), repr(kind))
     if not isinstance(kind, str) or kind not in kinds:
         raise invalid(
             spelled.get(word, word),
@@ -136,8 +134,13 @@ def refuse_foreign(
                 spelled.get(name, name),
                 "given",
                 f"left out with {spelled.get(word, word)} {kind}",
-                f"it goes with {' or '.join(having)}",
+                f"it goes with {either(having)}",
             )
+
+
+def either(names: Sequence[str]) -> str:
+    """ "a, b or c"."""
+    return " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
 
 
 def kinds_with(kinds: Mapping[str, type[Options]], name: str) -> tuple[str, ...]:

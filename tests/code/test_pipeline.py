@@ -16,7 +16,8 @@ from click.testing import CliRunner
 import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
-from ambrose.code.pipeline import ExportOptions, bundled_machine, export, machine_limits
+from ambrose.code.pipeline import bundled_machine, export, machine_limits
+from ambrose.code.targets import C, St
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.model.assemble import assemble
@@ -257,8 +258,7 @@ def test_limits_must_be_known(tmp_path):
         match="the error limit is unknown, but must be given in m; name the machine file, --machine",
     ):
         export(file, tmp_path / "code", to="c")
-    options = ExportOptions(error_limit=1e-3, current_limit=2.0, force=True)
-    done = export(file, tmp_path / "code", to="c", options=options)
+    done = export(file, tmp_path / "code", to="c", error_limit=1e-3, current_limit=2.0, force=True)
     assert not done.deployment.verified
     assert "Verified   NOT" in (tmp_path / "code" / "controller.h").read_text()
 
@@ -306,9 +306,8 @@ def test_a_delivery_shows_itself(rig, tmp_path):
     delivery = export(
         synthesis,
         tmp_path / "code",
-        to="st",
+        to=St(name="rig", rate=20000.0),
         machine=machine,
-        options=ExportOptions(name="rig", rate=20000.0),
     )
     assert len(repr(delivery)) < 200
     assert repr(delivery).startswith("Delivery(target=st, verified=True, states=")
@@ -354,4 +353,4 @@ def test_what_is_no_controller_of_the_machine(rig, tmp_path, controller, message
 )
 def test_options_that_mean_nothing(settings, message):
     with pytest.raises(InvalidInput, match=message):
-        ExportOptions(**settings)
+        C(**settings)

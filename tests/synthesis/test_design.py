@@ -58,7 +58,7 @@ REFUSED = {
     "an order lowered twice": (
         "tuned",
         {"loss": 0.05, "rate": 1e4},
-        "it goes with pid or hinf or mu or polish",
+        "it goes with pid, hinf, mu or polish",
     ),
     "another structure": ("tuned", {"structure": "ring"}, "structure is 'ring'"),
     "half a bending mode": ("mu", {"bending_modes": 0.5}, "bending_modes is 0.5"),

@@ -5,7 +5,7 @@ A flag, its type, its unit and its help stand once, with the field (``ambrose.op
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,7 +13,15 @@ from typing import Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from ambrose.options import Option, Options, check_option, kinds_with, option_of, refuse_foreign
+from ambrose.options import (
+    Option,
+    Options,
+    check_option,
+    either,
+    kinds_with,
+    option_of,
+    refuse_foreign,
+)
 from ambrose.terminal import quantity_given
 
 Kinds = Mapping[str, type[Options]]
@@ -46,7 +54,7 @@ def groups_from(kinds: Kinds, every: str, word: str) -> dict[str, tuple[str, ...
     groups: dict[str, tuple[str, ...]] = {}
     for name in _names(kinds):
         having = kinds_with(kinds, name)
-        title = every if len(having) == len(kinds) else f"With {word} {_either(having)}"
+        title = every if len(having) == len(kinds) else f"With {word} {either(having)}"
         groups[title] = (*groups.get(title, ()), name)
     return groups
 
@@ -86,9 +94,9 @@ def _flag(kinds: Kinds, name: str) -> Callable[[Any], Any]:
         meanings.setdefault(option_of(field).meaning, []).append(key)
     # where the meanings differ, each after the names that it goes with
     help_text = " ".join(
-        text if len(meanings) == 1 else f"{_either(keys)}: {text}"
-        for text, keys in meanings.items()
+        text if len(meanings) == 1 else f"{either(keys)}: {text}" for text, keys in meanings.items()
     )
+    choices = list(dict.fromkeys(c for field in having.values() for c in option_of(field).choices))
     attributes: dict[str, Any] = {
         "help": help_text,
         "metavar": known.metavar,
@@ -96,7 +104,7 @@ def _flag(kinds: Kinds, name: str) -> Callable[[Any], Any]:
     }
     if annotation != "bool":
         kind, count = (str, 1) if known.dimension else _TYPES.get(annotation, (float, 1))
-        attributes |= {"type": click.Choice(known.choices) if known.choices else kind}
+        attributes |= {"type": click.Choice(choices) if choices else kind}
         attributes |= {"nargs": count, "multiple": known.many}
         attributes["show_default"] = bool(item.default)
     elif "/" not in _spelled(item, known):
@@ -106,10 +114,6 @@ def _flag(kinds: Kinds, name: str) -> Callable[[Any], Any]:
 
 def _spelled(item: Field[Any], known: Option) -> str:
     return known.flag or f"--{item.name.replace('_', '-')}"
-
-
-def _either(names: Sequence[str]) -> str:
-    return " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
 
 
 def _read(item: Field[Any], value: Any, flag: str) -> Any:

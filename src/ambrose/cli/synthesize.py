@@ -24,7 +24,6 @@ from ambrose.terminal import (
     shown,
 )
 
-
 METHODS = methods()
 _WORD = "--method"
 

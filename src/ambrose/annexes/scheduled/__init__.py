@@ -1,7 +1,7 @@
 """Parameters that move: schedules over speed and pressure, proofs along motions, the seal monitor."""
 
 ANNEX = {
-    "command": {"monitor": "monitor_command:monitor"},
+    "site command": {"monitor": "monitor_command:monitor"},
     "public": {"monitor": "front_door", "lpv_synthesis": "lpv.synthesis", "Lpv": "lpv.method"},
     "method": {"lpv": "lpv.method:Lpv"},
     "moving_proof": {"pressure and speed": "moving.proofs"},

@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from ambrose.core.checks import InvalidInput, invalid
 from ambrose.terminal import (
     AS_JSON,
     DELAY,
@@ -99,6 +98,7 @@ def size(
     stays at most 1; with --tolerance and --widths: what robustness costs. Exit status 1: nothing
     meets all, or the verification failed.
     """
+    from ambrose.core.checks import InvalidInput
     from ambrose.synthesis.methods.tuned import Tuned
 
     if (tolerance is None) != (widths is None) or (tolerance is not None and lever is None):
@@ -300,6 +300,8 @@ def _number(value: float) -> str:
 
 def _shares(option: str, text: str | None) -> list[float]:
     """Numbers between commas, "0.5" or "50 %". Raises InvalidInput."""
+    from ambrose.core.checks import invalid
+
     found = []
     for word in (text or "").split(","):
         if not word.strip():
