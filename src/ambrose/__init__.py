@@ -51,6 +51,7 @@ _HOME = {
         name: f"synthesis.methods.{name.lower()}"
         for name in ("Tuned", "Pid", "Hinf", "Mu", "Polish")
     },
+    **dict.fromkeys(("ClosedLoop", "Youla", "StaticLoads"), "identification.methods"),
     **dict.fromkeys(("C", "Mat", "Fmu", "St"), "code.targets"),
     "Study": "chain.study",
     "hinf_synthesis": "synthesis.hinf.synthesis",

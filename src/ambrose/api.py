@@ -195,10 +195,10 @@ def identify(
     the machine updated.
 
     records: a Record, a path, or several. controller: the one that ran. options, see
-    ``identification.pipeline.identify``: method "closed-loop", "youla" or "static"; unknown,
-    parameters as the tolerances name them with "*" for every name or axis; start; repeats;
-    seal_form "line" or "table"; seal; progress. Raises InvalidInput that names what is wrong with a
-    record.
+    ``identification.pipeline.identify``: method, ``ClosedLoop``, ``Youla`` or ``StaticLoads`` with
+    its options, or the name of one, "closed-loop", "youla", "static", its options then by name
+    (unknown, parameters as the tolerances name them with "*" for every name or axis; start;
+    seal_form); repeats; progress. Raises InvalidInput that names what is wrong with a record.
     """
     from ambrose.identification.pipeline import identify as identified
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from ambrose.machine.messages import suggestion
 
@@ -50,6 +50,8 @@ class Options:
 
     Raises InvalidInput.
     """
+
+    why: ClassVar[str] = ""  # why it has no others, told where one of them is refused
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -124,6 +126,7 @@ def refuse_foreign(
     """
     from ambrose.core.checks import InvalidInput, invalid
 
+    because = f": {kinds[kind].why}" if kinds[kind].why else ""
     for name in given:
         having = kinds_with(kinds, name)
         if not having:
@@ -134,7 +137,7 @@ def refuse_foreign(
                 spelled.get(name, name),
                 "given",
                 f"left out with {spelled.get(word, word)} {kind}",
-                f"it goes with {either(having)}",
+                f"it goes with {either(having)}{because}",
             )
 
 

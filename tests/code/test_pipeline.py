@@ -123,7 +123,7 @@ def test_an_unverified_controller_needs_force(controllers, tmp_path):
     [
         (["--rate-hz", 3000], "the sample rate is 3000 Hz, but must be at least 36"),
         (["--rate-hz", -1], "--rate-hz is -1.0, but must be positive"),
-        (["--delay-samples", -1], "(delay_samples) is -1"),
+        (["--delay-samples", -1], "(--delay-samples) is -1"),
         (["--name", "a b"], "the name of the block is 'a b', but must be a C identifier"),
         (["--error-limit", 0, "--force"], "error_limit is 0.0, but must be positive"),
         pytest.param(

@@ -31,6 +31,8 @@ _TYPES: dict[str, tuple[Any, int]] = {
     "float": (float, 1),
     "int": (int, 1),
     "str": (str, 1),
+    "Sequence[str]": (str, 1),
+    "Mapping[str, float]": (str, 1),
     "Path": (click.Path(path_type=Path), 1),
     "tuple[float, float]": (float, 2),
 }
@@ -122,7 +124,7 @@ def _read(item: Field[Any], value: Any, flag: str) -> Any:
     if known.dimension:
         return quantity_given(value, flag, known.dimension)
     if known.many:
-        return tuple(value)
+        return value
     check_option(item, value, flag)
     if known.convert is None:
         return value
