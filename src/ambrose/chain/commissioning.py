@@ -40,7 +40,7 @@ from ambrose.rig.candidate import Candidate, Deployed, evaluate
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import simulate_scenario
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.choice import methods
 
 NAME = "commissioned"
 METHOD = "tuned"
@@ -165,8 +165,8 @@ def commission(
     known = full_plants(machine)
     progress("controller for the identified machine and its sampled loop")
     machine_on_site, timing = plants[0].machine, machine_timing(machine) or DEFAULT
-    options = DesignOptions(rate=timing.rate, delay_samples=timing.delay_samples)
-    synthesis = resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
+    method = methods()[METHOD](rate=timing.rate, delay_samples=timing.delay_samples)
+    synthesis = resume_or_design(known[0], method, directory / "controller.json", progress)
     deployment, program, files = compile_controller(known, directory, progress)
     law, apart = read_running_law(program, deployment)
     running = Deployed(

@@ -3,6 +3,6 @@ asked (thesis, 7.3).
 """
 
 ANNEX = {
-    "command": {"size": "command:size"},
+    "design command": {"size": "command:size"},
     "public": {"size": "map", "least": "least", "price": "least"},
 }
