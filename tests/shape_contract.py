@@ -35,7 +35,7 @@ def stated_shapes(function: Callable[..., Any]) -> dict[str, list[str]]:
     """
     parameters = inspect.signature(function).parameters
     shapes: dict[str, list[str]] = {}
-    for name, text in _STATED.findall(function.__doc__ or ""):
+    for name, text in _STATED.findall(" ".join((function.__doc__ or "").split())):
         choices = [
             [part.strip() for part in shape.split(",") if part.strip()]
             for shape in re.findall(r"\((.*?)\)", text)
