@@ -30,7 +30,8 @@ def annexes() -> tuple[str, ...]:
 def registered(kind: str) -> dict[str, str]:
     """{name: place} of all that the annexes registered of a kind; a place is "module:attribute".
 
-    kind: "command", "public", "method", "moving_proof" or "companion". Raises RuntimeError where
+    kind: "command", "public", "page" (of a result, by the name of its type), "method",
+    "moving_proof" or "companion". Raises RuntimeError where
     two annexes register one name: that is a defect of the installation, not of the input.
     """
     places: dict[str, str] = {}

@@ -12,8 +12,10 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.rig.candidate import SCENARIOS, Candidate, points_of
-from ambrose.rig.trial import simulate_linear
+from ambrose.judge import nominal, robust
+from ambrose.judge.checks import Check, Checks, Curve
+from ambrose.judge.result import Certificate, Synthesis
+from ambrose.law.design_problem import design_plant
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
@@ -21,17 +23,14 @@ from ambrose.report import page as document
 from ambrose.report import theme, units
 from ambrose.report.comparison import figures as comparison_figures
 from ambrose.report.comparison import tables as comparison_tables
-from ambrose.report.comparison.page import comparison_report
+from ambrose.report.comparison.page import comparison_page
 from ambrose.report.figures.panels import Panel, panel_figure
-from ambrose.report.page import Cell, Report, Section, Table
+from ambrose.report.page import Cell, Page, Section, Table
+from ambrose.rig.candidate import SCENARIOS, Candidate, points_of
+from ambrose.rig.trial import simulate_linear
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.law.design_problem import design_plant
-from ambrose.judge.result import Certificate, Synthesis
-from ambrose.judge import nominal
-from ambrose.judge import robust
-from ambrose.judge.checks import Check, Checks, Curve
 
 pytestmark = pytest.mark.campaign  # minutes
 
@@ -67,20 +66,20 @@ def candidates(rig: Machine) -> list[Candidate]:
 
 
 @pytest.fixture(scope="module")
-def report(rig: Machine, candidates: list[Candidate]) -> Report:
-    return comparison_report(rig, candidates, facts=[("Purpose", "test")], date="2031-02-03")
+def report(rig: Machine, candidates: list[Candidate]) -> Page:
+    return comparison_page(rig, candidates, facts=[("Purpose", "test")], date="2031-02-03")
 
 
 @pytest.fixture(scope="module")
-def page(report: Report) -> str:
+def page(report: Page) -> str:
     return document.render(report)
 
 
-def table(report: Report, title: str) -> Table:
+def table(report: Page, title: str) -> Table:
     return next(table for section in report.sections for table in section.tables if table.title == title)
 
 
-def section(report: Report, title: str) -> Section:
+def section(report: Page, title: str) -> Section:
     return next(section for section in report.sections if section.title == title)
 
 
@@ -97,7 +96,7 @@ def lines(figure: Any, label: str) -> list[Any]:
 
 
 def test_points_go_by_pressure_and_keep_their_colour_in_every_figure(
-    rig: Machine, candidates: list[Candidate], report: Report
+    rig: Machine, candidates: list[Candidate], report: Page
 ) -> None:
     assert points_of(rig, candidates) == POINTS
     style = theme.styles(POINTS)
@@ -120,7 +119,7 @@ def test_colours_of_points_controllers_and_families_differ() -> None:
     assert not (palettes[0] & palettes[1]) | (palettes[0] & palettes[2]) | (palettes[1] & palettes[2])
 
 
-def test_verdicts_agree_with_the_checks_and_give_reasons(report: Report, candidates: list[Candidate]) -> None:
+def test_verdicts_agree_with_the_checks_and_give_reasons(report: Page, candidates: list[Candidate]) -> None:
     found = table(report, "Who passes where, and why not")
     assert found.columns == ("Controller", *POINTS, "over the tolerances")
     for candidate, cells in zip(candidates, found.cells, strict=True):
@@ -135,7 +134,7 @@ def test_verdicts_agree_with_the_checks_and_give_reasons(report: Report, candida
     assert lead[4].text.startswith("unstable from 0.427 of the tolerances on")
 
 
-def test_head_says_who_passes_everywhere(report: Report, page: str, candidates: list[Candidate]) -> None:
+def test_head_says_who_passes_everywhere(report: Page, page: str, candidates: list[Candidate]) -> None:
     good = [candidate.name for candidate in candidates if candidate.passed]
     expected = "Every requirement is met at all 3" if good else "No controller meets every requirement; nearest comes "
     assert expected in page
@@ -146,7 +145,7 @@ def test_head_says_who_passes_everywhere(report: Report, page: str, candidates: 
     )
 
 
-def test_the_deciding_table_holds_the_worst_of_the_points(report: Report, candidates: list[Candidate]) -> None:
+def test_the_deciding_table_holds_the_worst_of_the_points(report: Page, candidates: list[Candidate]) -> None:
     found = table(report, "The quantities that decide")
     assert found.columns == ("Quantity", "Limit", "PID", "H-infinity", "mu")
     sensitivity = row(found, "Peak output sensitivity")
@@ -163,7 +162,7 @@ def test_the_deciding_table_holds_the_worst_of_the_points(report: Report, candid
     assert [cell.best for cell in decrement[2:]] == [False, least[0] > least[1], least[1] > least[0]]
 
 
-def test_the_deciding_table_holds_box_mu_and_controller(report: Report, candidates: list[Candidate]) -> None:
+def test_the_deciding_table_holds_box_mu_and_controller(report: Page, candidates: list[Candidate]) -> None:
     found = table(report, "The quantities that decide")
     assert any("seal.center.pressure ±100\u00a0%" in cells[0].text for cells in found.cells if cells[0].mark == "heading")
     worst = row(found, "Worst-case output sensitivity over the box")
@@ -185,7 +184,7 @@ def test_the_deciding_table_holds_box_mu_and_controller(report: Report, candidat
     assert not any(cell.best for cell in gamma)  # different norms: no winner
 
 
-def test_columns_are_grouped_by_operating_point_and_each_has_its_best(report: Report, candidates: list[Candidate]) -> None:
+def test_columns_are_grouped_by_operating_point_and_each_has_its_best(report: Page, candidates: list[Candidate]) -> None:
     found = table(report, "At every operating point")
     assert found.groups == (("", 2), *((point, 3) for point in POINTS))
     assert found.columns[2:] == ("PID", "H-infinity", "mu") * 3
@@ -242,7 +241,7 @@ def test_many_points_are_cut_into_tables_that_fit(candidates: list[Candidate]) -
 
 
 def test_one_panel_per_controller_with_common_axes_and_peaks_from_the_checks(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     figure = section(report, "Closed loop, side by side").figures[0]
     picture = figure.picture
@@ -259,7 +258,7 @@ def test_one_panel_per_controller_with_common_axes_and_peaks_from_the_checks(
     assert len([trace for trace in picture.data if trace.showlegend]) == 3
 
 
-def test_families_leave_out_unstable_lines_and_say_so(report: Report, candidates: list[Candidate]) -> None:
+def test_families_leave_out_unstable_lines_and_say_so(report: Page, candidates: list[Candidate]) -> None:
     figures = section(report, "Over the tolerances").figures
     assert [figure.title for figure in figures] == [
         "Output sensitivity over the tolerances",
@@ -284,7 +283,7 @@ def test_single_robust_curves_are_overlaid_in_the_colours_of_the_controllers(rig
         assert [trace.line.color for trace in lines(figure.picture, candidate.name)] == [style[candidate.name].colour]
 
 
-def test_gains_are_those_of_the_controllers_and_absent_coupling_is_said(report: Report, candidates: list[Candidate]) -> None:
+def test_gains_are_those_of_the_controllers_and_absent_coupling_is_said(report: Page, candidates: list[Candidate]) -> None:
     picture = section(report, "Controllers").figures[0].picture
     titles = [words for words in texts(picture) if words.startswith("(")]
     assert [words[:5] for words in titles] == ["(1,1)", "(2,2)", "(3,3)", "(4,4)", "(1,2)", "(1,3)", "(1,4)"]
@@ -302,7 +301,7 @@ def test_gains_are_those_of_the_controllers_and_absent_coupling_is_said(report: 
     assert 10 ** np.array(picture.layout.xaxis.range) == pytest.approx([0.1, 2000])
 
 
-def test_a_diverging_response_is_named_and_does_not_squash_the_others(report: Report, candidates: list[Candidate]) -> None:
+def test_a_diverging_response_is_named_and_does_not_squash_the_others(report: Page, candidates: list[Candidate]) -> None:
     figure = section(report, "Time responses").figures[0]
     calm = [t for c in candidates for _, t in c.traces if t.outcome == "completed" and t.scenario == SCENARIOS[0]]
     axes = load_machine("seal-rig").axes
@@ -320,27 +319,27 @@ def test_page_is_whole_light_and_escaped(rig: Machine, candidates: list[Candidat
     assert page.count("<details>") == page.count("</details>") == 3 * 4
     assert '<th colspan="3" scope="colgroup">zero pressure</th>' in page
     named = [replace(candidates[0], name="<b>&PID"), candidates[1]]
-    made = comparison_report(rig, named)
+    made = comparison_page(rig, named)
     path = document.write(made, tmp_path / "page.html")
     text = path.read_text(encoding="utf-8")
     assert "<b>&PID" not in text
     assert "&lt;b&gt;&amp;PID" in text
 
 
-def test_all_checks_of_all_candidates_are_listed(report: Report, candidates: list[Candidate]) -> None:
+def test_all_checks_of_all_candidates_are_listed(report: Page, candidates: list[Candidate]) -> None:
     details = section(report, "All checks in detail")
     assert details.folded
     expected = [checks for c in candidates for checks in (*c.checks, *c.boxes)]
     assert sorted(len(part.rows) for part in details.tables) == sorted(len(checks.checks) for checks in expected)
 
 
-def test_mu_iterations_are_listed(report: Report, candidates: list[Candidate]) -> None:
+def test_mu_iterations_are_listed(report: Page, candidates: list[Candidate]) -> None:
     found = table(report, "mu: what each iteration reached")
     assert len(found.rows) == len(candidates[2].synthesis.history)
 
 
 def test_a_single_candidate_gets_the_verification_report(rig: Machine, candidates: list[Candidate]) -> None:
-    made = comparison_report(rig, candidates[:1], title="One")
+    made = comparison_page(rig, candidates[:1], title="One")
     titles = [part.title for part in made.sections]
     assert titles == ["Overview", "Machine", "Closed loop", "Time responses", "Over the tolerances", "All checks in detail",
                       "To be signed"]  # fmt: skip
@@ -353,7 +352,7 @@ def test_maps_over_speed_and_models_have_their_sections(rig: Machine, candidates
     speed = np.linspace(0, 300, 5)
     campbell = Curve("campbell", "Campbell map", "speed", speed, speed[None] + 50, ("mode",), "rad/s", "rad/s")
     gain = Curve("g", "Gain", "frequency", speed + 1, np.ones((1, 5)), ("max",), "rad/s", "m/A")
-    made = comparison_report(
+    made = comparison_page(
         rig, candidates[:2], comparison=[("full", gain), ("reduced", gain)],
         over_speed=[("PID", campbell), ("H-infinity", campbell)],
     )  # fmt: skip
@@ -364,9 +363,9 @@ def test_maps_over_speed_and_models_have_their_sections(rig: Machine, candidates
 
 def test_names_that_do_not_tell_apart_are_refused(rig: Machine, candidates: list[Candidate]) -> None:
     with pytest.raises(InvalidInput, match="one name each"):
-        comparison_report(rig, [candidates[0], candidates[0]])
+        comparison_page(rig, [candidates[0], candidates[0]])
     with pytest.raises(InvalidInput, match="one name each"):
-        comparison_report(rig, [])
+        comparison_page(rig, [])
     with pytest.raises(InvalidInput, match="no checks"):
         replace(candidates[0], checks=())
     with pytest.raises(InvalidInput, match="two verifications labelled 'nominal pressure'"):
