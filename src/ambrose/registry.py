@@ -41,7 +41,8 @@ def registered(kind: str) -> dict[str, Any]:
     "module:attribute", or the object itself where it came by ``register``.
 
     kind: "design command", "site command" or "research command" (the groups of the command line's
-    help), "public", "method", "moving_proof", "companion" or "effect". Raises RuntimeError where
+    help), "public", "page" (of a result, by the name of its type), "method", "moving_proof",
+    "companion" or "effect". Raises RuntimeError where
     two register one name: that is a defect of the installation, not of the input.
     """
     return {**_stated(kind), **_ADDED.get(kind, {})}

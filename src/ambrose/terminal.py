@@ -450,3 +450,25 @@ def kept(write: Callable[[Path], Any], path: Path) -> Exception | None:
             return InvalidInput(f"{error}; it was written to {elsewhere} instead")
         return error
     return None
+
+
+def kept_page(
+    result: Any,
+    path: Path | None,
+    *beside: Any,
+    progress: Callable[[str], None] | None = None,
+    called: str = "page",
+    **options: Any,
+) -> Exception | None:
+    """The page of a result at ``path`` (None: none is wanted), kept as by ``kept``.
+
+    beside, options: as for ``page_of``. progress is told that the page (``called`` otherwise in
+    some commands) is written. Returns what to raise in the end; None: nothing failed.
+    """
+    if path is None:
+        return None
+    from ambrose.report.page import page_of, write
+
+    if progress is not None:
+        progress(f"writing the {called}")
+    return kept(lambda place: write(page_of(result, *beside, **options), place), path)

@@ -10,7 +10,7 @@ from ambrose.judge.exploration import PARTS, explore
 from ambrose.judge.stability import describe, judge_points, judge_stability
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
-from ambrose.report.exploration import family_report
+from ambrose.report.exploration import exploration_page
 from ambrose.synthesis.pid import pid_controller
 
 MACHINE = load_machine("two-disc-rotor")
@@ -23,7 +23,7 @@ NOTHING = StateSpace(
 def test_no_part_of_a_map_calls_an_unstable_loop_stable(part):
     """Before, a page of curves, orbits or pulses said "stable over the machine's own range"."""
     found = explore(MACHINE, NOTHING, parts=(part,))
-    page = family_report(found)
+    page = exploration_page(found)
     assert not found.stable
     assert page.result.passed is False
     assert "unstable at" in dict((v.label, v.text) for v in page.verdicts)["Operating points"]

@@ -198,8 +198,7 @@ def identified(
 
     Raises NumericalFailure where the fit did not converge.
     """
-    from ambrose.report.identification.page import identification_report
-    from ambrose.report.page import write
+    from ambrose.report.page import page_of, write
 
     names = Provenance(("record.h5",), "the reference controller")
     done = identify(machine, record, controller, provenance=names, progress=progress)
@@ -207,7 +206,7 @@ def identified(
     write_text(
         directory / "identified.toml", done.comment + machine_text(done.machine), "machine file"
     )
-    write(identification_report(done), directory / "identified.html")
+    write(page_of(done), directory / "identified.html")
     if not done.result.converged:
         raise NumericalFailure(
             f"{done.verdict}; no controller is designed for them, see identified.html"

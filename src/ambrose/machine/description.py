@@ -394,8 +394,8 @@ class MachineDescription(Part):
 
     ``assumed`` lists the parameters that were chosen, not measured or published, each with its
     reason. ``effects`` are the parts of registered effects that have no field here, in the file a
-    table each (``machine.attachment``). file_text is the file that the machine was read from (empty: none), for its comments,
-    order and units; it is not compared.
+    table each (``machine.attachment``). file_text is the file that the machine was read from
+    (empty: none), for its comments, order and units; it is not compared.
     """
 
     name: Annotated[Name, "name of the machine"]

@@ -1,7 +1,7 @@
 """The page of a controller over its whole range: poles over speed and pressure, Campbell, pulse and
 unbalance families.
 
-write(family_report(explore(machine, controller)), "map.html")
+write(exploration_page(explore(machine, controller)), "map.html")
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from ambrose.judge.exploration import Exploration
 from ambrose.judge.family.poles import PoleMap
 from ambrose.judge.family.responses import BoxUnbalance, PulseFamily
 from ambrose.judge.stability import Stability, describe
-from ambrose.machine.file.toml import machine_hash
-from ambrose.report import theme, units
+from ambrose.report import tables, theme, units
 from ambrose.report.figures.axes import drawn
 from ambrose.report.figures.curves import figure
-from ambrose.report.page import Figure, Report, Row, Section, Table, Verdict, numbers
+from ambrose.report.page import Figure, Page, Row, Section, Table, Verdict, numbers
 
 _POLES = (
     "Left: poles of the closed loop, coloured by the value (circles); right of the line at zero "
@@ -45,7 +44,7 @@ _SCALE = ((0.0, "#56b4e9"), (0.5, "#009e73"), (1.0, "#d55e00"))
 _BAND, _HEIGHT = "rgba(130,89,174,0.25)", 190
 
 
-def family_report(found: Exploration, *, date: str = "") -> Report:
+def exploration_page(found: Exploration, *, date: str = "") -> Page:
     """The page of an exploration; date: ISO (today if empty)."""
     sections = []
     for item in found.maps:
@@ -91,10 +90,10 @@ def family_report(found: Exploration, *, date: str = "") -> Report:
         whole = bool(found.pulses.stable.all())
         verdicts.append(Verdict("Members of the tolerances", whole, _members(found.pulses)))
     facts = (
-        ("Machine file", f"{found.machine.name}, {machine_hash(found.machine)[:12]}"),
+        tables.machine_fact(found.machine),
         ("Operating point", found.point.label),
         ("Loop", found.timing),
-        ("How", units.prose(". ".join(f"{note[:1].upper()}{note[1:]}" for note in found.notes))),
+        ("How", units.prose(tables.capitalised(found.notes, ". ", ""))),
     )
     verdicts.insert(0, Verdict("Operating points", _all(found.standing), describe(found.standing)))
     words = (
@@ -103,7 +102,7 @@ def family_report(found: Exploration, *, date: str = "") -> Report:
         else "not stable everywhere that was examined"
     )
     result = Verdict("Result", found.stable, words)
-    return Report(
+    return Page(
         "The loop over its range",
         found.machine,
         tuple(sections),

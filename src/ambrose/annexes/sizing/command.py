@@ -16,6 +16,7 @@ from ambrose.terminal import (
     RATE,
     claim,
     kept,
+    kept_page,
     load,
     print_table,
     progress_shown,
@@ -164,12 +165,7 @@ def _map(
             verified = verify_controller(
                 knee.machine, knee.synthesis, None, tolerances=True, progress=progress, **when
             )
-        if output is not None:
-            from ambrose.annexes.sizing.page import sizing_report
-            from ambrose.report.page import write
-
-            progress("writing the page")
-            failure = kept(lambda path: write(sizing_report(result, verified), path), output)
+        failure = kept_page(result, output, verified, progress=progress)
         if machine_out is not None and knee is not None:
             failure = kept(lambda path: save_machine(knee.machine, path), machine_out) or failure
     passed = knee is not None and (verified is None or verified.passed)
