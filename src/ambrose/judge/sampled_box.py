@@ -26,6 +26,7 @@ import scipy.optimize as so
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import largest_gain
+from ambrose.core.lft import RealBlock
 from ambrose.core.mu.chords import Chords, modal_chords
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, poles, select, series, static_gain
@@ -190,8 +191,9 @@ def sampled_box(
             "(core.sampling.c2d, delayed)"
         )
     model = open_model(plant, tuple(tolerances), True)
-    owner = np.repeat(np.arange(len(model.blocks)), [block.repeat for block in model.blocks])
-    names = tuple(block.name for block in model.blocks)
+    blocks = [block for block in model.blocks if isinstance(block, RealBlock)]  # all: tolerances
+    owner = np.repeat(np.arange(len(blocks)), [block.repeat for block in blocks])
+    names = tuple(block.name for block in blocks)
     chords = modal_chords(model.system)
     return SampledBox(plant, controller, tuple(tolerances), names, chords, owner)
 

@@ -456,7 +456,7 @@ class MachineDescription(Part):
         return self.shaft[-1].start + self.shaft[-1].length
 
     @property
-    def attached(self) -> tuple[Part, ...]:
+    def attached(self) -> tuple[Any, ...]:
         """The parts of all registered effects, in the order of their ports."""
         return (*self.couplings, *self.effects)
 
