@@ -9,6 +9,7 @@ docs/how-to/campaign.md.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from ambrose.annexes.campaigns.plan import plan_of
@@ -21,11 +22,15 @@ _TASKS = (
     ("verify", 2, {}),
     ("design", 2, {"method": "tuned"}),
 )
+_SMOKE = (("simulate", 1, {"scenario": "levitation"}), ("design", 1, {"method": "pid"}))
 
 
-def run() -> list[dict[str, Any]]:
+def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
     """One row per case: name, ours [s], peer [s] or None, peer_name, error, target."""
-    return [_array(24), _array(96), *(_task(*item) for item in _TASKS)]
+    for members in (2,) if smoke else (24, 96):
+        yield _array(members)
+    for item in _SMOKE if smoke else _TASKS:
+        yield _task(*item)
 
 
 def _cases(task: str, head: dict[str, Any], vary: dict[str, Any]) -> tuple[Any, Any, Any]:

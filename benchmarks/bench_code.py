@@ -13,6 +13,7 @@ import resource
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -99,30 +100,32 @@ static void dense_step(const double e[4], double u[4])
 """
 
 
-def run() -> list[dict[str, Any]]:
+def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
     """Rows: name, ours [s], peer [s] or None, peer_name, error, target."""
     if shutil.which("gcc") is None:
         print("no gcc: generated code is not measured")
-        return []
+        return
     machine = load_machine("seal-rig")
-    deployment = deploy(design(assemble(machine), "mu"), 1e-4, 1e-4, force=True)
+    steps, runs = (20_000, 1) if smoke else (STEPS, 5)
+    method = "pid" if smoke else "mu"
+    deployment = deploy(design(assemble(machine), method), 1e-4, 1e-4, force=True)
     block = build_block(deployment, "rig", 0.5e-3, 4.0)
     in_the_loop = build_block(deployment, "rig", *machine_limits(machine))
-    rows = [
-        *_steps(block),
-        *_scheduled_steps(machine),
-        _generation(block),
-        *_other_targets(deployment, block),
-        _precision(block),
-    ]
-    return [*rows, *_in_the_loop(machine, in_the_loop), _read_back(in_the_loop)]
+    yield from _steps(block, steps, runs)
+    if not smoke:  # the design of its schedule takes a quarter of a minute
+        yield from _scheduled_steps(machine, steps, runs)
+    yield _generation(block, runs)
+    yield from _other_targets(deployment, block, 1 if smoke else 3)
+    yield _precision(block, _SAMPLES // 100 if smoke else _SAMPLES)
+    yield from _in_the_loop(machine, in_the_loop, 0.1 if smoke else 1.0)
+    yield _read_back(in_the_loop)
 
 
-def _steps(block: ControlBlock) -> list[dict[str, Any]]:
+def _steps(block: ControlBlock, steps: int, runs: int) -> list[dict[str, Any]]:
     coefficients = (block.increment, block.B, block.C, block.D)
     # no arrangement of the realisation avoids these
     floor = 2 * sum(int(np.count_nonzero(part)) for part in coefficients)
-    peak = _peak()
+    peak = _peak(10 * steps, runs)
     rows = []
     for flags in (["-O2"], ["-O3", "-march=native"]):
         dense = _timed(
@@ -132,13 +135,17 @@ def _steps(block: ControlBlock) -> list[dict[str, Any]]:
             "",
             "dense_step(noise[k % 1024], u);",
             "double",
+            steps,
+            runs,
         )
         for arithmetic, real in _REAL.items():
             setup, call = (
                 "static rig_block block; rig_init(&block);",
                 "(void)rig_step(&block, noise[k % 1024], 0, u);",
             )
-            ours = _timed(generate(block, arithmetic), flags, "rig.h", setup, call, real)
+            ours = _timed(
+                generate(block, arithmetic), flags, "rig.h", setup, call, real, steps, runs
+            )
             text = (
                 f"floor {floor} flops: {floor / peak * 1e9:.3g} ns at the {peak / 1e9:.3g} Gflop/s "
                 "measured without vectors"
@@ -157,7 +164,7 @@ def _steps(block: ControlBlock) -> list[dict[str, Any]]:
     return rows
 
 
-def _scheduled_steps(machine: Machine) -> list[dict[str, Any]]:
+def _scheduled_steps(machine: Machine, steps: int, runs: int) -> list[dict[str, Any]]:
     """A controller scheduled over pressure, and the same with a fixed one beside it, against the
     schedule frozen at the nominal pressure.
     """
@@ -174,15 +181,9 @@ def _scheduled_steps(machine: Machine) -> list[dict[str, Any]]:
     setup, rows = "static rig_block block; rig_init(&block);", []
     for flags in (["-O2"], ["-O3", "-march=native"]):
         call = "(void)rig_step(&block, noise[k % 1024], 0, 1e5 + 100.0 * (k % 1024), u);"
-        ours = _timed(generate(block), flags, "rig.h", setup, call, "double")
-        peer = _timed(
-            generate(frozen),
-            flags,
-            "rig.h",
-            setup,
-            "(void)rig_step(&block, noise[k % 1024], 0, u);",
-            "double",
-        )
+        ours = _timed(generate(block), flags, "rig.h", setup, call, "double", steps, runs)
+        plain = "(void)rig_step(&block, noise[k % 1024], 0, u);"
+        peer = _timed(generate(frozen), flags, "rig.h", setup, plain, "double", steps, runs)
         ranks = " and ".join(map(str, block.changes.ranks))
         rows.append(
             {
@@ -199,15 +200,8 @@ def _scheduled_steps(machine: Machine) -> list[dict[str, Any]]:
             "(void)rig_step(&block, noise[k % 1024], 0, 1e5 + 100.0 * (k % 1024 < 512 ? k % 1024 : "
             "1023 - k % 1024), 0, -1, u);"
         )
-        both = _timed(generate(beside), flags, "rig.h", setup, call, "double")
-        alone = _timed(
-            generate(fixed),
-            flags,
-            "rig.h",
-            setup,
-            "(void)rig_step(&block, noise[k % 1024], 0, u);",
-            "double",
-        )
+        both = _timed(generate(beside), flags, "rig.h", setup, call, "double", steps, runs)
+        alone = _timed(generate(fixed), flags, "rig.h", setup, plain, "double", steps, runs)
         times = (
             f"{both / ours:.2f} times the schedule, {both / alone:.2f} times the fixed one alone "
             f"({1e9 * alone:.0f} ns)"
@@ -243,11 +237,18 @@ def _dense_files(K: StateSpace) -> dict[str, str]:
 
 
 def _timed(
-    files: dict[str, str], flags: list[str], include: str, setup: str, call: str, real: str
+    files: dict[str, str],
+    flags: list[str],
+    include: str,
+    setup: str,
+    call: str,
+    real: str,
+    steps: int,
+    runs: int,
 ) -> float:
-    """Least CPU seconds of a step over five runs."""
+    """Least CPU seconds of a step over some runs of so many steps."""
     timer = _TIMER.replace("INCLUDE", include).replace("SETUP", setup).replace("CALL", call)
-    timer = timer.replace("REAL", real).replace("STEPS", str(STEPS))
+    timer = timer.replace("REAL", real).replace("STEPS", str(steps))
     with tempfile.TemporaryDirectory() as folder:
         for name, text in {**files, "timer.c": timer}.items():
             (Path(folder) / name).write_text(text)
@@ -259,12 +260,12 @@ def _timed(
         subprocess.run(["gcc", "-std=c11", *flags, *sources, "-o", "timer"], cwd=folder, check=True)
         found = [
             subprocess.run([f"{folder}/timer"], capture_output=True, text=True, check=True).stdout
-            for _ in range(5)
+            for _ in range(runs)
         ]
     return min(float(text.split()[0]) for text in found)
 
 
-def _peak() -> float:
+def _peak(steps: int, runs: int) -> float:
     """Scalar multiply-adds a second of this processor with gcc -O2: eight independent chains, two
     flops each.
     """
@@ -279,21 +280,21 @@ def _peak() -> float:
     code = code.replace("sum += u[0];", "").replace(
         "(double)sum", "(double)sum + " + "+".join(f"a{i}" for i in range(8))
     )
-    code = code.replace("REAL", "double").replace("STEPS", str(10 * STEPS))
+    code = code.replace("REAL", "double").replace("STEPS", str(steps))
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "peak.c").write_text(code)
         subprocess.run(["gcc", "-std=c11", "-O2", "peak.c", "-o", "peak"], cwd=folder, check=True)
         found = [
             subprocess.run([f"{folder}/peak"], capture_output=True, text=True, check=True).stdout
-            for _ in range(3)
+            for _ in range(runs)
         ]
     return 16 / min(float(text.split()[0]) for text in found)
 
 
-def _generation(block: ControlBlock) -> dict[str, Any]:
+def _generation(block: ControlBlock, runs: int) -> dict[str, Any]:
     generate(block)  # the templating engine is imported once
     found = []
-    for _ in range(5):
+    for _ in range(runs):
         start = _cpu()
         files = generate(block, "fixed32")
         found.append(_cpu() - start)
@@ -307,7 +308,7 @@ def _generation(block: ControlBlock) -> dict[str, Any]:
     }
 
 
-def _other_targets(deployment: Deployment, block: ControlBlock) -> list[dict[str, Any]]:
+def _other_targets(deployment: Deployment, block: ControlBlock, runs: int) -> list[dict[str, Any]]:
     """CPU seconds of writing the other targets; the FMUs' includes the compiler's."""
     file = Synthesis(
         deployment.source, "mu", provenance=Provenance(date="2026-01-01T00:00:00+00:00")
@@ -322,7 +323,7 @@ def _other_targets(deployment: Deployment, block: ControlBlock) -> list[dict[str
     for name, write in targets.items():
         write()
         found = []
-        for _ in range(3):
+        for _ in range(runs):
             start = _cpu()
             files = write()
             found.append(_cpu() - start)
@@ -344,14 +345,14 @@ def _cpu() -> float:
     return sum(part.ru_utime + part.ru_stime for part in used)
 
 
-def _precision(block: ControlBlock) -> dict[str, Any]:
+def _precision(block: ControlBlock, samples: int) -> dict[str, Any]:
     """Compiled single precision and fixed point against compiled double precision, relative to the
     current limit.
     """
     rng = np.random.default_rng(0)
     fixed = to_fixed_point(block)
     one = 1 << fixed.signal_bits
-    whole = np.round(rng.uniform(-1, 1, (_SAMPLES, 4)) * 0.02 * one).astype(np.int64)
+    whole = np.round(rng.uniform(-1, 1, (samples, 4)) * 0.02 * one).astype(np.int64)
     e = (whole / one * block.error_limit).astype(np.float32).astype(float)
     limit = block.current_limit
     off = np.abs(_played(block, "float", e) - _played(block, "double", e)).max() / limit.max()
@@ -361,7 +362,7 @@ def _precision(block: ControlBlock) -> dict[str, Any]:
     seconds = _cpu() - start
     fixed_off = np.abs(words / one * limit - exact).max() / limit.max()
     return {
-        "name": f"rounding in C over {_SAMPLES} samples, parts of the current limit",
+        "name": f"rounding in C over {samples} samples, parts of the current limit",
         "ours": seconds,
         "peer": None,
         "peer_name": "double",
@@ -398,16 +399,16 @@ def _played(block: ControlBlock, arithmetic: Arithmetic, errors: np.ndarray) -> 
     return current.astype(float)
 
 
-def _in_the_loop(machine: Machine, block: ControlBlock) -> list[dict[str, Any]]:
+def _in_the_loop(machine: Machine, block: ControlBlock, length: float) -> list[dict[str, Any]]:
     """Seconds of one simulated second on the nonlinear rig under a pulse, from C and from the law
     compiled into the rig.
     """
-    scenario = replace(load_scenario("impulse-parallel"), duration=1.0)
+    scenario = replace(load_scenario("impulse-parallel"), duration=length)
     names = [f"y_{axis}" for axis in machine.axes]
     law, trace = _run(machine, block.system, scenario)
     meant = trace.record.select(names).values
     rows = []
-    for arithmetic in (*_REAL, "fixed32"):
+    for arithmetic in _REAL:
         code, trace = _run(machine, CompiledBlock(block, arithmetic), scenario)
         apart = float(np.abs(trace.record.select(names).values - meant).max())
         accuracy = (
@@ -416,7 +417,7 @@ def _in_the_loop(machine: Machine, block: ControlBlock) -> list[dict[str, Any]]:
         )
         rows.append(
             {
-                "name": f"software in the loop: 1 s of the rig, {block.n_states} states, "
+                "name": f"software in the loop: {length:g} s of the rig, {block.n_states} states, "
                 f"{arithmetic}",
                 "ours": code,
                 "peer": law,

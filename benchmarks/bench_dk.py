@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import time
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,17 @@ from ambrose.synthesis.mu.synthesis import mu_synthesis
 from benchmarks.published_p5 import published_p5_problem
 
 
-def run() -> list[dict[str, Any]]:
+def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
     """One row per problem: name, ours [s], peer [s] or None, peer_name, error (what was reached),
     target.
     """
-    return [_published(), _polished(), _eight_reals()]
+    limits: dict[str, Any] = (
+        {"iterations": 1, "omega": np.geomspace(1e-2, 1e3, 12)} if smoke else {}
+    )
+    yield _published(1 if smoke else 3, **limits)
+    yield _polished(2.0 if smoke else 60.0, **limits)
+    if not smoke:
+        yield _eight_reals()
 
 
 def _timed(plant: GeneralizedPlant, **settings: Any) -> tuple[float, Any]:
@@ -39,9 +46,11 @@ def _timed(plant: GeneralizedPlant, **settings: Any) -> tuple[float, Any]:
     return time.perf_counter() - start, result
 
 
-def _published() -> dict[str, Any]:
+def _published(repeats: int, **limits: Any) -> dict[str, Any]:
     plant = published_p5_problem()
-    seconds, result = min((_timed(plant, order=1) for _ in range(3)), key=lambda item: item[0])
+    seconds, result = min(
+        (_timed(plant, order=1, **limits) for _ in range(repeats)), key=lambda item: item[0]
+    )
     steps = ", ".join(f"{row['gamma']:.3f}" for row in result.history)
     text = (
         f"order {result.controller.n_states}, complex mu {steps}; mixed "
@@ -60,11 +69,11 @@ def _published() -> dict[str, Any]:
     }
 
 
-def _polished() -> dict[str, Any]:
+def _polished(time_limit: float, **limits: Any) -> dict[str, Any]:
     plant = published_p5_problem()
-    start = mu_synthesis(plant, order=1).controller
+    start = mu_synthesis(plant, order=1, **limits).controller
     begin = time.perf_counter()
-    result = polish_synthesis(plant, start, order=12)
+    result = polish_synthesis(plant, start, order=12, time_limit=time_limit)
     seconds = time.perf_counter() - begin
     margins = result.certificate.margins
     text = (

@@ -9,7 +9,7 @@ inequalities are timed for gamma alone.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -22,22 +22,24 @@ from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from benchmarks.published_p5 import published_p5_problem
 
 
-def run() -> list[dict[str, Any]]:
+def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
     """One row per case: name, ours [s], peer [s] or None, peer_name, error (largest relative
     difference of gamma), target.
     """
     p5 = published_p5_problem(uncertain=False)
-    rows = [
-        _against_slicot("published P5 plant, 20 states, tolerance 1e-3", p5, 1e-3),
-        _against_slicot("published P5 plant, 20 states, tolerance 1e-8", p5, 1e-8),
-        _against_inequalities("published P5 plant, 20 states", p5),
-    ]
-    rows += [
-        _against_slicot(f"random plant, {n} states, tolerance 1e-3", _random(n), 1e-3)
-        for n in (8, 20, 40, 60)
-    ]
-    rows.append(_singular())
-    return rows
+    repeats = 1 if smoke else 5
+    yield _against_slicot("published P5 plant, 20 states, tolerance 1e-3", p5, 1e-3, repeats)
+    if not smoke:
+        yield _against_slicot("published P5 plant, 20 states, tolerance 1e-8", p5, 1e-8, repeats)
+    if smoke:
+        yield _against_inequalities("random plant, 8 states", _random(8), repeats)
+    else:
+        yield _against_inequalities("published P5 plant, 20 states", p5, repeats)
+    for n in (8,) if smoke else (8, 20, 40, 60):
+        yield _against_slicot(
+            f"random plant, {n} states, tolerance 1e-3", _random(n), 1e-3, repeats
+        )
+    yield _singular(repeats)
 
 
 def _random(n: int, singular: bool = False) -> GeneralizedPlant:
@@ -53,7 +55,7 @@ def _random(n: int, singular: bool = False) -> GeneralizedPlant:
     )
 
 
-def _timed(work: Callable[[], Any], repeats: int = 5) -> tuple[float, Any]:
+def _timed(work: Callable[[], Any], repeats: int) -> tuple[float, Any]:
     best, result = np.inf, None
     for _ in range(repeats):
         start = time.perf_counter()
@@ -79,8 +81,10 @@ def _optimal(result: Synthesis) -> float:
     return result.certificate.margins["gamma_optimal"]
 
 
-def _against_slicot(name: str, plant: GeneralizedPlant, tolerance: float) -> dict[str, Any]:
-    ours, result = _timed(lambda: hinf_synthesis(plant, tolerance=tolerance))
+def _against_slicot(
+    name: str, plant: GeneralizedPlant, tolerance: float, repeats: int
+) -> dict[str, Any]:
+    ours, result = _timed(lambda: hinf_synthesis(plant, tolerance=tolerance), repeats)
     target = "< 0.1 s" if "20 states" in name else ""
     try:
         from slycot import sb10ad
@@ -119,10 +123,10 @@ def _against_slicot(name: str, plant: GeneralizedPlant, tolerance: float) -> dic
     return _row(name, ours, peer, "SB10AD", abs(_optimal(result) / float(answer[0]) - 1), target)
 
 
-def _against_inequalities(name: str, plant: GeneralizedPlant) -> dict[str, Any]:
+def _against_inequalities(name: str, plant: GeneralizedPlant, repeats: int) -> dict[str, Any]:
     from ambrose.core.hinf.lmi import smallest_gamma
 
-    ours, result = _timed(lambda: hinf_synthesis(plant, tolerance=1e-5))
+    ours, result = _timed(lambda: hinf_synthesis(plant, tolerance=1e-5), repeats)
     scaled = scale_plant(plant)
     peer, prepared = _timed(lambda: smallest_gamma(scaled, lambda: 120.0), repeats=1)
     return _row(
@@ -135,8 +139,8 @@ def _against_inequalities(name: str, plant: GeneralizedPlant) -> dict[str, Any]:
     )
 
 
-def _singular() -> dict[str, Any]:
-    ours, result = _timed(lambda: hinf_synthesis(_random(20, singular=True)))
+def _singular(repeats: int) -> dict[str, Any]:
+    ours, result = _timed(lambda: hinf_synthesis(_random(20, singular=True)), repeats)
     epsilon = result.certificate.margins["epsilon"]
     return _row(
         "random plant, 20 states, D12 and D21 singular",

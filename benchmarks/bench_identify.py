@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -116,48 +116,34 @@ def case(bending: int, delay: int, distinct: bool) -> Case:
     )
 
 
-def run() -> list[dict[str, Any]]:
+def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
     """One row per question: name, ours and peer [CPU s], peer name, error in words, and the
     target.
     """
     small = case(0, 0, True)
-    record = small.record(5.0)
-    peer, note = finite_differences(small, record)
+    length, repeats = (1.1, 1) if smoke else (5.0, 5)
+    record = small.record(length)
+    peer, note = finite_differences(small, record, 1 if smoke else None)
     name = "python-control forced_response + scipy least_squares, finite differences"
-    rows = []
     for period, target in ((None, "<= 0.4 s, >= 80x"), (PERIOD * DT, "<= 0.04 s")):
-        seconds, error = timed(small, record, period)
+        seconds, error = timed(small, record, period, repeats)
         way = "time domain" if period is None else "periodic, 9 periods"
-        rows.append(
-            row(
-                f"9 parameters, 24 states, 4 excitations, 5 s: {way}",
-                seconds,
-                peer,
-                name,
-                f"{error}; peer {note}",
-                target,
-            )
-        )
-    seconds = cpu_seconds(partial(values_only, small, record))[0]
-    rows.append(
-        row(
-            "the same, time domain, without covariance and tests, as the peer",
-            seconds,
-            peer,
-            name,
-            f"peer {note}",
-            ">= 80x",
-        )
-    )
+        what = f"9 parameters, 24 states, 4 excitations, {length:g} s: {way}"
+        yield row(what, seconds, peer, name, f"{error}; peer {note}", target)
+    seconds = cpu_seconds(partial(values_only, small, record), repeats)[0]
+    what = "the same, time domain, without covariance and tests, as the peer"
+    yield row(what, seconds, peer, name, f"peer {note}", ">= 80x")
     for other, what in (
         (case(1, 1, True), "32 states, 4 excitations"),
         (case(1, 1, False), "32 states, 1 excitation"),
     ):
-        data = other.record(5.0)
+        data = other.record(length)
         for period, way in ((None, "time domain"), (PERIOD * DT, "periodic")):
-            seconds, error = timed(other, data, period)
-            rows.append(row(f"9 parameters, {what}, 5 s: {way}", seconds, None, "", error))
-    return [*rows, *against_parameters(small), *against_length(small), starts(small)]
+            seconds, error = timed(other, data, period, repeats)
+            yield row(f"9 parameters, {what}, {length:g} s: {way}", seconds, None, "", error)
+    yield from against_parameters(small, length, (4,) if smoke else (4, 9, 16, 24, 30))
+    yield from against_length(small, (1.0,) if smoke else (1.0, 5.0, 20.0, 60.0))
+    yield starts(small, 1 if smoke else 40)
 
 
 def row(
@@ -173,7 +159,7 @@ def row(
     }
 
 
-def cpu_seconds(job: Callable[[], Any], repeats: int = 5) -> tuple[float, Any]:
+def cpu_seconds(job: Callable[[], Any], repeats: int) -> tuple[float, Any]:
     """The least CPU time of a few runs after a first one, and the result."""
     result, best = job(), np.inf
     for _ in range(repeats):
@@ -191,9 +177,9 @@ def begin(chosen: Case, seed: int = 5, width: float = 0.1) -> tuple[np.ndarray, 
     return truth, dict(zip(paths, away, strict=True))
 
 
-def timed(chosen: Case, record: Record, period: float | None) -> tuple[float, str]:
+def timed(chosen: Case, record: Record, period: float | None, repeats: int) -> tuple[float, str]:
     truth, start = begin(chosen)
-    seconds, found = cpu_seconds(lambda: chosen.identify(record, start, period))
+    seconds, found = cpu_seconds(lambda: chosen.identify(record, start, period), repeats)
     return (
         seconds,
         f"{np.abs((found.values - truth) / found.standard_deviations).max():.1f} sd, "
@@ -209,8 +195,10 @@ def values_only(chosen: Case, record: Record) -> np.ndarray:
     return LeastSquares(given, normal_equations).minimise(given.tasks, away).x
 
 
-def finite_differences(chosen: Case, record: Record) -> tuple[float, str]:
-    """CPU seconds of the peer; the same model, excitation and start."""
+def finite_differences(chosen: Case, record: Record, most: int | None) -> tuple[float, str]:
+    """CPU seconds of the peer; the same model, excitation and start. most: evaluations (None:
+    free).
+    """
     import control
     from scipy.optimize import least_squares
 
@@ -234,30 +222,33 @@ def finite_differences(chosen: Case, record: Record) -> tuple[float, str]:
         return np.asarray(y - record.values[:4, :k] / given.sizes[:, None]).ravel()
 
     begun = time.process_time()
-    found = least_squares(residual, np.array(list(start.values())) / truth, method="lm")
+    found = least_squares(
+        residual, np.array(list(start.values())) / truth, method="lm", max_nfev=most
+    )
     seconds = time.process_time() - begun
     return seconds, f"{np.abs(found.x - 1).max():.1e} off, {calls} simulations"
 
 
-def against_parameters(chosen: Case) -> list[dict[str, Any]]:
-    """One pass (cost, J'J, J'r, initial state and offsets) over 5 s; beyond the 24 that this
-    machine has, some twice.
+def against_parameters(
+    chosen: Case, length: float, counts: tuple[int, ...]
+) -> Iterator[dict[str, Any]]:
+    """One pass (cost, J'J, J'r, initial state and offsets) over ``length`` s; beyond the machine's
+    24, some twice.
     """
-    record = chosen.record(5.0)
+    record = chosen.record(length)
     options = FitOptions(bending_modes=0, computing_delay=0)
     given = build_experiment(chosen.machine, record, chosen.controller, (*NINE, *REST), options)
     loop, directions = over_weights(given.models[0], given.nominal, given.sizes)
-    rows = []
-    for count in (4, 9, 16, 24, 30):
+    for count in counts:
         some = [directions[i % len(directions)] for i in range(count)]
         seconds, _ = cpu_seconds(partial(normal_equations, loop, some, given.tasks[0]), 3)
-        rows.append(row(f"one pass over 5 s, {count} parameters, 24 states", seconds, None, "", ""))
-    return rows
+        yield row(
+            f"one pass over {length:g} s, {count} parameters, 24 states", seconds, None, "", ""
+        )
 
 
-def against_length(chosen: Case) -> list[dict[str, Any]]:
-    rows = []
-    for seconds in (1.0, 5.0, 20.0, 60.0):
+def against_length(chosen: Case, lengths: tuple[float, ...]) -> Iterator[dict[str, Any]]:
+    for seconds in lengths:
         record = chosen.record(seconds)
         _, start = begin(chosen)
         spent, _ = cpu_seconds(partial(chosen.identify, record, start), 1)
@@ -267,11 +258,10 @@ def against_length(chosen: Case) -> list[dict[str, Any]]:
         tracemalloc.stop()
         size = f"peak memory {peak:.1f} MB beside a record of {record.values.nbytes / 2**20:.0f} MB"
         found = row(f"9 parameters, 24 states, {seconds:g} s", spent, None, "", size, "memory flat")
-        rows.append({**found, "series": "identification over the record's length", "size": seconds})
-    return rows
+        yield {**found, "series": "identification over the record's length", "size": seconds}
 
 
-def starts(chosen: Case, count: int = 40) -> dict[str, Any]:
+def starts(chosen: Case, count: int) -> dict[str, Any]:
     """From starts up to 30 % away in every parameter: how many lead to the truth; those with an
     unstable loop are refused.
     """

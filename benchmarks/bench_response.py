@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,25 +30,24 @@ from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import Trace
 from ambrose.synthesis.pid import pid_controller
 
-DT = 1e-4
+DT, HZ = 1e-4, 2 * np.pi
 
 
-def run() -> list[dict[str, Any]]:
+def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
     """One row per case: name, ours [s], peer [s] or None, peer name, error (largest difference over
     the largest value).
     """
-    full, reduced = _loop(None), _loop(0)
-    return [
-        _against_control("336-state loop, 5,000 samples, 1 input, 4 outputs", full, 5_000),
-        _against_control(
-            f"{reduced.n_states}-state loop, 50,000 samples, 1 input, 4 outputs", reduced, 50_000
-        ),
-        _against_stepping(f"{reduced.n_states}-state loop, 1,000,000 samples", reduced, 1_000_000),
-        _impulse(full),
-        _sensitivity(reduced),
-        _run_up(),
-        *_files(),
-    ]
+    full, reduced = _loop(1 if smoke else None), _loop(0)
+    part = 100 if smoke else 1  # of the samples
+    for loop, k in ((full, 5_000 // part), (reduced, 50_000 // part)):
+        yield _against_control(
+            f"{loop.n_states}-state loop, {k:,} samples, 1 input, 4 outputs", loop, k
+        )
+    yield _against_stepping(reduced, 1_000_000 // part, 50_000 // part)
+    yield _impulse(full, 2_000 // part)
+    yield _sensitivity(reduced, 50_000 // part)
+    yield _run_up()
+    yield from _files(50_000 // part)
 
 
 def _loop(bending_modes: int | None) -> StateSpace:
@@ -99,8 +98,9 @@ def _against_control(name: str, loop: StateSpace, k: int) -> dict[str, Any]:
     return _row(name, ours, peer, "python-control c2d + forced_response", _difference(y, other))
 
 
-def _against_stepping(name: str, loop: StateSpace, k: int) -> dict[str, Any]:
-    u, part = _excitation(k), 50_000
+def _against_stepping(loop: StateSpace, k: int, part: int) -> dict[str, Any]:
+    """k samples; the peer takes the first ``part`` of them."""
+    u = _excitation(k)
     ours, y = _seconds(lambda: simulate(loop, u, DT), 1)
     held = c2d(loop, DT)
 
@@ -112,6 +112,7 @@ def _against_stepping(name: str, loop: StateSpace, k: int) -> dict[str, Any]:
         return held.C @ states.T
 
     peer, other = _seconds(step, 1)
+    name = f"{loop.n_states}-state loop, {k:,} samples"
     return _row(
         name,
         ours,
@@ -121,8 +122,7 @@ def _against_stepping(name: str, loop: StateSpace, k: int) -> dict[str, Any]:
     )
 
 
-def _impulse(loop: StateSpace) -> dict[str, Any]:
-    k = 2_000
+def _impulse(loop: StateSpace, k: int) -> dict[str, Any]:
     ours, y = _seconds(lambda: impulse_response(loop, k, DT))
 
     def powers() -> np.ndarray:
@@ -134,20 +134,15 @@ def _impulse(loop: StateSpace) -> dict[str, Any]:
         return values
 
     peer, other = _seconds(powers, 1)
-    return _row(
-        "impulse response, 336 states, 2,000 samples",
-        ours,
-        peer,
-        "scipy expm, sample by sample",
-        _difference(y[:, 0], other),
-    )
+    name = f"impulse response, {loop.n_states} states, {k:,} samples"
+    return _row(name, ours, peer, "scipy expm, sample by sample", _difference(y[:, 0], other))
 
 
-def _sensitivity(loop: StateSpace) -> dict[str, Any]:
-    """Nine parameters, 5 s at 10 kHz, against central differences of our own simulation; error: of
-    the differences.
+def _sensitivity(loop: StateSpace, k: int) -> dict[str, Any]:
+    """Nine parameters, k samples at 10 kHz, against central differences of our own simulation;
+    error: of the differences.
     """
-    rng, k = np.random.default_rng(1), 50_000
+    rng = np.random.default_rng(1)
     u = _excitation(k)
     directions = [
         SystemDerivative(
@@ -185,7 +180,7 @@ def _sensitivity(loop: StateSpace) -> dict[str, Any]:
         return np.array(result)
 
     peer, other = _seconds(differences, 1)
-    name = f"exact sensitivities, 9 parameters, {loop.n_states} states, 50,000 samples"
+    name = f"exact sensitivities, 9 parameters, {loop.n_states} states, {k:,} samples"
     return _row(
         name,
         ours,
@@ -205,7 +200,7 @@ def _run_up() -> dict[str, Any]:
             free_mode_reduction(assemble(machine, OperatingPoint(speed=speed)), 2), K
         )
 
-    scenario = load_scenario("run-up")
+    scenario = load_scenario("run-up").on(machine)  # its speeds are shares of the balance speed
     ends = [scenario.speed_at(0.0), scenario.speed_at(scenario.duration)]
 
     def run() -> Trace:
@@ -214,12 +209,18 @@ def _run_up() -> dict[str, Any]:
         )
 
     ours, trace = _seconds(run, 1)
-    return _row("run-up 20 to 300 Hz in 1 s, reduced loop", ours, None, "", trace.speed_error)
+    return _row(
+        f"run-up {ends[0] / HZ:.0f} to {ends[1] / HZ:.0f} Hz, reduced loop",
+        ours,
+        None,
+        "",
+        trace.speed_error,
+    )
 
 
-def _files() -> list[dict[str, Any]]:
-    """A record of 12 signals, 5 s at 10 kHz; error: of what comes back."""
-    values = np.random.default_rng(2).standard_normal((12, 50_000))
+def _files(k: int) -> list[dict[str, Any]]:
+    """A record of 12 signals of k samples; error: of what comes back."""
+    values = np.random.default_rng(2).standard_normal((12, k))
     record = Record("bench", 1 / DT, tuple(f"y_{i}" for i in range(12)), ("m",) * 12, values)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -229,7 +230,7 @@ def _files() -> list[dict[str, Any]]:
             read, again = _seconds(lambda path=path: read_record(path))
             rows.append(
                 _row(
-                    f"write {suffix} record, 600,000 numbers",
+                    f"write {suffix} record, {12 * k:,} numbers",
                     written,
                     None,
                     "",
@@ -238,7 +239,7 @@ def _files() -> list[dict[str, Any]]:
             )
             rows.append(
                 _row(
-                    f"read {suffix} record, 600,000 numbers",
+                    f"read {suffix} record, {12 * k:,} numbers",
                     read,
                     None,
                     "",

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -37,7 +37,7 @@ import resource, tempfile, pathlib
 from benchmarks.bench_rig import MACHINE, PID, excited
 from ambrose.rig import virtual_rig
 with tempfile.TemporaryDirectory() as folder:
-    trace = virtual_rig.run(MACHINE, PID, excited(60.0), path=pathlib.Path(folder) / "run.h5")
+    trace = virtual_rig.run(MACHINE, PID, excited(SECONDS), path=pathlib.Path(folder) / "run.h5")
 print(trace.run_time, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
 COMPILE = """
@@ -53,11 +53,19 @@ def excited(length: float) -> Scenario:
     return Scenario("excited", length, sequences=sequences)
 
 
-def run() -> list[dict[str, Any]]:
+def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
     """Rows as benchmarks/__main__.py wants them; ours is the time for ten simulated seconds unless
     the name says otherwise.
     """
-    return [*_against_scipy(), *_cost(), _memory(), *_compilation()]
+    yield from _against_scipy(
+        *((0.5, 0.01, ("RK23",)) if smoke else (LENGTH, PEER_LENGTH, ("RK23", "RK45", "LSODA")))
+    )
+    yield from _cost(
+        *((0.05, (1,), (5e3,)) if smoke else (2.0, (0, 1, 3, 8), (5e3, 10e3, 20e3, 40e3)))
+    )
+    yield _memory(0.5 if smoke else 60.0)
+    if not smoke:  # half a minute by its nature
+        yield from _compilation()
 
 
 def _seconds(scenario: Scenario, **options: Any) -> float:
@@ -90,32 +98,32 @@ def _row(
     }
 
 
-def _against_scipy() -> list[dict[str, Any]]:
+def _against_scipy(
+    length: float, peer_length: float, methods: tuple[str, ...]
+) -> Iterator[dict[str, Any]]:
     """Both at an error of 1e-5 at most. solve_ivp gets the same forces in Python, and then our
     compiled derivative as well.
     """
-    ours = _seconds(excited(LENGTH))
-    short = excited(PEER_LENGTH)
+    ours = _seconds(excited(length))
+    short = excited(peer_length)
     fine = virtual_rig.run(MACHINE, PID, short, dt=2.5e-6).record
     error = _difference(virtual_rig.run(MACHINE, PID, short).record, fine)
     y = fine.select([f"y_{axis}" for axis in MACHINE.axes]).values
-    rows = []
-    title = f"virtual rig, rigid + 1 bending mode, 10 s at 10 kHz: {LENGTH / ours:.0f} s/s"
+    title = f"virtual rig, rigid + 1 bending mode, {length:g} s at 10 kHz: {length / ours:.0f} s/s"
     for kind, target in (("Python", ">= 30 s/s at 1e-5, >= 150x"), ("our compiled", "")):
         found = []
-        for method in ("RK23", "RK45", "LSODA"):
+        for method in methods:
             seconds, other = _scipy(short, method, 1e-4, kind != "Python")
             difference = float(np.abs(other - y[:, : other.shape[1]]).max() / np.abs(y).max())
             if difference <= 1e-5:
                 found.append(
                     (
-                        seconds * LENGTH / PEER_LENGTH,
+                        seconds * length / peer_length,
                         f"solve_ivp {method}, {kind} derivative, error {difference:.1e}",
                     )
                 )
         peer, name = min(found)
-        rows.append(_row(title, ours, error, target, peer, name))
-    return rows
+        yield _row(title, ours, error, target, peer, name)
 
 
 def _in_python(rig: Rig, drive: Drive) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -181,7 +189,7 @@ def _scipy(
         if not with_ours:
             return plain(state, now)
         slope(rig.constants, drive, now, state, work, dz)
-        return dz
+        return dz.copy()  # RK23 keeps what it got: the same array would change under it
 
     atol = np.full(rig.states, 1e-12)
     atol[2 * rig.modes :] = 1e-9
@@ -198,10 +206,11 @@ def _scipy(
     return time.perf_counter() - begun, measured
 
 
-def _cost() -> list[dict[str, Any]]:
-    rows = []
-    for modes in (0, 1, 3, 8):
-        ours = _seconds(excited(2.0), bending_modes=modes) * LENGTH / 2.0
+def _cost(
+    length: float, bending: tuple[int, ...], rates: tuple[float, ...]
+) -> Iterator[dict[str, Any]]:
+    for modes in bending:
+        ours = _seconds(excited(length), bending_modes=modes) * LENGTH / length
         short = [
             virtual_rig.run(MACHINE, PID, excited(0.05), bending_modes=modes, dt=dt).record
             for dt in (None, 2e-6)
@@ -213,17 +222,20 @@ def _cost() -> list[dict[str, Any]]:
             _difference(*short),
             target,
         )
-        rows.append({**found, "series": "virtual rig over displacements", "size": 4 + 2 * modes})
-    for rate in (5e3, 10e3, 20e3, 40e3):
-        ours = _seconds(replace(excited(2.0), sample_time=1 / rate)) * LENGTH / 2.0
-        rows.append(_row(f"  controller at {rate / 1e3:g} kHz: {LENGTH / ours:.0f} s/s", ours, ""))
-    return rows
+        yield {**found, "series": "virtual rig over displacements", "size": 4 + 2 * modes}
+    for rate in rates:
+        ours = _seconds(replace(excited(length), sample_time=1 / rate)) * LENGTH / length
+        yield _row(f"  controller at {rate / 1e3:g} kHz: {LENGTH / ours:.0f} s/s", ours, "")
 
 
-def _memory() -> dict[str, Any]:
-    seconds, megabytes = (float(word) for word in _elsewhere(MEMORY).split())
+def _memory(length: float) -> dict[str, Any]:
+    program = MEMORY.replace("SECONDS", str(length))
+    seconds, megabytes = (float(word) for word in _elsewhere(program).split())
     return _row(
-        "  60 s at 10 kHz, all signals, record on disk", seconds, f"{megabytes:.0f} MB", "< 500 MB"
+        f"  {length:g} s at 10 kHz, all signals, record on disk",
+        seconds,
+        f"{megabytes:.0f} MB",
+        "< 500 MB",
     )
 
 

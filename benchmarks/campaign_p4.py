@@ -14,71 +14,47 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from ambrose import load_machine
 from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.phasors import Step, steps_of
-from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.frf.stepped import stepped
-from ambrose.identification.frf.validity import Validity, compare
+from ambrose.identification.frf.validity import compare
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.seal import stepped_sine, time_domain
-from ambrose.identification.seal.regression import Line
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.law.loop import closed_loop as loop_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.effects import seal
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Chirp, Prbs, Pulse, Sine, SteppedSine
 from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
+from benchmarks import campaign_p4_tables as tables
+from benchmarks.campaign_p4_page import page
+from benchmarks.campaign_p4_results import BAR, HZ, Columns, Coupled, Impulses, Stepped, Swept, rig
 
-HZ = 2 * np.pi
-BAR = 1e5
 DT = 1e-4
 EIGHT = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")
 COUPLING = "coupling.coupling.stiffness.*"
 FREQUENCIES = tuple(float(f) for f in range(5, 200, 10))  # [Hz], P4 sec. 3.5.1
 PRESSURES = (0.0, 0.7 * BAR, 1.0 * BAR, 1.2 * BAR)
 IMPULSE_PRESSURES = tuple(p * BAR for p in (0.45, 0.7, 0.95, 1.2, 1.45, 1.7, 1.9))
-NOMINAL = 2.04 * BAR
 TOLERANCES = (0.01, 0.02, 0.03, 0.05, 0.1)  # of magnitude, and of phase [rad]
-# bit time [s]: what was found from y, from y and i, from i
-Columns = dict[float, tuple[ParameterEstimate, ...]]
 OTHER = {"zeta": "eta", "eta": "zeta"}
-
-
-def rig(coupling: bool = True, leak: float = 0.0, noise: float = 0.2e-6) -> Machine:
-    """The machine whose truth is sought."""
-    machine = load_machine("seal-rig")
-    return replace(
-        machine,
-        seals=(replace(machine.seals[0], K=0.0, scales_with_pressure=("k", "C", "c")),),
-        sensors=tuple(replace(item, noise=noise) for item in machine.sensors),
-        bearings=tuple(replace(item, cross_coupling=leak) for item in machine.bearings),
-        couplings=machine.couplings if coupling else (),
-    )
-
-
-def truth(pressure: float) -> np.ndarray:
-    """K, k, C, c of the rig's seal."""
-    found = seal.coefficients(rig().seals[0], pressure)
-    return np.array([found.K, found.k, found.C, found.c])
 
 
 def controller(machine: Machine) -> StateSpace:
@@ -155,22 +131,6 @@ def with_middle(record: Record) -> Record:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Swept:
-    """P4.1, one direction: measured direct and cross response, the models' direct ones, how far
-    each is valid within 2 %.
-
-    limits: per model the frequency [Hz] to which it is valid, by tolerance (of magnitude, and of
-    phase in rad).
-    """
-
-    axis: str
-    measured: Frf
-    models: dict[str, FrequencyResponse]
-    validity: dict[str, Validity]
-    limits: dict[str, dict[float, float]]
-
-
 def chirps(duration: float = 20.0) -> list[Swept]:
     """P4.1: bearings identified by PRBS without coupling, then a linear chirp to 150 Hz, both
     bearings alike.
@@ -241,15 +201,6 @@ def cosines(
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Coupled:
-    """P4.3: stiffness of the coupling (zeta, eta) with its deviation, in three experiments."""
-
-    separate: ParameterEstimate
-    untrue_bearings: ParameterEstimate
-    at_once: ParameterEstimate
-
-
 def coupling() -> Coupled:
     """P4.3: K_i and K_s from a record without coupling, then the coupling alone from one with it;
     and two wrong ways.
@@ -271,18 +222,6 @@ def coupling() -> Coupled:
 def known_but_for_the_seal() -> Machine:
     """Bearings identified with the coupling as known, without pressure."""
     return bearings(rig(), parallel_prbs(rig()))[0]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stepped:
-    """P4.4 and P4.6: coefficients per frequency and pressure, their constants up to 100 Hz, and the
-    measured responses (pressure -> Frf of the middle) beside the global model with these constants.
-    """
-
-    fit: SealFit
-    constants: SealFit
-    measured: dict[float, Frf]
-    model: dict[float, FrequencyResponse]
 
 
 def stepped_sines(
@@ -413,17 +352,6 @@ def misjudged_amplifier(pressure: float = 1.2 * BAR, damping: float = 0.9) -> di
     }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Impulses:
-    """P5.1, P5.2: coefficients per pressure, their lines, and per pressure time (k,), measured and
-    modelled y (4, k), means over the repeats.
-    """
-
-    fit: SealFit
-    lines: dict[str, Line]
-    responses: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]]
-
-
 def impulses(pressures: Sequence[float] = IMPULSE_PRESSURES, repeats: int = 10) -> Impulses:
     """0.05 A for 10 ms on both bearings along zeta, repeated every 0.4 s, at every pressure."""
     machine = rig()
@@ -471,8 +399,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sines, table = stepped_sines(**short), {40.0: correlations()}
     table |= {f: correlations(f, (0.7 * BAR,)) for f in (5.0, 10.0, 20.0, 80.0, 120.0)}
     pulses = impulses(repeats=5 if options.short else 10)
-    from benchmarks import campaign_p4_tables as tables
-
     for text in (
         tables.chirps(swept),
         tables.cosines(found),
@@ -485,7 +411,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(text, end="\n\n")
     if options.output is not None:
         from ambrose.report.page import write
-        from benchmarks.campaign_p4_page import page
 
         options.output.mkdir(parents=True, exist_ok=True)
         print(write(page(rig(), swept, sines, pulses), options.output / "p4.html"))

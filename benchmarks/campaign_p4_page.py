@@ -13,7 +13,7 @@ from ambrose.report import theme, units
 from ambrose.report.figures import seals as seal_figures
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Figure, Page, Section
-from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Impulses, Stepped, Swept, truth
+from benchmarks.campaign_p4_results import BAR, HZ, NOMINAL, Impulses, Stepped, Swept, truth
 
 GREEK = {"zeta": "ζ", "eta": "η"}
 

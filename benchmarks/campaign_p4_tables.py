@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit
-from benchmarks.campaign_p4 import (
+from benchmarks.campaign_p4_results import (
     BAR,
     HZ,
     NOMINAL,

@@ -80,7 +80,7 @@ def test_make_bench_names_a_made_up_fall(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(history, "yardstick", lambda: 0.01)
     for slow in (1.0, 1.1, 1.4):
-        given = SimpleNamespace(run=lambda slow=slow: rows(slow=slow, computer=1 / slow))
+        given = SimpleNamespace(run=lambda smoke, slow=slow: rows(slow=slow, computer=1 / slow))
         monkeypatch.setitem(sys.modules, "benchmarks.bench_norms", given)
         assert main(["norms"]) == 0
         named = [

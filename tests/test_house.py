@@ -71,6 +71,16 @@ def test_no_module_imports_itself_through_others():
     )
 
 
+def test_no_benchmark_imports_itself_through_others():
+    """The package ``benchmarks`` beside src: the same rule, with the imports inside functions."""
+    root = SOURCE.parents[1]
+    paths = sorted((root / "benchmarks").glob("*.py"))
+    graph = grimp.build_graph("benchmarks", cache_dir=None)
+    assert len(graph.modules) == len(paths)
+    imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    assert circles(imports) == []
+
+
 def test_nothing_is_exempt_from_the_format():
     """Air is free: no line is kept wide, no table of code by hand (ruff holds 100 columns)."""
     marks = {

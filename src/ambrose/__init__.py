@@ -112,9 +112,12 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         module, _, there = _HOME[name].partition(":")
         item = getattr(import_module(f"ambrose.{module}"), there or name)
-        # a function: wrong types are named, and it pickles as what it is called here
         if not isinstance(item, type):
-            item = import_module("ambrose.core.arguments").names_wrong_types(item)
+            # A function: its linear algebra runs in one thread (what reads and writes files has
+            # none), wrong types are named, and it pickles as what it is called here.
+            if not module.startswith(("machine.", "record.")):
+                item = import_module("ambrose.core.threads").in_one_thread(item)
+            item = import_module("ambrose.core.arguments").checks_plain_types(item)
             item.__module__ = "ambrose"
             item.__name__ = name
             item.__qualname__ = name

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks import campaign_p4_results as results
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
@@ -109,7 +110,7 @@ def test_P4_4_coefficients_over_frequency(p4, sines):
     """
     for pressure in sines.fit.pressures:
         rows = sines.fit.at(pressure)
-        want = p4.truth(pressure)
+        want = results.truth(pressure)
         assert np.ptp(rows.values[:, 1]) < 0.06 * want[1]
         error = np.abs(rows.values - want) / rows.deviations
         assert np.median(error) < 1.5
@@ -131,7 +132,7 @@ def test_P4_4_damping_that_falls_with_frequency_is_the_amplifiers(p4):
     assert np.all(np.diff(apparent) < -300)
     assert apparent[-1] < -4000
     assert np.abs(found["measured"].systematic[:, 2]).max() < 200
-    true = p4.truth(1.2 * BAR)[2]
+    true = results.truth(1.2 * BAR)[2]
     for fit in found.values():
         assert np.abs(fit.values[:, 2] / true - 1).max() < 0.2
 

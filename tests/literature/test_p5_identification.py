@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks import campaign_p4_results as results
 
 from ambrose.identification.seal.model_updating import update_seal
 from ambrose.model.assemble import assemble
@@ -62,18 +63,20 @@ def test_P5_2_cross_coupled_stiffness_rises_linearly(p4, pulses):
     """
     for i, letter in enumerate("KkCc"):
         line = pulses.lines[letter]
-        assert abs(line.at(p4.NOMINAL) - p4.truth(p4.NOMINAL)[i]) < line.prediction(
-            p4.NOMINAL, 0.99
+        assert abs(line.at(results.NOMINAL) - results.truth(results.NOMINAL)[i]) < line.prediction(
+            results.NOMINAL, 0.99
         )
     relative = {
-        x: float(pulses.lines[x].confidence(p4.NOMINAL) / abs(pulses.lines[x].at(p4.NOMINAL)))
+        x: float(
+            pulses.lines[x].confidence(results.NOMINAL) / abs(pulses.lines[x].at(results.NOMINAL))
+        )
         for x in "kCc"
     }
     assert pulses.lines["k"].r_squared > 0.998
-    assert pulses.lines["k"].slope * p4.NOMINAL == pytest.approx(3.203e6, rel=0.03)
+    assert pulses.lines["k"].slope * results.NOMINAL == pytest.approx(3.203e6, rel=0.03)
     assert min(relative["C"], relative["c"]) > 3 * relative["k"]
     errors = (
-        np.abs(pulses.fit.values - [p4.truth(p) for p in pulses.fit.pressure])
+        np.abs(pulses.fit.values - [results.truth(p) for p in pulses.fit.pressure])
         / pulses.fit.deviations
     )
     assert np.sqrt(np.mean(errors**2)) < 1.8

@@ -449,3 +449,34 @@ def test_a_frame_needs_pandas(record, monkeypatch):
         InvalidInput, match="needs pandas, which is not installed; pip install pandas"
     ):
         record.to_frame()
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("sample_rate_hz", "0.0001 to 1e.07 Hz"),
+        ("speed_rad_s", "speed of an operating point"),
+        ("seal_pressure_pa", "seal_pressure of an operating point"),
+        ("bias_current_a", "bias_current of an operating point"),
+        ("whirl_frequency_rad_s", "whirl_frequency of an operating point"),
+        ("start_time_s", "start_time"),
+    ],
+)
+@pytest.mark.parametrize("value", [1e300, -1e300, 1e13])
+def test_a_file_with_a_number_beyond_all_machines_is_refused(tmp_path, key, words, value):
+    """A rate or a speed of 1e300 ended in a traceback in eight commands, each at another place."""
+    import h5py
+
+    path = tmp_path / "record.h5"
+    signals, units = ("y_A_zeta",), ("m",)
+    write_record(
+        Record("m", 1e4, signals, units, np.zeros((1, 10)), OperatingPoint(100.0, 1e5, 2.0, 100.0)),
+        path,
+    )
+    with h5py.File(path, "r+") as file:
+        file.attrs[key] = value
+    with pytest.raises(
+        InvalidInput,
+        match=words if value > 0 else "sample_rate_hz|of an operating point|start_time",
+    ):
+        read_record(path)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NoReturn
 
 import click
@@ -61,9 +62,10 @@ class AmbroseCommand(click.Group):
     def main(  # type: ignore[override]
         self, args: Any = None, prog_name: Any = None, *, standalone_mode: bool = True, **extra: Any
     ) -> Any:
-        # Before numpy is loaded: at these sizes (some hundred states) BLAS threads cost more than
-        # they bring.
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        with _one_thread():
+            return self._main(args, prog_name, standalone_mode, **extra)
+
+    def _main(self, args: Any, prog_name: Any, standalone_mode: bool, **extra: Any) -> Any:
         if not standalone_mode:
             return super().main(args, prog_name, standalone_mode=False, **extra)
         as_json = "--json" in (sys.argv[1:] if args is None else args)
@@ -97,6 +99,18 @@ class AmbroseCommand(click.Group):
                     raise
                 stop(str(error), as_json=as_json)
             sys.exit(status if isinstance(status, int) else 0)
+
+
+def _one_thread() -> AbstractContextManager[None]:
+    """Linear algebra in one thread: told to the libraries before they are loaded, so that no thread
+    is started, or to those that a program has loaded which calls this command.
+    """
+    if "numpy" not in sys.modules:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        return nullcontext()
+    from ambrose.core.threads import one_thread
+
+    return one_thread()
 
 
 def stop(message: str, status: int = 2, *, as_json: bool = False) -> NoReturn:

@@ -57,6 +57,58 @@ def names_wrong_types(function: Function) -> Function:
     return named  # type: ignore[return-value]
 
 
+def checks_plain_types(function: Function) -> Function:
+    """Decorator: ``names_wrong_types``, and flags and counts are looked at before the call.
+
+    A wrong one of these ends in no error: "no" is as good as True, and -3 repetitions are none. So
+    an argument (on ``__post_init__`` a field of the dataclass) whose annotation is made of bool,
+    int and None alone is checked at once.
+    """
+
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def checked(*args: Any, **keywords: Any) -> Any:
+        try:
+            values = signature.bind(*args, **keywords).arguments
+        except TypeError:  # Python's own message says which argument is missing or unknown
+            return guarded(*args, **keywords)
+        for name, hint in _plain_hints(function):
+            if name in values and (misfit := _misfit(values[name], hint)) is not None:
+                raise _wrong(name, misfit, function.__name__)
+        return guarded(*args, **keywords)
+
+    guarded = names_wrong_types(function)
+    return checked  # type: ignore[return-value]
+
+
+def check_plain_fields(item: Any) -> None:
+    """The same for the fields of a dataclass, from its ``__post_init__``. Raises InvalidInput."""
+    for name, hint in _plain_hints(type(item)):  # type: ignore[arg-type]
+        if (misfit := _misfit(getattr(item, name), hint)) is not None:
+            raise _wrong(name, misfit, type(item).__name__)
+
+
+def _wrong(name: str, misfit: Misfit, owner: str) -> InvalidInput:
+    place, wrong, wanted = misfit
+    return InvalidInput(
+        f"{name}{place} is {_shown(wrong)}, but must be {_words(wanted)}; see help({owner})"
+    )
+
+
+@cache
+def _plain_hints(function: Callable[..., Any]) -> tuple[tuple[str, Any], ...]:
+    """The arguments of a function, or the fields of a dataclass, whose annotation is made of bool,
+    int and None alone.
+    """
+    module, found = inspect.unwrap(function).__module__, []
+    for name, parameter in inspect.signature(function).parameters.items():
+        words = str(parameter.annotation).replace("|", " ").split()
+        if words and not set(words) - {"bool", "int", "None"}:
+            found.append((name, _evaluated(parameter.annotation, module)))
+    return tuple(found)
+
+
 def check_types(
     function: Callable[..., Any],
     args: tuple[Any, ...],
@@ -70,10 +122,22 @@ def check_types(
     for name, value, hint in _annotated(function, args, keywords):
         misfit = _misfit(value, hint)
         if misfit is not None:
-            place, wrong, wanted = misfit
-            raise InvalidInput(
-                f"{name}{place} is {_shown(wrong)}, but must be {_words(wanted)}; see help({owner})"
-            ) from cause
+            raise _wrong(name, misfit, owner) from cause
+
+
+def annotations_of(function: Callable[..., Any]) -> dict[str, Any]:
+    """The annotation of every argument of a function, or of every field of a dataclass."""
+    module = inspect.unwrap(function).__module__
+    return {
+        name: _evaluated(item.annotation, module)
+        for name, item in inspect.signature(function).parameters.items()
+    }
+
+
+def unfit(value: object, hint: Any) -> str:
+    """What a value that its annotation does not allow must be, in words; "" where it fits."""
+    misfit = _misfit(value, hint)
+    return "" if misfit is None else _words(misfit[2])
 
 
 def _annotated(

@@ -23,6 +23,7 @@ from ambrose.core.statespace import StateSpace, as_statespace, series, transfer_
 
 Method = Literal["zoh", "tustin", "backward-euler", "matched"]
 _NO_PREWARP = ("zoh", "backward-euler")
+MOST_SAMPLES = 1000  # by which ``delayed`` makes a system late
 _UNSEEN = 1e-12  # of the largest state's response
 # of the largest gain: between channels that are apart; by which poles and zeros may be missed
 _MIXING, _MATCHED = 1e-9, 1e-8
@@ -84,8 +85,19 @@ def c2d(
 
 
 def delayed(system: Any, samples: int) -> StateSpace:
-    """A sampled system that receives its input ``samples`` samples late."""
+    """A sampled system that receives its input ``samples`` samples late, 0 to ``MOST_SAMPLES``.
+    Raises InvalidInput.
+    """
     system = as_statespace(system)
+    if (
+        isinstance(samples, bool)
+        or not isinstance(samples, int | np.integer)
+        or not 0 <= samples <= MOST_SAMPLES
+    ):
+        remedy = "every sample is a state for each input; take a slower model for a longer delay"
+        raise invalid("samples", repr(samples), f"a whole number from 0 to {MOST_SAMPLES}", remedy)
+    if system.dt is None:
+        raise InvalidInput("a continuous system has no samples; sample it with c2d first")
     names, one = system.inputs, np.eye(len(system.inputs))
     for _ in range(samples):
         system = series(StateSpace(0 * one, one, one, 0 * one, names, names, system.dt), system)

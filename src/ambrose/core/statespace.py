@@ -231,8 +231,13 @@ def static_gain(
     outputs: Sequence[str] | None = None,
     dt: float | None = None,
 ) -> StateSpace:
-    """The system y = D u without states; D (p, m) or (): a scalar."""
-    D = np.atleast_2d(check_finite(D, "D"))
+    """The system y = D u without states; D (p, m) or (): a scalar; a row (m,) is one output. Raises
+    InvalidInput.
+    """
+    D = check_finite(D, "D")
+    if D.ndim > 2 or (D.ndim == 1 and not D.size):
+        raise invalid("the shape of D", D.shape, "(p, m), (m,) or ()", "give a row per output")
+    D = np.atleast_2d(D)
     p, m = D.shape
     return StateSpace(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), D, inputs, outputs, dt)
 

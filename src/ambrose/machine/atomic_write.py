@@ -14,7 +14,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.core.presentation import to_plain
 from ambrose.machine.claim import claimed
 from ambrose.machine.ordinary_file import refuse_special
@@ -101,19 +101,20 @@ def set_aside(path: Path) -> None:
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
     """The folder ``path``, made with those above it if absent. Raises InvalidInput."""
+    path = check_path(path, "folder")
     try:
-        Path(path).mkdir(parents=True, exist_ok=True)
+        path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = error.strerror or str(error)
         raise InvalidInput(
             f"cannot make the folder {path}: {reason}; give one that can be written"
         ) from error
-    return Path(path)
+    return path
 
 
 def check_file(path: str | os.PathLike[str], what: str) -> Path:
     """``path``, after refusing one that cannot become a file. Raises InvalidInput."""
-    target = Path(path)
+    target = check_path(path, what)
     if not target.name or target.is_dir():
         raise invalid(
             f"the path of the {what}", repr(str(target)), "that of a file", "add a file name"

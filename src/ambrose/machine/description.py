@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
-from ambrose.core.checks import invalid
+from ambrose.core.arguments import names_wrong_types
+from ambrose.core.checks import check_positive, invalid
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.kinds import (
     Angle,
@@ -34,6 +35,7 @@ from ambrose.machine.kinds import (
     Time,
     Words,
 )
+from ambrose.machine.limits import LARGEST_OF_A_POINT
 from ambrose.machine.part import Part
 from ambrose.machine.rotor_model import BendingMode, Disc, ShaftSection
 from ambrose.machine.seals import Seal
@@ -212,7 +214,7 @@ class OperatingPoint(Part):
     label: Annotated[Words, "its name in reports"] = ""
 
     def __post_init__(self) -> None:
-        for name in ("speed", "seal_pressure", "bias_current", "whirl_frequency"):
+        for name, (largest, unit) in LARGEST_OF_A_POINT.items():
             value = getattr(self, name)
             if isinstance(value, str):
                 raise invalid(
@@ -221,6 +223,15 @@ class OperatingPoint(Part):
                     "a number in SI",
                     "units are for machine files",
                 )
+            # what is no number is named where it is used
+            if isinstance(value, int | float) and abs(value) > largest:
+                limit, remedy = f"at most {largest:g} {unit}", "correct its unit or its exponent"
+                text = (
+                    f"{value:g}"
+                    if isinstance(value, float)
+                    else f"an integer of {len(str(abs(value)))} digits"
+                )
+                raise invalid(f"{name} of an operating point", text, limit, remedy)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -319,6 +330,25 @@ class Tolerance(Part):
     relative: float | None = None
     absolute: float | None = None
     around: tuple[str, ...] = ()
+
+    @names_wrong_types
+    def __post_init__(self) -> None:
+        if not isinstance(self.parameter, str):
+            raise invalid(
+                "the parameter of a tolerance",
+                repr(self.parameter),
+                "a path",
+                '"seal.center.k" is one',
+            )
+        for name in ("relative", "absolute"):
+            width = getattr(self, name)
+            if width is not None:
+                check_positive(
+                    width,
+                    f"{name} of the tolerance of {self.parameter}",
+                    "give the half-width",
+                    zero_allowed=True,
+                )
 
 
 @dataclass(frozen=True, slots=True, repr=False)

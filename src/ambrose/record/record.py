@@ -16,7 +16,16 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame, html_table
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.limits import NAME, NOTES, SIGNALS, TEXT
+from ambrose.machine.limits import (
+    LARGEST_TIME,
+    LARGEST_VALUE,
+    LONGEST_SAMPLE,
+    NAME,
+    NOTES,
+    SAMPLE_TIME,
+    SIGNALS,
+    TEXT,
+)
 from ambrose.machine.messages import quoted
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
 
@@ -73,9 +82,30 @@ class Record(Presented):
     @names_wrong_types
     def __post_init__(self) -> None:
         check_positive(self.sample_rate_hz, "sample_rate_hz", "give the sampling frequency in Hz")
-        check_finite(self.start_time, "start_time")
+        if not 1 / LONGEST_SAMPLE <= self.sample_rate_hz <= 1 / SAMPLE_TIME:
+            allowed = f"{1 / LONGEST_SAMPLE:g} to {1 / SAMPLE_TIME:g} Hz"
+            raise invalid(
+                "sample_rate_hz",
+                f"{self.sample_rate_hz:g}",
+                allowed,
+                "correct its unit or its exponent",
+            )
+        if abs(check_finite(self.start_time, "start_time")) > LARGEST_TIME:
+            raise invalid(
+                "start_time",
+                f"{self.start_time:g}",
+                f"at most {LARGEST_TIME:g} s",
+                "correct its unit",
+            )
         _check_texts(self)
         p = len(self.signals)
+        if np.asarray(self.values).dtype.kind not in "iufb":
+            raise invalid(
+                "values",
+                f"of type {np.asarray(self.values).dtype}",
+                "real numbers",
+                "give one row per signal",
+            )
         values = self.values if _is_settled(self.values) else np.array(self.values, dtype=float)
         if values.ndim != 2 or values.shape[0] != p or values.shape[1] == 0:
             raise invalid(
@@ -208,11 +238,12 @@ def check_samples(name: str, values: np.ndarray, first: int, start: float, rate:
     InvalidInput.
     """
     for begin in range(0, len(values), _BLOCK):  # a long record has no second array of its length
-        finite = np.isfinite(values[begin : begin + _BLOCK])
-        if not finite.all():
-            j = begin + int(np.argmin(finite))
+        usable = np.abs(values[begin : begin + _BLOCK]) <= LARGEST_VALUE  # not so for NaN either
+        if not usable.all():
+            j = begin + int(np.argmin(usable))
             at = f"{name} at sample {first + j} (t = {start + (first + j) / rate:g} s)"
-            raise invalid(at, values[j], "finite", "cut the record before it, or measure again")
+            wanted = f"at most {LARGEST_VALUE:g} in size" if np.isfinite(values[j]) else "finite"
+            raise invalid(at, values[j], wanted, "cut the record before it, or measure again")
 
 
 def _check_texts(record: Record) -> None:

@@ -18,9 +18,10 @@ import ambrose as amb
 from ambrose.annexes.campaigns.case import assign, subject
 from ambrose.annexes.campaigns.plan import Times, plan_of
 from ambrose.annexes.campaigns.result import read_campaign
-from ambrose.annexes.campaigns.run import ROWS, bases_of, executors, fixed_of, rows_of, run_plan
+from ambrose.annexes.campaigns.run import ROWS, bases_of, fixed_of, rows_of, run_plan
 from ambrose.annexes.campaigns.tasks import PEAK, checks_of, compute, full_plant
 from ambrose.annexes.campaigns.variance import main_effects
+from ambrose.annexes.campaigns.workers import executors
 from ambrose.judge.loop_response import loop_evaluator
 
 HEAD = {"task": "screen", "machine": "three-bearing-train", "controller": "pid", "model": "reduced"}
@@ -100,6 +101,12 @@ def test_paths_reach_names_numbers_and_lists():
         ({"cases": True}, VARY, "whole number"),
         ({"task": "simulate"}, VARY, "needs a scenario"),
         ({}, {f"option.{name}": {"from": 1, "to": 200, "count": 200} for name in "abc"}, "at most"),
+        (
+            {},
+            {"machine.shaft.*.od": {"from": 1, "to": 2, "count": 2, "times": "yes"}},
+            "true or false",
+        ),
+        ({}, {"point.speed": {"values": [1, 2], "from": 1, "to": 2}}, "unknown key 'values'"),
     ],
 )
 def test_wrong_plans_are_refused(head, vary, words):
@@ -334,3 +341,170 @@ def test_ctrl_c_keeps_what_is_done_and_the_front_door_goes_on(tmp_path):
     again = amb.campaign(document, tmp_path / "out", workers=1)
     assert (tmp_path / "out" / ROWS).read_bytes().startswith(before)
     assert len(again.values[PEAK]) == 1600
+
+
+def test_ranges_are_counted_before_they_are_built():
+    """Five ranges of a million values each are 6 GB as lists."""
+    import tracemalloc
+
+    many = {f"point.{name}": {"from": 0.0, "to": 1.0, "count": 1_000_000} for name in "abcde"}
+    tracemalloc.start()
+    with pytest.raises(amb.InvalidInput, match="at most 1000000"):
+        plan(vary=many)
+    assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("head", "vary", "options", "words"),
+    [
+        (
+            {},
+            {"option.delay_sample": [1, 2]},
+            {},
+            'no option .delay_sample.; did you mean "delay_samples"',
+        ),
+        ({}, VARY, {"frobnicate": 1}, "no option 'frobnicate'; known: delay_samples, rate"),
+        ({}, VARY, {"rate": "often"}, "option rate is 'often', but must be a number or None"),
+        (
+            {},
+            {"option.delay_samples": [1, 1.5]},
+            {},
+            "option delay_samples is 1.5, but must be a whole number",
+        ),
+        ({"task": "design"}, VARY, {"orders": 8}, 'did you mean "order"'),
+        ({"task": "simulate", "scenario": "levitation"}, VARY, {"second": 1}, "no option 'second'"),
+        (
+            {"task": "identify", "scenario": "prbs"},
+            VARY,
+            {"repeats": "yes"},
+            "must be True or False",
+        ),
+        (
+            {},
+            {"point.speed": ["5 kg", "6 kg"]},
+            {},
+            "none of 2 cases that were tried can be made ready: .*must be",
+        ),
+    ],
+)
+def test_what_no_case_can_use_is_refused_before_any_is_computed(
+    tmp_path, head, vary, options, words
+):
+    with pytest.raises(amb.InvalidInput, match=words):
+        computed(plan(head, vary, **options), tmp_path)
+    assert not (tmp_path / ROWS).exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"a,b,c\n1,2,3\n",
+        b"no newline at all",
+        b"\x00\xff",
+        b"[1]\n",
+        b"null\n",
+        b'"key"\n',
+        b"[" * 100_000 + b"\n",
+        b'{"key": "a"}\n',
+        b'{"key": "a", "failure": "", "values": [1]}\n',
+        b'{"key": "a", "failure": "", "values": {"x": [1]}}\n',
+        b'{"key": "a", "failure": "", "values": {"x": 1' + b"0" * 400 + b"}}\n",
+    ],
+)
+def test_a_foreign_file_of_rows_is_refused_and_kept(tmp_path, content):
+    (tmp_path / ROWS).write_bytes(content)
+    with pytest.raises(amb.InvalidInput, match="no row of a campaign; move the file away"):
+        computed(plan(), tmp_path)
+    assert (tmp_path / ROWS).read_bytes() == content
+
+
+def test_what_stands_for_a_file_of_rows_and_is_none_is_refused(tmp_path):
+    (tmp_path / ROWS).mkdir()
+    with pytest.raises(amb.InvalidInput, match="is a directory"):
+        computed(plan(), tmp_path)
+
+
+class Dying(ThreadPoolExecutor):
+    """Workers that die of the cases ``deadly``, as a process pool says it; the pool is then of no
+    use.
+    """
+
+    def __init__(self, deadly):
+        super().__init__(1)
+        self.deadly = deadly
+
+    def submit(self, function, task, block, *others):
+        from concurrent.futures import Future
+        from concurrent.futures.process import BrokenProcessPool
+
+        if not self.deadly & {case.key for case in block}:
+            return super().submit(function, task, block, *others)
+        broken = Future()
+        broken.set_exception(BrokenProcessPool("died"))
+        return broken
+
+
+def test_a_worker_that_dies_says_nothing_of_its_case(tmp_path):
+    wanted = plan({"task": "verify"}, {"point.speed": {"from": "0 Hz", "to": "100 Hz", "count": 9}})
+    deadly = {list(wanted.drawn())[8].key}
+    done = run_plan(wanted, tmp_path, make=lambda: Dying(deadly))
+    assert (done.computed, done.failed, done.lost) == (8, 0, 1)
+    found = read_campaign(wanted, tmp_path)
+    assert (found.missing, found.failed) == (1, 0)
+    assert computed(wanted, tmp_path).computed == 1  # the next run has it
+
+
+def test_workers_that_die_at_once_are_no_campaign(tmp_path):
+    wanted = plan(
+        {"task": "verify"}, {"point.speed": {"from": "0 Hz", "to": "100 Hz", "count": 100}}
+    )
+    with pytest.raises(amb.NumericalFailure, match=r"no case was computed: .* died 3 times"):
+        run_plan(wanted, tmp_path, make=lambda: Dying({case.key for case in wanted.drawn()}))
+    assert (tmp_path / ROWS).read_bytes() == b""
+
+
+_SCRIPT = """import sys, ambrose as amb
+found = amb.campaign({"campaign": HEAD, "vary": VARY}, sys.argv[1], workers=2, engine=sys.argv[2])
+print(found.missing, found.failed, len(found.keys))
+"""
+
+
+@pytest.mark.parametrize("engine", ["processes", pytest.param("dask", marks=pytest.mark.campaign)])
+def test_a_plain_script_needs_no_guard(tmp_path, engine):
+    """Without ``if __name__ == "__main__"``: every case was recorded as failed, its worker having
+    died.
+    """
+    if engine == "dask":
+        pytest.importorskip("distributed")
+    script = tmp_path / "script.py"
+    script.write_text(_SCRIPT.replace("HEAD", repr(HEAD)).replace("VARY", repr(VARY)))
+    command = [sys.executable, str(script), str(tmp_path / "out"), engine]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert ended.stdout.split() == ["0", "0", "12"], ended.stderr
+
+
+def test_a_script_in_the_standard_input_computes_too(tmp_path):
+    text = _SCRIPT.replace("HEAD", repr(HEAD)).replace("VARY", repr(VARY))
+    command = [sys.executable, "-", str(tmp_path / "out"), "processes"]
+    ended = subprocess.run(
+        command, input=text, capture_output=True, text=True, check=False, timeout=300
+    )
+    assert ended.stdout.split() == ["0", "0", "12"], ended.stderr
+
+
+def test_a_worker_that_imports_its_script_starts_no_campaign(monkeypatch):
+    import multiprocessing
+
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(amb.InvalidInput, match="if __name__"), executors("processes", 1):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("engine", "workers"),
+    [("processes", 0), ("processes", -1), ("processes", "two"), (7, 1), ("mpi", 1)],
+)
+def test_wrong_engines_are_refused(engine, workers):
+    with pytest.raises(amb.InvalidInput), executors(engine, workers):
+        pass

@@ -51,6 +51,13 @@ def circle(gain=GAIN, offset=OFFSET, turn=2 * np.pi, gap=2e-4, inside=0.0, lag=0
     return Record(machine().name, 1e3, tuple(names), ("m",) * len(names), np.array(rows))
 
 
+def dead(record, *rows, at=3e-5):
+    """The record with channels that stand still."""
+    values = record.values.copy()
+    values[list(rows)] = at
+    return replace(record, values=values)
+
+
 def value(done, name):
     return next(entry.value for entry in done.entries if entry.name == name)
 
@@ -84,6 +91,13 @@ def test_clearance_of_a_circle_when_the_gains_are_known():
         ({"circle": lambda: circle(turn=np.pi)}, "a circle all around"),
         ({"circle": lambda: circle(inside=1.0)}, "a circle all around"),
         ({"circle": lambda: circle(lag=1.0)}, "in phase"),
+        (
+            {"circle": lambda: dead(circle(), 0)},
+            "still within .* um, but must be moved as all others.*dead channel",
+        ),
+        ({"circle": lambda: dead(circle(), 3)}, "still within"),
+        ({"circle": lambda: dead(circle(), 0, 1)}, "still within"),
+        ({"circle": lambda: dead(circle(), 0, 1, 2, 3)}, "still within"),
         ({}, "no test was given"),
         ({"circle": circle, "find": "weight"}, '"gain" or "clearance"'),
         ({"levitated": circle}, "lacks i_<axis>"),

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import click
 
 from ambrose.terminal import AS_JSON, print_table, progress_shown, say, say_json
+
+_REASONS = 5  # why cases failed, the most frequent ones
 
 
 @click.command()
@@ -56,7 +59,8 @@ def campaign(
     from ambrose.annexes.campaigns.page import counts
     from ambrose.annexes.campaigns.plan import read_plan
     from ambrose.annexes.campaigns.result import read_campaign
-    from ambrose.annexes.campaigns.run import executors, processors, run_plan
+    from ambrose.annexes.campaigns.run import run_plan
+    from ambrose.annexes.campaigns.workers import executors, processors
     from ambrose.report.page import page_of, write
 
     wanted = read_plan(plan)
@@ -73,6 +77,7 @@ def campaign(
     if as_json:
         run = {
             "computed_now": done.computed,
+            "lost_now": done.lost,
             "seconds": done.seconds,
             "files": [str(path) for path in files],
         }
@@ -97,8 +102,20 @@ def campaign(
             print_table(
                 f"What drives {found.measure}", ("setting", "share of the variance"), effects
             )
+        reasons = Counter(text for text in found.failures if text).most_common(_REASONS)
+        if reasons:
+            print_table(
+                "Why cases have no values",
+                ("cases", "reason"),
+                [(str(number), text) for text, number in reasons],
+            )
+        if done.lost:
+            remedy = "run the same command again, or with --workers 1"
+            say(
+                f"{done.lost} cases have no row: their processes died (short of memory?); {remedy}."
+            )
         say(f"Files: {', '.join(str(path) for path in files)}")
-    sys.exit(1 if any(good is False for _, good, _ in told) else 0)
+    sys.exit(1 if done.lost or any(good is False for _, good, _ in told) else 0)
 
 
 def _case_pages(found: Any, folder: Path, most: int, progress: Any) -> tuple[Any, list[str]]:

@@ -29,19 +29,21 @@ def campaign(
     not computed again.
 
     plan: the path of a plan file, its content as a dict, or a Plan. engine: "processes" on this
-    computer, "dask" for a Dask cluster on it, or the address of a running scheduler. workers: None:
-    one for each processor. In a script call it below ``if __name__ == "__main__"``: the workers
-    import the script. Raises InvalidInput.
+    computer, "dask" for a Dask cluster on it, or the address of a running scheduler, which must be
+    one that you trust. workers: 1 or more; None: one for each processor. A case whose worker
+    process dies is none of the results: ``missing`` counts it, and the next call computes it.
+    Raises InvalidInput, and NumericalFailure where the workers die before they return anything.
     """
     from ambrose.annexes.campaigns.plan import Plan, plan_of, read_plan
     from ambrose.annexes.campaigns.result import read_campaign
-    from ambrose.annexes.campaigns.run import executors, processors, run_plan
+    from ambrose.annexes.campaigns.run import run_plan
+    from ambrose.annexes.campaigns.workers import executors, processors
 
     if isinstance(plan, Plan):
         wanted = plan
     else:
         wanted = plan_of(plan) if isinstance(plan, dict) else read_plan(plan)
-    with executors(engine, workers or processors()) as (make, count):
+    with executors(engine, processors() if workers is None else workers) as (make, count):
         run_plan(wanted, Path(directory), make=make, workers=count, progress=progress)
     result = read_campaign(wanted, Path(directory))
     result.write(Path(directory))

@@ -272,8 +272,29 @@ def plan_of(document: Mapping[str, Any], folder: Path = Path()) -> Plan:
             what = "a whole number, not negative" if counted else "a text"
             raise invalid(f"[campaign] {key}", shown(value), what, "correct it")
     grid = head.get("plan", "grid") == "grid"
+    if grid:
+        _check_size(vary)
     variables = tuple(_variable(path, value, grid) for path, value in _flat(vary))
     return Plan(variables, **head, options=dict(document.get("options", {})), folder=folder)
+
+
+def _check_size(vary: Mapping[str, Any]) -> None:
+    """Raises InvalidInput where a grid has too many cases, before its ranges are built."""
+    size = 1
+    for _, value in _flat(vary):
+        count = (
+            value.get("count")
+            if isinstance(value, Mapping)
+            else len(value)
+            if isinstance(value, list)
+            else 1
+        )
+        if isinstance(count, int) and not isinstance(count, bool):
+            size *= max(count, 1)
+    if size > MOST_CASES:
+        raise invalid(
+            "the number of cases", size, f"at most {MOST_CASES}", "vary less, or draw a random plan"
+        )
 
 
 def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
@@ -302,7 +323,7 @@ def _variable(path: str, given: Any, grid: bool) -> Variable:
                 "or { from = ..., to = ..., count = ... }",
             )
         return Variable(path, tuple(values))
-    if unknown := [key for key in given if key not in {"from", "to", "count", "times", "values"}]:
+    if unknown := [key for key in given if key not in {"from", "to", "count", "times"}]:
         raise InvalidInput(
             f'[vary] "{path}": unknown key {unknown[0]!r}; known: from, to, count, times'
         )
@@ -320,6 +341,13 @@ def _variable(path: str, given: Any, grid: bool) -> Variable:
     low, unit = ends[0]
     high, _ = ends[1]
     times = given.get("times", False)
+    if not isinstance(times, bool):
+        raise invalid(
+            f'[vary] "{path}" times',
+            shown(times),
+            "true or false",
+            "write times = true for a factor on the file's value",
+        )
     if times and first not in {"machine", "scenario"}:
         raise InvalidInput(
             f'[vary] "{path}": only what stands in a machine or scenario file takes times = true; '

@@ -11,48 +11,47 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
-import signal
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ambrose.annexes.campaigns.case import Bases
+from ambrose.annexes.campaigns.case import Bases, subject
 from ambrose.annexes.campaigns.plan import Case, Plan
-from ambrose.annexes.campaigns.tasks import Row, compute, group_of, line_of
-from ambrose.core.checks import InvalidInput
+from ambrose.annexes.campaigns.tasks import Row, check_options, compute, group_of, line_of
+from ambrose.annexes.campaigns.workers import MakeExecutor
+from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure
 from ambrose.machine.atomic_write import make_folder, write_text
 from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import load_machine, parse_toml, read_machine_text
 from ambrose.machine.limits import TOML_BYTES
-from ambrose.machine.ordinary_file import read_text
+from ambrose.machine.ordinary_file import check_source, read_text
 
 ROWS = "rows.jsonl"
-PROCESSES, DASK = "processes", "dask"
+_START = b'{"key": "'  # of every row, so also of one that a kill cut off
 # cases of one call; some seconds
 _BLOCK = {"screen": 64, "verify": 8, "design": 1, "simulate": 8, "identify": 1}
 _UNDER_WAY = 3  # blocks per worker
 _ATTEMPTS = 3  # of a block whose worker dies
+_DIED = (
+    f"the processes that computed them died {_ATTEMPTS} times (short of memory?); the next run "
+    "tries them again"
+)
+_TRIED = 20  # cases, spread over all, that are made ready before any is computed
 _EVERY = 2.0  # [s] between two words of progress, later a tenth of the time gone
 Progress = Callable[[str], None]
-MakeExecutor = Callable[[], Executor]
 
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """How a run ended: cases asked for, rows there, computed now, failures among them; time [s]."""
+    """How a run ended: cases asked for, rows there, computed now, failures among them; time [s].
+
+    lost: cases that have no row because the processes that computed them died.
+    """
 
     cases: int
     rows: int
@@ -60,6 +59,14 @@ class Count:
     failed: int
     seconds: float
     interrupted: bool = False
+    lost: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Lost:
+    """A block of so many cases that kills the processes that compute it."""
+
+    cases: int
 
 
 def run_plan(
@@ -74,9 +81,12 @@ def run_plan(
     """Compute what ``directory`` lacks of a plan. make: an executor, called again where its workers
     died.
 
-    most: at most so many cases now. At Ctrl-C all that was finished is on the disk. Raises
-    InvalidInput.
+    most: at most so many cases now. At Ctrl-C all that was finished is on the disk. A case whose
+    process dies has no row: that says nothing of the case, and the next run computes it. Raises
+    InvalidInput, also where no case can be made ready, and NumericalFailure where the processes die
+    before they return anything.
     """
+    check_options(plan)
     folder = make_folder(directory)
     with claimed(folder, "campaign"):
         begun = time.monotonic()
@@ -86,12 +96,17 @@ def run_plan(
         cases = list({case.key: case for case in plan.drawn()}.values())
         missing = sorted((case for case in cases if case.key not in there), key=group_of)[:most]
         progress(f"{len(cases)} cases, {len(cases) - len(missing)} of them computed before")
-        failed = computed = 0
+        _check_some(missing, bases, fixed)
+        failed = computed = lost = 0
         told = begun
         with open(folder / ROWS, "ab") as file:
             for rows in _computed(
                 _blocks(missing, _BLOCK[plan.task]), plan.task, bases, fixed, make, workers
             ):
+                if isinstance(rows, _Lost):
+                    lost += rows.cases
+                    progress(f"{rows.cases} cases without a row: {_DIED}")
+                    continue
                 file.write("".join(f"{line_of(row)}\n" for row in rows).encode())
                 file.flush()
                 os.fsync(file.fileno())
@@ -110,13 +125,30 @@ def run_plan(
                         f"{computed} of {len(missing)} cases, {failed} failed, {_duration(left)} "
                         "to go"
                     )
+        seconds = time.monotonic() - begun
         return Count(
-            len(cases),
-            len(cases) - len(missing) + computed,
-            computed,
-            failed,
-            time.monotonic() - begun,
+            len(cases), len(cases) - len(missing) + computed, computed, failed, seconds, lost=lost
         )
+
+
+def _check_some(cases: Sequence[Case], bases: Bases, fixed: Mapping[str, Any]) -> None:
+    """Raises InvalidInput where none of some cases, spread over all, can be made ready."""
+    some = cases[:: max(1, len(cases) // _TRIED)]
+    reasons = []
+    for case in some:
+        try:
+            subject(case, bases, fixed)
+        except AmbroseError as error:
+            reasons.append(str(error))
+        else:
+            return
+    if reasons:
+        counted = (
+            f"none of {len(reasons)} cases that were tried can"
+            if len(reasons) > 1
+            else "the only case cannot"
+        )
+        raise InvalidInput(f"{counted} be made ready: {Counter(reasons).most_common(1)[0][0]}")
 
 
 def _duration(seconds: float) -> str:
@@ -136,9 +168,11 @@ def keys_there(path: Path) -> set[str]:
     if not path.exists():
         return set()
     keys, end = set(), 0
-    with open(path, "rb+") as file:
+    with open(check_source(path, "file of rows"), "rb+") as file:
         for line in file:
             if not line.endswith(b"\n"):
+                if line[: len(_START)] != _START[: len(line)]:
+                    raise _foreign(path)
                 break
             end += len(line)
             keys.add(_parsed(line, path)["key"])
@@ -155,12 +189,25 @@ def rows_of(path: Path) -> Iterator[dict[str, Any]]:
 def _parsed(line: bytes, path: Path) -> dict[str, Any]:
     try:
         row: dict[str, Any] = json.loads(line)
-        assert isinstance(row["key"], str)
-    except (ValueError, KeyError, TypeError, AssertionError):
-        raise InvalidInput(
-            f"{path} holds a line that is no row of a campaign; move the file away to begin anew"
-        ) from None
+        known = isinstance(row["key"], str) and isinstance(row["failure"], str)
+        if not (known and all(_is_plain(value) for value in row["values"].values())):
+            raise ValueError
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+        raise _foreign(path) from None
     return row
+
+
+def _is_plain(value: object) -> bool:
+    """Whether a row's value is a word or a number that a float holds."""
+    if isinstance(value, int):
+        float(value)  # OverflowError
+    return value is None or isinstance(value, str | int | float)
+
+
+def _foreign(path: Path) -> InvalidInput:
+    return InvalidInput(
+        f"{path} holds a line that is no row of a campaign; move the file away to begin anew"
+    )
 
 
 def bases_of(plan: Plan, progress: Progress = lambda stage: None) -> Bases:
@@ -234,12 +281,22 @@ def _computed(
     fixed: Mapping[str, Any],
     make: MakeExecutor,
     workers: int,
-) -> Iterator[list[Row]]:
-    """The rows of every block, in the order in which they are ready.
+) -> Iterator[list[Row] | _Lost]:
+    """The rows of every block in the order in which they are ready, or that it is lost.
 
     Where a worker's death takes a process pool with it, the blocks that were under way are computed
-    one at a time in a new one, so that the one at fault is known.
+    one at a time in a new one, so that the one at fault is known. Raises NumericalFailure where two
+    blocks, or the only one, are lost before any row.
     """
+    blocks_lost, rows_there = 0, False
+
+    def lost(block: list[Case]) -> _Lost:
+        nonlocal blocks_lost
+        blocks_lost += 1
+        if not rows_there and (blocks_lost > 1 or not (blocks or suspects or under_way)):
+            raise NumericalFailure(f"no case was computed: {_DIED}")
+        return _Lost(len(block))
+
     attempts: Counter[str] = Counter()
     # the first block compiles the rig into the cache of all
     compiled = task not in {"simulate", "identify"}
@@ -268,91 +325,23 @@ def _computed(
                     block = under_way.pop(future)
                     try:
                         yield future.result()
-                        compiled = True
+                        compiled = rows_there = True
                     except (BrokenProcessPool, CancelledError):
                         broken = True
                         attempts[block[0].key] += 1
                         if attempts[block[0].key] < _ATTEMPTS:
                             suspects.append(block)
                         else:
-                            yield [_dead(case) for case in block]
+                            yield lost(block)
                     except MemoryError:
-                        yield [_dead(case) for case in block]
+                        yield lost(block)
                     except Exception as error:  # as Dask says that a block's workers died
                         if type(error).__name__ != "KilledWorker":
                             raise
-                        yield [_dead(case) for case in block]
+                        yield lost(block)
             executor.shutdown()
         except BaseException:  # Ctrl-C, a full disk, or nobody who takes the rows
             executor.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
             raise
-
-
-def _dead(case: Case) -> Row:
-    return Row(
-        case.key,
-        {},
-        f"the process that computed it died {_ATTEMPTS} times (short of memory?); compute it alone",
-    )
-
-
-def _quiet_worker() -> None:
-    """Ctrl-C is the parent's to handle; one thread for each worker's BLAS."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def executors(engine: str, workers: int) -> Iterator[tuple[MakeExecutor, int]]:
-    """How to make executors, and their number of workers.
-
-    engine: "processes" on this computer; "dask", a cluster of processes on this computer; or the
-    address of a running scheduler ("tcp://host:8786", or its scheduler file *.json). Raises
-    InvalidInput.
-    """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # handed down to the workers
-    if engine == PROCESSES:
-        context = multiprocessing.get_context("spawn")
-        yield (
-            lambda: ProcessPoolExecutor(workers, mp_context=context, initializer=_quiet_worker),
-            workers,
-        )
-        return
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise InvalidInput(
-            f"engine {engine} needs Dask, which is not installed; pip install 'ambrose[campaign]'"
-        ) from None
-    if engine == DASK:
-        with (
-            LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=None
-            ) as cluster,
-            Client(cluster) as client,
-        ):
-            yield client.get_executor, workers
-        return
-    if "://" not in engine and not engine.endswith(".json"):
-        raise InvalidInput(
-            f'engine "{engine}" is unknown; take processes, dask, or the address of a scheduler '
-            "(tcp://...)"
-        )
-    try:
-        found = (
-            Client(scheduler_file=engine)
-            if engine.endswith(".json")
-            else Client(engine, timeout=20)
-        )
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InvalidInput(
-            f"no scheduler answers at {engine}: {error}; start one with `dask scheduler`"
-        ) from error
-    with found as client:
-        yield client.get_executor, max(1, sum(client.nthreads().values()), workers)
-
-
-def processors() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.campaigns.case import Bases, Subject, subject
-from ambrose.annexes.campaigns.plan import Case
+from ambrose.annexes.campaigns.plan import Case, Plan
+from ambrose.core.arguments import annotations_of, unfit
 from ambrose.core.checks import AmbroseError, InvalidInput, UnstableSystem
 from ambrose.core.frequency import largest_gain
 from ambrose.core.presentation import to_plain
@@ -33,6 +34,7 @@ from ambrose.law.loop import closed_loop, match_controller, running_law
 from ambrose.law.timing import timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
 from ambrose.machine.description import Tolerance
+from ambrose.machine.messages import shown, suggestion
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant, top_speed
 from ambrose.model.reduce import default_bending_modes, reduce
@@ -58,6 +60,51 @@ class Row:
     files: Mapping[str, str] | None = None
 
 
+def check_options(plan: Plan) -> None:
+    """Raises InvalidInput for an option of a plan that its task does not have, or whose value has a
+    wrong type.
+    """
+    known = _options_of(plan.task)
+    given = [(name, [value]) for name, value in plan.options.items()]
+    given += [
+        (v.path.partition(".")[2], list(v.values))
+        for v in plan.variables
+        if v.path.startswith("option.")
+    ]
+    for name, values in given:
+        if name not in known:
+            raise InvalidInput(
+                f"a campaign of task {plan.task} has no option {name!r}; {suggestion(name, known)}"
+            )
+        for value in values:
+            if wanted := unfit(value, known[name]):
+                raise InvalidInput(
+                    f"option {name} is {shown(value)}, but must be {wanted}; see "
+                    "help(ambrose.campaign)"
+                )
+
+
+def _options_of(task: str) -> dict[str, Any]:
+    """The options of a task by name, with the annotation of each."""
+    from ambrose.rig import virtual_rig
+    from ambrose.synthesis.options import DesignOptions
+
+    trial = annotations_of(simulate_scenario)
+    if task in {"screen", "verify"}:
+        return {name: trial[name] for name in ("rate", "delay_samples")}
+    if task == "design":
+        return {"method": str, **annotations_of(DesignOptions)}
+    rig = {
+        name: annotations_of(virtual_rig.run)[name]
+        for name in ("seed", "bending_modes", "dt", "every")
+    }
+    # not by an option
+    given = {"machine", "controller", "scenario", "point", "progress", "fallback", "rig"}
+    options = {name: kind for name, kind in {**trial, **rig}.items() if name not in given}
+    identified = {"method": str, "unknown": str | list[str], "repeats": bool}
+    return {**options, **identified} if task == "identify" else options
+
+
 def compute(task: str, cases: Sequence[Case], bases: Bases, fixed: Mapping[str, Any]) -> list[Row]:
     """A row for each case, in their order. Nothing that a case does wrong takes the others with
     it.
@@ -80,6 +127,8 @@ def _row(key: str, work: Callable[[], Mapping[str, Any]]) -> Row:
         values = dict(work())
     except AmbroseError as error:
         return Row(key, {}, str(error))
+    except MemoryError:  # of this computer, not of the case
+        raise
     except Exception as error:  # a fault of the program, too, is one row's and not the campaign's
         return Row(key, {}, f"{type(error).__name__}: {error}")
     files = values.pop("files", None)
@@ -117,6 +166,8 @@ def _screened(cases: Sequence[Case], bases: Bases, fixed: Mapping[str, Any]) -> 
             }
         except AmbroseError as error:
             found |= {key: Row(key, {}, str(error)) for key in subjects}
+        except MemoryError:
+            raise
         except Exception as error:
             found |= {key: Row(key, {}, f"{type(error).__name__}: {error}") for key in subjects}
     return [found[case.key] for case in cases]

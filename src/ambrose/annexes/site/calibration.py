@@ -42,6 +42,7 @@ _SAMPLES = 2000  # of a circle that are fitted, about
 _SECTORS, _OCCUPIED = 24, 20
 _OUTSIDE = 4.0  # times the median distance from the ellipse: not in contact
 _THICK = (0.02, 0.15)  # of its radius, within which that limit lies
+_DEAD = 0.02  # of the widest motion of any channel, below which one does not move
 _IN_PHASE = 0.35  # [rad] by which the bearings' circles may differ
 _WEIGHT = 0.02  # relative error of a weight that is computed; assumed
 _REFINEMENTS = 3
@@ -210,6 +211,13 @@ def _circle(
     pairs, levers = _pairs(machine), _levers(machine)
     y = record.select([f"y_{axis}" for axis in machine.axes]).values.reshape(len(pairs), 2, -1)
     step = max(y.shape[2] // _SAMPLES, 1)
+    spread = np.ptp(y.reshape(len(machine.axes), -1), axis=1)
+    for axis, width in zip(machine.axes, spread.tolist(), strict=True):
+        if width <= _DEAD * spread.max():
+            remedy = "look for a dead channel, or move the rotor all around"
+            raise invalid(
+                f"y_{axis}", f"still within {1e6 * width:.3g} um", "moved as all others are", remedy
+            )
     ellipses = [_ellipse(own[:, ::step], pair.bearing) for own, pair in zip(y, pairs, strict=True)]
     z = np.array([e.normal(own[:, ::step]) for e, own in zip(ellipses, y, strict=True)])
     directions = np.array([port.direction for port in measured_ports(machine)[0::2]])

@@ -22,7 +22,7 @@ from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock
 from ambrose.code.c.code import Arithmetic, Precision, generate, in_words
 from ambrose.code.c.compiler import COMPILERS, build_library, find_compiler, load_library
-from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.law.supervision import Fault
 
@@ -136,6 +136,9 @@ class _Compiled(Generic[B]):
         self, block: B, arithmetic: Arithmetic = "double", compiler: str | None = None
     ) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        if not isinstance(block, ControlBlock | ScheduledBlock | SupervisedBlock):
+            remedy = "build_block and build_scheduled_block make one"
+            raise invalid("block", f"of type {type(block).__name__}", "a controller block", remedy)
         self.block: B = block
         self.arithmetic = arithmetic
         files = generate(block, arithmetic)

@@ -145,6 +145,10 @@ def plan(rig: Rig, scenario: Scenario, dt: float, seed: int, along: Scheduling =
     """The scenario on the rig at a control sample time [s]. Raises InvalidInput for signals, ports
     or axes it has not.
     """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise invalid(
+            "seed", repr(seed), "a whole number, zero or more", "0 is as good as any other"
+        )
     count = int(min(scenario.duration / dt, 1e15) + 1e-6) + 1
     result = Plan(
         rig,

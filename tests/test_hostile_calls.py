@@ -1,0 +1,234 @@
+"""Hostile calls: whatever a public function is given, it answers, or refuses in one sentence
+(InvalidInput and the like).
+"""
+
+import inspect
+import signal
+import threading
+import warnings
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ambrose as amb
+
+HOSTILE = [
+    None,
+    -3,
+    0,
+    10**6,
+    10**400,
+    1e300,
+    float("nan"),
+    "no",
+    "",
+    "\0",
+    b"x",
+    [],
+    {},
+    [None],
+    ["a"],
+    object(),
+    np.zeros((0, 0)),
+    np.full((2, 2), np.nan),
+    np.array("x"),
+    int,
+]
+SECONDS = 120  # by the clock, on a busy computer; most calls take a millisecond
+ABSTRACT = {"Identification"}
+
+
+@contextmanager
+def limited(call):
+    """Ends a call that does not return."""
+
+    def late(number, frame):
+        raise TimeoutError(f"{call} does not return")
+
+    if (
+        not hasattr(signal, "setitimer")
+        or threading.current_thread() is not threading.main_thread()
+    ):
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def breaches(name, calls):
+    """The calls (keyword arguments) of a public function that end in an error which is none of the
+    package's.
+    """
+    function, found = getattr(amb, name), []
+    for call in calls:
+        shown = {key: repr(value)[:40] for key, value in call.items()}
+        try:
+            with warnings.catch_warnings(), limited(f"{name}({shown})"):
+                warnings.simplefilter("ignore")
+                function(**call)
+        except amb.AmbroseError as error:
+            assert len(str(error)) > 15, (shown, error)
+        except Exception as error:
+            found.append(f"{name}({shown}): {type(error).__name__}: {error}")
+    return found
+
+
+def functions():
+    for name in sorted(amb.__all__):
+        item = getattr(amb, name)
+        if (
+            callable(item)
+            and name not in ABSTRACT
+            and not (isinstance(item, type) and issubclass(item, Exception))
+        ):
+            yield name, inspect.signature(item).parameters.values()
+
+
+NEEDED = {
+    name: [
+        p.name
+        for p in parameters
+        if p.default is p.empty and p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)
+    ]
+    for name, parameters in functions()
+}
+
+
+@pytest.mark.parametrize("name", [name for name, needed in NEEDED.items() if needed])
+def test_every_argument_hostile(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert breaches(name, [dict.fromkeys(NEEDED[name], value) for value in HOSTILE]) == []
+
+
+@pytest.fixture(scope="module")
+def sensible():
+    """Calls that succeed, of functions that take milliseconds."""
+    machine = replace(amb.load_machine("seal-rig"), tolerances=())
+    whole = amb.assemble(machine)
+    plant, law = amb.reduce(whole, 0), amb.design(machine, "pid")
+    one = amb.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    two = amb.StateSpace(
+        -np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), inputs=("w", "u"), outputs=("z", "y")
+    )
+    signals = tuple(f"y_{axis}" for axis in machine.axes)
+    record = amb.Record(
+        "m", 1e4, signals, ("m",) * 4, np.random.default_rng(0).normal(0, 1e-6, (4, 500))
+    )
+    block, plan = (
+        amb.RealBlock("a", 2),
+        {"campaign": {"task": "screen", "machine": "seal-rig", "controller": "pid"}},
+    )
+    return {
+        "poles": {"system": one},
+        "select": {"system": one, "inputs": one.inputs, "outputs": one.outputs},
+        "spectral_abscissa": {"system": one},
+        "delayed": {
+            "system": amb.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=1e-3),
+            "samples": 2,
+        },
+        "hinf_norm": {"system": one},
+        "frequency_response": {"system": one, "omega": [1.0, 2.0]},
+        "time_response": {"system": one, "u": np.ones((1, 5)), "dt": 1e-3},
+        "minimal": {"system": one},
+        "lft": {
+            "plant": amb.GeneralizedPlant(two, ("w",), ("u",), ("z",), ("y",)),
+            "controller": one,
+        },
+        "mu_bounds": {"M": 0.5 * np.eye(2) + 0j, "blocks": [block]},
+        "mu_peak": {"system": two, "blocks": [block], "omega": [1.0]},
+        "assemble": {"machine": machine},
+        "reduce": {"plant": plant},
+        "design": {"machine": plant, "method": "pid"},
+        "verify": {"machine": plant, "controller": law, "tolerances": False},
+        "simulate": {
+            "machine": plant,
+            "controller": law,
+            "scenario": "impulse-parallel",
+            "linear": True,
+        },
+        "closed_loop": {"plant": plant},
+        "free_mode_reduction": {"plant": whole, "bending_modes": 1},
+        "perturbed": {"plant": plant, "delta": {}},
+        "Tolerance": {"parameter": "seal.center.k", "relative": 0.1},
+        "OperatingPoint": {},
+        "RealBlock": {"name": "a"},
+        "Record": {
+            "machine": "m",
+            "sample_rate_hz": 1e3,
+            "signals": ("y_A",),
+            "units": ("m",),
+            "values": np.ones((1, 3)),
+        },
+        "Scenario": {"name": "s", "duration": 0.1},
+        "load_scenario": {},
+        "save_machine": {"machine": machine, "path": "machine.toml"},
+        "write_record": {"record": record, "path": "record.h5"},
+        "plot": {"item": machine},
+        "ExportOptions": {},
+        "StateSpace": {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]]},
+        "calibrate": {"machine": machine, "circle": record},
+        "campaign": {"plan": {**plan, "vary": {"point.speed": ["5 kg"]}}},
+    }
+
+
+@pytest.mark.campaign
+def test_one_argument_hostile(sensible, tmp_path, monkeypatch):
+    """Each argument of a call that is sensible otherwise, those with defaults, too; a caller's own
+    callback may fail.
+    """
+    monkeypatch.chdir(tmp_path)
+    found = []
+    for name, call in sensible.items():
+        arguments = [
+            p
+            for p in inspect.signature(getattr(amb, name)).parameters.values()
+            if p.kind != p.VAR_KEYWORD
+        ]
+        known = [p for p in arguments if p.name not in {"progress", "args"}]
+        assert set(call) - {"speed"} <= {p.name for p in known}, name
+        calls = [{**call, p.name: value} for p in known for value in HOSTILE]
+        complete = [one for one in calls if set(NEEDED[name]) <= set(one)]
+        found += breaches(name, complete)
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    ("name", "call", "words"),
+    [
+        ("delayed", {"samples": -3}, "samples is -3"),
+        ("delayed", {"samples": 10**6}, "from 0 to 1000"),
+        ("delayed", {"samples": 1.5}, "whole number"),
+        ("verify", {"tolerances": "no"}, "tolerances is 'no', but must be True or False"),
+        ("verify", {"delay_samples": 1.5}, "delay_samples is 1.5, but must be a whole number"),
+        ("design", {"order": "few"}, "order is 'few', but must be a whole number or None"),
+        (
+            "design",
+            {"method": "lpv", "tolerances": "no"},
+            "tolerances is 'no', but must be True or False",
+        ),
+        ("simulate", {"linear": "no"}, "linear is 'no', but must be True or False"),
+        ("simulate", {"linear": False, "seed": "x"}, "seed"),
+        ("simulate", {"linear": False, "seed": -1}, "seed"),
+        ("campaign", {"workers": "two"}, "workers is 'two', but must be a whole number"),
+        ("campaign", {"workers": 0}, "1 or more"),
+        ("Tolerance", {"relative": -5}, "relative of the tolerance of seal.center.k"),
+        ("Tolerance", {"absolute": float("nan")}, "finite"),
+        ("ExportOptions", {"force": "yes"}, "force is 'yes', but must be True or False"),
+        ("OperatingPoint", {"speed": 1e300}, "at most 1e.06 rad/s"),
+        ("Record", {"sample_rate_hz": 1e300}, "0.0001 to 1e.07 Hz"),
+        ("Record", {"values": np.full((1, 3), 1e300)}, "at most 1e.30"),
+    ],
+)
+def test_what_was_taken_or_ended_in_a_traceback_is_refused(
+    sensible, name, call, words, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(amb.InvalidInput, match=words):
+        getattr(amb, name)(**{**sensible[name], **call})
