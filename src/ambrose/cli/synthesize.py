@@ -18,6 +18,7 @@ from ambrose.terminal import (
     claim,
     kept,
     load,
+    load_controller,
     print_table,
     progress_shown,
     say_json,
@@ -41,6 +42,34 @@ _WORD = "--method"
 )
 @options_from(METHODS)
 @click.option(
+    "--synchronous",
+    type=click.Choice(["current-free", "force-free", "vibration-free"]),
+    default=None,
+    help="Design a block as well that rejects the unbalance's signal, and write it into the "
+    "controller file.",
+)
+@click.option(
+    "--synchronous-band",
+    type=float,
+    nargs=2,
+    default=None,
+    help="With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
+    "the top speed to it.",
+)
+@click.option(
+    "--synchronous-time",
+    type=float,
+    default=None,
+    help="With --synchronous: time constant of the block in seconds; default: as short as the "
+    "loop allows.",
+)
+@click.option(
+    "--base",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="With --synchronous: the controller file to add the block to, in place of a new design.",
+)
+@click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path),
@@ -59,6 +88,10 @@ def synthesize(
     machine: str,
     method: str,
     point: str | None,
+    synchronous: str | None,
+    synchronous_band: tuple[float, float] | None,
+    synchronous_time: float | None,
+    base: Path | None,
     output: Path,
     machine_file: Path | None,
     as_json: bool,
@@ -70,17 +103,37 @@ def synthesize(
     tolerances around each; the other methods design for one operating point (--point), lpv for a
     range of speeds, of seal pressures or both.
     """
-    from ambrose.core.checks import invalid
+    from ambrose.core.checks import check_positive, invalid
     from ambrose.judge.controller_file import write_controller
     from ambrose.judge.plants import plant_at
     from ambrose.judge.result import Status
     from ambrose.law.filters import filter_rows
     from ambrose.machine.file.update import save_machine
     from ambrose.synthesis.design import design
+    from ambrose.synthesis.synchronous_design import design_synchronous, in_words
 
     chosen = chosen_from(METHODS, method, asked, _WORD)
     description = load(machine)
     on_machine = chosen.on(description)  # refuses before the design, which takes a while
+    for option, value in (
+        ("--synchronous-band", synchronous_band),
+        ("--synchronous-time", synchronous_time),
+        ("--base", base),
+    ):
+        if value is not None and synchronous is None:
+            raise invalid(
+                option, "given", "given with --synchronous", "add --synchronous current-free"
+            )
+    if synchronous is not None:
+        if method == "lpv":
+            raise invalid(
+                "--synchronous",
+                synchronous,
+                "left out with --method lpv",
+                "give a controller fixed over speed",
+            )
+        if synchronous_time is not None:
+            check_positive(synchronous_time, "--synchronous-time", "give 2/eps in seconds")
     if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
         raise invalid(
             "--machine-file",
@@ -90,10 +143,27 @@ def synthesize(
         )
     claim(controller_file=output, machine_file=machine_file)
     with progress_shown(as_json) as progress:
-        progress("assembling the plant")
-        plant = plant_at(description, point)
-        progress(f"designing ({method})")
-        result = design(plant, chosen, progress=progress)
+        if base is None:
+            progress("assembling the plant")
+            plant = plant_at(description, point)
+            progress(f"designing ({method})")
+            result = design(plant, chosen, progress=progress)
+        else:
+            result = load_controller(base, description)
+            method = result.method
+        block = None
+        if synchronous is not None:
+            block = design_synchronous(
+                description,
+                result,
+                synchronous,
+                band=synchronous_band,
+                time_constant=synchronous_time,
+                rate=getattr(chosen, "rate", None),
+                delay_samples=getattr(chosen, "delay_samples", None),
+                progress=progress,
+            )
+            result = replace(result, synchronous=block.blocks)
     failure = kept(lambda path: write_controller(path, result), output)
     if machine_file is not None and result.filters is not None:
         runs = on_machine.timing()
@@ -125,6 +195,8 @@ def synthesize(
             "certificate": certificate,
             "filters": None if result.filters is None else result.filters.to_dict(),
         }
+        if block is not None:
+            summary["synchronous"] = block.to_dict()
         say_json(summary)
     else:
         rows = [("states", f"{result.controller.n_states}")]
@@ -150,6 +222,18 @@ def synthesize(
                 ("channel", "filter", "parameters"),
                 filter_rows(result.filters),
             )
+        if block is not None:
+            lines = [
+                ("time constant", f"{2 / block.gain:.4g} s"),
+                ("proved angle", f"{block.angle * 57.29577951:.4g} deg"),
+            ]
+            lines += [
+                ("on", f"{low:.4g} to {high:.4g} rad/s")
+                for low, high in (item.band for item in block.blocks)
+            ]
+            lines += [("left out", in_words(item)) for item in block.forbidden]
+            lines += [("note", note) for note in block.notes]
+            print_table(f"synchronous block, {block.mode}", ("block", "value"), lines)
     if failure is not None:
         raise failure
     sys.exit(0 if result.status is Status.VERIFIED and not result.missed else 1)

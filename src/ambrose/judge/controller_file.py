@@ -68,6 +68,8 @@ from ambrose.machine.limits import (
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import quoted
 from ambrose.machine.ordinary_file import read_text
+from ambrose.machine.synchronous import Synchronous
+from ambrose.machine.validation.synchronous import synchronous_problems
 from ambrose.record.apart import tree_of
 from ambrose.version import __version__
 
@@ -228,6 +230,11 @@ class ControllerTable(_Table):
     provenance: ProvenanceTable
     filters: dict[str, Any] | None = Field(
         default=None, description="the [controller] table of a machine file that gives the same"
+    )
+    synchronous: Annotated[list[dict[str, Any]], Field(max_length=16)] | None = Field(
+        default=None,
+        description="the [[controller.synchronous]] tables of a machine file: blocks beside the "
+        "controller",
     )
 
 
@@ -552,6 +559,13 @@ def _synthesis(table: ControllerTable) -> Synthesis:
         if table.filters is None
         else read_table(table_of(PidSettings), table.filters, "filters").build()
     )
+    blocks = tuple(
+        read_table(table_of(Synchronous), block, f"synchronous[{i}]").build()
+        for i, block in enumerate(table.synchronous or (), start=1)
+    )
+    axes = len(outputs)
+    if problems := tuple(synchronous_problems(blocks, axes, axes // 2, "synchronous")):
+        raise InvalidInput(problems[0])
     return Synthesis(
         system(table),
         table.method,
@@ -565,6 +579,7 @@ def _synthesis(table: ControllerTable) -> Synthesis:
         None if table.weights is None else _weights(table.weights),
         Provenance(**made),
         filters,
+        blocks,
     )
 
 

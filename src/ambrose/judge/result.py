@@ -19,6 +19,7 @@ from ambrose.law.scheduling import Scheduling
 from ambrose.law.weights import Weights
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.synchronous import Synchronous
 from ambrose.version import __version__
 
 
@@ -105,8 +106,9 @@ class Synthesis(Presented, Law):
     that of the plant's own (method "lpv"; None for the others). stopped_early: why the iteration
     ended before its end, with the best verified controller so far (None: it did not). weights: of
     the design problem (None where there is none). filters: the [controller] that gives the same
-    controller by method "pid" (None: none does). By default, a controller from elsewhere that
-    nothing was shown of.
+    controller by method "pid" (None: none does). synchronous: the blocks that reject the
+    unbalance's signal, beside the controller. By default, a controller from elsewhere that nothing
+    was shown of.
 
     Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for
     an unknown status.
@@ -124,6 +126,7 @@ class Synthesis(Presented, Law):
     weights: Weights | None = None
     provenance: Provenance = Provenance()
     filters: PidSettings | None = None
+    synchronous: tuple[Synchronous, ...] = ()
 
     def __post_init__(self) -> None:
         if self.status not in list(Status):
@@ -273,6 +276,11 @@ class Synthesis(Presented, Law):
             "notes": list(self.notes),
             "provenance": self.provenance.to_dict(),
             **({} if self.filters is None else {"filters": self.filters.to_dict()}),
+            **(
+                {"synchronous": [block.to_dict() for block in self.synchronous]}
+                if self.synchronous
+                else {}
+            ),
         }
 
     def to_frame(self) -> Any:

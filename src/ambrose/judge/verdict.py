@@ -17,8 +17,9 @@ from ambrose.judge.between import check_range
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.motion import Motion, moving_proofs, refuse_motion
 from ambrose.judge.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
+from ambrose.judge.synchronous import block_loops, check_block
 from ambrose.judge.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
-from ambrose.law.law import LawLike, law_of
+from ambrose.law.law import Law, LawLike, law_of
 from ambrose.law.loop import match_controller, running_law
 from ambrose.law.scheduling import SPEED
 from ambrose.law.timing import Timing, timing_of
@@ -90,6 +91,9 @@ def verify_controller(
                 machine, law, checks, timing, motion, tolerances=tolerances, progress=progress
             )
         )
+    blocks = (
+        verify_synchronous(machine, law, rate, delay_samples, progress) if points is None else ()
+    )
     still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
     return Verification(
         checks,
@@ -99,6 +103,7 @@ def verify_controller(
         still,
         ranges,
         moving,
+        blocks,
     )
 
 
@@ -145,6 +150,29 @@ def verify_ranges(
             progress(f"verifying between the points of {area.label}")
             found.append(check_range(machine, area, law, timing))
     return tuple(found), tuple(beyond)
+
+
+def verify_synchronous(
+    machine: Machine | Plant | Sequence[Plant],
+    law: Law,
+    rate: float | None = None,
+    delay_samples: int | None = None,
+    progress: Progress = lambda stage: None,
+) -> tuple[Checks, ...]:
+    """The checks of every synchronous block: the controller file's, else the machine file's; none
+    for plants alone.
+
+    Raises InvalidInput for blocks that do not fit the machine, or a controller scheduled over
+    speed.
+    """
+    if not isinstance(machine, Machine):
+        return ()
+    settings = machine.controller
+    blocks = law.synchronous or (() if settings is None else settings.synchronous)
+    if not blocks:
+        return ()
+    items = block_loops(machine, law, blocks, rate, delay_samples)
+    return tuple(check_block(item, progress) for item in items)
 
 
 def verify_tolerances(

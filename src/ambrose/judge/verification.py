@@ -29,7 +29,7 @@ class Verification(Presented):
     """points: the checks at each operating point. boxes: those over the tolerances around each,
     labelled by ``box_label``. ranges: those over each of the machine's ranges of speed and
     pressure, labelled as it is. moving: those of a seal pressure that changes, where its fastest
-    rate is known.
+    rate is known. synchronous: those of each synchronous block, over its band of speed.
 
     A point without a box has no tolerance around it, or an unstable loop. left_out: the operating
     points that could not be verified, such as those outside a controller's schedule; a verification
@@ -45,6 +45,7 @@ class Verification(Presented):
     not_varied: tuple[str, ...] = ()
     ranges: tuple[Checks, ...] = ()
     moving: tuple[Checks, ...] = ()
+    synchronous: tuple[Checks, ...] = ()
 
     def __post_init__(self) -> None:
         check_types(type(self).__post_init__, (self,), {})
@@ -56,7 +57,7 @@ class Verification(Presented):
         """
         return tuple(
             (checks.label, checks)
-            for checks in (*self.points, *self.boxes, *self.ranges, *self.moving)
+            for checks in (*self.points, *self.boxes, *self.ranges, *self.moving, *self.synchronous)
         )
 
     @property
@@ -138,6 +139,11 @@ class Verification(Presented):
             "tolerances": [checks.to_dict() for checks in self.boxes],
             "ranges": [checks.to_dict() for checks in self.ranges],
             "moving": [checks.to_dict() for checks in self.moving],
+            **(
+                {"synchronous": [checks.to_dict() for checks in self.synchronous]}
+                if self.synchronous
+                else {}
+            ),
             "left_out": list(self.left_out),
             "timing": self.timing,
             "not_varied": list(self.not_varied),

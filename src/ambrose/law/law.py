@@ -22,6 +22,7 @@ from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, i
 from ambrose.law.program import ControlProgram, Ranged, ScheduledProgram
 from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling, scheduling_named
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.synchronous import Synchronous
 from ambrose.model.plant import Plant
 
 
@@ -79,6 +80,11 @@ class Law(ABC):
     def digest(self) -> str:
         """What tells it from any other, as hexadecimal digits; "" where it is not written down."""
         return ""
+
+    @property
+    def synchronous(self) -> tuple[Synchronous, ...]:
+        """The blocks beside it that act at the speed of rotation; most laws have none."""
+        return ()
 
     @property
     def schedule(self) -> ScheduledSystem | None:

@@ -14,6 +14,7 @@ from typing import Annotated
 
 from ambrose.machine.kinds import Angle, Choice, ListOf, PairOf, Quantity, Rate, Ratio, Texts, Time
 from ambrose.machine.part import Part
+from ambrose.machine.synchronous import Synchronous
 
 Pair = tuple[float, float]
 
@@ -134,4 +135,7 @@ class PidSettings(Part):
     ] = None
     channels: Annotated[tuple[Channel, ...], "chains of filters of single channels"] = field(
         default=(), metadata={"key": "channel"}
+    )
+    synchronous: Annotated[tuple[Synchronous, ...], "blocks that reject the unbalance's signal"] = (
+        field(default=(), metadata={"key": "synchronous"})
     )

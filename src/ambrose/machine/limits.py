@@ -46,6 +46,7 @@ TABLES: Mapping[str, int] = {
     "operation.point": 50,
     "operation.range": 10,
     "controller.notch": 20,
+    "controller.synchronous": 16,
     "controller.channel": 16,
     "controller.channel.section": 20,
     "bearing.measured": 20,

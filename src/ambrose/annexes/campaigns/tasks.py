@@ -87,13 +87,14 @@ def check_options(plan: Plan) -> None:
 def _options_of(task: str) -> dict[str, Any]:
     """The options of a task by name, with the annotation of each."""
     from ambrose.rig import virtual_rig
-    from ambrose.synthesis.options import DesignOptions
+    from ambrose.synthesis.methods.choice import methods
 
     trial = annotations_of(simulate_scenario)
     if task in {"screen", "verify"}:
         return {name: trial[name] for name in ("rate", "delay_samples")}
     if task == "design":
-        return {"method": str, **annotations_of(DesignOptions)}
+        asked = [annotations_of(kind) for kind in methods().values()]
+        return {"method": str, **{name: kind for part in asked for name, kind in part.items()}}
     rig = {
         name: annotations_of(virtual_rig.run)[name]
         for name in ("seed", "bending_modes", "dt", "every")

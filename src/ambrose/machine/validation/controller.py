@@ -65,7 +65,7 @@ def controller(machine: MachineDescription) -> Iterator[str]:
             "one bearing cannot tilt the rotor, add a second",
         )
     # which may stand alone: when controllers run, and no reference
-    if pid.to_dict().keys() - {"sample_time", "delay"}:
+    if pid.to_dict().keys() - {"sample_time", "delay", "synchronous"}:
         yield from channel_problems(pid, machine.axes)
 
 

@@ -25,6 +25,7 @@ from ambrose.machine.validation import parts
 from ambrose.machine.validation import seals as validate_seals
 from ambrose.machine.validation.controller import controller
 from ambrose.machine.validation.signs import not_positive
+from ambrose.machine.validation.synchronous import synchronous
 
 _ONE_LINE = "one line of text without outer spaces or control characters"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
@@ -67,7 +68,15 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             _attached,
         ),
         *(parts.bending_modes, parts.supports),
-        *(validate_seals.seals, controller, _operation, _tolerances, _requirements, _weights),
+        *(
+            validate_seals.seals,
+            controller,
+            synchronous,
+            _operation,
+            _tolerances,
+            _requirements,
+            _weights,
+        ),
     )
     found = tuple(_sizes(machine)) or tuple(_not_finite(machine, ""))
     return found or tuple(line for check in checks for line in check(machine))
@@ -87,7 +96,11 @@ def _sizes(machine: MachineDescription) -> Iterator[str]:
     }
     several = {key: getattr(machine, f"{key}s") for key in plural}
     pid, operation = machine.controller, machine.operation
-    chains = {} if pid is None else {"notch": pid.notches, "channel": pid.channels}
+    chains = (
+        {}
+        if pid is None
+        else {"notch": pid.notches, "channel": pid.channels, "synchronous": pid.synchronous}
+    )
     yield from excess({"shaft": machine.shaft, "tolerance": machine.tolerances, **several})
     yield from excess(
         {"operation": {"point": operation.points, "range": operation.ranges}, "controller": chains}

@@ -388,7 +388,9 @@ def _attached_mass(rig: Rig) -> np.ndarray:
     """N^T M N (n, n) of the added mass M of registered effects, N their ports over all
     coordinates.
     """
-    k, first, last = rig.constants, len(rig.machine.bearings), rig.attached_stations
+    k = rig.constants
+    first = len(rig.machine.bearings)
+    last = rig.attached_stations
     here = slice(first, first + last)
     turn = np.array([[[c, s], [-s, c]] for c, s in k.direction[here]]).reshape(-1, 2, 2)
     plane = np.einsum("sp,de->sdpe", k.shape[here], np.eye(2)).reshape(last, 2, 2 * rig.modes)

@@ -1,0 +1,209 @@
+"""Proof that Herm(T S) > 0 over an interval of a parameter and a box of others, bounded between
+points.
+
+S(d, p) = D + C P(d, p)^-1 Q, where the pencil is known with a bound of what is left out, entry by
+entry:
+
+    P(d, p) = P0 + d P1 + d^2 P2 + sum_j p_j E_j + rest,  |rest| <= R,  |d| <= h,  |p_j| <= 1  (1)
+
+With X near P0^-1, N = X P - I and Y = X Q:   S = D + C (I + N)^-1 Y.                          (2)
+N = N0 + d N1 + d^2 N2 + sum_j p_j M_j + X rest, N0 = X P0 - I (rounding of X: nothing
+is assumed of it).
+    S = S0 + d S1 + d^2 S2 + sum_j p_j L_j + tail,                                             (3)
+    S0 = D + C Y,  S1 = -C N1 Y,  S2 = C (N1 N1 - N2) Y,  L_j = -C M_j Y
+The tail is bounded entry by entry, with |N| <= Nb = |N0| + h |N1| + h^2 |N2| + sum_j |M_j| + |X| R:
+    |tail| <= |C N0 Y| + |C X| R |Y| + (r c - h^2 |C N1| |N1 Y|) + r Nb (I - Nb)^-1 c,         (4)
+    r = sum of |C N_i| and |C X| R, c = sum of |N_i Y| and |X| R |Y|
+which holds where the spectral radius of Nb is below one (a positive v with Nb v < v shows it). In d
+the polynomial lies between its Bernstein coefficients; T enters linearly, so that a T that is
+linear between two ends holds where both ends do. Entry-wise bounds do not depend on the states'
+scales.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.checks import named_failure
+from ambrose.core.synchronous import hermitian, sector_angle
+
+
+@dataclass(frozen=True, slots=True)
+class Pencil:
+    """One cell of (1), (2): P0, P1, P2 (n, n) complex, members E_j (n, n), rest R (n, n) >= 0; C
+    (p, n), Q (n, p), D (p, p); half width h of d.
+    """
+
+    P0: np.ndarray
+    P1: np.ndarray
+    P2: np.ndarray
+    members: tuple[np.ndarray, ...]
+    rest: np.ndarray
+    C: np.ndarray
+    Q: np.ndarray
+    D: np.ndarray
+    half_width: float
+
+
+@dataclass(frozen=True, slots=True)
+class Enclosure:
+    """All S of a cell: within the hull of ``corners`` (3, p, p), its Bernstein coefficients, plus
+    sum_j p_j slopes[j] (q, p, p) with |p_j| <= 1, plus entries no larger than tail (p, p). middle:
+    S0.
+    """
+
+    corners: np.ndarray
+    slopes: np.ndarray
+    tail: np.ndarray
+    middle: np.ndarray
+
+
+@named_failure("the enclosure of a response")
+def enclose(cell: Pencil) -> Enclosure | None:
+    """The enclosure (3), (4) of a cell; None where the cell is too wide for the series to
+    converge.
+    """
+    n, h = len(cell.P0), cell.half_width
+    X = np.linalg.inv(cell.P0)
+    Y, CX = X @ cell.Q, cell.C @ X
+    N0 = X @ cell.P0 - np.eye(n)
+    N1 = X @ cell.P1
+    N2 = X @ cell.P2
+    M = [X @ member for member in cell.members]
+    size = np.abs(X)
+
+    bound = np.abs(N0) + h * np.abs(N1) + h * h * np.abs(N2) + size @ cell.rest
+    for member in M:
+        bound = bound + np.abs(member)
+    # v > 0 with Nb v < v, or the radius is not known to be below one
+    gap = np.eye(n) - bound
+    try:
+        v = np.linalg.solve(gap, np.ones(n))
+    except np.linalg.LinAlgError:
+        return None
+    if not (np.isfinite(v).all() and (v > 0).all() and (bound @ v < v).all()):
+        return None
+
+    rest_y, rest_c = size @ (cell.rest @ np.abs(Y)), np.abs(CX) @ cell.rest
+    parts = [(N0, 1.0), (N1, h), (N2, h * h), *((member, 1.0) for member in M)]
+    row = rest_c + sum(weight * np.abs(cell.C @ part) for part, weight in parts)
+    column = rest_y + sum(weight * np.abs(part @ Y) for part, weight in parts)
+    kept = h * h * np.abs(cell.C @ N1) @ np.abs(N1 @ Y)
+    third = row @ np.linalg.solve(gap, bound @ column)
+    tail = np.abs(cell.C @ N0 @ Y) + rest_c @ np.abs(Y) + np.maximum(row @ column - kept, 0) + third
+
+    S0 = cell.D + cell.C @ Y
+    S1 = -cell.C @ (N1 @ Y)
+    S2 = cell.C @ (N1 @ (N1 @ Y)) - cell.C @ (N2 @ Y)
+    slopes = np.array([-cell.C @ (member @ Y) for member in M]).reshape(-1, *S0.shape)
+    # Bernstein coefficients of a quadratic on [-h, h]
+    corners = np.array([S0 - h * S1 + h * h * S2, S0 - h * h * S2, S0 + h * S1 + h * h * S2])
+    return Enclosure(corners, slopes, tail, S0)
+
+
+def proved_angle(enclosure: Enclosure, ends: Sequence[np.ndarray], allowance: float = 0.0) -> float:
+    """An angle phi [rad] with Herm(exp(+-j phi) T S) > 0 for every S enclosed, T any mean of the
+    ends.
+
+    ends: T (n, n) at the ends of the cell. allowance: further uncertainty of S, in its 2-norm.
+    Negative: not even Herm(T S) > 0 is shown. The angle is found by bisection and is always one
+    that is shown.
+    """
+
+    def positive(phi: float) -> bool:
+        for sign in (1.0, -1.0):
+            turn = np.exp(1j * sign * phi)
+            for T in ends:
+                slack = float(np.linalg.norm(T, 2)) * allowance
+                # |x^H T tail x| <= ||(|T| tail)||_2 entry by entry, and the 2-norm of a nonnegative
+                # matrix
+                slack += float(np.linalg.norm(np.abs(T) @ enclosure.tail, 2))
+                spread = np.zeros(T.shape, complex)
+                for slope in enclosure.slopes:
+                    values, vectors = np.linalg.eigh(hermitian(turn * (T @ slope)))
+                    # -|H_j| <= p_j H_j in the order of Hermitian matrices
+                    spread += (vectors * np.abs(values)) @ vectors.conj().T
+                for corner in enclosure.corners:
+                    H = hermitian(turn * (T @ corner)) - spread
+                    if not np.linalg.eigvalsh(H)[0] > slack:
+                        return False
+        return True
+
+    if not positive(0.0):
+        return -1.0
+    low, high = 0.0, np.pi / 2
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        if positive(middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalProof:
+    """What was shown over an interval. proved: Herm(T S) > 0 in every cell; angle [rad]: the
+    smallest one shown (negative: none); worst: where; cells: their number; failed: a value at which
+    it is not shown (None: none); unstable: whether an eigenvalue of T S has a negative real part
+    there, so that no proof can exist.
+    """
+
+    proved: bool
+    angle: float
+    worst: float
+    cells: int
+    failed: float | None = None
+    unstable: bool = False
+
+
+def prove(
+    pencil: Callable[[float, float], Pencil],
+    table: Callable[[float], np.ndarray],
+    low: float,
+    high: float,
+    width: float,
+    allowance: Callable[[float, float], float] = lambda low, high: 0.0,
+    wanted: float = 0.0,
+    narrowest: float = 1e-3,
+) -> IntervalProof:
+    """Herm(T S) > 0 for every value from low to high, cell by cell; a cell that is not shown is
+    halved.
+
+    pencil: (low, high) -> the cell between them. table: value -> T, linear within every cell asked
+    for. width: of the first cells. wanted [rad]: the angle below which a cell is halved. narrowest:
+    share of the interval at which a cell that is not shown ends the proof.
+    """
+    count = max(1, int(np.ceil((high - low) / width - 1e-9)))
+    edges = np.linspace(low, high, count + 1)
+    waiting = [(float(a), float(b)) for a, b in itertools.pairwise(edges)][::-1]
+    angle = np.pi / 2
+    worst = low
+    cells = 0
+    while waiting:
+        start, end = waiting.pop()
+        middle = (start + end) / 2
+        enclosure = enclose(pencil(start, end))
+        shown = -1.0
+        if enclosure is not None:
+            shown = proved_angle(enclosure, [table(start), table(end)], allowance(start, end))
+            here = sector_angle(table(middle) @ enclosure.middle)
+            if here <= 0:  # no cell around the middle can be shown
+                eigenvalues = np.linalg.eigvals(table(middle) @ enclosure.middle)
+                return IntervalProof(
+                    False, here, middle, cells, middle, bool(eigenvalues.real.min() < 0)
+                )
+        narrow = end - start <= narrowest * (high - low)
+        if shown <= wanted and not narrow:
+            waiting += [(middle, end), (start, middle)]
+            continue
+        if shown <= 0:
+            return IntervalProof(False, shown, middle, cells, middle)
+        cells += 1
+        if shown < angle:
+            angle, worst = shown, middle
+    return IntervalProof(True, float(angle), worst, cells)

@@ -1,0 +1,362 @@
+"""A synchronous block as it runs, sample by sample: angle from one pulse per turn, state machine,
+amplitudes.
+
+The generated C code does the same in the same order (code/c/synchronous.py). Per sample:
+
+1. angle: between pulses theta = W tau + W' tau^2/2, tau the time since the pulse, W and W' from the
+   last two periods; a pulse sets it to zero. Without one for 1.5 turns the key phasor is lost;
+2. cosine and sine of n theta, from a table of 256 and a remainder of third order (error below
+   1e-9);
+3. the state machine of every block (below);
+4. c = Re(exp(j n theta) a) of all blocks together, added to the error that the base controller
+   reads;
+5. on: a += ramp eps Ts D(W) exp(-j n theta) s - leak Ts a, each amplitude projected onto its limit.
+
+| state | what happens | left |
+|---|---|---|
+| OFF | a = 0 | to ON: speed within the band by the hysteresis, no fault |
+| ON | eps ramps from 0 | to HOLD: a fault; to RELEASE: speed outside, switched off |
+| HOLD | eps = 0, a is kept and goes on turning | to ON: fault gone; to RELEASE: after ``hold`` |
+| RELEASE | a decays | to ON: as from OFF; to OFF: after 12 time constants |
+
+A fault of the block never reaches the base controller: it gets its error plus c, and c is bounded
+by the limits of the amplitudes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
+
+import numpy as np
+
+from ambrose.core.checks import check_positive, check_shape, invalid
+
+SECTORS = 256  # of the table of sine and cosine
+DECAY = 12  # time constants after which a released amplitude counts as zero
+LOST_TURNS = 1.5  # without a pulse
+JUMP = 0.1  # of the speed, beyond the fastest run-up, between two turns
+
+
+class BlockState(IntEnum):
+    """What a block does."""
+
+    OFF = 0
+    ON = 1
+    HOLD = 2
+    RELEASE = 3
+
+
+class BlockFault(IntFlag):
+    """Why a block is not on."""
+
+    NONE = 0
+    LOST = 1  # no pulse of the key phasor
+    JUMP = 2  # a period that no run-up explains
+    CONTACT = 4
+    SATURATED = 8
+    LIMIT = 16  # an amplitude at its limit
+    OUTSIDE = 32  # the speed is outside the band
+    DISABLED = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockLaw:
+    """What a block computes with. speeds (s,) [rad/s]; drive D (s, n, m) complex, D[k] at
+    speeds[k]; band [rad/s]; gain eps [1/s]; leak [1/s]; limit (n,) [m]; harmonic; hysteresis
+    [rad/s]; hold, release, ramp [s].
+
+    subtracts: whether it reads y - c, c of all blocks (else y); m = 2 n: it reads the currents [A]
+    after the displacements. Raises InvalidInput.
+    """
+
+    speeds: np.ndarray
+    drive: np.ndarray
+    band: tuple[float, float]
+    gain: float
+    limit: np.ndarray
+    harmonic: int = 1
+    leak: float = 0.0
+    hysteresis: float = 5.0
+    hold: float = 0.5
+    release: float = 0.2
+    ramp: float = 0.5
+    subtracts: bool = True
+
+    def __post_init__(self) -> None:
+        n = len(self.limit)
+        check_shape(self.drive, "drive", "(s, n, m)", s=len(self.speeds), n=n)
+        if self.drive.shape[2] not in (n, 2 * n):
+            raise invalid(
+                "the columns of drive",
+                self.drive.shape[2],
+                f"{n} or {2 * n}",
+                "displacements, then currents",
+            )
+        check_positive(self.gain, "the block's gain", "give 2/time_constant")
+
+    @property
+    def reads_currents(self) -> bool:
+        return self.drive.shape[2] != len(self.limit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SynchronousLaw:
+    """All blocks beside a controller. sample_time [s]; fastest [rad/s^2]: the fastest run-up of the
+    machine.
+    """
+
+    blocks: tuple[BlockLaw, ...]
+    sample_time: float
+    fastest: float = 1e4
+
+    @property
+    def channels(self) -> int:
+        return len(self.blocks[0].limit)
+
+
+def circle() -> np.ndarray:
+    """Cosine and sine (256, 2) at the sectors' middles."""
+    angle = 2 * np.pi * np.arange(SECTORS) / SECTORS
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+@dataclass(slots=True)
+class Angle:
+    """The angle of the rotor from one pulse per turn."""
+
+    dt: float
+    fastest: float
+    pulses: int = 0
+    tau: float = 0.0
+    period: float = 0.0
+    middle: float = 0.0  # speed in the middle of the last turn
+    speed: float = 0.0
+    slope: float = 0.0
+    now: float = 0.0
+    theta: float = 0.0
+
+    def follow(self, pulse: float) -> BlockFault:
+        """One sample. pulse [s]: how long ago it came, within the last sample; negative: none. Sets
+        theta and now.
+        """
+        fault = BlockFault.NONE
+        self.tau += self.dt
+        if pulse >= 0:
+            period = self.tau - pulse
+            self.tau = pulse
+            if self.pulses > 0:
+                middle = 2 * math.pi / period
+                change = middle - self.middle
+                if self.pulses > 1:
+                    span = 0.5 * (period + self.period)
+                    if abs(change) > self.fastest * span + JUMP * self.middle:
+                        fault = BlockFault.JUMP
+                        self.pulses = 0
+                        self.slope = 0.0
+                    else:
+                        self.slope = min(max(change / span, -self.fastest), self.fastest)
+                self.period, self.middle = period, middle
+                self.speed = middle + 0.5 * self.slope * period
+            self.pulses = min(self.pulses + 1, 3)
+        self.now = self.speed + self.slope * self.tau
+        turns = (self.speed * self.tau + 0.5 * self.slope * self.tau * self.tau) / (2 * math.pi)
+        if self.pulses > 1 and self.tau * self.speed > LOST_TURNS * 2 * math.pi:
+            # the last known speed, and no more of its slope
+            self.slope = 0.0
+            self.now = self.speed
+            self.pulses = -1
+        if self.pulses < 2:
+            fault |= BlockFault.LOST
+            if pulse >= 0 and self.pulses < 1:
+                self.pulses = 1
+        self.theta = 2 * math.pi * (turns - math.floor(turns))
+        return fault
+
+
+@dataclass(slots=True)
+class _Running:
+    """The state of one block."""
+
+    state: BlockState = BlockState.OFF
+    fault: BlockFault = BlockFault.NONE
+    latched: bool = False
+    clock: int = 0
+    ramp: float = 0.0
+    a: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))
+
+
+class SynchronousBlock:
+    """All blocks of a law, running. ``step`` is one sample."""
+
+    __slots__ = ("_circle", "_samples", "angle", "law", "running")
+
+    def __init__(self, law: SynchronousLaw) -> None:
+        self.law, self._circle = law, circle()
+        dt = law.sample_time
+        self._samples = [(round(b.hold / dt), round(DECAY * b.release / dt)) for b in law.blocks]
+        self.begin()
+
+    def begin(self) -> None:
+        """At rest: no pulse yet, all off."""
+        self.angle = Angle(self.law.sample_time, self.law.fastest)
+        self.running = [_Running(a=np.zeros(self.law.channels, complex)) for _ in self.law.blocks]
+
+    def step(
+        self,
+        pulse: float,
+        errors: np.ndarray,
+        currents: np.ndarray | None = None,
+        contact: bool = False,
+        saturated: bool = False,
+        enabled: bool = True,
+    ) -> np.ndarray:
+        """c (n,) [m] of this sample, to be added to the errors [m]. pulse: as ``Angle.follow``;
+        currents (n,) [A]: what the base controller gave a sample ago; contact, saturated: of the
+        machine; enabled: the switch.
+        """
+        fault = self.angle.follow(pulse)
+        fault |= BlockFault.CONTACT * contact | BlockFault.SATURATED * saturated
+        total, turns = np.zeros(self.law.channels), []
+        y = -np.asarray(errors, float)
+        for block, run, samples in zip(self.law.blocks, self.running, self._samples, strict=True):
+            cosine, sine = self.turn(block.harmonic)
+            turns.append((cosine, sine))
+            self._advance(block, run, samples, fault, enabled)
+            total += run.a.real * cosine - run.a.imag * sine
+        for block, run, (cosine, sine) in zip(self.law.blocks, self.running, turns, strict=True):
+            if run.state is BlockState.ON:
+                s = y - total if block.subtracts else y
+                if block.reads_currents:
+                    s = np.concatenate([s, np.zeros(len(y)) if currents is None else currents])
+                D = self._drive(block)
+                dt = self.law.sample_time
+                update = (D @ s) * complex(cosine, -sine)
+                run.a = run.a + (run.ramp * block.gain * dt) * update - (block.leak * dt) * run.a
+                size = np.abs(run.a)
+                if (size > block.limit).any():
+                    run.a = np.where(
+                        size > block.limit, run.a * (block.limit / np.maximum(size, 1e-300)), run.a
+                    )
+                    run.fault |= BlockFault.LIMIT
+            elif run.state is BlockState.RELEASE:
+                run.a = run.a * (1 - self.law.sample_time / block.release)
+        return total
+
+    def turn(self, harmonic: int) -> tuple[float, float]:
+        """Cosine and sine of n theta, from the table and a remainder of third order."""
+        turns = harmonic * self.angle.theta * (SECTORS / (2 * math.pi))
+        sector = math.floor(turns + 0.5)
+        d = (turns - sector) * (2 * math.pi / SECTORS)
+        cosine, sine = self._circle[sector % SECTORS]
+        p, q = 1 - d * d / 2, d - d * d * d / 6
+        return float(cosine * p - sine * q), float(sine * p + cosine * q)
+
+    def _advance(
+        self,
+        block: BlockLaw,
+        run: _Running,
+        samples: tuple[int, int],
+        fault: BlockFault,
+        enabled: bool,
+    ) -> None:
+        """The state machine of one block."""
+        low, high = block.band
+        edge = block.hysteresis if run.state is BlockState.OFF else 0.0
+        inside = low + edge <= self.angle.now <= high - edge
+        at_limit = bool(run.fault & BlockFault.LIMIT)
+        run.fault = (
+            fault
+            | BlockFault.OUTSIDE * (not inside)
+            | BlockFault.DISABLED * (not enabled)
+            | BlockFault.LIMIT * (at_limit and run.state is not BlockState.OFF)
+        )
+        run.clock += 1
+        wanted = inside and enabled
+        if run.state is BlockState.OFF:
+            if wanted and not fault:
+                run.state = BlockState.ON
+                run.ramp = 0.0
+                run.clock = 0
+        elif run.state is BlockState.ON:
+            run.ramp = min(run.ramp + self.law.sample_time / block.ramp, 1.0)
+            if fault or at_limit:
+                run.state, run.clock = BlockState.HOLD, 0
+            elif not wanted:
+                run.state, run.clock = BlockState.RELEASE, 0
+        elif run.state is BlockState.HOLD:
+            if not fault and not at_limit and wanted:
+                run.state = BlockState.ON
+                run.ramp = 0.0
+                run.clock = 0
+            elif run.clock >= samples[0] or (not fault and not wanted):
+                run.state, run.clock = BlockState.RELEASE, 0
+        elif wanted and not fault and not at_limit:
+            run.state = BlockState.ON
+            run.ramp = 0.0
+            run.clock = 0
+        elif run.clock >= samples[1]:
+            run.state = BlockState.OFF
+            run.a = np.zeros_like(run.a)
+            run.clock = 0
+
+    def _drive(self, block: BlockLaw) -> np.ndarray:
+        """D (n, m) at the present speed, linear between the table's speeds and constant beyond."""
+        speeds, now = block.speeds, self.angle.now
+        if len(speeds) == 1:
+            return np.asarray(block.drive[0])
+        k = 0
+        while k < len(speeds) - 2 and now >= speeds[k + 1]:
+            k += 1
+        share = min(max((now - speeds[k]) / (speeds[k + 1] - speeds[k]), 0.0), 1.0)
+        return np.asarray(block.drive[k] + share * (block.drive[k + 1] - block.drive[k]))
+
+    @property
+    def states(self) -> tuple[BlockState, ...]:
+        """The state of every block."""
+        return tuple(run.state for run in self.running)
+
+    @property
+    def speed(self) -> float:
+        """The speed as the angle's tracker has it [rad/s]."""
+        return self.angle.now
+
+    def amplitudes(self) -> np.ndarray:
+        """a (blocks, n) complex [m]."""
+        return np.array([run.a for run in self.running])
+
+
+def key_phasor(
+    times: Sequence[float], speeds: Sequence[float], dt: float, samples: int
+) -> np.ndarray:
+    """pulse (samples,) [s] as ``Angle.follow`` takes it, of a rotor whose speed is linear between
+    (times, speeds).
+
+    The angle is zero at time zero and a pulse comes whenever it is a whole number of turns (also at
+    the start).
+    """
+    t = np.arange(samples) * dt
+    knots = np.asarray(times, float)
+    values = np.asarray(speeds, float)
+    if len(knots) == 0:
+        return np.full(samples, -1.0)
+    # angle at the knots, then a quadratic in between
+    total = np.concatenate([[0.0], np.cumsum(np.diff(knots) * (values[1:] + values[:-1]) / 2)])
+    k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 1)
+    last = k >= len(knots) - 1
+    nxt = np.minimum(k + 1, len(knots) - 1)
+    slope = np.where(
+        last, 0.0, (values[nxt] - values[k]) / np.where(last, 1.0, knots[nxt] - knots[k])
+    )
+    s = t - knots[k]
+    angle = total[k] + values[k] * s + slope * s * s / 2
+    speed = values[k] + slope * s
+    turns = np.floor(angle / (2 * np.pi) + 1e-12)
+    new = np.concatenate([[True], turns[1:] > turns[:-1]])
+    # how long ago the whole turn was: angle - 2 pi turns = W age - W' age^2/2
+    left = np.maximum(angle - 2 * np.pi * turns, 0.0)
+    age = np.where(speed > 0, left / np.maximum(speed, 1e-9), 0.0)
+    age = np.where(speed > 0, (left + slope * age * age / 2) / np.maximum(speed, 1e-9), 0.0)
+    return np.where(new, np.minimum(age, dt * (1 - 1e-9)), -1.0)

@@ -1,0 +1,284 @@
+"""Proof that a synchronous block converges at every speed of an interval, between the speeds as
+well.
+
+What is proved: Herm(T S) > 0, the convex sufficient condition under which every small gain is
+stable (core/synchronous.py), for the full plant with the controller as it is sampled, its delay and
+its hold. The loop is written as a pencil in the distance d of the speed from the middle of a cell,
+
+    [ j W - A(W)     -B_w D_p       0          -g(W) B   ] [x]     [  0  ]
+    [ -C_z           I - D_zw D_p   0          -g(W) D_zu] [v]  =  [  0  ] d_o,    e = C x + d_o
+    [  B_k C           0          z(W) - A_k     0       ] [x_k]   [-B_k ]
+    [  D_k C           0          -C_k           1       ] [u]     [-D_k ]
+
+with z = exp(j W Ts), g = (1 - exp(-j W Ts))/(j W Ts) and D_p = diag(p) of the tolerances, |p| <= 1.
+z and g are entire, so that their Taylor remainders are known; the machine's matrices are a
+quadratic through three speeds, and twice what they are off at the quarter points is allowed for.
+A(W) is affine where only gyroscopic forces depend on the speed: the quadratic is then exact.
+
+Not in the pencil: aliasing beyond the base band of the hold. It is measured at the ends and in the
+middle of every segment and allowed for twice over. Floating point is used without directed
+rounding.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput
+from ambrose.core.interval_proof import IntervalProof, Pencil, prove
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.statespace import StateSpace
+from ambrose.law.scheduling import SPEED
+from ambrose.law.synchronous import Condition, SynchronousLoop
+from ambrose.machine.description import Tolerance
+from ambrose.model.uncertainty import tolerances_around, uncertain
+
+_SEGMENTS = 12  # speeds between which the machine's matrices are a quadratic
+_WIDTH = 1 / 48  # of the interval: the first cells
+_ALLOWED = 2.0  # times what was seen, of curvature and of aliasing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Segment:
+    """Matrices [A, B_w, B; C_z, D_zw, D_zu] = base + s (first) + s^2 (second), s the speed from the
+    middle [rad/s]; rest: bound of what is off; aliasing: of S, in its 2-norm.
+    """
+
+    low: float
+    high: float
+    base: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    rest: np.ndarray
+    aliasing: float
+
+    def around(self, middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same quadratic about another speed."""
+        s = middle - (self.low + self.high) / 2
+        return (
+            self.base + s * self.first + s * s * self.second,
+            self.first + 2 * s * self.second,
+            self.second,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopPencils:
+    """The pencils of a loop over an interval of speed, at a condition; tolerances: those in the box
+    (empty: none).
+    """
+
+    loop: SynchronousLoop
+    condition: Condition
+    tolerances: tuple[Tolerance, ...]
+    controller: StateSpace
+    C: np.ndarray
+    states: int
+    owners: tuple[str, ...]
+    segments: tuple[_Segment, ...]
+
+    def pencil(self, low: float, high: float) -> Pencil:
+        """The cell between two speeds of one segment."""
+        middle, h = (low + high) / 2, (high - low) / 2
+        segment = next(s for s in self.segments if s.low - 1e-9 <= middle <= s.high + 1e-9)
+        K = self.controller
+        n = self.states
+        q = len(self.owners)
+        a = len(self.loop.axes)
+        k = K.n_states
+        M0, M1, M2 = segment.around(middle)
+        size = n + q + k + a
+        P0, P1, P2 = (np.zeros((size, size), complex) for _ in range(3))
+        rest = np.zeros((size, size))
+        x = slice(0, n)
+        v = slice(n, n + q)
+        c = slice(n + q, n + q + k)
+        u = slice(n + q + k, size)
+
+        # the machine: j W - A in the states, -C_z in the deviations' outputs
+        harmonic = self.loop.harmonic
+        P0[x, x] = 1j * harmonic * middle * np.eye(n) - M0[:n, :n]
+        P1[x, x] = 1j * harmonic * np.eye(n) - M1[:n, :n]
+        P2[x, x] = -M2[:n, :n]
+        P0[v, x] = -M0[n:, :n]
+        P1[v, x] = -M1[n:, :n]
+        P2[v, x] = -M2[n:, :n]
+        P0[v, v] = np.eye(q)
+        rest[: n + q, x] += segment.rest[:, :n]
+
+        # the hold and the delay of whole samples: g(W) = int_0^1 exp(-j (W + d) Ts s) ds
+        # z and g are functions of the harmonic's frequency
+        dt = harmonic * self.loop.timing.sample_time
+        g = _hold_series(middle, dt)
+        drive = [np.vstack([M[:n, n + q :], M[n:, n + q :]]) for M in (M0, M1, M2)]
+        P0[: n + q, u] = -g[0] * drive[0]
+        P1[: n + q, u] = -(g[0] * drive[1] + g[1] * drive[0])
+        P2[: n + q, u] = -(g[0] * drive[2] + g[1] * drive[1] + g[2] * drive[0])
+        # |g| <= 1, |g''' d^3/6| <= (Ts h)^3/24 and the products beyond the second power
+        left = h**3 * (
+            abs(g[1]) * np.abs(drive[2])
+            + abs(g[2]) * np.abs(drive[1])
+            + h * abs(g[2]) * np.abs(drive[2])
+        )
+        cubic = (dt * h) ** 3 / 24
+        rest[: n + q, u] += (
+            left
+            + cubic * (np.abs(drive[0]) + h * np.abs(drive[1]) + h * h * np.abs(drive[2]))
+            + (1 + cubic) * segment.rest[:, n + q :]
+        )
+
+        # the controller: z(W) = z0 exp(j d Ts)
+        z0 = np.exp(1j * middle * dt)
+        P0[c, c] = z0 * np.eye(k) - K.A
+        P1[c, c] = 1j * dt * z0 * np.eye(k)
+        P2[c, c] = -(dt**2) / 2 * z0 * np.eye(k)
+        rest[c, c] += (dt * h) ** 3 / 6 * np.eye(k)
+        P0[c, x], P0[u, x] = K.B @ self.C, K.D @ self.C
+        P0[u, c], P0[u, u] = -K.C, np.eye(a)
+
+        # members: -B_w and -D_zw in the columns of each parameter; that they depend on d goes to
+        # the rest
+        members = []
+        for name in dict.fromkeys(self.owners):
+            columns = [i for i, owner in enumerate(self.owners) if owner == name]
+            member = np.zeros((size, size), complex)
+            for i in columns:
+                member[: n + q, n + i] = -M0[:, n + i]
+                slope = h * np.abs(M1[:, n + i]) + h * h * np.abs(M2[:, n + i])
+                rest[: n + q, n + i] += slope + segment.rest[:, n + i]
+            members.append(member)
+
+        C, Q = np.zeros((a, size), complex), np.zeros((size, a), complex)
+        C[:, x] = self.C
+        Q[c] = -K.B
+        Q[u] = -K.D
+        return Pencil(P0, P1, P2, tuple(members), rest, C, Q, np.eye(a, dtype=complex), h)
+
+    def aliasing(self, low: float, high: float) -> float:
+        """The allowance for aliasing between two speeds, in the 2-norm of S."""
+        middle = (low + high) / 2
+        return next(s.aliasing for s in self.segments if s.low - 1e-9 <= middle <= s.high + 1e-9)
+
+
+def loop_pencils(
+    loop: SynchronousLoop,
+    condition: Condition,
+    low: float,
+    high: float,
+    tolerances: Sequence[Tolerance] | None = (),
+    edges: Sequence[float] = (),
+) -> LoopPencils:
+    """The pencils of a loop between two speeds [rad/s].
+
+    tolerances: in the box (None: all that hold around the condition); edges: further speeds at
+    which a segment ends. Raises InvalidInput for a law that is scheduled over the speed.
+    """
+    if loop.law.follows(SPEED):
+        raise InvalidInput(
+            "a controller scheduled over speed is not proved with a synchronous block; give one "
+            "that is fixed over speed"
+        )
+    plant = loop.plant((low + high) / 2, condition)
+    held = tolerances_around(plant) if tolerances is None else tuple(tolerances)
+    law = loop.timing.in_loop(loop.controller(plant))
+
+    def matrices(speed: float) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        at = loop.plant(speed, condition)
+        if held:
+            model: GeneralizedPlant = uncertain(at, held)
+            system = model.system
+            owners = tuple(block.name for block in model.blocks for _ in range(block.n_w))
+        else:
+            system, owners = at.system, ()
+        w = list(range(len(owners)))
+        u = [system.inputs.index(name) for name in at.named("u")]
+        y = [system.outputs.index(name) for name in at.named("y")]
+        if system.D[np.ix_(y, w + u)].any():
+            raise InvalidInput(
+                "the currents reach the sensors at once; give the amplifier a bandwidth in the "
+                "machine file"
+            )
+        block = np.block(
+            [[system.A, system.B[:, w + u]], [system.C[w], system.D[np.ix_(w, w + u)]]],
+        )
+        return block, system.C[y], owners
+
+    knots = np.unique(
+        np.concatenate(
+            [np.linspace(low, high, _SEGMENTS + 1), [e for e in edges if low < e < high]]
+        )
+    )
+    segments = []
+    for start, end in itertools.pairwise(knots):
+        middle, half = (start + end) / 2, (end - start) / 2
+        left, centre, right = (matrices(w)[0] for w in (start, middle, end))
+        first, second = (right - left) / (2 * half), (right + left - 2 * centre) / (2 * half * half)
+        off = np.zeros(centre.shape)
+        for s in (-half / 2, half / 2):
+            off = np.maximum(
+                off, np.abs(matrices(middle + s)[0] - centre - s * first - s * s * second)
+            )
+        # rounding of the assembly is not curvature
+        off[off < 1e-12 * np.abs(centre).max(axis=1, keepdims=True)] = 0.0
+        seen = max(_aliasing(loop, condition, w) for w in (start, middle, end))
+        segments.append(
+            _Segment(start, end, centre, first, second, _ALLOWED * off, _ALLOWED * seen)
+        )
+    _, C, owners = matrices((low + high) / 2)
+    return LoopPencils(loop, condition, held, law, C, len(C[0]), owners, tuple(segments))
+
+
+def prove_interval(
+    pencils: LoopPencils,
+    table: Callable[[float], np.ndarray],
+    knots: Sequence[float],
+    low: float,
+    high: float,
+) -> IntervalProof:
+    """Herm(T S) > 0 between two speeds, for every value of the tolerances in the box of
+    ``pencils``.
+
+    table: speed -> T (a, a); knots: where it bends, linear between.
+    """
+    edges = sorted({low, high, *(s.low for s in pencils.segments), *knots})
+    edges = [w for w in edges if low <= w <= high]
+    angle = np.pi / 2
+    worst = low
+    cells = 0
+    for start, end in itertools.pairwise(edges):
+        if end - start < 1e-9 * high:
+            continue
+        part = prove(pencils.pencil, table, start, end, (high - low) * _WIDTH, pencils.aliasing)
+        if not part.proved:
+            return part
+        cells += part.cells
+        if part.angle < angle:
+            angle, worst = part.angle, part.worst
+    return IntervalProof(True, float(angle), worst, cells)
+
+
+def _hold_series(middle: float, dt: float) -> tuple[complex, complex, complex]:
+    """Taylor coefficients of g(W + d) in d: int_0^1 exp(-j W Ts s) (-j Ts s)^k/k! ds, by Gauss's
+    rule of 16 points.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    s, weights = (nodes + 1) / 2, weights / 2
+    turn = np.exp(-1j * middle * dt * s)
+    first = complex((weights * turn * (-1j * dt * s)).sum())
+    return (
+        complex((weights * turn).sum()),
+        first,
+        complex((weights * turn * (-1j * dt * s) ** 2).sum() / 2),
+    )
+
+
+def _aliasing(loop: SynchronousLoop, condition: Condition, speed: float) -> float:
+    """By how much S with the base band of the hold alone is off the exact sampled one, in its
+    2-norm.
+    """
+    exact = loop.response("current-free", speed, condition)
+    return float(np.linalg.norm(exact - loop.base_band(speed, condition), 2))

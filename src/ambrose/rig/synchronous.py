@@ -1,0 +1,126 @@
+"""A controller with its synchronous blocks on the virtual rig: one program, with a key phasor of
+its own.
+
+The key phasor's pulses are those of the scenario's speed, to which the rig turns the rotor; windows
+without pulses are drop-outs. What the blocks did is kept, every so many samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput
+from ambrose.core.statespace import StateSpace
+from ambrose.law.synchronous_block import SynchronousBlock, SynchronousLaw, key_phasor
+from ambrose.machine.machine import Machine
+from ambrose.rig.scenario import Scenario
+
+
+@dataclass(slots=True)
+class SynchronousProgram:
+    """A sampled law and synchronous blocks before it, as the rig runs a program.
+
+    law: sampled, without its delay, errors [m] to currents [A] in the order of the machine's axes;
+    block: Python (``SynchronousBlock``) or compiled code with the same ``step``; pulses (k,) [s]:
+    of every sample (``key_phasor``); limits (a,) [A]: of the currents; enabled (k,): the switch
+    (None: on). history: (sample, states, amplitudes, speed) every ``every`` samples.
+    """
+
+    law: StateSpace
+    block: Any
+    pulses: np.ndarray
+    limits: np.ndarray
+    gap: float = np.inf
+    enabled: np.ndarray | None = None
+    every: int = 50
+    delay: int = 1
+    history: list[tuple[int, tuple[int, ...], np.ndarray, float]] = field(default_factory=list)
+    _x: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    _u: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    _k: int = 0
+
+    @property
+    def sample_time(self) -> float:
+        assert self.law.dt is not None
+        return self.law.dt
+
+    @property
+    def system(self) -> StateSpace:
+        return self.law
+
+    def begin(self, states: np.ndarray) -> None:
+        """Ready to go on from the states (n,) of the law, with all blocks off."""
+        self._x, self._k = np.array(states, float), 0
+        self._u = np.zeros(len(self.law.outputs))
+        self.block.begin()
+        self.history.clear()
+
+    def step(self, errors: np.ndarray) -> np.ndarray:
+        """One sample: currents (a,) [A] from errors (a,) [m]."""
+        k, self._k = self._k, self._k + 1
+        pulse = float(self.pulses[k]) if k < len(self.pulses) else -1.0
+        contact = bool((np.abs(errors) > self.gap).any())
+        saturated = bool((np.abs(self._u) >= self.limits).any())
+        on = True if self.enabled is None else bool(self.enabled[k])
+        c = self.block.step(pulse, errors, self._u, contact, saturated, on)
+        e = errors + c
+        u = self.law.C @ self._x + self.law.D @ e
+        self._x = self.law.A @ self._x + self.law.B @ e
+        self._u = np.clip(u, -self.limits, self.limits)
+        if k % self.every == 0:
+            self.history.append(
+                (
+                    k,
+                    tuple(int(s) for s in self.block.states),
+                    self.block.amplitudes(),
+                    self.block.speed,
+                )
+            )
+        return self._u
+
+
+def synchronous_program(
+    machine: Machine,
+    law: StateSpace,
+    blocks: SynchronousLaw,
+    scenario: Scenario,
+    *,
+    block: Any = None,
+    lost: Sequence[tuple[float, float]] = (),
+    switched_off: Sequence[tuple[float, float]] = (),
+) -> SynchronousProgram:
+    """A program for ``virtual_rig.run`` of a scenario.
+
+    law: sampled, err_<axis> to u_<axis> in the machine's order. block: what runs the blocks (None:
+    in Python). lost: windows [s] without pulses; switched_off: windows in which the blocks are
+    switched off. Raises InvalidInput for another sample time.
+    """
+    if law.dt is None or abs(law.dt - blocks.sample_time) > 1e-9 * blocks.sample_time:
+        raise InvalidInput(
+            "the law and its synchronous blocks run at different sample times; sample the law first"
+        )
+    scenario = scenario.on(machine)
+    count = int(np.ceil(scenario.duration / law.dt)) + 1
+    times, speeds = scenario.speed_knots
+    pulses = key_phasor(times, speeds, law.dt, count)
+    t, enabled = np.arange(count) * law.dt, np.ones(count, bool)
+    for start, end in lost:
+        pulses[(t >= start) & (t < end)] = -1.0
+    for start, end in switched_off:
+        enabled[(t >= start) & (t < end)] = False
+    limits = np.array(
+        [
+            np.inf if b.max_current is None else b.max_current
+            for b in machine.bearings
+            for _ in range(2)
+        ]
+    )
+    gaps = [b.touchdown_gap for b in machine.bearings if b.touchdown_gap is not None]
+    running = SynchronousBlock(blocks) if block is None else block
+    return SynchronousProgram(
+        law, running, pulses, limits, 0.95 * min(gaps, default=np.inf), enabled
+    )
