@@ -3,7 +3,7 @@ critical speeds.
 
 | check | what | unit |
 |---|---|---|
-| stability.speeds | largest real part of the closed-loop poles over the speed range; must be negative | rad/s |
+| stability.speeds | largest real part of the poles over the speed range; below zero | rad/s |
 """
 
 from __future__ import annotations

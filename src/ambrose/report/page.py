@@ -1,8 +1,9 @@
 """One self-contained page: `report.html`, readable on a screen without any network, printable and
 signable on A4.
 
-    report = Report("Verification", machine, sections=(Section("Closed loop", "What to look at ...", figures, tables),))
-    write(report, Path("report.html"))                                  # atomic: complete or not there at all
+    closed = Section("Closed loop", "What to look at ...", figures, tables)
+    report = Report("Verification", machine, sections=(closed,))
+    write(report, Path("report.html"))                     # atomic: complete or not there at all
 
 The nouns are generic; ``verification``, ``comparison``, ``identification`` and ``record`` fill
 them. All text is plain text: it is escaped here. jinja2 and plotly are imported inside the
