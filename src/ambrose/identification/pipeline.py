@@ -130,7 +130,8 @@ def identify(
     else:
         if controller is None:
             raise InvalidInput(
-                f"the method {method} needs the controller that ran; give a StateSpace or a Synthesis"
+                f"the method {method} needs the controller that ran; give a StateSpace or a "
+                "Synthesis"
             )
         law = law_of(controller, functions=False)
         stated = law.delay_samples

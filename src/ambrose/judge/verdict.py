@@ -48,9 +48,9 @@ def verify_controller(
     tolerances around each.
 
     machine: or the plants to verify on, one or several. controller: what controls, as a law or as
-    anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all). tolerances: whether
-    the tolerance boxes are examined. rate [Hz], delay_samples: the loop as it runs, sampled by
-    Tustin's map and late; None: as the controller or the machine file says
+    anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
+    tolerances: whether the tolerance boxes are examined. rate [Hz], delay_samples: the loop as it
+    runs, sampled by Tustin's map and late; None: as the controller or the machine file says
     (``law.timing.timing_of``); where neither knows a rate the continuous loop is judged, and
     ``timing`` says so. pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the
     machine file's; without one nothing is proved for a pressure that changes); pressure_error [Pa]:

@@ -222,7 +222,7 @@ class FunctionLaw(Law):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProgramLaw(Law):
-    """A program such as compiled C code, fixed or, told what it follows, scheduled or supervised."""
+    """A program such as compiled C code: fixed, or told what it follows."""
 
     running: ControlProgram
     along: Scheduling | None = None

@@ -67,15 +67,15 @@ def simulate_scenario(
 ) -> Trace:
     """One scenario on the nonlinear virtual rig or, ``linear``, on the linear closed loop.
 
-    machine: or a Plant, whose operating point is then the default. controller: what controls, as a law or as
-    anything that ``law.law.law_of`` makes one of. scenario: bundled, a file, or a Scenario. point:
-    operating point or label (None: the nominal one). rate [Hz], delay_samples: of the controller
-    (None: as it or the machine file says; the rig takes 10 kHz and one sample where nobody does).
-    fallback: the fixed controller that takes over where the pressure that a schedule is told cannot
-    be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine file's),
-    pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may be the
-    very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside" the
-    reading, or "alone" in place of it (registered by the annex of schedules). rig: further
+    machine: or a Plant, whose operating point is then the default. controller: what controls, as a
+    law or as anything that ``law.law.law_of`` makes one of. scenario: bundled, a file, or a
+    Scenario. point: operating point or label (None: the nominal one). rate [Hz], delay_samples: of
+    the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
+    nobody does). fallback: the fixed controller that takes over where the pressure that a schedule
+    is told cannot be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine
+    file's), pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may
+    be the very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside"
+    the reading, or "alone" in place of it (registered by the annex of schedules). rig: further
     arguments of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
     law = law_of(controller)
