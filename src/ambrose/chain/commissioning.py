@@ -40,7 +40,7 @@ from ambrose.rig.candidate import Candidate, Deployed, evaluate
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import simulate_scenario
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.choice import methods
 
 NAME = "commissioned"
 METHOD = "tuned"
@@ -165,8 +165,8 @@ def commission(
     known = full_plants(machine)
     progress("controller for the identified machine and its sampled loop")
     machine_on_site, timing = plants[0].machine, machine_timing(machine) or DEFAULT
-    options = DesignOptions(rate=timing.rate, delay_samples=timing.delay_samples)
-    synthesis = resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
+    method = methods()[METHOD](rate=timing.rate, delay_samples=timing.delay_samples)
+    synthesis = resume_or_design(known[0], method, directory / "controller.json", progress)
     deployment, program, files = compile_controller(known, directory, progress)
     law, apart = read_running_law(program, deployment)
     running = Deployed(
@@ -198,8 +198,7 @@ def identified(
 
     Raises NumericalFailure where the fit did not converge.
     """
-    from ambrose.report.identification.page import identification_report
-    from ambrose.report.page import write
+    from ambrose.report.page import page_of, write
 
     names = Provenance(("record.h5",), "the reference controller")
     done = identify(machine, record, controller, provenance=names, progress=progress)
@@ -207,7 +206,7 @@ def identified(
     write_text(
         directory / "identified.toml", done.comment + machine_text(done.machine), "machine file"
     )
-    write(identification_report(done), directory / "identified.html")
+    write(page_of(done), directory / "identified.html")
     if not done.result.converged:
         raise NumericalFailure(
             f"{done.verdict}; no controller is designed for them, see identified.html"

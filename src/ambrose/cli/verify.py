@@ -13,6 +13,7 @@ from ambrose.terminal import (
     DELAY,
     MACHINE,
     RATE,
+    GroupedCommand,
     load,
     load_controller,
     print_checks,
@@ -22,8 +23,14 @@ from ambrose.terminal import (
     say_json,
 )
 
+_GROUPS = {
+    "": ("path", "everything"),
+    "The loop as it runs": ("rate_hz", "delay_samples"),
+    "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
+}
 
-@click.command()
+
+@click.command(cls=GroupedCommand, groups=_GROUPS)
 @MACHINE
 @click.option(
     "--controller",

@@ -27,6 +27,7 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.judge.stability import judge_stability, loop_abscissa
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import match_controller
 from ambrose.law.timing import Timing
@@ -58,7 +59,7 @@ def certify(plant: Plant | StateSpace, controller: LawLike, margins: bool = True
     """
     loop, law = _open_loop(plant, controller)
     identity = np.eye(len(loop.outputs))
-    abscissa = _abscissa(loop)
+    abscissa = loop_abscissa(loop)
     fastest = fastest_pole(law)
     label = _label(plant)
     if not abscissa < 0:
@@ -80,13 +81,11 @@ def certify_envelope(
 
     Plants that a schedule is not meant for are left out.
     """
-    envelope = {}
-    for plant in plants:
-        if result.covers(plant):
-            law = result.at(plant.point)
-            envelope[plant.point.label] = _abscissa(
-                _open_loop(plant, law if timing is None else timing.in_loop(law))[0]
-            )
+    envelope = {
+        plant.point.label: judge_stability(plant, result, timing).abscissa
+        for plant in plants
+        if result.covers(plant)
+    }
     certificate = replace(result.certificate, envelope=envelope)
     return replace(result, certificate=certificate)
 
@@ -181,10 +180,6 @@ def _open_loop(plant: Plant | StateSpace, controller: LawLike) -> tuple[StateSpa
     """Controller, then plant, as one system; and the controller."""
     open_plant, law = _loop_parts(plant, controller)
     return series(law, open_plant), law
-
-
-def _abscissa(loop: StateSpace) -> float:
-    return spectral_abscissa(feedback(loop, static_gain(np.eye(len(loop.outputs)), dt=loop.dt)))
 
 
 def _loop_parts(plant: Plant | StateSpace, controller: LawLike) -> tuple[StateSpace, StateSpace]:

@@ -222,7 +222,9 @@ class FunctionLaw(Law):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProgramLaw(Law):
-    """A program such as compiled C code: fixed, or told what it follows."""
+    """A program such as compiled C code, fixed or, told what it follows, scheduled or
+    supervised.
+    """
 
     running: ControlProgram
     along: Scheduling | None = None

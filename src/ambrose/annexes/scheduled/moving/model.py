@@ -75,8 +75,8 @@ class MovingModel:
         self._ranges = [seal_range(plant, seal, span) for seal in plant.machine.seals]
         self.plant = plant
         self.span = span
-        self.law = moving_law(law, plant)
         self.lag = lag
+        self.law = moving_law(law, plant)
 
     @property
     def output(self) -> np.ndarray:
