@@ -330,7 +330,7 @@ def test_a_delivery_shows_itself(rig, tmp_path):
     [
         (
             "controller.json",
-            "the controller is a str, but must be a Synthesis or a system with A, B, C, D",
+            "the controller is 'controller.json', but must be a StateSpace or a Synthesis",
         ),
         (
             control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]),

@@ -126,8 +126,7 @@ def test_records_may_be_files_and_controllers_anything_with_a_state_space(tmp_pa
     foreign = SimpleNamespace(
         A=controller.A, B=controller.B, C=controller.C, D=controller.D, dt=None
     )
-    # a synthesis has a law
-    result = identify(machine, path, SimpleNamespace(law=foreign), unknown=FOUR[0])
+    result = identify(machine, path, foreign, unknown=FOUR[0])
     np.testing.assert_array_equal(result.result.values, done().result.values)
     assert result.provenance.records == ("run.h5",)
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ambrose.annexes.scheduled.moving.law import moving_law
 from ambrose.annexes.scheduled.moving.model import choose_model, told_range
 from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
 from ambrose.core.checks import InvalidInput
@@ -127,8 +128,9 @@ def test_spans_end_where_the_schedule_ends_and_what_is_told_where_an_error_takes
 ) -> None:
     law = schedule(rig, 0.1, (1.5e4, 2e4, 5e4))
     (span,) = scheduled_spans(rig, law)
+    moving = moving_law(law, assemble(rig, span.middle))
     assert (span.low, span.high) == (1.5e4, HIGH)
-    assert told_range(span, law, 5e3) == (1.5e4, HIGH + 5e3) and told_range(span, law, 0.0) == (
+    assert told_range(span, moving, 5e3) == (1.5e4, HIGH + 5e3) and told_range(span, moving, 0.0) == (
         1.5e4,
         HIGH,
     )
