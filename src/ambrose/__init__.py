@@ -47,7 +47,12 @@ _HOME = {
     "Verification": "judge.verification",
     "Trace": "rig.trace",
     "Identification": "identification.result",
-    "ExportOptions": "code.pipeline",
+    **{
+        name: f"synthesis.methods.{name.lower()}"
+        for name in ("Tuned", "Pid", "Hinf", "Mu", "Polish")
+    },
+    **dict.fromkeys(("ClosedLoop", "Youla", "StaticLoads"), "identification.methods"),
+    **dict.fromkeys(("C", "Mat", "Fmu", "St"), "code.targets"),
     "Study": "chain.study",
     "hinf_synthesis": "synthesis.hinf.synthesis",
     "mu_synthesis": "synthesis.mu.synthesis",
@@ -61,7 +66,7 @@ _HOME = {
         ("coprime_factors", "injection_gain", "observer_controller", "residual_system"),
         "core.realisation.coprime",
     ),
-    "trade_off": "synthesis.fixed_order.trade_off",
+    "trade_off": "synthesis.trade_off",
     "minimal": "core.realisation.zeros",
     "delayed": "core.sampling",
     "lft": "core.lft",
@@ -110,7 +115,9 @@ def __getattr__(name: str) -> Any:
         # a function: wrong types are named, and it pickles as what it is called here
         if not isinstance(item, type):
             item = import_module("ambrose.core.arguments").names_wrong_types(item)
-            item.__module__, item.__name__, item.__qualname__ = "ambrose", name, name
+            item.__module__ = "ambrose"
+            item.__name__ = name
+            item.__qualname__ = name
         globals()[name] = item
         return item
     raise AttributeError(

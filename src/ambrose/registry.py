@@ -2,7 +2,7 @@
 
 Every package below ``ambrose.annexes`` states in its ``__init__`` one table of plain data,
 
-    ANNEX = {"command": {"accept": "accept_command:accept"}, "public": {"accept": "acceptance"}},
+    ANNEX = {"site command": {"accept": "accept_command:accept"}, "public": {...}},
 
 that is {kind: {name: place}} with a place relative to the annex. The rooms ask here for a kind, and
 import no annex: one that is taken off the tree takes with it what it has registered, nothing else.
@@ -40,9 +40,10 @@ def registered(kind: str) -> dict[str, Any]:
     """{name: place} of all that rooms and annexes registered of a kind; a place is
     "module:attribute", or the object itself where it came by ``register``.
 
-    kind: "command", "public", "method", "moving_proof", "companion" or "effect". Raises
-    RuntimeError where two register one name: that is a defect of the installation, not of the
-    input.
+    kind: "design command", "site command" or "research command" (the groups of the command line's
+    help), "public", "page" (of a result, by the name of its type), "method", "moving_proof",
+    "companion" or "effect". Raises RuntimeError where
+    two register one name: that is a defect of the installation, not of the input.
     """
     return {**_stated(kind), **_ADDED.get(kind, {})}
 

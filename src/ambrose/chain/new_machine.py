@@ -228,8 +228,12 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     return loads_machine(written, rotor.name)
 
 
-_TITLE = """A machine for Ambrose: numbers have units, what was chosen and not measured is marked "assumed" and listed
-with its reason. Replace it by what you know, then: ambrose check, ambrose synthesize, ambrose simulate."""
+_TITLE = (
+    "A machine for Ambrose: numbers have units, what was chosen and not measured is marked "
+    '"assumed" and listed\n'
+    "with its reason. Replace it by what you know, then: ambrose check, ambrose synthesize, "
+    "ambrose simulate."
+)
 
 
 def _elements(length: float, diameter: float) -> int:

@@ -27,18 +27,11 @@ from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import not_varied
-from ambrose.registry import registered, resolve
+from ambrose.registry import registered
 from ambrose.rig.candidate import Candidate, evaluate, points_of, run_ups
 from ambrose.rig.trial import RunUp
 from ambrose.synthesis.design import methods_for
-
-TITLES = {
-    "tuned": "tuned",
-    "pid": "PID",
-    "hinf": "H-infinity",
-    "mu": "mu",
-    "polish": "mu, polished",
-}
+from ambrose.synthesis.methods.choice import methods
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -204,8 +197,7 @@ def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
 
 def study_methods(plant: Plant) -> tuple[str, ...]:
     """What a study designs by: what the machine file allows, then the annexes' that suit it."""
-    more = (name for name, place in registered("method").items() if resolve(place).suits(plant))
-    return (*methods_for(plant), *more)
+    return (*methods_for(plant), *(n for n in registered("method") if methods()[n].suits(plant)))
 
 
 def _candidates(
@@ -217,11 +209,11 @@ def _candidates(
     candidates: list[Candidate] = []
     failed: list[tuple[str, str]] = []
     for method in study_methods(plants[0]):
-        name = TITLES.get(method) or resolve(registered("method")[method]).TITLE
+        name = methods()[method].title
         progress(f"{name}: controller")
         try:
             synthesis = resume_or_design(
-                plants[0], method, directory / f"controller-{method}.json", progress
+                plants[0], methods()[method](), directory / f"controller-{method}.json", progress
             )
         except AmbroseError as error:  # one infeasible design leaves the others their verdict
             progress(f"{name}: no controller; {error}")
@@ -269,11 +261,10 @@ def _loops_judged(candidates: tuple[Candidate, ...]) -> str:
 
 def write_report(result: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
-    from ambrose.report.commissioning import commissioning_section
-    from ambrose.report.comparison.page import comparison_report
+    from ambrose.report.comparison.page import comparison_page
     from ambrose.report.comparison.tables import grouped
     from ambrose.report.page import write
-    from ambrose.report.run_up import run_up_section
+    from ambrose.report.study import commissioning_section, run_up_section
 
     names, limit = (
         [candidate.name for candidate in result.candidates],
@@ -298,7 +289,7 @@ def write_report(result: Study, path: Path) -> None:
             )
         )
     full, reduced = result.plants[0], result.reduced
-    report = comparison_report(
+    report = comparison_page(
         result.machine,
         result.candidates,
         models=(

@@ -15,8 +15,10 @@ from ambrose.terminal import (
     PRESSURE_ERROR,
     RATE,
     STUCK_AFTER,
+    GroupedCommand,
     claim,
     kept,
+    kept_page,
     load,
     load_controller,
     progress_shown,
@@ -25,8 +27,20 @@ from ambrose.terminal import (
     say_json,
 )
 
+_GROUPS = {
+    "": ("path", "scenario", "point", "output", "report"),
+    "The run": ("linear", "rate_hz", "delay_samples", "bending_modes", "seed", "second"),
+    "A fallback beside a controller scheduled over pressure": (
+        "fallback",
+        "pressure_rate",
+        "pressure_error",
+        "stuck_after",
+        "estimate",
+    ),
+}
 
-@click.command()
+
+@click.command(cls=GroupedCommand, groups=_GROUPS)
 @MACHINE
 @click.option(
     "--controller",
@@ -176,12 +190,8 @@ def simulate(
         None if linear else DEFAULT
     )
     failure = None if growing else kept(lambda path: write_record(trace.record, path), output)
-    if report is not None:
-        from ambrose.report.page import write
-        from ambrose.report.record.page import record_report
-
-        unwritten = kept(lambda path: write(record_report(trace, description), path), report)
-        failure, report = unwritten or failure, None if unwritten else report
+    unwritten = kept_page(trace, report, description)
+    failure, report = unwritten or failure, None if unwritten else report
     summary = {
         "record": str(output),
         "outcome": trace.outcome,

@@ -85,7 +85,8 @@ def html_table(
         "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows
     )
     title = f"<caption><b>{escape(caption)}</b></caption>" if caption else ""
-    return f"<table>{title}{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+    top = f"<thead><tr>{head}</tr></thead>" if head else ""
+    return f"<table>{title}{top}<tbody>{body}</tbody></table>"
 
 
 def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:

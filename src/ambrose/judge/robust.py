@@ -4,13 +4,13 @@ within their tolerances.
 | check | what | how |
 |---|---|---|
 | robust.stability.box | corners and samples of the box at which the loop is unstable | counted |
-| robust.stability.margin | smallest factor on all tolerances at which a perturbation destabilises | found by search |
-| robust.stability.proved | factor on all tolerances up to which the loop is stable (mixed mu) | proved |
+| robust.stability.margin | smallest factor on all tolerances that destabilises | found by search |
+| robust.stability.proved | factor on all tolerances up to which it is stable (mu) | proved |
 | robust.sensitivity.worst | largest singular value of S_o over the box | found by search |
 | robust.sensitivity.bound | upper bound of the same (mixed mu) | proved, or grid |
 | robust.sensitivity.input | largest singular value of S_i over the box | found by search |
-| robust.sensitivity.at... | one parameter only: that of S_o at delta = -1, -0.5, 0, 0.5, 1 | found by search |
-| robust.performance | mixed mu of the weighted loop (with weights): below 1 they are met all over | on a grid |
+| robust.sensitivity.at... | one parameter only: S_o at five of its values | found by search |
+| robust.performance | mixed mu of the weighted loop: below 1 the weights are met | on a grid |
 
 "Proved" is at all frequencies, on the model that the detail names; where the proof of the bound
 fails it is evaluated on a frequency grid, and its title says so. A proof that fails for numerical
@@ -50,7 +50,8 @@ from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
 from ambrose.judge.checks import Check, Checks, Curve
 from ambrose.judge.criteria import information, judge, zone_lines
 from ambrose.law.design_problem import design_plant, unit_problem, with_performance_block
-from ambrose.law.loop import Law, law_at, match_axes, match_controller
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import match_axes, match_controller
 from ambrose.law.weights import Weights
 from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
@@ -69,7 +70,7 @@ Progress = Callable[[str, float], None]
 @named_failure("the checks over the tolerances")
 def check(
     plant: Plant | GeneralizedPlant,
-    controller: Law,
+    controller: LawLike,
     tolerances: Sequence[Tolerance] | None = None,
     weights: Weights | None = None,
     *,
@@ -140,7 +141,9 @@ def check(
     return Checks(label, True, tuple(checks), tuple(curves), tuple(notes), _points(output, worst))
 
 
-def examine(plant: Plant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Checks:
+def examine(
+    plant: Plant, controller: LawLike, tolerances: Sequence[Tolerance] | None = None
+) -> Checks:
     """Stability and the worst output sensitivity over the box by search alone: no bound, no proof,
     no curves.
 
@@ -169,7 +172,9 @@ def _points(loop: BoxLoop, worst: BoxGain | None) -> tuple[dict[str, float], ...
 
 @named_failure("the stability margin over the tolerances")
 def stability(
-    plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None
+    plant: Plant | GeneralizedPlant,
+    controller: LawLike,
+    tolerances: Sequence[Tolerance] | None = None,
 ) -> Check:
     """How many corners and samples of the whole box are unstable: the quick verdict where
     parameters are many.
@@ -192,18 +197,20 @@ def _label(plant: Plant | GeneralizedPlant) -> str:
 
 
 def _matched(
-    controller: Law, plant: Plant | GeneralizedPlant, unit: GeneralizedPlant
+    controller: LawLike, plant: Plant | GeneralizedPlant, unit: GeneralizedPlant
 ) -> StateSpace:
     """The controller with its signals in the order of the axes of the plant."""
     if isinstance(plant, Plant):
         return match_controller(controller, plant)
     return match_axes(
-        law_at(controller, OperatingPoint()), [name.removeprefix("u_") for name in unit.u]
+        law_of(controller).at(OperatingPoint()), [name.removeprefix("u_") for name in unit.u]
     )
 
 
 def box_loops(
-    plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None
+    plant: Plant | GeneralizedPlant,
+    controller: LawLike,
+    tolerances: Sequence[Tolerance] | None = None,
 ) -> tuple[BoxLoop, BoxLoop, BoxLoop]:
     """S_o, S_i [-] and K S_o [A/m] (up to sign) of a loop with its real parameters pulled out, for
     ``core.box`` and its search.
@@ -222,7 +229,9 @@ def box_loops(
 
 def _sensitivity_loops(closed: StateSpace, unit: GeneralizedPlant) -> tuple[BoxLoop, BoxLoop]:
     """(w_delta, w2) -> (z_delta, -S_o w2), and (w_delta, w1) -> (z_delta, S_i w1): v = u + w1."""
-    n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
+    n_w = unit.n_w_blocks
+    n_z = unit.n_z_blocks
+    a = len(unit.u)
     model = chords(closed)  # of both, once
 
     def part(inputs: np.ndarray, outputs: np.ndarray, direct: float) -> BoxLoop:

@@ -3,7 +3,7 @@ forces.
 
 | check | what | unit |
 |---|---|---|
-| impulse.settling | time after the pulse until all displacements stay within the band, worst axis | s |
+| impulse.settling | time after the pulse until all displacements stay in the band | s |
 | impulse.displacement | largest measured displacement | m |
 | impulse.current | largest control current of the axis nearest to its limit | A |
 | impulse.force | largest magnetic force k_i i + k_s q of the axis nearest to its limit | N |

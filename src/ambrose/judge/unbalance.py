@@ -15,11 +15,11 @@ pulls with F = U W^2 (ISO 21940-11). How U is spread is unknown, so that three c
 | unbalance.orbit | largest worst-case orbit, zero to peak, up to the required speed | m |
 | unbalance.in_phase | largest orbit with the unbalance in phase | m |
 | unbalance.antiphase | the same in antiphase | m |
-| unbalance.clearance | the worst-case orbit over the smallest touchdown (or air) gap (ISO 14839-2) | - |
+| unbalance.clearance | worst-case orbit over the smallest touchdown or air gap (ISO 14839-2) | - |
 | unbalance.current | worst-case control current of the axis nearest to its limit | A |
 | unbalance.force | worst-case magnetic force k_i i + k_s q of the axis nearest to its limit | N |
-| unbalance.voltage | worst-case voltage w L i of a coil, where the amplifier has a max_voltage | V |
-| unbalance.separation | amplification factor over the allowed one near the running_speeds (API 617) | - |
+| unbalance.voltage | worst-case voltage w L i of a coil, with a max_voltage | V |
+| unbalance.separation | amplification factor over the allowed near running_speeds (API 617) | - |
 | unbalance.assembled | worst-case orbit with the rotor assembled anew at every speed | m |
 
 The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled" and
@@ -39,7 +39,7 @@ from ambrose.judge.criteria import judge
 from ambrose.judge.critical_speeds import separation_check
 from ambrose.judge.loop_response import Evaluator, LoopResponse, loop_at
 from ambrose.judge.peaks import Peak, peaks_of
-from ambrose.law.loop import Law
+from ambrose.law.law import LawLike
 from ambrose.machine.criteria import TWO_PI, demand, machine_limit
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
@@ -292,7 +292,7 @@ def axis_limit_check(
 def unbalance_curve(
     plant_at: Callable[[float], Plant],
     speeds: np.ndarray,
-    controller: Law,
+    controller: LawLike,
     residual: Unbalance | None = None,
 ) -> Curve:
     """Unbalance orbits with the rotor's matrices assembled anew at every speed (gyroscopic forces,

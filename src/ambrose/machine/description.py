@@ -394,8 +394,8 @@ class MachineDescription(Part):
 
     ``assumed`` lists the parameters that were chosen, not measured or published, each with its
     reason. ``effects`` are the parts of registered effects that have no field here, in the file a
-    table each (``machine.attachment``). file_text is the file that the machine was read from (empty: none), for its comments,
-    order and units; it is not compared.
+    table each (``machine.attachment``). file_text is the file that the machine was read from
+    (empty: none), for its comments, order and units; it is not compared.
     """
 
     name: Annotated[Name, "name of the machine"]
@@ -456,7 +456,7 @@ class MachineDescription(Part):
         return self.shaft[-1].start + self.shaft[-1].length
 
     @property
-    def attached(self) -> tuple[Part, ...]:
+    def attached(self) -> tuple[Any, ...]:
         """The parts of all registered effects, in the order of their ports."""
         return (*self.couplings, *self.effects)
 

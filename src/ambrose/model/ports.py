@@ -26,8 +26,8 @@ class Port:
 
 
 def ports(machine: Machine) -> tuple[Port, ...]:
-    """All ports: bearings (zeta, eta) first, in the order of the axes, then registered effects (such
-    as couplings) in their own axes, seals and discs (x, y).
+    """All ports: bearings (zeta, eta) first, in the order of the axes, then registered effects
+    (such as couplings) in their own axes, seals and discs (x, y).
     """
     stations = [Station(b.name, b.position, b.angle, TILTED) for b in machine.bearings]
     for effect, part in attached(machine):

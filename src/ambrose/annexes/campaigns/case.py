@@ -1,10 +1,12 @@
 """What a case's settings make of machine, operating point, controller and scenario.
 
 machine | controller | scenario | point          another one, whole (a point by its label)
-machine.<table>[.<name|number|*>].<key>          a key of the machine file; scenario.<...> the same of a scenario file
+machine.<table>[.<name|number|*>].<key>          a key of the machine file; scenario.<...> the same
+                                                 of a scenario file
 point.speed | seal_pressure | bias_current | whirl_frequency
 controller.gain                                  a factor on the controller's output
-tolerance.<parameter>                            where in its tolerance a parameter stands, -1 to 1; "*" for every name or axis
+tolerance.<parameter>                            where in its tolerance a parameter stands, -1 to 1;
+                                                 "*" for every name or axis
 option.<name>                                    of the task: seed, rate, delay_samples, method, ...
 """
 
@@ -20,9 +22,8 @@ from typing import Any
 
 from ambrose.annexes.campaigns.plan import Case, Times, Value, number_of
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
-from ambrose.judge.result import Provenance, Synthesis
+from ambrose.judge.result import Synthesis, synthesis_of
+from ambrose.law.law import LawLike, law_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.parse import machine_from_document
 from ambrose.machine.machine import Machine
@@ -47,7 +48,7 @@ class Bases:
     """
 
     machines: Mapping[str, str]
-    controllers: Mapping[tuple[str, str], Any]
+    controllers: Mapping[tuple[str, str], LawLike]
     scenarios: Mapping[str, str]
 
 
@@ -58,7 +59,7 @@ class Subject:
     machine: Machine
     base: Machine
     point: OperatingPoint
-    controller: Any
+    controller: LawLike | None
     scenario: Scenario | None
     offsets: Mapping[str, float]
     options: Mapping[str, Any]
@@ -80,7 +81,7 @@ def subject(case: Case, bases: Bases, fixed: Mapping[str, Any]) -> Subject:
     name = str(given["machine"])
     machine = machine_with(bases.machines[name], tuple(parts.get("machine", {}).items()))
     base = machine_with(bases.machines[name], ())
-    controller = bases.controllers.get((str(given["controller"]), name))
+    controller: LawLike | None = bases.controllers.get((str(given["controller"]), name))
     gains = parts.get("controller", {})
     if other := [key for key in gains if key != "gain"]:
         raise InvalidInput(
@@ -223,12 +224,12 @@ def _offsets(machine: Machine, values: Mapping[str, Value]) -> dict[str, float]:
     return found
 
 
-def _scaled(controller: Any, gain: float) -> Any:
-    law = getattr(controller, "law", controller)
-    if isinstance(law, ScheduledSystem) or not isinstance(law, StateSpace):
+def _scaled(controller: LawLike, gain: float) -> Synthesis:
+    law = law_of(controller).fixed
+    if law is None:
         raise InvalidInput(
             "controller.gain needs a fixed linear controller; leave it out for a scheduled one or "
             "a filter program"
         )
     scaled = replace(law, C=gain * law.C, D=gain * law.D)
-    return Synthesis(scaled, provenance=getattr(controller, "provenance", Provenance()))
+    return Synthesis(scaled, provenance=synthesis_of(controller).provenance)

@@ -1,7 +1,7 @@
 """Beside the machine: frequency responses, acceptance, balancing, calibration, bias currents."""
 
 ANNEX = {
-    "command": {
+    "site command": {
         "accept": "accept_command:accept",
         "balance": "balance_command:balance",
         "bias": "bias_command:bias",
@@ -13,5 +13,10 @@ ANNEX = {
         "Acceptance": "acceptance",
         "balance": "balancing.correction",
         "calibrate": "calibration",
+    },
+    "page": {
+        "Acceptance": "acceptance_page:acceptance_page",
+        "BiasCampaign": "bias_page:bias_page",
+        "Responses": "frf_page:frf_page",
     },
 }

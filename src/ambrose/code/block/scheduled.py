@@ -1,8 +1,9 @@
 """Everything that the generated code of a scheduled controller contains, as numbers: sampled
 matrices on a grid of speeds, pressures or both.
 
-    v  = speed or pressure within the grid's range, moved by at most rate_limit * sample_time a sample
-    M  = (1 - s) M_i + s M_i+1 for every matrix, between the neighbouring grid points, s = (v - v_i) / (v_i+1 - v_i);
+    v  = speed or pressure within the grid's range, moved by at most rate_limit * sample_time
+    M  = (1 - s) M_i + s M_i+1 for every matrix, between the neighbouring grid points,
+         s = (v - v_i) / (v_i+1 - v_i);
          of both the same in each of them, between the four points around
     u  = C x + D e                         the current asked for
     us = min(max(u, -limit), limit)        the current given
@@ -44,7 +45,8 @@ from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive, ch
 from ambrose.core.peak_gain import peak_gains
 from ambrose.core.scheduled import ScheduledSystem, corners, grid_points, interval_points
 from ambrose.core.statespace import StateSpace
-from ambrose.law.scheduling import SPEED, Scheduling, scheduling_of
+from ambrose.law.law import law_of
+from ambrose.law.scheduling import SPEED, Scheduling
 
 _EXAMINED = 3  # values in every interval at which the anti-windup is examined
 # times the highest of the grid: beyond it a value is implausible, if nobody says otherwise
@@ -176,7 +178,7 @@ def build_scheduled_block(
     K = deployment.sampled
     settings = check_settings(K, name, error_limit, current_limit, windup_time, hold_samples)
     errors, currents = settings.error_limit, settings.current_limit
-    along = scheduling_of(K) or SPEED
+    along = law_of(K).scheduled_over or SPEED
     limits, rates = check_told_limits(K.axes, along, told_limit, rate_limit)
     dt = float(K.dt or 0.0)
     law = _Points.of(deployment)

@@ -2,7 +2,8 @@
 every sample, one in charge.
 
     u_i = C_i x_i + D_i e                       what either asks for
-    us  = limited(u_charge + share left)        what acts; ``left`` of the difference at the last change fades with ``share``
+    us  = limited(u_charge + share left)        what acts; ``left`` of the difference at the last
+                                                change fades with ``share``
     x_i += increment_i x_i + B_i e + L_i cut    cut = us - u_i of the one that waits,
                                                 limited(us - share left) - u_i of the one in charge:
                                                 zero within the limits
@@ -23,7 +24,7 @@ import numpy as np
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.core.checks import invalid
-from ambrose.law.supervision import Law, Limits, SupervisedLaws, SupervisedProgram
+from ambrose.law.supervision import Limits, Matrices, SupervisedLaws, SupervisedProgram
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -106,7 +107,7 @@ def supervised_twin(block: SupervisedBlock, kind: Any = np.float64) -> Supervise
     return SupervisedProgram(pair, block.watch)
 
 
-def _law(matrices: tuple[np.ndarray, ...], kind: Any) -> Law:
+def _law(matrices: tuple[np.ndarray, ...], kind: Any) -> Matrices:
     return tuple(x.astype(kind) for x in matrices)
 
 

@@ -40,6 +40,7 @@ from ambrose.identification.output_error.problem import (
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import TurningWave
 from ambrose.identification.parameters import plant_at
+from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
@@ -120,7 +121,7 @@ class MagneticForce:
 def magnetic_force(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     experiment: Experiment,
     result: ParameterEstimate,
     before: MagneticForce | None = None,
@@ -155,7 +156,8 @@ def magnetic_force(
                 )
             )
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
-    except AmbroseError:  # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
+    # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
+    except AmbroseError:
         return None
     step, covariance, widening, gained = _step(
         *_normal(experiment, result.values, waves), len(result.values)
@@ -295,7 +297,7 @@ def _stretches(samples: int) -> Iterator[slice]:
 def without_magnets(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     experiment: Experiment,
     result: ParameterEstimate,
 ) -> tuple[MagneticForce | None, tuple[Record, ...], Experiment, ParameterEstimate]:
@@ -409,7 +411,9 @@ def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
     if not all(largest):
         moved[:] = 0.0
         return moved
-    bias, (i, x), made = _bias(plant, j), moved, []
+    bias = _bias(plant, j)
+    i, x = moved
+    made = []
     p = operating_magnets(plant.machine, plant.point.bias_current)[j // 2].of_force
     for load, power in ((_LOAD * bias, 2), (0.0, 3)):
         terms, chosen = _terms(p, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power

@@ -223,7 +223,8 @@ def machine_file() -> type[Table]:
 def _machine_file(effects: tuple[Attachment, ...]) -> type[Table]:
     tables = {key: entry for key, entry in _WHOLE.items() if _table_in(entry[0])}
     for item in effects:
-        below = table_of(item.part)
+        part: type = item.part
+        below = table_of(part)
         tables.setdefault(item.table, (GenericAlias(list, (below,)), optional(below.__doc__ or "")))
     made = make_table(
         "MachineFile",

@@ -264,8 +264,8 @@ def _has_size(machine: Machine, name: str) -> bool:
 def _labels(
     figure: Any, stations: Sequence[Station], machine: Machine, pixel: float
 ) -> tuple[float, float]:
-    """Names above the rotor (sensors and registered effects below), staggered where they would overlap.
-    Returns the y range [mm].
+    """Names above the rotor (sensors and registered effects below), staggered where they would
+    overlap. Returns the y range [mm].
     """
     high = (
         max(

@@ -3,13 +3,16 @@ what the seal adds to it.
 
 Sampled, the machine with the parameters theta (what the seal is; zero: no seal) is
 
-    x+ = (A + sum theta_g D_g + sum theta_g theta_h D_gh) x + (B + sum theta_g N_g + sum theta_g theta_h N_gh) v,   y = C x,
+    x+ = (A + sum theta_g D_g + sum theta_g theta_h D_gh) x
+         + (B + sum theta_g N_g + sum theta_g theta_h N_gh) v,
+    y = C x,
 
 the squares being what sampling bends. The observer x^+ = A x^ + B v + L e, e = y - C x^, of the
 machine without it errs by x - x^ = sum theta_g phi_g + sum theta_g theta_h phi_gh + ..., each part
 of the error in A - L C,
 
-    phi_g driven by D_g x^ + N_g v,   phi_gh by D_g phi_h + D_gh x^ + N_gh v,   e = sum theta_g C phi_g + ... + noise,
+    phi_g driven by D_g x^ + N_g v,    phi_gh by D_g phi_h + D_gh x^ + N_gh v,
+    e = sum theta_g C phi_g + ... + noise,
 
 and no filter knows theta. On the seal rig the squares are 3 % at nominal pressure, and the third
 power, left out, changes theta by 6e-4 there. Adaptive observers: Zhang, IEEE Trans. Automatic
@@ -20,17 +23,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.response import held_derivative
-from ambrose.core.statespace import index_of
+from ambrose.core.statespace import StateSpace, index_of
 from ambrose.identification.output_error.loop_model import directions_of
 from ambrose.identification.output_error.problem import deployed_controller
 from ambrose.identification.parameters import nominal_values, reduced_plant
+from ambrose.law.law import LawLike
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import find_uncertain
@@ -78,7 +81,7 @@ class SealModel:
     squares: tuple[Direction, ...]
     doubts: tuple[Direction, ...]
     kinds: tuple[str, ...]
-    law: Any
+    law: StateSpace
 
     @property
     def observer(self) -> np.ndarray:
@@ -88,7 +91,7 @@ class SealModel:
 
 def seal_model(
     machine: Machine,
-    controller: Any,
+    controller: LawLike,
     point: OperatingPoint,
     paths: Sequence[str],
     dt: float,
@@ -194,7 +197,7 @@ def _reference(machine: Machine, paths: Sequence[str]) -> np.ndarray:
 
 
 def _stable_loop(
-    law: Any,
+    law: StateSpace,
     A: np.ndarray,
     B: np.ndarray,
     C: np.ndarray,
